@@ -4,11 +4,35 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING
+import re
+from enum import StrEnum
+from typing import TYPE_CHECKING, get_args, get_origin
+
+from pydantic import BaseModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from pydantic import ValidationError
+
+_WANTED = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "string_type": "must be text in quotes",
+    "bool_type": "must be true or false",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "finite_number": "must be finite, neither nan nor inf",
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "string_pattern_mismatch": "a name has letters, digits, _ and - only, and starts with a letter or _",
+}
+"""Pydantic's kinds of error in plain words; ``{...}`` is filled from the error's context."""
+
+_ALLOWED = {"bool_type": ("true", "false")}
 
 
 class SceneError(ValueError):
@@ -21,6 +45,7 @@ class SceneError(ValueError):
         found: The offending value.
         allowed: What may stand there instead, as a phrase or as the list of allowed names. With a list, the
             nearest name to ``found`` is suggested.
+        more: Number of further mistakes that wait behind this one.
     """
 
     def __init__(
@@ -31,8 +56,9 @@ class SceneError(ValueError):
         file: Path | str | None = None,
         found: object = None,
         allowed: str | Iterable[str] | None = None,
+        more: int = 0,
     ):
-        self.message, self.key, self.file, self.found = message, key, file, found
+        self.message, self.key, self.file, self.found, self.more = message, key, file, found, more
         self.allowed = allowed if isinstance(allowed, str) or allowed is None else sorted(map(str, allowed))
         super().__init__(str(self))
 
@@ -40,19 +66,185 @@ class SceneError(ValueError):
     def suggestion(self) -> str | None:
         """The allowed name nearest to what was found, if any is near."""
         if isinstance(self.allowed, list) and isinstance(self.found, str):
-            near = difflib.get_close_matches(self.found, self.allowed, n=1, cutoff=0.5)
-            return near[0] if near else None
+            spelled = {name.lower(): name for name in self.allowed}
+            near = difflib.get_close_matches(self.found.lower(), spelled, n=1, cutoff=0.5)
+            return spelled[near[0]] if near else None
         return None
 
     def __str__(self) -> str:
         where = ": ".join(str(part) for part in (self.file, self.key) if part is not None)
         text = f"{where}: {self.message}" if where else self.message
         if self.found is not None:
-            text += f"; found {self.found!r}"
+            text += f"; found {_shown(self.found)}"
         if isinstance(self.allowed, str):
             text += f"; allowed: {self.allowed}"
         elif self.allowed is not None:
             text += f"; allowed: {', '.join(self.allowed) if self.allowed else 'nothing, there is none'}"
         if self.suggestion:
             text += f". Did you mean {self.suggestion!r}?"
+        if self.more:
+            text += f" (and {self.more} more mistake{'s' * (self.more > 1)})"
         return text
+
+    @classmethod
+    def from_validation(
+        cls, error: ValidationError, data: object, root: type[BaseModel], *, file: Path | str | None = None
+    ) -> SceneError:
+        """Put a failed validation into plain words.
+
+        Args:
+            error: What pydantic found.
+            data: The data that was validated.
+            root: The model it was validated against.
+            file: Scene file.
+
+        Returns:
+            The most telling of its mistakes; unknown keys come first, as they tend to cause the others.
+        """
+        rank = {"extra_forbidden": 0, "missing": 2}
+        details = [detail for detail in error.errors(include_url=False) if not _is_echo(detail)]
+        details.sort(key=lambda detail: rank.get(detail["type"], 1))
+        return cls(**_explain(details[0], data, root), file=file, more=len(details) - 1)
+
+
+def join_key(parts: Iterable[str | int]) -> str:
+    """Write a dotted key; parts that have dots of their own stand in quotes."""
+    return ".".join(text if re.fullmatch(r"[\w*-]+", text := str(part)) else f'"{text}"' for part in parts)
+
+
+def file_keys(section: type[BaseModel], *, root: bool = False) -> list[str]:
+    """Keys a section may have in a scene file; the whole file (``root``) may have variants besides."""
+    return [name for name, field in section.model_fields.items() if not field.exclude] + ["variants"] * root
+
+
+def entry_label(entry: object, index: int) -> str:
+    """What one entry of an array of tables is called: its name, its cost term, or else its place in the array."""
+    if isinstance(entry, dict):
+        for key in ("name", "term"):
+            if isinstance(entry.get(key), str):
+                return entry[key]
+    return str(index)
+
+
+def _is_echo(detail: dict) -> bool:
+    """Whether a list is called too short merely because its entries are wrong, which is reported besides."""
+    value = detail["input"]
+    long_enough = not isinstance(value, list | tuple) or len(value) >= detail.get("ctx", {}).get("min_length", 0)
+    return detail["type"] == "too_short" and long_enough
+
+
+def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
+    """The message, key, found and allowed of one of pydantic's errors."""
+    kind, loc, value, context = detail["type"], detail["loc"], detail["input"], detail.get("ctx") or {}
+    parts, element = _key(loc, data, missing=kind == "missing")
+    section, annotation = _schema(loc, root)
+    key = join_key(parts)
+    found = None if isinstance(value, dict | BaseModel) else value
+    if kind == "extra_forbidden":
+        allowed = file_keys(section, root=section is root)
+        return {"message": "unknown key", "key": key, "found": str(loc[-1]), "allowed": allowed}
+    if kind == "missing" and isinstance(loc[-1], str):
+        return {"message": "this key is missing", "key": key}
+    if kind in ("missing", "too_short", "too_long"):
+        return {"message": _length(annotation, context), "key": key, "found": found}
+    if kind == "enum":
+        choices = re.findall(r"'([^']*)'", context["expected"])
+        return {"message": "no such choice", "key": key, "found": found, "allowed": choices}
+    if kind == "value_error":
+        return {"message": str(context["error"]), "key": key, "found": found}
+    if kind == "tuple_type" and _model(annotation):
+        return {"message": f"must be an array of tables: write [[{key}]]", "key": key, "found": found}
+    if kind == "tuple_type":
+        return {"message": f"must be {_list(annotation, value)}", "key": key, "found": found}
+    plain = {name: int(v) if isinstance(v, float) and v.is_integer() else v for name, v in context.items()}
+    message = _WANTED.get(kind, "does not fit here").format(**plain)
+    if element is not None:
+        message = f"value {element + 1} {message}"
+    if found is None:
+        message += ", not a table"
+    return {"message": message, "key": key, "found": found, "allowed": _ALLOWED.get(kind)}
+
+
+def _key(loc: tuple, data: object, *, missing: bool) -> tuple[list[str], int | None]:
+    """Follow a location through the data: names instead of indices; also which value of a list of numbers it is.
+
+    Parts that are not in the data are pydantic's own markers, except for the last one when a key is missing.
+    """
+    key: list[str] = []
+    for part in loc:
+        if isinstance(data, dict) and part in data:
+            key.append(part)
+            data = data[part]
+        elif isinstance(data, list | tuple) and isinstance(part, int) and part < len(data):
+            entry = data[part]
+            if not isinstance(entry, dict):
+                return key, part
+            label = entry_label(entry, part)
+            if len(data) > 1 or not label.isdigit():
+                key.append(label)
+            data = entry
+    if missing and isinstance(loc[-1], str):
+        key.append(loc[-1])
+    return key, None
+
+
+def _schema(loc: tuple, root: type[BaseModel]) -> tuple[type[BaseModel], object]:
+    """Follow a location through the types: the section it lies in, and the type of the key it lies at."""
+    section, inner, annotation, named = root, root, None, False
+    for part in loc:
+        if named:
+            named = False  # a free name, such as a frame's
+        elif isinstance(part, str) and inner is not None:
+            section = inner
+            if part in section.model_fields:
+                annotation = section.model_fields[part].annotation
+                inner = _model(annotation)
+                named = inner is not None and get_origin(annotation) is dict
+    return section, annotation
+
+
+def _model(annotation: object) -> type[BaseModel] | None:
+    """The section inside a type such as ``tuple[Robot, ...]`` or ``Ground | None``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for arg in get_args(annotation) if (model := _model(arg))), None)
+
+
+def _tuple(annotation: object) -> tuple:
+    """The types of a tuple's values inside a type such as ``Vec3 | None``."""
+    if get_origin(annotation) is tuple:
+        return get_args(annotation)
+    return next((types for arg in get_args(annotation) if (types := _tuple(arg))), ())
+
+
+def _list(annotation: object, value: object) -> str:
+    """What kind of list a type asks for."""
+    types = _tuple(annotation)
+    if str in types:
+        return "a list of names in quotes"
+    if Ellipsis not in types:
+        return f"a list of {len(types)} numbers"
+    return "a list of numbers" if type(value) in (int, float) else "a number or a list of numbers"
+
+
+def _length(annotation: object, context: dict) -> str:
+    types = _tuple(annotation)
+    if types and Ellipsis not in types:
+        return f"needs exactly {len(types)} values"
+    if most := context.get("max_length"):
+        return f"has at most {most} values"
+    least = context.get("min_length", 1)
+    return f"needs at least {least} {'entry' if _model(annotation) else 'value' if least == 1 else 'values'}"
+
+
+def _shown(value: object) -> str:
+    """A value as a scene file would write it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, StrEnum):
+        return repr(str(value))
+    if isinstance(value, list | tuple):
+        text = f"[{', '.join(map(_shown, value))}]"
+    else:
+        text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -6,26 +6,33 @@ Every type is frozen. Units are SI: metres, kilograms, seconds, radians, newtons
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
-from pathlib import Path  # noqa: TC003 (pydantic reads it at run time)
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .types import (
+    Channel,
     Count,
     Finite,
+    Flag,
     Floats,
+    FloatsByName,
     Fraction,
     Name,
+    Natural,
     NonNegative,
     NonNegatives,
     OneOrMore,
+    Param,
     Positive,
     Positives,
     Quat,
     Section,
+    Share,
+    TwoOrMore,
+    Vec2or3,
     Vec3,
 )
 
@@ -133,22 +140,22 @@ class Robot(Section):
     """Start position of the root [m]."""
     rotation: Quat = (0.0, 0.0, 0.0, 1.0)
     """Start orientation of the root (x, y, z, w)."""
-    floating: bool = False
+    floating: Flag = False
     """Whether the root moves freely (legged robots, drones) or is fixed to the world."""
-    joint_q: Floats | dict[str, Finite] | None = None
+    joint_q: FloatsByName | None = None
     """Start joint coordinates in the asset's order, or by joint name; the asset's own when left out."""
     frames: dict[Name, Frame] = Field(default_factory=dict)
     drive: Annotated[tuple[Drive, ...], OneOrMore] = Field(min_length=1)
     """One drive or several, each with joints of its own; controls are stacked in this order."""
-    self_collision: bool = False
+    self_collision: Flag = False
     """Whether links of this robot collide with each other."""
     friction: NonNegative | None = None
     """Friction of all its shapes; the asset's own when left out."""
-    ground_contact: bool = True
+    ground_contact: Flag = True
     """Whether its shapes touch planes; switch off for bases that glide on their joints."""
     armature: NonNegatives | None = None
     """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
-    gravity_compensation: bool = False
+    gravity_compensation: Flag = False
     """Whether gravity on its links is cancelled, as the controllers of most arms do."""
 
 
@@ -156,7 +163,8 @@ class _Shape(Section):
     name: Name
     shape: ShapeKind
     size: Positives | None = None
-    """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder, capsule: (radius, length along z)."""
+    """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder: (radius, length along z).
+    Capsule: (radius, length along z between the centres of its caps)."""
     mesh: str | None = None
     """Mesh file (STL, OBJ, PLY, ...), found like a robot's asset. Collides as its convex hull."""
     scale: Positive = 1.0
@@ -165,7 +173,7 @@ class _Shape(Section):
     position: Vec3 = (0.0, 0.0, 0.0)
     """Position of the centre [m]."""
     rotation: Quat = (0.0, 0.0, 0.0, 1.0)
-    color: tuple[Finite, Finite, Finite] | None = None
+    color: tuple[Channel, Channel, Channel] | None = None
     """Colour in recordings, each channel in [0, 1]."""
 
     @model_validator(mode="after")
@@ -179,18 +187,6 @@ class _Shape(Section):
         if (self.mesh is not None) != (self.shape is ShapeKind.MESH):
             raise ValueError("mesh = \"file\" belongs to shape 'mesh', and to it alone")
         return self
-
-    @field_validator("rotation")
-    @classmethod
-    def _unit(cls, value: Quat) -> Quat:
-        return _normalized(value)
-
-
-def _normalized(q: Quat) -> Quat:
-    norm = math.sqrt(sum(c * c for c in q))
-    if norm < 1e-6:
-        raise ValueError("a rotation is a quaternion (x, y, z, w) of length above zero")
-    return tuple(c / norm for c in q)
 
 
 class Object(_Shape):
@@ -225,7 +221,7 @@ class Goal(Section):
     """Object that shall reach the goal."""
     frame: str | None = None
     """Robot frame (``robot/frame``) that shall reach the goal, instead of an object."""
-    position: tuple[Finite, Finite] | Vec3 = (0.0, 0.0, 0.0)
+    position: Vec2or3 = (0.0, 0.0, 0.0)
     """(x, y) or (x, y, z) [m]; with two values the height does not matter."""
     yaw: Finite | None = None
     """Heading about z [rad]."""
@@ -250,6 +246,8 @@ class Cost(Section):
     """One cost term: its name, weight and the term's own keys (see ``warpmpc terms``)."""
 
     model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+
+    __pydantic_extra__: dict[str, Param]
 
     term: str
     name: Name | None = None
@@ -291,13 +289,13 @@ class Noise(Section):
     shape: NoiseShape = NoiseShape.BSPLINE
     sigma: Positives = (0.5,)
     """Standard deviation in control units, one value or one per control."""
-    redraw: bool = False
+    redraw: Flag = False
     """Fresh noise at every plan; when false it is drawn once, as in the papers."""
     comb: Vec3 = (0.3, 0.0, 0.7)
     """Coefficients of the comb filter (STORM)."""
     exponent: NonNegative = 1.0
     """Exponent α of coloured noise, power ∝ 1/f^α."""
-    null_sample: bool = True
+    null_sample: Flag = True
     """Whether one sample is the zero control sequence."""
 
 
@@ -310,8 +308,15 @@ class Temperature(Section):
     ess: Positive | None = None
     """Effective sample size (Σw)²/Σw² that β is solved for within each plan, instead of ``eta``."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _ess_replaces_default_eta(cls, data: object) -> object:
+        return {"eta": None, **data} if isinstance(data, dict) and data.get("ess") else data
+
     @model_validator(mode="after")
     def _ordered(self) -> Temperature:
+        if self.eta is not None and self.ess is not None:
+            raise ValueError("only one of eta and ess can steer the temperature: switch one off, as in eta = false")
         if self.eta is not None and self.eta[0] >= self.eta[1]:
             raise ValueError(f"eta = [low, high] needs low < high; found {list(self.eta)}")
         return self
@@ -338,23 +343,23 @@ class Planner(Section):
     """The sampling-based planner."""
 
     method: Method = Method.MPPI
-    samples: Annotated[int, Field(ge=2)] = 256
+    samples: TwoOrMore = 256
     """Candidate control sequences S."""
     horizon: Count = 16
     """Control steps T of a rollout."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     risk: Risk = Risk.MEAN
-    cvar: Annotated[float, Field(gt=0.0, le=1.0)] = 0.25
+    cvar: Share = 0.25
     """Share of worst domains that ``risk = "cvar"`` averages."""
-    knots: Annotated[int, Field(ge=2)] | None = None
+    knots: TwoOrMore | None = None
     """Spline control points P; one per step when left out."""
     spline: SplineKind = SplineKind.ZERO
-    discount: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
+    discount: Share = 0.95
     """Factor γ per control step [P5]."""
     noise: Noise = Noise()
     temperature: Temperature = Temperature()
-    step_size: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    step_size: Share = 1.0
     """Step α of the mean towards the weighted samples [S4]."""
     iterations: Count = 1
     """Sample-roll-out-update rounds per plan."""
@@ -377,7 +382,7 @@ class Engine(Section):
     name: EngineName = EngineName.AUTO
     substeps: Count = 2
     """Physics steps per control."""
-    threads: Annotated[int, Field(ge=0)] = 0
+    threads: Natural = 0
     """CPU threads; 0 means one per core."""
     iterations: Count = 20
     """Largest number of constraint solver iterations."""
@@ -410,7 +415,7 @@ class Plant(Section):
 
     substeps: Count = 8
     """Physics steps per control: finer than the planner's."""
-    randomize: bool = True
+    randomize: Flag = True
     """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
     noise: PlantNoise = PlantNoise()
     delay: NonNegative = 0.0
@@ -456,7 +461,9 @@ class Rejection(Section):
     """Draws in which a place lies too close to an obstacle are drawn again."""
 
     place: str
-    """``goal``, a robot frame (``robot/frame``) at the start, or an object."""
+    """``goal``, an object, a robot (the start position of its root), or a robot frame (``robot/frame``) with ``at``."""
+    at: Vec3 | None = None
+    """Where the place is at the start [m], for robots whose joints carry them away from their root."""
     clearance: NonNegative
     """Least distance from the obstacles' surfaces [m]."""
 
@@ -509,9 +516,9 @@ class Scene(Section):
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()
     success: Success
-    path: Path | None = None
+    path: Path | None = Field(None, exclude=True)
     """File the scene was read from; relative assets are found beside it."""
-    variant: str | None = None
+    variant: str | None = Field(None, exclude=True)
     """Variant that was applied."""
 
     @property

@@ -3,9 +3,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from types import NoneType
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
 
 
 def _as_tuple(value: object) -> object:
@@ -18,21 +29,74 @@ def _as_list(value: object) -> object:
     return (value,) if isinstance(value, dict | BaseModel) else value
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0.0, lt=1.0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1)]
+def _list_or_table(value: object) -> str:
+    return "table" if isinstance(value, dict) else "list"
+
+
+def _unit(q: tuple[float, ...]) -> tuple[float, ...]:
+    """Normalize a quaternion; one that is already a unit stays as it is, to the last bit."""
+    norm = math.hypot(*q)
+    if norm < 1e-6 or not math.isfinite(norm):
+        raise ValueError("a rotation is a quaternion (x, y, z, w) of length above zero")
+    return q if abs(norm - 1.0) < 1e-12 else tuple(c / norm for c in q)
+
+
+def _plain(value: object) -> object:
+    """Accept what a file can say (numbers, text, true, false, lists, tables), every number finite."""
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError("must be finite")
+    elif isinstance(value, list | tuple):
+        for item in value:
+            _plain(item)
+    elif isinstance(value, dict):
+        for item in value.values():
+            _plain(item)
+    elif not isinstance(value, str | int | None):
+        raise ValueError(f"must be a number, text, true, false, a list or a table, not {type(value).__name__}")
+    return value
+
+
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(strict=True, ge=0.0, lt=1.0, allow_inf_nan=False)]
+Share = Annotated[float, Field(strict=True, gt=0.0, le=1.0, allow_inf_nan=False)]
+Channel = Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)]
+Natural = Annotated[int, Field(strict=True, ge=0, le=2**31 - 1)]
+Count = Annotated[int, Field(strict=True, ge=1, le=2**31 - 1)]
+TwoOrMore = Annotated[int, Field(strict=True, ge=2, le=2**31 - 1)]
+Flag = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
 Vec3 = tuple[Finite, Finite, Finite]
-Quat = tuple[Finite, Finite, Finite, Finite]
-Floats = Annotated[tuple[Finite, ...], BeforeValidator(_as_tuple)]
-Positives = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple)]
-NonNegatives = Annotated[tuple[NonNegative, ...], BeforeValidator(_as_tuple)]
+Vec2or3 = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3)]
+Quat = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit)]
+Floats = Annotated[tuple[Finite, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+Positives = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+NonNegatives = Annotated[tuple[NonNegative, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+FloatsByName = Annotated[
+    Annotated[Floats, Tag("list")] | Annotated[dict[str, Finite], Tag("table")], Discriminator(_list_or_table)
+]
+Param = Annotated[Any, AfterValidator(_plain)]
 OneOrMore = BeforeValidator(_as_list)
 
 
 class Section(BaseModel):
-    """A frozen table of a scene file: unknown keys are errors, numbers are never read from strings."""
+    """A frozen table of a scene file: unknown keys are errors, numbers are never read from strings.
+
+    ``false`` switches off a key that may be absent: ``ground = false``, ``planner.temperature.eta = false``.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _switched_off(cls, data: object) -> object:
+        if not isinstance(data, dict) or not any(value is False for value in data.values()):
+            return data
+        return {key: None if value is False and cls._may_be_absent(key) else value for key, value in data.items()}
+
+    @classmethod
+    def _may_be_absent(cls, key: str) -> bool:
+        field = cls.model_fields.get(key)
+        return field is not None and NoneType in get_args(field.annotation)

@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost terms: one Warp function each, over one step of one world.
+
+Every term has the signature ``(s: StepView, p: Params) -> float``. ``s`` is one step of one rollout, read with the
+functions at the top of this file; ``p`` holds the term's parameters. Weights are applied by the kernel that calls
+the term (see ``warpmpc.cost.term``).
+"""
+
+import warp as wp
+
+from .fields import field_gradient, sample_field
+
+wp.set_module_options({"enable_backward": False})
+
+GOAL_BODY = wp.constant(-2)
+EPSILON = wp.constant(1.0e-6)
+
+SPHERE = wp.constant(0)
+BOX = wp.constant(1)
+CYLINDER = wp.constant(2)
+CAPSULE = wp.constant(3)
+PLANE = wp.constant(4)
+
+
+@wp.struct
+class StepView:
+    """One step of one rollout: everything a cost term may look at."""
+
+    t: int  # slice of the state arrays, 1..T: the state after t controls
+    w: int  # world
+    e: int  # environment
+    joint_q: wp.array3d[float]  # [T+1, W, nq]
+    joint_qd: wp.array3d[float]  # [T+1, W, nv]
+    body_q: wp.array3d[wp.transform]  # [T+1, W, nb]
+    body_qd: wp.array3d[wp.spatial_vector]  # [T+1, W, nb]
+    force: wp.array3d[wp.vec3]  # [T, W, pair] [N]
+    controls: wp.array3d[float]  # [T, W, nu]
+    last_control: wp.array2d[float]  # [E, nu] control that acts when the plan starts
+    control_scale: wp.array[float]  # [nu] half range of each control
+    goal: wp.array[wp.transform]  # [E]
+    frame_body: wp.array[int]  # [nf] body, -1 world, -2 goal
+    frame_pose: wp.array[wp.transform]  # [nf] in the body's frame
+    field: wp.array3d[float]  # [E·F, rows, columns] distance fields
+    field_center: wp.array[wp.vec2]  # [E·F] point that each field measures the distance to
+    field_origin: wp.vec2
+    field_cell: float
+    fields: int  # F per environment
+
+
+@wp.func
+def frame_pose(s: StepView, frame: int) -> wp.transform:
+    """World pose of a frame at this step."""
+    body = s.frame_body[frame]
+    if body == GOAL_BODY:
+        return s.goal[s.e] * s.frame_pose[frame]
+    if body < 0:
+        return s.frame_pose[frame]
+    return s.body_q[s.t, s.w, body] * s.frame_pose[frame]
+
+
+@wp.func
+def frame_position(s: StepView, frame: int) -> wp.vec3:
+    """World position of a frame at this step [m]."""
+    return wp.transform_get_translation(frame_pose(s, frame))
+
+
+@wp.func
+def frame_rotation(s: StepView, frame: int) -> wp.quat:
+    """World orientation of a frame at this step."""
+    return wp.transform_get_rotation(frame_pose(s, frame))
+
+
+@wp.func
+def frame_velocity(s: StepView, frame: int) -> wp.vec3:
+    """World velocity [m/s] of the centre of mass of a frame's body; zero for fixed frames."""
+    body = s.frame_body[frame]
+    if body < 0:
+        return wp.vec3(0.0)
+    return wp.spatial_top(s.body_qd[s.t, s.w, body])
+
+
+@wp.func
+def joint_position(s: StepView, i: int) -> float:
+    """Joint coordinate i at this step [m or rad]."""
+    return s.joint_q[s.t, s.w, i]
+
+
+@wp.func
+def joint_velocity(s: StepView, i: int) -> float:
+    """Joint velocity i at this step [m/s or rad/s]."""
+    return s.joint_qd[s.t, s.w, i]
+
+
+@wp.func
+def control(s: StepView, i: int) -> float:
+    """Control i that led to this step."""
+    return s.controls[s.t - 1, s.w, i]
+
+
+@wp.func
+def contact_force(s: StepView, pair: int) -> wp.vec3:
+    """Net contact force of a watched pair during the control that led to this step [N]."""
+    return s.force[s.t - 1, s.w, pair]
+
+
+@wp.func
+def yaw(q: wp.quat) -> float:
+    """Heading of a rotation about z, in (-π, π]."""
+    return wp.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+
+
+@wp.func
+def wrap_angle(a: float) -> float:
+    """The same angle in (-π, π]."""
+    return wp.atan2(wp.sin(a), wp.cos(a))
+
+
+@wp.func
+def rotation_angle(a: wp.quat, b: wp.quat) -> float:
+    """Angle between two orientations, in [0, π]."""
+    d = wp.quat_inverse(a) * b
+    return 2.0 * wp.atan2(wp.length(wp.vec3(d[0], d[1], d[2])), wp.abs(d[3]))
+
+
+@wp.func
+def plane_distance(s: StepView, field: int, target: wp.vec2, p: wp.vec2) -> float:
+    """Distance in the ground plane, straight or along the shortest path around the obstacles.
+
+    The field holds the path length to where the target was when the plan started. What it exceeds the straight
+    line by is the detour at p; the target may move during the horizon, so the detour is added to the straight
+    distance to where it is now.
+    """
+    straight = wp.length(p - target)
+    if field < 0:
+        return straight
+    f = s.e * s.fields + field
+    path = sample_field(s.field, f, s.field_origin, s.field_cell, p)
+    # the field's own error grows with the path, about a cell's width here
+    return straight + wp.max(path - wp.length(p - s.field_center[f]) - s.field_cell, 0.0)
+
+
+@wp.struct
+class DistanceParams:
+    """Parameters of ``distance``."""
+
+    first: int
+    second: int
+    planar: int  # compare x and y alone
+    field: int  # distance field, -1 for the straight line
+
+
+@wp.func
+def distance(s: StepView, p: DistanceParams) -> float:
+    """Distance between two frames, ‖p_a - p_b‖ (Pezzato et al. 2025, Eq. 10), or along the geodesic."""
+    a = frame_position(s, p.first)
+    b = frame_position(s, p.second)
+    if p.planar == 0:
+        return wp.length(a - b)
+    return plane_distance(s, p.field, wp.vec2(b[0], b[1]), wp.vec2(a[0], a[1]))
+
+
+@wp.struct
+class YawParams:
+    """Parameters of ``yaw``."""
+
+    of: int
+    to: int
+    near: float  # [m] the term fades with distance beyond about this; 0 means everywhere
+
+
+@wp.func
+def yaw_error(s: StepView, p: YawParams) -> float:
+    """Heading error |ψ_a - ψ_b| on the circle (Eq. 10), optionally fading with the distance to the target."""
+    a = frame_pose(s, p.of)
+    b = frame_pose(s, p.to)
+    error = wp.abs(wrap_angle(yaw(wp.transform_get_rotation(a)) - yaw(wp.transform_get_rotation(b))))
+    if p.near > 0.0:
+        d = wp.transform_get_translation(a) - wp.transform_get_translation(b)
+        error *= wp.exp(-wp.length(wp.vec2(d[0], d[1])) / p.near)
+    return error
+
+
+@wp.struct
+class PushAlignmentParams:
+    """Parameters of ``push_alignment``."""
+
+    pusher: int
+    object: int
+    goal: int
+    field: int
+    near: float  # [m] the term fades as the object comes closer to the goal than about this
+
+
+@wp.func
+def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
+    """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
+
+    With a distance field the direction to the goal is the field's downhill direction at the object.
+    """
+    r = frame_position(s, p.pusher)
+    o = frame_position(s, p.object)
+    g = frame_position(s, p.goal)
+    to_pusher = wp.vec2(r[0] - o[0], r[1] - o[1])
+    straight = wp.vec2(g[0] - o[0], g[1] - o[1])
+    to_goal = straight
+    if p.field >= 0:
+        f = s.e * s.fields + p.field
+        at = wp.vec2(o[0], o[1])
+        path = sample_field(s.field, f, s.field_origin, s.field_cell, at)
+        if path - wp.length(at - s.field_center[f]) > s.field_cell:
+            to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
+    scale = wp.length(to_pusher) * wp.length(to_goal)
+    value = wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0
+    if p.near > 0.0:
+        value *= 1.0 - wp.exp(-wp.length(straight) / p.near)
+    return value
+
+
+@wp.struct
+class ContactForceParams:
+    """Parameters of ``contact_force``."""
+
+    first: int  # first watched pair
+    count: int
+
+
+@wp.func
+def contact_cost(s: StepView, p: ContactForceParams) -> float:
+    """Σ ‖F‖ over watched pairs (Eq. 7) [N]."""
+    total = float(0.0)
+    for i in range(p.count):
+        total += wp.length(contact_force(s, p.first + i))
+    return total
+
+
+@wp.struct
+class ControlParams:
+    """Parameters of ``control_effort`` and ``control_rate``: a range of controls."""
+
+    first: int
+    count: int
+
+
+@wp.func
+def control_effort(s: StepView, p: ControlParams) -> float:
+    """Σ (u_i / half range)²."""
+    total = float(0.0)
+    for i in range(p.first, p.first + p.count):
+        u = control(s, i) / s.control_scale[i]
+        total += u * u
+    return total
+
+
+@wp.func
+def control_rate(s: StepView, p: ControlParams) -> float:
+    """Σ ((u_i - previous u_i) / half range)²; before the first step stands the control that acts now."""
+    total = float(0.0)
+    for i in range(p.first, p.first + p.count):
+        before = s.last_control[s.e, i]
+        if s.t > 1:
+            before = s.controls[s.t - 2, s.w, i]
+        du = (control(s, i) - before) / s.control_scale[i]
+        total += du * du
+    return total
+
+
+@wp.struct
+class JointLimitParams:
+    """Parameters of ``joint_limit``."""
+
+    coord: wp.array[int]  # limited joint coordinates
+    lower: wp.array[float]  # [m or rad] limits moved inwards by the margin
+    upper: wp.array[float]
+
+
+@wp.func
+def joint_limit(s: StepView, p: JointLimitParams) -> float:
+    """Squared distance of joint positions outside their limits, the limits moved inwards by a margin (STORM)."""
+    total = float(0.0)
+    for i in range(p.coord.shape[0]):
+        q = joint_position(s, p.coord[i])
+        outside = wp.max(wp.max(p.lower[i] - q, q - p.upper[i]), 0.0)
+        total += outside * outside
+    return total
+
+
+@wp.struct
+class JointVelocityParams:
+    """Parameters of ``joint_velocity``: a range of joint velocities."""
+
+    first: int
+    count: int
+
+
+@wp.func
+def joint_velocity_cost(s: StepView, p: JointVelocityParams) -> float:
+    """Σ q̇²."""
+    total = float(0.0)
+    for i in range(p.first, p.first + p.count):
+        total += joint_velocity(s, i) * joint_velocity(s, i)
+    return total
+
+
+@wp.func
+def shape_distance(kind: int, size: wp.vec3, p: wp.vec3) -> float:
+    """Signed distance from a point in a shape's frame to its surface [m]; sizes are half extents or radius, half."""
+    if kind == SPHERE:
+        return wp.length(p) - size[0]
+    if kind == CAPSULE:
+        return wp.length(p - wp.vec3(0.0, 0.0, wp.clamp(p[2], -size[1], size[1]))) - size[0]
+    if kind == PLANE:
+        return p[2]
+    q = wp.vec3(wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2])
+    if kind == CYLINDER:
+        q = wp.vec3(wp.length(wp.vec2(p[0], p[1])) - size[0], wp.abs(p[2]) - size[1], -wp.inf)
+    outside = wp.length(wp.vec3(wp.max(q[0], 0.0), wp.max(q[1], 0.0), wp.max(q[2], 0.0)))
+    return outside + wp.min(wp.max(q[0], wp.max(q[1], q[2])), 0.0)
+
+
+@wp.struct
+class ObstacleClearanceParams:
+    """Parameters of ``obstacle_clearance``."""
+
+    of: int
+    pose: wp.array[wp.transform]  # world → obstacle
+    kind: wp.array[int]
+    size: wp.array[wp.vec3]
+    surface: int  # measure to the surface instead of the centre
+    radius: float  # [m] of the robot about the frame, subtracted from the distance
+    least: float  # [m] shorter distances count as this
+
+
+@wp.func
+def obstacle_clearance(s: StepView, p: ObstacleClearanceParams) -> float:
+    """Σ 1/d over the obstacles [1/m]."""
+    position = frame_position(s, p.of)
+    total = float(0.0)
+    for i in range(p.pose.shape[0]):
+        local = wp.transform_point(p.pose[i], position)
+        d = wp.length(local)
+        if p.surface != 0:
+            d = shape_distance(p.kind[i], p.size[i], local)
+        total += 1.0 / wp.max(d - p.radius, p.least)
+    return total
+
+
+@wp.struct
+class HeightParams:
+    """Parameters of ``height``."""
+
+    of: int
+    target: float  # [m]
+
+
+@wp.func
+def height(s: StepView, p: HeightParams) -> float:
+    """|z - target| of a frame (Pezzato et al. 2025, C_ee) [m]."""
+    return wp.abs(frame_position(s, p.of)[2] - p.target)
+
+
+@wp.struct
+class OrientationParams:
+    """Parameters of ``orientation``."""
+
+    of: int
+    to: int
+    tilt: int  # compare the directions of the z axes alone
+
+
+@wp.func
+def orientation(s: StepView, p: OrientationParams) -> float:
+    """Angle between the orientations of two frames, or between their z axes [rad]."""
+    a = frame_rotation(s, p.of)
+    b = frame_rotation(s, p.to)
+    if p.tilt == 0:
+        return rotation_angle(a, b)
+    za = wp.quat_rotate(a, wp.vec3(0.0, 0.0, 1.0))
+    zb = wp.quat_rotate(b, wp.vec3(0.0, 0.0, 1.0))
+    return wp.atan2(wp.length(wp.cross(za, zb)), wp.dot(za, zb))

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From uniform points or a counter to standard normals, and from standard normals to perturbed spline knots."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# separates the stream of table rotations from the stream of pseudo-random normals
+SHIFT_STREAM = wp.constant(0x5EED)
+
+
+@wp.func
+def inverse_normal_cdf(u: float) -> float:
+    """Φ⁻¹(u), finite for every u: the argument is kept 2⁻²⁴ away from 0 and 1."""
+    p = wp.clamp(u, 5.9604645e-8, 0.99999994)
+    # erfcinv of the nearer tail: 2p - 1 would cancel the digits that decide the tails
+    z = wp.sqrt(2.0) * wp.erfcinv(2.0 * wp.min(p, 1.0 - p))
+    return wp.where(p < 0.5, -z, z)
+
+
+@wp.kernel
+def advance_counter_kernel(
+    # outputs
+    counter: wp.array[int],  # [1] draws made so far
+):
+    """Count one draw, on the device, so that a replayed CUDA graph draws anew; one thread."""
+    counter[0] = counter[0] + 1
+
+
+@wp.kernel
+def random_shift_kernel(
+    # inputs
+    counter: wp.array[int],  # [1] draws made so far
+    seed: int,
+    # outputs
+    shift: wp.array2d[float],  # [E, P·nu] uniform in [0, 1)
+):
+    """Draw the rotation of one table column for one environment (Cranley and Patterson 1976)."""
+    e, column = wp.tid()
+
+    stream = wp.rand_init(seed ^ SHIFT_STREAM, counter[0])
+    state = wp.rand_init(wp.randi(stream), e * shift.shape[1] + column)
+    shift[e, column] = wp.randf(state)
+
+
+@wp.kernel
+def table_normal_kernel(
+    # inputs
+    table: wp.array2d[float],  # [S, P·nu] low-discrepancy points in [0, 1)
+    shift: wp.array2d[float],  # [E, P·nu] rotation of the table, zero for the table itself
+    # outputs
+    z: wp.array4d[float],  # [E, S, P, nu] standard normals
+):
+    """Turn one table entry into one standard normal, z = Φ⁻¹(frac(x + shift))."""
+    e, s, p, u = wp.tid()
+
+    column = p * z.shape[3] + u
+    x = table[s, column] + shift[e, column]
+    z[e, s, p, u] = inverse_normal_cdf(x - wp.floor(x))
+
+
+@wp.kernel
+def random_normal_kernel(
+    # inputs
+    counter: wp.array[int],  # [1] draws made so far
+    seed: int,
+    # outputs
+    z: wp.array4d[float],  # [E, S, P, nu] standard normals
+):
+    """Draw one pseudo-random standard normal from the seed, the counter and its own index."""
+    e, s, p, u = wp.tid()
+
+    index = ((e * z.shape[1] + s) * z.shape[2] + p) * z.shape[3] + u
+    stream = wp.rand_init(seed, counter[0])
+    state = wp.rand_init(wp.randi(stream), index)
+    z[e, s, p, u] = wp.randn(state)
+
+
+@wp.kernel
+def perturb_knots_kernel(
+    # inputs
+    mean: wp.array3d[float],  # [E, P, nu]
+    sigma: wp.array3d[float],  # [E, P, nu] standard deviation, in control units
+    shaping: wp.array2d[float],  # [P, P] shaping matrix B
+    z: wp.array4d[float],  # [E, S, P, nu] standard normals
+    lower: wp.array[float],  # [nu]
+    upper: wp.array[float],  # [nu]
+    null_sample: int,
+    # outputs
+    knots: wp.array4d[float],  # [E, S, P, nu] within the limits
+):
+    """Perturb one knot of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
+
+    Sample 0 is the mean itself. With ``null_sample`` sample 1 is zero control (a null particle, Bhardwaj et al. 2021).
+    """
+    e, s, p, u = wp.tid()
+
+    value = float(mean[e, p, u])
+    if s == 1 and null_sample != 0:
+        value = 0.0
+    elif s > 0:
+        shaped = float(0.0)
+        for q in range(shaping.shape[1]):
+            shaped += shaping[p, q] * z[e, s, q, u]
+        value += sigma[e, p, u] * shaped
+
+    knots[e, s, p, u] = wp.clamp(value, lower[u], upper[u])

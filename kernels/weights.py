@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From stage costs to a new plan: discounted sums, risk over domains, sample weights, mean and σ update.
+
+A world that diverged costs +inf, and a sample of infinite cost carries no weight. Kernels whose docstring says
+"one block" are launched with ``wp.launch_tiled``.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+MEAN = wp.constant(0)
+WORST = wp.constant(1)
+CVAR = wp.constant(2)
+
+# halvings of a β interval of ten decades: a relative width of 1e-6 remains
+BISECTIONS = wp.constant(24)
+
+
+@wp.kernel
+def discount_cost_kernel(
+    # inputs
+    stage_cost: wp.array3d[float],  # [term, T, W] cost of one term, step and world
+    diverged: wp.array[int],  # [W] nonzero where the physics failed
+    discount: float,
+    # outputs
+    rollout_cost: wp.array[float],  # [W] +inf where the world diverged
+):
+    """Sum one world's stage costs over terms and steps, S_w = Σ_t γ^t Σ_i c_i (Pezzato et al. 2025, Eq. 5)."""
+    w = wp.tid()
+
+    total = float(0.0)
+    factor = float(1.0)
+    for t in range(stage_cost.shape[1]):
+        for i in range(stage_cost.shape[0]):
+            total += factor * stage_cost[i, t, w]
+        factor *= discount
+
+    # a world that diverged must never look cheap
+    rollout_cost[w] = wp.where(wp.isfinite(total) and diverged[w] == 0, total, wp.inf)
+
+
+@wp.kernel
+def risk_kernel(
+    # inputs
+    rollout_cost: wp.array[float],  # [W]
+    domains: int,
+    mode: int,
+    alpha: float,
+    # outputs
+    sample_cost: wp.array2d[float],  # [E, S]
+):
+    """Reduce one sample's costs over its domains: their mean, the worst, or the mean of the worst share α (CVaR).
+
+    α = 1 is the mean, α ≤ 1/D the worst; in between a domain may count in part (Rockafellar and Uryasev 2002). One
+    diverged domain makes the sample +inf in every mode.
+    """
+    e, s = wp.tid()
+
+    first = (e * sample_cost.shape[1] + s) * domains
+    worst = float(-wp.inf)
+    total = float(0.0)
+    finite = bool(True)
+    for d in range(domains):
+        cost = rollout_cost[first + d]
+        finite = finite and wp.isfinite(cost)
+        worst = wp.max(worst, cost)
+        total += cost
+
+    risk = float(worst)
+    if mode == MEAN:
+        risk = total / float(domains)
+    elif mode == CVAR and domains > 1:
+        # the k worst domains count, the last of them in part; rank by counting: D is small
+        tail = alpha * float(domains)
+        if tail > 1.0:
+            excess = float(0.0)
+            for d in range(domains):
+                cost = rollout_cost[first + d]
+                rank = int(0)
+                for other in range(domains):
+                    rival = rollout_cost[first + other]
+                    if rival > cost or (rival == cost and other < d):
+                        rank += 1
+                excess += wp.clamp(tail - float(rank), 0.0, 1.0) * cost
+            risk = excess / tail
+
+    sample_cost[e, s] = wp.where(finite, risk, wp.inf)
+
+
+@wp.func
+def importance(cost: float, best: float, beta: float) -> float:
+    """Unnormalised weight exp(-(S - ρ)/β), zero for a diverged sample (Pezzato et al. 2025, Eq. 3)."""
+    if wp.isfinite(cost):
+        return wp.exp(-(cost - best) / beta)
+    return 0.0
+
+
+@wp.func
+def best_cost(cost: wp.array2d[float], e: int, lane: int) -> float:
+    """Lowest finite cost ρ of environment e, for the whole block; +inf when every sample diverged."""
+    best = float(wp.inf)
+    for s in range(lane, cost.shape[1], wp.block_dim()):
+        if wp.isfinite(cost[e, s]):
+            best = wp.min(best, cost[e, s])
+    return wp.tile_extract(wp.tile_min(wp.tile(best)), 0)
+
+
+@wp.kernel
+def importance_weight_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    eta_bounds: wp.vec2,
+    beta_bounds: wp.vec2,
+    adapt: int,
+    # outputs
+    beta: wp.array[float],  # [E] temperature, adapted in place for the next step
+    eta: wp.array[float],  # [E] number of samples that carry weight, before normalization
+    weight: wp.array2d[float],  # [E, S] sums to one per environment, all zero when every sample diverged
+):
+    """Weigh the samples of one environment, one block each, and steer β (Pezzato et al. 2025, Eqs. 3 and 6).
+
+    With ``adapt``, β ← 0.9 β where η is above its bounds and β ← 1.2 β where it is below; an environment whose samples
+    all diverged says nothing about its temperature and keeps it.
+    """
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    temperature = beta[e]
+    best = best_cost(cost, e, lane)
+
+    partial = float(0.0)
+    for s in range(lane, samples, wp.block_dim()):
+        w = importance(cost[e, s], best, temperature)
+        weight[e, s] = w
+        partial += w
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+
+    for s in range(lane, samples, wp.block_dim()):
+        weight[e, s] = weight[e, s] / wp.max(total, 1.0)  # total ≥ 1 unless all diverged: the best has w = 1
+
+    if lane == 0:
+        eta[e] = total
+        if adapt != 0 and total > 0.0:
+            if total > eta_bounds[1]:
+                temperature = 0.9 * temperature
+            elif total < eta_bounds[0]:
+                temperature = 1.2 * temperature
+            beta[e] = wp.clamp(temperature, beta_bounds[0], beta_bounds[1])
+
+
+@wp.kernel
+def bisect_temperature_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    target_ess: float,
+    beta_bounds: wp.vec2,
+    # outputs
+    beta: wp.array[float],  # [E] kept where every sample diverged
+):
+    """Set β of one environment, one block each, so that the effective sample size (Σw)²/Σw² meets its target.
+
+    The effective sample size grows with β, from the number of tied best samples to the number of finite ones; a
+    target outside that range ends at a bound of β. Bisection on log β.
+    """
+    e, lane = wp.tid()
+
+    best = best_cost(cost, e, lane)
+
+    low = wp.log(beta_bounds[0])
+    high = wp.log(beta_bounds[1])
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        temperature = wp.exp(middle)
+        sums = wp.vec2(0.0, 0.0)
+        for s in range(lane, cost.shape[1], wp.block_dim()):
+            w = importance(cost[e, s], best, temperature)
+            sums += wp.vec2(w, w * w)
+        first = wp.tile_extract(wp.tile_sum(wp.tile(sums[0])), 0)
+        second = wp.tile_extract(wp.tile_sum(wp.tile(sums[1])), 0)
+        if first * first < target_ess * second:
+            low = middle
+        else:
+            high = middle
+
+    if lane == 0 and wp.isfinite(best):
+        beta[e] = wp.exp(0.5 * (low + high))
+
+
+@wp.kernel
+def best_weight_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    # outputs
+    eta: wp.array[float],  # [E] 1, or 0 when every sample diverged
+    weight: wp.array2d[float],  # [E, S] 1 for the best sample, all zero when every sample diverged
+):
+    """Give all weight of one environment, one block each, to its best sample (Howell et al. 2022, Alg. 4).
+
+    Of equally good samples the first wins.
+    """
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    best = best_cost(cost, e, lane)
+
+    candidate = int(samples)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and cost[e, s] == best:
+            candidate = wp.min(candidate, s)
+    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
+
+    for s in range(lane, samples, wp.block_dim()):
+        weight[e, s] = wp.where(s == winner, 1.0, 0.0)
+
+    if lane == 0:
+        eta[e] = wp.where(winner < samples, 1.0, 0.0)
+
+
+@wp.kernel
+def elite_weight_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    elites: int,
+    # outputs
+    eta: wp.array[float],  # [E] number of elites, fewer when fewer samples are finite
+    weight: wp.array2d[float],  # [E, S] equal for the elites, all zero when every sample diverged
+):
+    """Weigh one sample: 1/n if fewer than n are better, the first of equally good ones counted as better.
+
+    Cross-entropy method (Rubinstein 1999), n the number of elites. One plain thread per sample, not a block.
+    """
+    e, s = wp.tid()
+
+    own = cost[e, s]
+    rank = int(0)
+    finite = int(0)
+    for other in range(cost.shape[1]):
+        rival = cost[e, other]
+        if wp.isfinite(rival):
+            finite += 1
+            if rival < own or (rival == own and other < s):
+                rank += 1
+
+    count = wp.min(elites, finite)
+    weight[e, s] = wp.where(wp.isfinite(own) and rank < count, 1.0 / wp.max(float(count), 1.0), 0.0)
+    if s == 0:
+        eta[e] = float(count)
+
+
+@wp.kernel
+def update_mean_kernel(
+    # inputs
+    knots: wp.array4d[float],  # [E, S, P, nu]
+    weight: wp.array2d[float],  # [E, S]
+    alpha: float,
+    # outputs
+    mean: wp.array3d[float],  # [E, P, nu] updated in place
+):
+    """Move one knot of the mean, one block each, μ ← (1-α)μ + α Σwθ/Σw (Bhardwaj et al. 2021, Eq. 4).
+
+    The mean stays where it is when all weights are zero.
+    """
+    e, p, u, lane = wp.tid()
+
+    partial = float(0.0)
+    partial_weight = float(0.0)
+    for s in range(lane, weight.shape[1], wp.block_dim()):
+        partial += weight[e, s] * knots[e, s, p, u]
+        partial_weight += weight[e, s]
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+
+    if lane == 0 and total_weight > 0.0:
+        mean[e, p, u] = (1.0 - alpha) * mean[e, p, u] + alpha * total / total_weight
+
+
+@wp.kernel
+def update_sigma_kernel(
+    # inputs
+    knots: wp.array4d[float],  # [E, S, P, nu]
+    weight: wp.array2d[float],  # [E, S]
+    mean: wp.array3d[float],  # [E, P, nu] already updated
+    sigma_min: wp.array[float],  # [nu] floor of the standard deviation
+    alpha: float,
+    # outputs
+    sigma: wp.array3d[float],  # [E, P, nu] updated in place
+):
+    """Move one standard deviation, one block each, σ² ← (1-α)σ² + α Σw(θ-μ)²/Σw (Bhardwaj et al. 2021, Eq. 5).
+
+    Diagonal form, around the mean it is given: launch it after ``update_mean_kernel``, so that with α = 1 the new σ is
+    the spread of the weighted samples themselves. σ stays where it is when all weights are zero.
+    """
+    e, p, u, lane = wp.tid()
+
+    partial = float(0.0)
+    partial_weight = float(0.0)
+    for s in range(lane, weight.shape[1], wp.block_dim()):
+        deviation = knots[e, s, p, u] - mean[e, p, u]
+        partial += weight[e, s] * deviation * deviation
+        partial_weight += weight[e, s]
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+
+    if lane == 0 and total_weight > 0.0:
+        variance = (1.0 - alpha) * sigma[e, p, u] * sigma[e, p, u] + alpha * total / total_weight
+        sigma[e, p, u] = wp.max(wp.sqrt(variance), sigma_min[u])

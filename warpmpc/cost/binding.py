@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a cost term asks of the scene while it is bound: frames, contact pairs, distance fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ..engine.pairs import Pair
+from ..scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..scene.layout import Layout
+    from ..scene.schema import Scene
+
+
+@dataclass(frozen=True)
+class FieldRequest:
+    """A distance field that some term samples: path length to a frame for a mover of some size."""
+
+    target: int
+    inflation: float
+    """Obstacles grow by this [m]."""
+
+
+@dataclass
+class Binding:
+    """Collects what the terms of a scene need while they are bound one after the other."""
+
+    scene: Scene
+    layout: Layout
+    key: str = ""
+    """Scene key of the term being bound, for errors."""
+    pairs: list[Pair] = field(default_factory=list)
+    fields: list[FieldRequest] = field(default_factory=list)
+
+    @property
+    def file(self) -> Path | None:
+        """Scene file, for errors."""
+        return self.scene.path
+
+    def frame(self, name: str, key: str) -> int:
+        """Index of a frame.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        try:
+            return self.layout.frame(name)
+        except SceneError as error:
+            raise SceneError(
+                error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
+            ) from None
+
+    def watch(self, first: str, second: str, key: str) -> tuple[int, int]:
+        """Watch the contact forces between two entities or groups; returns (first pair, count).
+
+        Raises:
+            SceneError: If there is no such entity or group, or no pair of different entities.
+        """
+        try:
+            sides = [self.layout.group(name) for name in (first, second)]
+        except SceneError as error:
+            raise SceneError(
+                error.message, key=f"{self.key}.{key}", file=self.file, found=error.found, allowed=error.allowed
+            ) from None
+        wanted = [Pair(a.name, b.name) for a in sides[0] for b in sides[1] if a.name != b.name]
+        start = len(self.pairs)
+        self.pairs.extend(wanted)
+        return start, len(wanted)
+
+    def distance_field(self, target: int, inflation: float) -> int:
+        """Index of the distance field to a frame; terms that ask for the same field share it."""
+        request = FieldRequest(target, inflation)
+        if request not in self.fields:
+            self.fields.append(request)
+        return self.fields.index(request)
+
+    def footprint(self, name: str) -> float:
+        """Radius [m] that obstacles grow by for a mover: between its footprint's inner and outer circle."""
+        entity = self.layout.entity(name.split("/")[0])
+        inner, outer = 0.0, 0.0
+        for i in entity.shapes:
+            shape = self.layout.shapes[i]
+            if not shape.collides or shape.kind in ("plane", "mesh"):
+                continue
+            x, y = (shape.scale[0], shape.scale[1] if shape.kind == "box" else shape.scale[0])
+            inner = max(inner, min(x, y))
+            outer = max(outer, (x * x + y * y) ** 0.5 if shape.kind == "box" else x)
+        return 0.5 * (inner + outer)

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built-in cost terms: their keys in scene files and how those become kernel parameters."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from pydantic import Field
+
+from ..kernels import costs as k
+from ..scene.errors import SceneError
+from ..scene.types import Finite, NonNegative, Positive, Section
+from .term import CostTerm, parse_keys
+
+if TYPE_CHECKING:
+    from .binding import Binding
+
+_SHAPE = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
+
+
+class Metric(StrEnum):
+    """How distances in the ground plane are measured."""
+
+    STRAIGHT = "straight"
+    GEODESIC = "geodesic"
+
+
+class Distance(Section):
+    """Distance between two frames [m]."""
+
+    between: tuple[str, str]
+    """Two frames: [from, to]."""
+    metric: Metric = Metric.STRAIGHT
+    """straight, or geodesic: along the shortest path around the obstacles to the second frame."""
+    planar: bool = False
+    """Whether the height is left out; always so with the geodesic metric and for goals without a height."""
+    inflation: NonNegative | None = None
+    """Geodesic: obstacles grow by this for the mover's size [m]; from its shapes when left out."""
+
+
+class Yaw(Section):
+    """Heading error of a frame [rad]."""
+
+    of: str
+    """Frame."""
+    to: str = "goal"
+    """Frame it is compared with."""
+    near: NonNegative = 0.0
+    """Fade: full weight at the target, 1/e of it at this distance [m]; 0 means the same weight everywhere."""
+
+
+class PushAlignment(Section):
+    """cos α + 1: zero when the object lies between pusher and goal."""
+
+    pusher: str
+    """Frame that pushes."""
+    object: str
+    """Object that is pushed."""
+    goal: str = "goal"
+    """Frame it is pushed to."""
+    metric: Metric = Metric.STRAIGHT
+    """straight, or geodesic: the direction in which the path to the goal leaves the object."""
+    inflation: NonNegative | None = None
+    """Geodesic: obstacles grow by this for the object's size [m]."""
+    near: NonNegative = 0.0
+    """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
+
+
+class ContactForce(Section):
+    """Sum of net contact forces [N]."""
+
+    between: tuple[str, str]
+    """Two entities or groups (obstacles, objects, robots)."""
+
+
+class Robots(Section):
+    """Controls or joints of one robot, or of all."""
+
+    of: str | None = None
+    """Robot; all when left out."""
+
+
+class JointLimit(Section):
+    """Squared distance outside the joint limits."""
+
+    of: str | None = None
+    """Robot; all when left out."""
+    margin: NonNegative = 0.05
+    """Limits are moved inwards by this [m or rad]."""
+
+
+class ObstacleClearance(Section):
+    """Σ 1/d over the obstacles."""
+
+    of: str
+    """Frame."""
+    to: str = "surface"
+    """surface or centre of the obstacles."""
+    radius: NonNegative = 0.0
+    """Subtracted from the distance [m]."""
+    least: Positive = 0.05
+    """Shorter distances count as this [m]."""
+
+
+class Height(Section):
+    """Height error of a frame [m]."""
+
+    of: str
+    """Frame."""
+    target: Finite
+    """Wanted height [m]."""
+
+
+class Orientation(Section):
+    """Angle between the orientations of two frames [rad]."""
+
+    of: str
+    """Frame."""
+    to: str = "goal"
+    """Frame it is compared with."""
+    tilt: bool = Field(default=False)
+    """Compare the directions of the z axes alone."""
+
+
+def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
+    v = parse_keys(Distance, keys, b)
+    p = k.DistanceParams()
+    p.first, p.second = (b.frame(name, "between") for name in v.between)
+    flat_goal = "goal" in v.between and len(b.scene.goal.position) == 2
+    p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
+    p.field = -1
+    if v.metric is Metric.GEODESIC:
+        p.field = b.distance_field(p.second, b.footprint(v.between[0]) if v.inflation is None else v.inflation)
+    return p
+
+
+def _yaw(keys: dict[str, Any], b: Binding) -> k.YawParams:
+    v = parse_keys(Yaw, keys, b)
+    p = k.YawParams()
+    p.of, p.to, p.near = b.frame(v.of, "of"), b.frame(v.to, "to"), v.near
+    return p
+
+
+def _push_alignment(keys: dict[str, Any], b: Binding) -> k.PushAlignmentParams:
+    v = parse_keys(PushAlignment, keys, b)
+    p = k.PushAlignmentParams()
+    p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
+    p.near, p.field = v.near, -1
+    if v.metric is Metric.GEODESIC:
+        p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
+    return p
+
+
+def _contact_force(keys: dict[str, Any], b: Binding) -> k.ContactForceParams:
+    v = parse_keys(ContactForce, keys, b)
+    p = k.ContactForceParams()
+    p.first, p.count = b.watch(*v.between, "between")
+    return p
+
+
+def _range(v: Robots, names: list[str], b: Binding) -> tuple[int, int]:
+    """First index and number of the names that belong to a robot."""
+    if v.of is None:
+        return 0, len(names)
+    robots = [e.name for e in b.layout.entities if e.kind == "robot"]
+    if v.of not in robots:
+        raise SceneError("no such robot", key=f"{b.key}.of", file=b.file, found=v.of, allowed=robots)
+    own = [i for i, name in enumerate(names) if name.startswith(f"{v.of}/")]
+    return own[0], len(own)
+
+
+def _controls(keys: dict[str, Any], b: Binding) -> k.ControlParams:
+    p = k.ControlParams()
+    p.first, p.count = _range(parse_keys(Robots, keys, b), list(b.layout.control_name), b)
+    return p
+
+
+def _dof_names(b: Binding) -> list[str]:
+    counts = b.layout.joint_dof_dim.sum(axis=1)
+    return [name for name, count in zip(b.layout.joint_name, counts, strict=True) for _ in range(count)]
+
+
+def _joint_velocity(keys: dict[str, Any], b: Binding) -> k.JointVelocityParams:
+    p = k.JointVelocityParams()
+    v = parse_keys(Robots, keys, b)
+    robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
+    p.first, p.count = _range(Robots(of=robot), _dof_names(b), b)
+    return p
+
+
+def _joint_limit(keys: dict[str, Any], b: Binding) -> k.JointLimitParams:
+    v = parse_keys(JointLimit, keys, b)
+    layout = b.layout
+    first, count = _range(Robots(of=v.of), _dof_names(b), b)
+    span = np.abs(layout.dof_upper - layout.dof_lower)
+    dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
+    p = k.JointLimitParams()
+    p.coord = wp.array(layout.dof_coord[dofs], dtype=int)
+    p.lower = wp.array(layout.dof_lower[dofs] + v.margin, dtype=float)
+    p.upper = wp.array(layout.dof_upper[dofs] - v.margin, dtype=float)
+    return p
+
+
+def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearanceParams:
+    v = parse_keys(ObstacleClearance, keys, b)
+    if v.to not in ("surface", "centre"):
+        raise SceneError("wrong value", key=f"{b.key}.to", file=b.file, found=v.to, allowed=["surface", "centre"])
+    shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
+    if meshes := [s.name for s in shapes if s.kind not in _SHAPE]:
+        raise SceneError("clearance needs primitive obstacles", key=b.key, file=b.file, found=meshes[0])
+    p = k.ObstacleClearanceParams()
+    p.of, p.radius, p.least, p.surface = b.frame(v.of, "of"), v.radius, v.least, int(v.to == "surface")
+    inverse = [wp.transform_inverse(wp.transform(*s.pose)) for s in shapes]
+    p.pose = wp.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
+    p.kind = wp.array([_SHAPE[s.kind] for s in shapes], dtype=int)
+    p.size = wp.array(np.array([s.scale for s in shapes], dtype=np.float32).reshape(-1, 3), dtype=wp.vec3)
+    return p
+
+
+def _height(keys: dict[str, Any], b: Binding) -> k.HeightParams:
+    v = parse_keys(Height, keys, b)
+    p = k.HeightParams()
+    p.of, p.target = b.frame(v.of, "of"), v.target
+    return p
+
+
+def _orientation(keys: dict[str, Any], b: Binding) -> k.OrientationParams:
+    v = parse_keys(Orientation, keys, b)
+    p = k.OrientationParams()
+    p.of, p.to, p.tilt = b.frame(v.of, "of"), b.frame(v.to, "to"), int(v.tilt)
+    return p
+
+
+BUILTIN = {
+    term.name: term
+    for term in (
+        CostTerm("distance", k.distance, k.DistanceParams, _distance, Distance),
+        CostTerm("yaw", k.yaw_error, k.YawParams, _yaw, Yaw),
+        CostTerm("push_alignment", k.push_alignment, k.PushAlignmentParams, _push_alignment, PushAlignment),
+        CostTerm("contact_force", k.contact_cost, k.ContactForceParams, _contact_force, ContactForce),
+        CostTerm("control_effort", k.control_effort, k.ControlParams, _controls, Robots),
+        CostTerm("control_rate", k.control_rate, k.ControlParams, _controls, Robots),
+        CostTerm("joint_limit", k.joint_limit, k.JointLimitParams, _joint_limit, JointLimit),
+        CostTerm("joint_velocity", k.joint_velocity_cost, k.JointVelocityParams, _joint_velocity, Robots),
+        CostTerm(
+            "obstacle_clearance",
+            k.obstacle_clearance,
+            k.ObstacleClearanceParams,
+            _obstacle_clearance,
+            ObstacleClearance,
+        ),
+        CostTerm("height", k.height, k.HeightParams, _height, Height),
+        CostTerm("orientation", k.orientation, k.OrientationParams, _orientation, Orientation),
+    )
+}
+"""Built-in terms by name."""

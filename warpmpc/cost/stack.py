@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All cost terms of a scene over all rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels.costs import StepView
+from ..scene.errors import SceneError
+from .binding import Binding
+from .builtin import BUILTIN
+from .geodesic import Grid
+from .term import ArrayCost, CostTerm
+
+if TYPE_CHECKING:
+    from ..engine.trajectory import Shape, Trajectory
+    from ..scene.layout import Layout
+    from ..scene.schema import Scene
+
+
+class CostStack:
+    """The cost terms of a scene, bound to its layout; :meth:`launch` writes every term's stage costs.
+
+    Args:
+        scene: The scene.
+        layout: Its layout.
+        terms: Users' own terms, next to the built-in ones.
+        device: Warp device of the rollouts.
+
+    Raises:
+        SceneError: If a term, one of its keys, or a frame or entity they name does not exist.
+    """
+
+    def __init__(
+        self, scene: Scene, layout: Layout, *, terms: Sequence[CostTerm | ArrayCost] = (), device: str = "cpu"
+    ):
+        self.layout, self.device = layout, device
+        known = {**BUILTIN, **{term.name: term for term in terms}}
+        self.labels = _unique([cost.label for cost in scene.cost])
+        self._terms: list[CostTerm | ArrayCost] = []
+        self._params: list[Any] = []
+        binding = Binding(scene, layout)
+        with wp.ScopedDevice(device):
+            for label, cost in zip(self.labels, scene.cost, strict=True):
+                binding.key = f"cost.{label}"
+                if cost.term not in known:
+                    raise SceneError(
+                        "no such cost term", key=f"{binding.key}.term", file=scene.path, found=cost.term, allowed=known
+                    )
+                term = known[cost.term]
+                self._terms.append(term)
+                self._params.append(
+                    term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
+                )
+        self.pairs = tuple(binding.pairs)
+        self._kernels = [term.kernel() if isinstance(term, CostTerm) else None for term in self._terms]
+        self.weight = wp.array([cost.weight for cost in scene.cost], dtype=float, device=device)
+        self._weights = [cost.weight for cost in scene.cost]
+        self._fields = binding.fields
+        self._grid = self._make_grid(scene) if self._fields else None
+
+    def _make_grid(self, scene: Scene) -> Grid:
+        starts = [item.position[:2] for item in (*scene.object, *scene.robot)]
+        bodies = [r.joint_q[:2] for r in scene.robot if isinstance(r.joint_q, tuple) and len(r.joint_q) >= 2]
+        return Grid(self.layout, np.array([scene.goal.position[:2], *starts, *bodies], dtype=float))
+
+    def attach(self, trajectory: Trajectory, control: wp.array, shape: Shape) -> None:
+        """Point the terms at the rollouts they judge.
+
+        Args:
+            trajectory: Recorded rollouts.
+            control: Controls ``[T, W, nu]``.
+            shape: Sizes of the batch.
+        """
+        layout, device = self.layout, self.device
+        self.shape = shape
+        self.cost = wp.zeros((len(self._terms), shape.horizon, shape.worlds), dtype=float, device=device)
+        self.goal = wp.zeros(shape.envs, dtype=wp.transform, device=device)
+        self.last_control = wp.zeros((shape.envs, layout.nu), dtype=float, device=device)
+        view = StepView()
+        view.joint_q, view.joint_qd = trajectory.joint_q, trajectory.joint_qd
+        view.body_q, view.body_qd = trajectory.body_q, trajectory.body_qd
+        view.force, view.controls = trajectory.contact_force, control
+        view.last_control, view.goal = self.last_control, self.goal
+        half_range = 0.5 * (layout.control_upper - layout.control_lower)
+        view.control_scale = wp.array(half_range, dtype=float, device=device)
+        view.frame_body = wp.array(layout.frame_body, dtype=int, device=device)
+        view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
+        view.fields = len(self._fields)
+        if self._grid is not None:
+            rows, columns = self._grid.clearance.shape
+            count = shape.envs * len(self._fields)
+            view.field = wp.zeros((count, rows, columns), dtype=float, device=device)
+            view.field_center = wp.zeros(count, dtype=wp.vec2, device=device)
+            view.field_origin, view.field_cell = wp.vec2(*self._grid.origin), self._grid.cell
+            self._field_at = np.full((count, 2), np.inf)
+        self.view, self._trajectory, self._control = view, trajectory, control
+
+    def set_goal(self, pose: np.ndarray) -> None:
+        """Set the goal poses ``[E, 7]``."""
+        self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
+
+    def guide(self) -> None:
+        """Bring the distance fields up to date with the observed state in slice 0 of the trajectory."""
+        if self._grid is None:
+            return
+        bodies = self._trajectory.body_q[0].numpy()
+        goals = self.goal.numpy()
+        for e in range(self.shape.envs):
+            world = e * self.shape.rollouts
+            for i, request in enumerate(self._fields):
+                at = self._place(request.target, bodies[world], goals[e])
+                f = e * len(self._fields) + i
+                # within half a cell the old field still tells the way round
+                if np.linalg.norm(at - self._field_at[f]) > 0.5 * self._grid.cell:
+                    self._field_at[f] = at
+                    self.view.field[f].assign(self._grid.path_length(at, request.inflation).astype(np.float32))
+                    self.view.field_center.assign(self._field_at.astype(np.float32))
+
+    def _place(self, frame: int, bodies: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        body, pose = int(self.layout.frame_body[frame]), wp.transform(*self.layout.frame_pose[frame])
+        if body == -2:
+            pose = wp.transform(*goal) * pose
+        elif body >= 0:
+            pose = wp.transform(*bodies[body]) * pose
+        return np.array([pose.p[0], pose.p[1]], dtype=float)
+
+    def launch(self) -> None:
+        """Evaluate every term at every step of every world into :attr:`cost` ``[term, T, W]``, weighted."""
+        for i, (term, kernel, params) in enumerate(zip(self._terms, self._kernels, self._params, strict=True)):
+            if isinstance(term, ArrayCost):
+                self._evaluate(i, term, params)
+                continue
+            wp.launch(
+                kernel,
+                dim=self.cost.shape[1:],
+                inputs=[self.view, params, self.weight, i, self.shape.rollouts],
+                outputs=[self.cost],
+                device=self.device,
+            )
+
+    def _evaluate(self, i: int, term: ArrayCost, params: dict[str, Any]) -> None:
+        """Evaluate a term over whole arrays."""
+        out = self._trajectory
+        batch = {
+            "joint_q": out.joint_q,
+            "joint_qd": out.joint_qd,
+            "body_q": out.body_q,
+            "body_qd": out.body_qd,
+            "contact_force": out.contact_force,
+            "control": self._control,
+            "goal": self.goal,
+        }
+        if self.device == "cpu":
+            batch = {name: array.numpy() for name, array in batch.items()}
+        value = term.function({**batch, "params": params})
+        if tuple(value.shape) != tuple(self.cost.shape[1:]):
+            raise ValueError(
+                f"cost term '{term.name}' returned shape {tuple(value.shape)}, not [T, W] = {self.cost.shape[1:]}"
+            )
+        if self.device == "cpu":
+            self.cost[i].assign(np.asarray(value, dtype=np.float32) * self._weights[i])
+        else:
+            wp.copy(self.cost[i], wp.from_dlpack((value * self._weights[i]).contiguous()))
+
+
+def _unique(labels: list[str]) -> list[str]:
+    """Labels with a number behind those that occur again."""
+    seen: dict[str, int] = {}
+    out = []
+    for label in labels:
+        seen[label] = seen.get(label, 0) + 1
+        out.append(label if seen[label] == 1 else f"{label}_{seen[label]}")
+    return out

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost terms: what a scene file names, what a user writes, and the kernel that evaluates one over all rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from pydantic import ValidationError
+
+from ..kernels.costs import StepView
+from ..scene.errors import SceneError
+from .kernel import stage_cost_kernel
+
+if TYPE_CHECKING:
+    from ..scene.types import Section
+    from .binding import Binding
+
+
+@dataclass(frozen=True)
+class CostTerm:
+    """A cost term: a Warp function of one step of one world and its parameters.
+
+    Build one with :func:`cost_term` and hand it to :func:`warpmpc.load_scene` or :class:`warpmpc.Controller`.
+    """
+
+    name: str
+    function: wp.Function
+    """``(s: StepView, p: Params) -> float``."""
+    params: Any
+    """The ``wp.struct`` of its parameters, or None."""
+    bind: Callable[[dict[str, Any], Binding], Any]
+    """Turns the keys of a scene file into a filled parameter struct."""
+    keys: type[Section] | None = None
+    """Types of those keys, for help texts and errors; derived from the struct for users' terms."""
+
+    def kernel(self) -> wp.Kernel:
+        """The kernel that evaluates this term: one thread per step and world."""
+        return stage_cost_kernel(self.function, self.params)
+
+
+@dataclass(frozen=True)
+class ArrayCost:
+    """A cost term over whole batches of arrays, for quick experiments; build one with :func:`array_cost`."""
+
+    name: str
+    function: Callable[[dict[str, Any]], Any]
+
+
+def cost_term(name: str) -> Callable[[Callable], CostTerm]:
+    """Turn a function of one step into a cost term.
+
+    The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
+    files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
+    (``robot/frame``), or as a joint when the field's name contains ``joint``.
+
+    Args:
+        name: What scene files call the term.
+
+    Raises:
+        TypeError: If the function lacks the annotations ``StepView`` and a ``wp.struct``.
+
+    Example:
+        >>> @wp.struct
+        ... class UprightParams:
+        ...     frame: int
+        >>> @warpmpc.cost_term("upright")
+        ... def upright(s: warpmpc.StepView, p: UprightParams) -> float:
+        ...     return 1.0 - wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), wp.vec3(0.0, 0.0, 1.0))[2]
+    """
+
+    def decorate(function: Callable) -> CostTerm:
+        annotations = list(_annotations(function).values())
+        if len(annotations) < 2 or annotations[0] is not StepView or not hasattr(annotations[1], "vars"):
+            raise TypeError(
+                f"cost term '{name}': write def {function.__name__}(s: warpmpc.StepView, p: Params) -> float, "
+                "with Params a wp.struct"
+            )
+        params = annotations[1]
+        return CostTerm(name, wp.func(function, module="unique"), params, lambda keys, b: _fill(name, params, keys, b))
+
+    return decorate
+
+
+def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
+    """Turn a function over whole batches into a cost term: slower, outside the kernels, no Warp needed.
+
+    The function receives a dict of arrays (NumPy on the CPU, DLPack-compatible Warp arrays on CUDA):
+    ``joint_q [T+1, W, nq]``, ``joint_qd [T+1, W, nv]``, ``body_q [T+1, W, nb, 7]``, ``body_qd [T+1, W, nb, 6]``,
+    ``contact_force [T, W, pair, 3]``, ``control [T, W, nu]``, ``goal [E, 7]``; and the keys of its ``[[cost]]``
+    table under ``params``. It returns the cost of every step and world, ``[T, W]``.
+
+    Args:
+        name: What scene files call the term.
+    """
+    return lambda function: ArrayCost(name, function)
+
+
+def _annotations(function: Callable) -> dict[str, Any]:
+    """Annotations resolved against the function's globals and closure, so that postponed ones work too."""
+    cells = dict(zip(function.__code__.co_freevars, [c.cell_contents for c in function.__closure__ or ()], strict=True))
+    return {
+        k: eval(v, {**function.__globals__, **cells}) if isinstance(v, str) else v  # the user's own annotation
+        for k, v in function.__annotations__.items()
+        if k != "return"
+    }
+
+
+def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any:
+    """Fill a user's parameter struct from scene keys."""
+    struct = params()
+    for key, value in keys.items():
+        where = f"{binding.key}.{key}"
+        if key not in params.vars:
+            raise SceneError(
+                f"cost term '{name}' has no such key", key=where, file=binding.file, found=key, allowed=params.vars
+            )
+        if isinstance(value, str):
+            find = binding.layout.joint if "joint" in key else binding.layout.frame
+            value = find(value, key=where)
+        if isinstance(value, bool) or not np.all(np.isfinite(np.asarray(value, dtype=float))):
+            raise SceneError("needs finite numbers", key=where, file=binding.file, found=value)
+        try:
+            setattr(struct, key, params.vars[key].type(*value) if isinstance(value, list | tuple) else value)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise SceneError(f"does not fit its field: {error}", key=where, file=binding.file, found=value) from error
+    missing = [field for field in params.vars if field not in keys]
+    if missing:
+        raise SceneError(f"cost term '{name}' needs the key '{missing[0]}'", key=binding.key, file=binding.file)
+    return struct
+
+
+def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) -> Section:
+    """Validate a built-in term's keys.
+
+    Raises:
+        SceneError: If a key is unknown, missing or of the wrong type.
+    """
+    try:
+        return keys.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        where = f"{binding.key}.{name}"
+        if first["type"] == "extra_forbidden":
+            raise SceneError(
+                "unknown key", key=where, file=binding.file, found=name, allowed=keys.model_fields
+            ) from None
+        if first["type"] == "missing":
+            raise SceneError(f"the key '{name}' is missing", key=binding.key, file=binding.file) from None
+        field = keys.model_fields.get(str(first["loc"][0]))
+        allowed = field.description if field and field.description else first["msg"]
+        raise SceneError(
+            "wrong value", key=where, file=binding.file, found=first["input"], allowed=str(allowed)
+        ) from None

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine ``mujoco``: MuJoCo's C engine on all cores, one differently randomized model per world."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import warp as wp
+
+from ..kernels.contacts import mujoco_contact_force_kernel
+from ..kernels.worlds import (
+    clone_state_kernel,
+    divergence_kernel,
+    mujoco_control_kernel,
+    mujoco_state_kernel,
+    record_mujoco_kernel,
+)
+from .joints import joint_table
+from .mujoco_model import make_world, randomize_model
+from .pairs import Pair
+from .trajectory import ObservedState, Shape, Trajectory
+
+if TYPE_CHECKING:
+    from .compiled import CompiledScene
+    from .properties import Properties
+
+FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+
+
+class WarningCounter:
+    """Counts MuJoCo's warnings instead of letting it print them and write a log file."""
+
+    def __init__(self):
+        self.count = 0
+        self.last = ""
+
+    def __call__(self, message: str) -> None:
+        """Take one warning."""
+        self.count += 1
+        self.last = str(message)
+
+
+warnings = WarningCounter()
+
+
+def silence_mujoco() -> None:
+    """Send MuJoCo's warnings to :data:`warnings`: a diverging world would print thousands of them."""
+    mujoco.set_mju_user_warning(warnings)
+
+
+class MujocoEngine:
+    """Rolls controls out with ``mujoco.rollout`` on all cores.
+
+    Args:
+        compiled: The scene.
+        shape: Environments, samples, domains and horizon.
+        control_dt: Length of a control [s].
+        substeps: Physics steps per control.
+        pairs: Pairs of entities whose contact force is watched.
+        properties: Draws of physical properties; sample s and domain d use draw d when there are several domains,
+            else draw s. ``None`` leaves every world nominal.
+        threads: CPU threads, 0 for one per core this process may use.
+        iterations: Largest number of constraint solver iterations.
+        tolerance: Constraint solver tolerance.
+    """
+
+    name = "mujoco"
+    device = "cpu"
+
+    def __init__(
+        self,
+        compiled: CompiledScene,
+        shape: Shape,
+        *,
+        control_dt: float,
+        substeps: int,
+        pairs: tuple[Pair, ...] = (),
+        properties: Properties | None = None,
+        threads: int = 0,
+        iterations: int = 20,
+        tolerance: float = 1e-6,
+    ):
+        self.shape, self.substeps, self.pairs = shape, substeps, pairs
+        layout = compiled.layout
+        world = make_world(
+            compiled, timestep=control_dt / substeps, pairs=pairs, iterations=iterations, tolerance=tolerance
+        )
+        self.model, self.joint_qd = world.model, world.joint_qd
+        self.models = self._randomized(world, properties)
+        self.threads = threads or len(os.sched_getaffinity(0))
+        self._pool = mujoco.rollout.Rollout(nthread=self.threads)
+        self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
+        self.steps = shape.horizon * substeps
+        self.duration = self.steps * world.model.opt.timestep
+
+        nstate = mujoco.mj_stateSize(world.model, FULL)
+        self.initial = np.zeros((shape.worlds, nstate))
+        self.control = np.zeros((shape.worlds, self.steps, world.model.nu))
+        self.state = np.zeros((shape.worlds, self.steps, nstate))
+        self.sensor = np.zeros((shape.worlds, self.steps, world.model.nsensordata))
+        # the same memory, seen by Warp
+        self._initial, self._control, self._state, self._sensor = (
+            wp.array(a, dtype=wp.float64, device="cpu", copy=False)
+            for a in (self.initial, self.control, self.state, self.sensor)
+        )
+        self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
+        self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
+        self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
+        self.trajectory = Trajectory.allocate(shape, layout, len(pairs), "cpu")
+        silence_mujoco()
+
+    def _randomized(self, world, properties: Properties | None) -> list[mujoco.MjModel]:
+        shape = self.shape
+        if properties is None or not properties.names:
+            return [world.model] * shape.worlds
+        if properties.draws < (need := shape.domains if shape.domains > 1 else shape.samples):
+            raise ValueError(f"{need} draws of physical properties are needed, {properties.draws} were given")
+        count = shape.domains if shape.domains > 1 else shape.samples
+        drawn = [randomize_model(world, properties, i) for i in range(count)]
+        return (drawn * shape.samples if shape.domains > 1 else drawn) * shape.envs
+
+    def clone(self, state: ObservedState) -> None:
+        """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
+        out = self.trajectory
+        wp.launch(
+            clone_state_kernel,
+            dim=self.shape.worlds,
+            inputs=[self._table, state.joint_q, state.joint_qd, self.shape.rollouts],
+            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
+            device="cpu",
+        )
+        wp.launch(
+            mujoco_state_kernel,
+            dim=self.shape.worlds,
+            inputs=[self._table, self.model.nq, out.joint_q, out.joint_qd],
+            outputs=[self._initial],
+            device="cpu",
+        )
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`."""
+        wp.launch(
+            mujoco_control_kernel,
+            dim=(self.shape.worlds, self.steps),
+            inputs=[control, self._matrix, self._offset, self.substeps],
+            outputs=[self._control],
+            device="cpu",
+        )
+        self.step_physics()
+        self._record()
+
+    def step_physics(self) -> None:
+        """The physics alone: one call into MuJoCo's thread pool."""
+        self._pool.rollout(
+            self.models,
+            self._data,
+            self.initial,
+            self.control,
+            nstep=self.steps,
+            state=self.state,
+            sensordata=self.sensor,
+            skip_checks=True,
+            control_spec=CONTROL,
+        )
+
+    def _record(self) -> None:
+        out = self.trajectory
+        dim = (self.shape.horizon, self.shape.worlds)
+        wp.launch(
+            record_mujoco_kernel,
+            dim=dim,
+            inputs=[self._table, self.model.nq, self.substeps, self._state],
+            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
+            device="cpu",
+        )
+        if self.pairs:
+            wp.launch(
+                mujoco_contact_force_kernel,
+                dim=dim,
+                inputs=[self._sensor, self.substeps],
+                outputs=[out.contact_force],
+                device="cpu",
+            )
+        wp.launch(
+            divergence_kernel,
+            dim=self.shape.worlds,
+            inputs=[self._state, wp.float64(self.duration)],
+            outputs=[out.diverged],
+            device="cpu",
+        )
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._pool.close()

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weightings: from sample costs to sample weights, the one strategy in which MPPI, CEM and their kin differ."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar, Protocol
+
+import warp as wp
+
+from warpmpc.kernels.weights import (
+    best_weight_kernel,
+    bisect_temperature_kernel,
+    elite_weight_kernel,
+    importance_weight_kernel,
+)
+
+BLOCK_DIM = 256
+"""Threads per environment in block-wide kernels; Warp takes one on the CPU."""
+
+
+class WeightingState:
+    """Device arrays a weighting reads and writes; nothing is allocated after construction.
+
+    Args:
+        envs: Number of environments E.
+        samples: Number of samples S.
+        temperature: Initial temperature β of every environment, in units of cost.
+        device: Warp device, the current one if None.
+    """
+
+    cost: wp.array2d[float]
+    """Sample costs, +inf for a diverged sample, ``[E, S]``."""
+
+    weight: wp.array2d[float]
+    """Sample weights, one in sum per environment or all zero when every sample diverged, ``[E, S]``."""
+
+    beta: wp.array[float]
+    """Temperature, ``[E]``."""
+
+    eta: wp.array[float]
+    """Number of samples that carry weight, ``[E]``."""
+
+    def __init__(self, *, envs: int, samples: int, temperature: float = 1.0, device: wp.DeviceLike = None):
+        self.device = wp.get_device(device)
+        self.temperature = temperature
+        self.cost = wp.zeros((envs, samples), dtype=float, device=self.device)
+        self.weight = wp.zeros((envs, samples), dtype=float, device=self.device)
+        self.beta = wp.full(envs, temperature, dtype=float, device=self.device)
+        self.eta = wp.zeros(envs, dtype=float, device=self.device)
+
+    def reset(self) -> None:
+        """Return to the initial temperature and to no weights; capture-safe."""
+        self.beta.fill_(self.temperature)
+        self.weight.zero_()
+        self.eta.zero_()
+
+
+class Weighting(Protocol):
+    """Turns the costs of a :class:`WeightingState` into weights."""
+
+    adapts_sigma: ClassVar[bool]
+    """Whether the plan step updates σ from the weighted samples."""
+
+    def launch(self, state: WeightingState) -> None:
+        """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
+        ...
+
+
+class Adaptation(StrEnum):
+    """How MPPI finds its temperature; the values are the words of scene files."""
+
+    ETA = "eta"
+    """A small step of β towards the bounds of η after each plan step."""
+
+    ESS = "ess"
+    """β solved for in the same plan step, so that the effective sample size meets its target."""
+
+    FIXED = "fixed"
+    """β stays what it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mppi:
+    """Path-integral weights w = exp(-(S - ρ)/β)/η (Pezzato et al. 2025, Eqs. 3 and 6).
+
+    Args:
+        temperature: Initial temperature β, in units of cost.
+        adapt: How β is found.
+        eta: Lower and upper bound of η that :attr:`Adaptation.ETA` steers towards, in samples.
+        target_ess: Effective sample size (Σw)²/Σw² that :attr:`Adaptation.ESS` solves for, in samples.
+        beta_bounds: Bounds of an adapted β.
+    """
+
+    temperature: float = 1.0
+    adapt: Adaptation = Adaptation.ETA
+    eta: tuple[float, float] = (5.0, 10.0)
+    target_ess: float = 10.0
+    beta_bounds: tuple[float, float] = (1.0e-4, 1.0e6)
+
+    adapts_sigma: ClassVar[bool] = False
+
+    def __post_init__(self):
+        Adaptation(self.adapt)
+        if not 0.0 < self.temperature < float("inf"):
+            raise ValueError(f"temperature must be positive and finite, got {self.temperature}")
+        if not 0.0 < self.beta_bounds[0] <= self.beta_bounds[1] < float("inf"):
+            raise ValueError(f"beta_bounds must be positive, finite and in order, got {self.beta_bounds}")
+        if not self.eta[0] <= self.eta[1]:
+            raise ValueError(f"eta must be a lower and an upper bound, got {self.eta}")
+        if not self.target_ess >= 1.0:
+            raise ValueError(f"target_ess must be at least one sample, got {self.target_ess}")
+
+    def launch(self, state: WeightingState) -> None:
+        """Write ``state.weight``, ``state.eta`` and ``state.beta`` from ``state.cost``; capture-safe."""
+        bounds = wp.vec2(*self.beta_bounds)
+        if self.adapt == Adaptation.ESS:
+            wp.launch_tiled(
+                bisect_temperature_kernel,
+                dim=[state.cost.shape[0]],
+                inputs=[state.cost, self.target_ess, bounds],
+                outputs=[state.beta],
+                block_dim=BLOCK_DIM,
+                device=state.device,
+            )
+        wp.launch_tiled(
+            importance_weight_kernel,
+            dim=[state.cost.shape[0]],
+            inputs=[state.cost, wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)],
+            outputs=[state.beta, state.eta, state.weight],
+            block_dim=BLOCK_DIM,
+            device=state.device,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveSampling:
+    """The best sample carries all weight (Howell et al. 2022, Alg. 4)."""
+
+    adapts_sigma: ClassVar[bool] = False
+
+    def launch(self, state: WeightingState) -> None:
+        """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
+        wp.launch_tiled(
+            best_weight_kernel,
+            dim=[state.cost.shape[0]],
+            inputs=[state.cost],
+            outputs=[state.eta, state.weight],
+            block_dim=BLOCK_DIM,
+            device=state.device,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossEntropy:
+    """Elites carry equal weight; mean and σ follow them (Rubinstein 1999).
+
+    Args:
+        elites: Number of best samples that carry weight.
+        sigma_min: Floor of the adapted standard deviation, in control units, one for all controls or ``[nu]``.
+        alpha_sigma: Step size of the update of σ², 1 forgets the old value.
+    """
+
+    elites: int = 8
+    sigma_min: float | tuple[float, ...] = 0.01
+    alpha_sigma: float = 1.0
+
+    adapts_sigma: ClassVar[bool] = True
+
+    def __post_init__(self):
+        if self.elites < 1:
+            raise ValueError(f"elites must be at least one, got {self.elites}")
+        if not 0.0 <= self.alpha_sigma <= 1.0:
+            raise ValueError(f"alpha_sigma must be between 0 and 1, got {self.alpha_sigma}")
+
+    def launch(self, state: WeightingState) -> None:
+        """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
+        wp.launch(
+            elite_weight_kernel,
+            dim=state.cost.shape,
+            inputs=[state.cost, self.elites],
+            outputs=[state.eta, state.weight],
+            device=state.device,
+        )

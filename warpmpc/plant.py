@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant: a simulated world of its own that is observed and commanded like a robot."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from .engine.compiled import CompiledScene, compile_scene
+from .engine.mujoco import MujocoEngine
+from .engine.pairs import collision_pairs
+from .engine.properties import draw_properties
+from .engine.trajectory import ObservedState, Shape
+from .goal import GoalError, goal_error, goal_pose
+from .scene.errors import SceneError
+from .state import Contact, State
+
+if TYPE_CHECKING:
+    from .scene.schema import Kick, Scene
+
+CONTACT_FORCE = 1e-3
+"""Net force above which two things count as touching [N]."""
+
+
+class Plant:
+    """A simulated plant with physical properties, noise, delay and disturbances of its own.
+
+    Args:
+        scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
+        seed: Seed of the plant's properties and noise.
+        compiled: The scene compiled earlier, to save doing it again.
+
+    Raises:
+        SceneError: If a kick has the wrong number of values.
+    """
+
+    def __init__(self, scene: Scene, *, seed: int = 0, compiled: CompiledScene | None = None):
+        self.scene = scene
+        self.compiled = compiled or compile_scene(scene)
+        self.layout = self.compiled.layout
+        self.pairs = collision_pairs(self.layout)
+        properties = draw_properties(scene, self.layout, 1, seed=2 * seed + 1) if scene.plant.randomize else None
+        self.properties = properties
+        self._engine = MujocoEngine(
+            self.compiled,
+            Shape(1, 1, 1, 1),
+            control_dt=scene.timing.control_dt,
+            substeps=scene.plant.substeps,
+            pairs=self.pairs,
+            properties=properties,
+            threads=1,
+            iterations=100,
+            tolerance=1e-8,
+        )
+        self._control = wp.zeros((1, 1, self.layout.nu), dtype=float, device="cpu")
+        self._rng = np.random.default_rng([seed, 1])
+        self._delay = round(scene.plant.delay / scene.timing.control_dt)
+        self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
+        self.goal = goal_pose(scene)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start state."""
+        start = State.start(self.layout)
+        observed = (wp.array(a[None], dtype=float, device="cpu") for a in (start.joint_q, start.joint_qd))
+        self._engine.clone(ObservedState(*observed))
+        self._slice = 0
+        self.steps = 0
+        self.contact = Contact()
+        self.diverged = False
+        self._within = 0
+        self._history: deque[State] = deque(maxlen=self._delay + 1)
+        self._check()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.steps * self.scene.timing.control_dt
+
+    @property
+    def state(self) -> State:
+        """The true state."""
+        out = self._engine.trajectory
+        return State(
+            out.joint_q.numpy()[self._slice, 0].copy(), out.joint_qd.numpy()[self._slice, 0].copy(), time=self.time
+        )
+
+    @property
+    def body_q(self) -> np.ndarray:
+        """True poses of all bodies ``[nb, 7]``."""
+        return self._engine.trajectory.body_q.numpy()[self._slice, 0].copy()
+
+    def observe(self) -> State:
+        """The state as sensors show it: with noise, and ``delay`` old."""
+        state = self._history[0]
+        noise = self.scene.plant.noise
+        if not noise.position and not noise.velocity:
+            return state
+        q = state.joint_q + self._rng.normal(0.0, noise.position, state.joint_q.shape)
+        for joint, kind in enumerate(self.layout.joint_type):
+            if kind in (2, 4):  # ball and free joints hold a quaternion last
+                i = self.layout.joint_q_start[joint] + (3 if kind == 4 else 0)
+                q[i : i + 4] /= np.linalg.norm(q[i : i + 4])
+        qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
+        return State(q.astype(np.float32), qd.astype(np.float32), state.time)
+
+    def apply(self, control: np.ndarray) -> None:
+        """Hold a control ``[nu]`` for one control step.
+
+        Raises:
+            ValueError: If the control has the wrong shape or is not finite.
+        """
+        control = np.asarray(control, dtype=np.float32)
+        if control.shape != (self.layout.nu,) or not np.isfinite(control).all():
+            raise ValueError(f"a control of this scene is {self.layout.nu} finite numbers, not {control}")
+        engine = self._engine
+        self._disturb()
+        self._control.assign(control[None, None])
+        engine.rollout(self._control)
+        self._slice = 1
+        self.steps += 1
+        self.diverged = bool(engine.trajectory.diverged.numpy()[0])
+        engine.initial[:] = engine.state[:, -1]
+        engine.initial[:, 0] = 0.0
+        self._feel()
+        self._check()
+
+    def _disturb(self) -> None:
+        """Add the velocity of kicks whose time has come."""
+        dt = self.scene.timing.control_dt
+        for kick, columns in self._kicks:
+            if self.time <= kick.time < self.time + dt:
+                self._engine.initial[0, columns] += kick.velocity
+
+    def _kicked(self, i: int, kick: Kick) -> list[int]:
+        """Columns of the physics state that a kick changes."""
+        key, layout = f"plant.kicks[{i}]", self.layout
+        entity = layout.entity(kick.target, key=f"{key}.target")
+        first = 1 + self._engine.model.nq
+        columns = []
+        for joint in entity.joints:
+            start = self._engine.joint_qd[joint]
+            if start >= 0:
+                width = 3 if layout.joint_type[joint] == 4 else int(layout.joint_dof_dim[joint].sum())
+                columns += [first + start + k for k in range(width)]
+        if len(columns) != len(kick.velocity):
+            raise SceneError(
+                f"needs {len(columns)} values for '{kick.target}'",
+                key=f"{key}.velocity",
+                file=self.scene.path,
+                found=list(kick.velocity),
+            )
+        return columns
+
+    def _feel(self) -> None:
+        """Record contacts between robots and obstacles at every physics step."""
+        if not self.pairs:
+            return
+        force = np.linalg.norm(self._engine.sensor[0].reshape(-1, len(self.pairs), 3), axis=-1)
+        step = self.scene.timing.control_dt / self.scene.plant.substeps
+        self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
+        for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
+            name = f"{pair.first}-{pair.second}"
+            self.contact.forces[name] = max(self.contact.forces.get(name, 0.0), float(peak))
+        self.contact.max_force = max(self.contact.forces.values())
+
+    def _check(self) -> None:
+        """Take note of the state just reached."""
+        self._history.append(self.state)
+        self._within = self._within + 1 if self.error.within(self.scene.success) else 0
+
+    @property
+    def error(self) -> GoalError:
+        """How far the goal's object or frame is from the goal."""
+        frame = self.layout.frame(self.scene.goal.target, key="goal")
+        pose = wp.transform(*self.body_q[self.layout.frame_body[frame]]) * wp.transform(*self.layout.frame_pose[frame])
+        return goal_error(self.scene.goal, self.goal, np.array([*pose.p, *pose.q]))
+
+    @property
+    def success(self) -> bool:
+        """Whether the goal is reached and was held long enough."""
+        return self._within > self.scene.success.hold / self.scene.timing.control_dt
+
+    @property
+    def done(self) -> bool:
+        """Whether the episode is over: goal reached, time out or the physics diverged."""
+        return self.success or self.diverged or self.time >= self.scene.timing.timeout - 1e-9
+
+    @property
+    def reason(self) -> str:
+        """Why the episode is over."""
+        if self.success:
+            return "goal reached"
+        if self.diverged:
+            return "the plant's physics diverged"
+        return "timeout" if self.done else "running"
