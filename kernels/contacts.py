@@ -9,15 +9,15 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def mujoco_contact_force_kernel(
     # inputs
-    sensor: wp.array3d[wp.float64],  # [W, T·substeps, nsensor] net force (x, y, z) per pair
+    sensor: wp.array3d[wp.float64],  # [W, T·substeps, nsensor] net force (x, y, z) per pair, on its second side
     substeps: int,
     # outputs
-    force: wp.array3d[wp.vec3],  # [T, W, pair] [N] world frame, mean over the physics steps of a control step
+    force: wp.array3d[wp.vec3],  # [T, W, pair] [N] on the pair's first side, world frame, mean over the physics steps
 ):
     """One thread: the net contact force of every watched pair in one world and control step."""
     t, w = wp.tid()
     for p in range(force.shape[2]):
         total = wp.vec3(0.0)
         for n in range(t * substeps, (t + 1) * substeps):
-            total += wp.vec3(float(sensor[w, n, 3 * p]), float(sensor[w, n, 3 * p + 1]), float(sensor[w, n, 3 * p + 2]))
+            total -= wp.vec3(float(sensor[w, n, 3 * p]), float(sensor[w, n, 3 * p + 1]), float(sensor[w, n, 3 * p + 2]))
         force[t, w, p] = total / float(substeps)

@@ -1,24 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real-time model-predictive control that uses a parallel physics simulator as its model."""
 
-from .controller import Controller
-from .cost.term import ArrayCost, CostTerm, array_cost, cost_term
-from .kernels.costs import (
-    StepView,
-    contact_force,
-    control,
-    frame_pose,
-    frame_position,
-    frame_rotation,
-    frame_velocity,
-    joint_position,
-    joint_velocity,
-)
-from .plant import Plant
-from .scene.errors import SceneError
-from .scene.load import load_scene, shipped_scenes
-from .scene.schema import Scene
-from .state import Info, State
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .controller import Controller
+    from .cost.term import ArrayCost, CostTerm, array_cost, cost_term
+    from .episode import EpisodeResult, run_episode
+    from .kernels.costs import (
+        StepView,
+        contact_force,
+        control,
+        frame_pose,
+        frame_position,
+        frame_rotation,
+        frame_velocity,
+        joint_position,
+        joint_velocity,
+    )
+    from .plant import Plant
+    from .scene.errors import SceneError
+    from .scene.load import load_scene, shipped_scenes
+    from .scene.schema import Scene
+    from .state import Info, State
 
 __version__ = "0.1.0"
 
@@ -26,6 +33,7 @@ __all__ = [
     "ArrayCost",
     "Controller",
     "CostTerm",
+    "EpisodeResult",
     "Info",
     "Plant",
     "Scene",
@@ -43,5 +51,37 @@ __all__ = [
     "joint_position",
     "joint_velocity",
     "load_scene",
+    "run_episode",
     "shipped_scenes",
 ]
+
+_HOME = {
+    "Controller": "controller",
+    "EpisodeResult": "episode",
+    "Info": "state",
+    "Plant": "plant",
+    "Scene": "scene.schema",
+    "SceneError": "scene.errors",
+    "State": "state",
+    "ArrayCost": "cost.term",
+    "CostTerm": "cost.term",
+    "array_cost": "cost.term",
+    "cost_term": "cost.term",
+    "load_scene": "scene.load",
+    "run_episode": "episode",
+    "shipped_scenes": "scene.load",
+}
+"""Module of each public name; names that are not here come from ``kernels.costs``."""
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used: physics and kernels take seconds, and a scene file needs neither."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.costs')}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

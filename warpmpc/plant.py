@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -132,7 +133,8 @@ class Plant:
         """Add the velocity of kicks whose time has come."""
         dt = self.scene.timing.control_dt
         for kick, columns in self._kicks:
-            if self.time <= kick.time < self.time + dt:
+            # counted in whole steps: a sum of times may miss its own border
+            if self.steps == math.floor(kick.time / dt + 1e-6):
                 self._engine.initial[0, columns] += kick.velocity
 
     def _kicked(self, i: int, kick: Kick) -> list[int]:
@@ -182,7 +184,8 @@ class Plant:
     @property
     def success(self) -> bool:
         """Whether the goal is reached and was held long enough."""
-        return self._within > self.scene.success.hold / self.scene.timing.control_dt
+        # states stand at the ends of steps: n steps of holding are n + 1 states
+        return self._within - 1 >= self.scene.success.hold / self.scene.timing.control_dt - 1e-6
 
     @property
     def done(self) -> bool:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where assets are found, what they are, and what is said when they are nowhere."""
 
-import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -11,8 +11,7 @@ from warpmpc.scene.errors import SceneError
 
 PANDA = "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
 needs_robots = pytest.mark.skipif(
-    not importlib.util.find_spec("cmeel_pth") and not any("cmeel.prefix" in str(p) for p in package_dirs()),
-    reason="needs the package example-robot-data",
+    not any((folder / "example-robot-data").is_dir() for folder in package_dirs()), reason="needs example-robot-data"
 )
 
 
@@ -52,6 +51,15 @@ def test_newtons_own_assets_are_found_by_name():
 def test_robot_packages_from_pypi_need_no_environment_variable(monkeypatch):
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
     assert resolve(PANDA).name == "panda.urdf"
+
+
+@needs_robots
+def test_a_robots_own_meshes_are_found_where_the_robot_is(monkeypatch):
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    path = resolve(PANDA)
+    meshes = re.findall(r'filename="package://([^"]+)"', path.read_text(encoding="utf-8"))
+    assert len(meshes) > 10
+    assert all(any((folder / mesh).is_file() for folder in package_dirs(path)) for mesh in meshes)
 
 
 def test_packages_on_the_ros_path_are_found(tmp_path, monkeypatch):

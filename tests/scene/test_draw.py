@@ -76,12 +76,17 @@ def test_an_impossible_draw_ends_in_an_error_that_names_it(tmp_path):
 
 
 def test_places_are_goals_objects_and_robots(tmp_path):
-    reject = 'reject = [{ place = "goal", clearance = 0 }, { place = "box", clearance = 0 }, { place = "base", clearance = 0 }'
-    reject += ', { place = "base/tip", at = [-1.0, 2.0, 0.0], clearance = 0 }]'
-    text = SMALL.replace("[planner]", f"[randomize_task]\n{reject}\n[planner]")
-    scene = load_scene(
-        write(tmp_path, text), overrides=["object.box.position=[-1, 1.5, 0]", "robot.base.position=[-1,0,0]"]
-    )
+    reject = """
+    [randomize_task]
+    reject = [
+        { place = "goal", clearance = 0 },
+        { place = "box", clearance = 0 },
+        { place = "base", clearance = 0 },
+        { place = "base/tip", at = [-1.0, 2.0, 0.0], clearance = 0 },
+    ]
+    """
+    path = write(tmp_path, SMALL.replace("[planner]", f"{reject}\n[planner]"))
+    scene = load_scene(path, overrides=["object.box.position=[-1, 1.5, 0]", "robot.base.position=[-1, 0, 0]"])
     goal, box, base, tip = (clearance(scene, rejection) for rejection in scene.randomize_task.reject)
     assert goal == pytest.approx(math.hypot(0.7, 0.6))
     assert box == pytest.approx(0.3)
@@ -143,5 +148,5 @@ def test_a_goal_without_height_lies_at_the_obstacles_height():
 def test_meshes_are_left_out(tmp_path):
     text = SMALL + '[[obstacle]]\nname = "rock"\nshape = "mesh"\nmesh = "rock.stl"\nposition = [2, 0, 0]\n'
     text = text.replace("[planner]", '[randomize_task]\nreject = [{ place = "goal", clearance = 0.1 }]\n[planner]')
-    scene = load_scene(write(tmp_path, text.replace("[variants.near]", "[variants.near]")))
+    scene = load_scene(write(tmp_path, text))
     assert clearance(scene, scene.randomize_task.reject[0]) > 0.5

@@ -286,3 +286,12 @@ def test_several_mistakes_are_counted_and_the_unknown_key_comes_first(tmp_path):
 def test_an_error_survives_pickling(tmp_path):
     error = set_to(tmp_path, "planner.sampels=3")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_absurd_nesting_is_an_error_like_any_other(tmp_path):
+    deep = ".".join(["a"] * 5000)
+    for override in (f"{deep}=1", f"cost.distance.{deep}=1"):
+        with pytest.raises(SceneError, match="nested too deeply"):
+            load_scene(write(tmp_path), overrides=[override])
+    with pytest.raises(SceneError, match=r"is not valid TOML|nested too deeply"):
+        load_scene(write(tmp_path, SMALL.replace("samples = 64", f"samples = {'[' * 5000}")))

@@ -164,14 +164,18 @@ def test_a_scene_survives_its_way_through_a_file(tmp_path, scene):
     assert load_scene(path).model_copy(update={"path": None}) == scene
 
 
+LEAKS = ("Input should", "pydantic", "validation", "function-", "tuple[", "Traceback")
+
+
 def accept_or_explain(load) -> None:
     """Loading gives a scene, or a SceneError in our own words."""
     try:
-        assert isinstance(load(), Scene)
+        told = load()
     except SceneError as error:
-        assert error.key is not None or error.file is not None
-        for leak in ("Input should", "pydantic", "validation", "function-", "tuple[", "Traceback"):
-            assert leak not in str(error)
+        told = str(error)
+    assert isinstance(told, Scene | str)
+    if isinstance(told, str):
+        assert not [leak for leak in LEAKS if leak in told]
 
 
 FILES = {"small": SMALL, **{name: path.read_text(encoding="utf-8") for name, path in shipped_scenes().items()}}
@@ -216,9 +220,10 @@ def test_a_spoilt_scene_is_valid_still_or_ends_in_a_scene_error(tmp_path, data, 
             case "misspell" if isinstance(last, str):
                 inner[last[:-1] + data.draw(st.sampled_from(["", "x", '"', ".", "é"]))] = inner.pop(last)
             case "swap":
-                inner[last] = copy.deepcopy(inner[data.draw(st.sampled_from(list(inner)))] if where else scene)
+                other = data.draw(st.sampled_from(list(inner) if isinstance(inner, dict) else range(len(inner))))
+                inner[last] = copy.deepcopy(inner[other])
             case _:
-                inner[last] = data.draw(st.sampled_from(WRONG))
+                inner[last] = copy.deepcopy(data.draw(st.sampled_from(WRONG)))
         if not places(scene):
             break
     path = write(tmp_path, toml(scene))

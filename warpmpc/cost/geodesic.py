@@ -61,6 +61,10 @@ class Grid:
         depth, nearest = distance_transform_edt(~known, sampling=self.cell, return_indices=True)
         return np.where(known, length, length[tuple(nearest)] + 2.0 * depth)
 
+    def nearest(self, p: np.ndarray) -> np.ndarray:
+        """The point itself (x, y) [m], or the nearest one on the grid; beyond it there is nothing to go around."""
+        return np.clip(p, self.origin, self.points[-1, -1])
+
     def _clearance_at(self, p: np.ndarray) -> float:
         column, row = np.clip(np.round((p - self.origin) / self.cell).astype(int), 0, None)
         rows, columns = self.clearance.shape

@@ -100,6 +100,11 @@ class CostStack:
             self._field_at = np.full((count, 2), np.inf)
         self.view, self._trajectory, self._control = view, trajectory, control
 
+    def reset(self) -> None:
+        """Forget the distance fields of earlier plans."""
+        if self._grid is not None:
+            self._field_at.fill(np.inf)
+
     def set_goal(self, pose: np.ndarray) -> None:
         """Set the goal poses ``[E, 7]``."""
         self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
@@ -113,7 +118,7 @@ class CostStack:
         for e in range(self.shape.envs):
             world = e * self.shape.rollouts
             for i, request in enumerate(self._fields):
-                at = self._place(request.target, bodies[world], goals[e])
+                at = self._grid.nearest(self._place(request.target, bodies[world], goals[e]))
                 f = e * len(self._fields) + i
                 # within half a cell the old field still tells the way round
                 if np.linalg.norm(at - self._field_at[f]) > 0.5 * self._grid.cell:

@@ -121,7 +121,11 @@ def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any
         if isinstance(value, str):
             find = binding.layout.joint if "joint" in key else binding.layout.frame
             value = find(value, key=where)
-        if isinstance(value, bool) or not np.all(np.isfinite(np.asarray(value, dtype=float))):
+        try:
+            finite = not isinstance(value, bool) and bool(np.all(np.isfinite(np.asarray(value, dtype=float))))
+        except (TypeError, ValueError):
+            finite = False
+        if not finite:
             raise SceneError("needs finite numbers", key=where, file=binding.file, found=value)
         try:
             setattr(struct, key, params.vars[key].type(*value) if isinstance(value, list | tuple) else value)

@@ -15,6 +15,7 @@ import json
 import os
 import re
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,10 +57,8 @@ def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
     key = _cache_key(scene) if cache else None
     folder = cache_folder()
     if key:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError):
-            names = json.loads((folder / f"{key}.json").read_text())
-            layout = Layout.load(folder / f"{key}.npz")
-            return CompiledScene(layout, (folder / f"{key}.xml").read_text(), *(tuple(n) for n in names))
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            return _fetch(folder, key)
     compiled = _compile(scene)
     if key:
         with contextlib.suppress(OSError):
@@ -102,6 +101,23 @@ def _compile(scene: Scene) -> CompiledScene:
     return CompiledScene(world.layout, mjcf, tuple(bodies), tuple(geoms), tuple(joints))
 
 
+def _fetch(folder: Path, key: str) -> CompiledScene:
+    """Read one cache entry.
+
+    Raises:
+        ValueError: If its files do not belong together. A damaged entry may raise otherwise, too.
+    """
+    entry = json.loads((folder / f"{key}.json").read_text())
+    if entry["digest"] != _digest(folder / f"{key}.npz", folder / f"{key}.xml"):
+        raise ValueError("a damaged cache entry")
+    layout = Layout.load(folder / f"{key}.npz")
+    return CompiledScene(layout, (folder / f"{key}.xml").read_text(), *(tuple(names) for names in entry["names"]))
+
+
+def _digest(*files: Path) -> str:
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
 def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
     """Write one cache entry; the file that is read first is moved into place last."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -109,7 +125,9 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         parts = Path(work)
         compiled.layout.save(parts / "npz.npz")
         (parts / "xml").write_text(compiled.mjcf)
-        (parts / "json").write_text(json.dumps([compiled.body_name, compiled.geom_name, compiled.joint_name]))
+        names = [compiled.body_name, compiled.geom_name, compiled.joint_name]
+        entry = {"names": names, "digest": _digest(parts / "npz.npz", parts / "xml")}
+        (parts / "json").write_text(json.dumps(entry))
         os.replace(parts / "npz.npz", folder / f"{key}.npz")
         os.replace(parts / "xml", folder / f"{key}.xml")
         os.replace(parts / "json", folder / f"{key}.json")

@@ -57,6 +57,7 @@ def make_world(
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
+    _keep_servos(spec, compiled)
     for dof, mode, limit in zip(layout.actuator_dof, layout.actuator_mode, layout.actuator_effort, strict=True):
         if mode == "effort":
             actuator = spec.add_actuator(name=f"effort_{dof}", target=compiled.joint_name[dof])
@@ -68,6 +69,18 @@ def make_world(
         _add_contact_sensor(spec, compiled, f"contact_{i}", pair)
     model = spec.compile()
     return MujocoWorld(model, *_actuators(model, compiled), *_joints(model, compiled), *_entities(model, compiled))
+
+
+def _keep_servos(spec: mujoco.MjSpec, compiled: CompiledScene) -> None:
+    """Delete actuators of the assets' own; the servos of the scene's drives come before them."""
+    layout = compiled.layout
+    modes = zip(layout.actuator_dof, layout.actuator_mode, strict=True)
+    wanted = {compiled.joint_name[dof] for dof, mode in modes if mode != "effort"}
+    for actuator in list(spec.actuators):
+        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target in wanted:
+            wanted.remove(actuator.target)
+        else:
+            spec.delete(actuator)
 
 
 def _add_contact_sensor(spec: mujoco.MjSpec, compiled: CompiledScene, name: str, pair: Pair) -> None:
@@ -148,16 +161,20 @@ def _resize(model: mujoco.MjModel, geom: int, offset: np.ndarray) -> None:
     """Add ``offset`` [3] to a primitive's dimensions [m] and scale its body's inertia accordingly."""
     if not offset.any():
         return
-    kind = model.geom_type[geom]
-    old = model.geom_size[geom].copy()
-    new = old.copy()
-    count = {mujoco.mjtGeom.mjGEOM_BOX: 3, mujoco.mjtGeom.mjGEOM_SPHERE: 1}.get(kind, 2)
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))  # numpy integers do not hash like the enum
     if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH):
         return
-    half = offset[:count] * (0.5 if kind == mujoco.mjtGeom.mjGEOM_BOX else 1.0)
-    if count == 2:
-        half[1] *= 0.5  # a radius and a half length
-    new[:count] = np.maximum(old[:count] + half, 0.1 * old[:count])
+    old = model.geom_size[geom].copy()
+    new = old.copy()
+    match kind:
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            change = 0.5 * offset
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            change = offset[:1]
+        case _:  # a radius and a half length
+            change = offset[:2] * [1.0, 0.5]
+    count = len(change)
+    new[:count] = np.maximum(old[:count] + change, 0.1 * old[:count])
     model.geom_size[geom] = new
     body = model.geom_bodyid[geom]
     ratio = _unit_inertia(kind, new) / _unit_inertia(kind, old)
@@ -176,7 +193,7 @@ def _resize(model: mujoco.MjModel, geom: int, offset: np.ndarray) -> None:
     model.geom_rbound[geom] = radius
 
 
-def _unit_inertia(kind: int, size: np.ndarray) -> np.ndarray:
+def _unit_inertia(kind: mujoco.mjtGeom, size: np.ndarray) -> np.ndarray:
     """Principal inertia per mass [m²] of a primitive with MuJoCo's half sizes."""
     x, y, z = size
     match kind:
@@ -184,7 +201,14 @@ def _unit_inertia(kind: int, size: np.ndarray) -> np.ndarray:
             return np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 3.0
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             return np.full(3, 0.4 * x * x)
-        case _:  # cylinder; the ratio of capsules is close to that of the cylinder about them
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            length = 2.0 * y
+            caps = 4.0 * x / (4.0 * x + 3.0 * length)  # share of the mass
+            across = (1.0 - caps) * (3.0 * x * x + length * length) / 12.0
+            across += caps * (0.4 * x * x + length * (3.0 * x + 2.0 * length) / 8.0)
+            along = (0.5 * (1.0 - caps) + 0.4 * caps) * x * x
+            return np.array([across, across, along])
+        case _:
             return np.array([x * x / 4.0 + y * y / 3.0, x * x / 4.0 + y * y / 3.0, x * x / 2.0])
 
 

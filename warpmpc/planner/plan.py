@@ -122,6 +122,7 @@ class PlanStep:
         self.sigma.assign(self._sigma0)
         self.weights.reset()
         self.noise.reset()
+        self.costs.reset()
         self.costs.last_control.assign(np.broadcast_to(self.start, self.command.shape).copy())
 
     def __call__(self, state: ObservedState) -> None:

@@ -5,7 +5,6 @@ from enum import StrEnum
 
 import numpy as np
 import warp as wp
-from scipy.stats import qmc
 
 from warpmpc.kernels.sampling import (
     advance_counter_kernel,
@@ -25,6 +24,8 @@ class NoiseKind(StrEnum):
 
 def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: int) -> np.ndarray:
     """Scrambled Halton or Sobol points in [0, 1), ``[samples, columns]``, one independent table per seed."""
+    from scipy.stats import qmc  # slow to import
+
     rng = np.random.default_rng(seed)
     if kind is NoiseKind.HALTON:
         points = qmc.Halton(columns, scramble=True, rng=rng).random(samples)

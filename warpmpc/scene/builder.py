@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
 
 import newton
 import numpy as np
@@ -96,6 +98,8 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
             case AssetKind.URDF:
                 part.add_urdf(str(path), package_dirs=[str(p) for p in package_dirs(path)], **options)
             case AssetKind.MJCF:
+                # False would weld root bodies to the world that slide or turn on joints of their own
+                options["floating"] = robot.floating or (False if _has_free_root(path) else None)
                 part.add_mjcf(str(path), **options)
             case AssetKind.USD:
                 part.add_usd(str(path), **options)
@@ -138,6 +142,12 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
         shapes=tuple(range(first_shape, builder.shape_count)),
         joints=tuple(range(first_joint, builder.joint_count)),
     )
+
+
+def _has_free_root(path: Path) -> bool:
+    """Whether a body of an MJCF file moves freely by itself."""
+    bodies = ElementTree.parse(path).iterfind("worldbody/body")
+    return any(b.find("freejoint") is not None or b.find("joint[@type='free']") is not None for b in bodies)
 
 
 def _root(part: newton.ModelBuilder) -> int:

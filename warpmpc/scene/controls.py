@@ -75,7 +75,7 @@ def drive_robot(
     for dof in range(part.joint_dof_count):
         part.joint_target_mode[dof] = int(JointTargetMode.NONE)
         part.joint_target_ke[dof] = part.joint_target_kd[dof] = 0.0
-    driven: set[str] = set()
+    driven: dict[str, None] = {}  # in control order
     for number, drive in enumerate(robot.drive):
         where = f"{key}.drive" + (f"[{number}]" if len(robot.drive) > 1 else "")
         names = list(movable) if drive.joints is None else list(drive.joints)
@@ -86,8 +86,19 @@ def drive_robot(
                 )
             if name in driven:
                 raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
-            driven.add(name)
+            driven[name] = None
         _add_drive(part, robot, drive, names, movable, scene, where, actuators, first_coord, first_dof)
+    if robot.armature is not None:
+        if len(robot.armature) not in (1, len(driven)):
+            raise SceneError(
+                f"needs 1 or {len(driven)} values, one per driven joint",
+                key=f"{key}.armature",
+                file=scene.path,
+                found=list(robot.armature),
+            )
+        values = robot.armature * (len(driven) if len(robot.armature) == 1 else 1)
+        for name, value in zip(driven, values, strict=True):
+            part.joint_armature[movable[name][1]] = value
 
 
 def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene, key: str) -> None:
@@ -132,7 +143,6 @@ def _add_drive(
     ke = spread("stiffness", count, drive.stiffness)
     kd = spread("damping", count, drive.damping)
     effort = None if drive.effort_limit is None else spread("effort_limit", count, drive.effort_limit)
-    armature = None if robot.armature is None or len(robot.armature) != 1 else robot.armature * count
 
     first_control = len(actuators.control)
     labels = ["v", "ω"] if drive.mode is DriveMode.DIFF_DRIVE else names
@@ -153,8 +163,6 @@ def _add_drive(
         part.joint_target_kd[dof] = 0.0 if drive.mode is DriveMode.EFFORT else kd[i]
         if effort is not None:
             part.joint_effort_limit[dof] = effort[i]
-        if armature is not None:
-            part.joint_armature[dof] = armature[i]
         if drive.mode is DriveMode.DIFF_DRIVE:
             sign = -1.0 if i == 0 else 1.0
             row = {

@@ -39,6 +39,13 @@ def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
         SceneError: If anything is wrong with it.
     """
     path, variant = _find(source)
+    try:
+        return _load(path, variant, overrides)
+    except RecursionError:
+        raise SceneError("is nested too deeply", file=path) from None
+
+
+def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
     data = _read(path)
     patch = _pick(data.pop("variants", {}), variant, path)
     origin = f"{path} [variants.{variant}]"

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a recording opens: the scene on the left, what the planner thinks on the right."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+
+def blueprint(centre: np.ndarray, radius: float, *, ground: float | None, contacts: bool) -> rrb.Blueprint:
+    """The views of a recording.
+
+    Args:
+        centre: Centre of the scene ``[3]`` [m].
+        radius: Its radius [m].
+        ground: Height of the floor [m].
+        contacts: Whether there are contact forces to show.
+    """
+    floor = rr.encodings.Plane3D((0.0, 0.0, 1.0), ground or 0.0)
+    scene = rrb.Spatial3DView(
+        name="scene",
+        origin="/",
+        contents=["+ /scene/**", "+ /goal/**", "+ /rollouts/**", "+ /contact/**"],
+        line_grid=rrb.LineGrid3D(visible=ground is not None, plane=floor),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=centre + 1.7 * radius * np.array([-0.35, -0.9, 0.85]),
+            look_target=centre,
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+    last = [series("plan [ms]", "plan_ms"), series("diverged worlds", "diverged_worlds")]
+    if contacts:
+        last.insert(1, series("contact force [N]", "contact_force"))
+    right = rrb.Vertical(
+        series("cost of the best rollout", "cost"),
+        series("goal error [m, rad]", "goal_error"),
+        series("control", "control"),
+        rrb.Horizontal(series("effective samples η", "temperature/eta"), series("temperature β", "temperature/beta")),
+        rrb.Tabs(*last, active_tab=0),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, right, column_shares=[3, 2]),
+        rrb.TimePanel(timeline="time", state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def series(name: str, origin: str) -> rrb.TimeSeriesView:
+    """A plot of all scalars below an entity path."""
+    return rrb.TimeSeriesView(name=name, origin=f"/{origin}")
