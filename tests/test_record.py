@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -304,11 +305,12 @@ def test_a_killed_run_leaves_all_but_its_last_steps(tmp_path):
     assert recording.over_time("/scene/box", "Transform3D:translation")[0] == list(range(len(steps) + 1))
     assert len(recording.reader.blueprints()) == 1
 
-    # even when the kill comes in the middle of a write
+    # a write that the kill tore apart
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.warns(RerunWarning, match="no footer"):
-        torn = Recording(path)
-    assert len(torn.curve("/cost/total")[0]) >= ROWS
+    whole = tmp_path / "whole.rrd"
+    with whole.open("wb") as out:
+        subprocess.run([sys.executable, "-m", "rerun", "rrd", "filter", "--continue-on-error", path], stdout=out)
+    assert len(Recording(whole).curve("/cost/total")[0]) >= ROWS
 
 
 def test_a_file_that_cannot_be_written_is_told_before_the_run(loop, tmp_path):
@@ -323,6 +325,25 @@ def test_a_file_that_cannot_be_written_is_told_before_the_run(loop, tmp_path):
             Recorder(path, loop.controller, loop.plant)
     with pytest.raises(ValueError, match=r"a recording is a \.rrd file"):
         Recorder(tmp_path / "a.mp4", loop.controller, loop.plant)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_full_disk_is_told_before_the_run(loop, tmp_path):
+    (tmp_path / "full.rrd").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="cannot write the recording"):
+        Recorder(tmp_path / "full.rrd", loop.controller, loop.plant)
+
+
+def test_a_disk_that_fills_up_ends_the_recording_not_the_run(loop, tmp_path, monkeypatch, caplog):
+    def full(**_):
+        raise RuntimeError("no space left on device")
+
+    with Recorder(tmp_path / "a.rrd", loop.controller, loop.plant) as recorder:
+        monkeypatch.setattr(recorder._recording, "flush", full)
+        for _ in range(2 * ROWS):
+            loop.step(recorder)
+    assert sum("no space left" in record.getMessage() for record in caplog.records) == 1
+    assert not recorder._plans
 
 
 def test_log_and_close_in_the_wrong_order(loop, tmp_path):

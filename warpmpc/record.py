@@ -6,6 +6,7 @@ This module alone needs rerun; import it where a recording is wanted.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from .record_shapes import (
     ContactPoints,
     body_path,
     draw_shape,
-    path,
+    entity_path,
     resized,
     rotate,
     scene_bounds,
@@ -31,6 +32,8 @@ from .scene.layout import WORLD
 if TYPE_CHECKING:
     from .controller import Controller
     from .plant import Plant
+
+logger = logging.getLogger("warpmpc")
 
 ROWS = 20
 """Steps that are written to the file together: as much as a killed run can lose."""
@@ -72,7 +75,9 @@ class Recorder:
     ``/diverged_worlds``.
 
     Rows are kept in memory and written every :data:`ROWS` steps, so that a call costs little and a run that is
-    killed leaves a readable file.
+    killed leaves a file that opens. Such a file has no footer: read it with ``RrdReader(file).stream()``, or give it
+    one with ``rerun rrd filter --continue-on-error FILE.rrd > WHOLE.rrd``, which also drops a torn last row. When a
+    file cannot be written any more (a full disk), an error is logged and the recording ends, not the run.
 
     Args:
         path: File to write, ``*.rrd``; an existing file is replaced.
@@ -112,7 +117,11 @@ class Recorder:
         self._recording.set_log_time_enabled(False)
         ground = None if scene.ground is None else scene.ground.height
         views = blueprint(centre, radius, ground=ground, contacts=bool(plant.pairs))
-        self._recording.save(self.path, default_blueprint=views)
+        try:
+            self._recording.save(self.path, default_blueprint=views)
+        except RuntimeError as error:
+            raise OSError(f"cannot write the recording '{self.path}': {error}") from None
+        self._failed = False
         self._recording.send_recording_name(scene.title or scene.name)
         self._draw_scene(2.0 * radius)
         self._draw_goal()
@@ -138,6 +147,8 @@ class Recorder:
             raise ValueError(f"the recording {self.path} is closed")
         if self._controller.info is None or self._plant.steps < 1:
             raise ValueError("log comes after controller.step and plant.apply")
+        if self._failed:
+            return
         self._draw_goal()
         self._take_plan(np.asarray(control, dtype=np.float64))
         self._take_state()
@@ -159,14 +170,14 @@ class Recorder:
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for entity in layout.entities:
             for shape in shown_shapes(layout, entity):
-                parent = path("scene", entity.name) if shape.body == WORLD else self._bodies[shape.body]
+                parent = entity_path("scene", entity.name) if shape.body == WORLD else self._bodies[shape.body]
                 if entity.kind != "robot":
                     shape = resized(shape, properties)
-                draw_shape(recording, parent + path(shape.name), shape, layout, reach=reach)
+                draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
         goal = self._plant.scene.goal
         if goal.object is not None:
             for shape in shown_shapes(layout, layout.entity(goal.object)):
-                draw_shape(recording, "/goal" + path(shape.name), shape, layout, reach=reach, opacity=GHOST)
+                draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)
         else:
             length = 0.15 * np.eye(3)
             colors = [(230, 50, 50), (50, 200, 50), (70, 90, 255)]
@@ -181,15 +192,15 @@ class Recorder:
     def _name_curves(self) -> list[tuple[str, str]]:
         """Entity path and legend of every curve: first those of a plan, then those of a state."""
         controller, layout = self._controller, self._layout
-        plan = [(path("cost", label), label) for label in (*controller.costs.labels, "total")]
+        plan = [(entity_path("cost", label), label) for label in (*controller.costs.labels, "total")]
         plan += [(f"/temperature/{name}", symbol) for name, symbol in (("beta", "β"), ("eta", "η"))]
-        plan += [(path("control", *name.split("/")), name) for name in layout.control_name]
-        plan += [(path("plan_ms", stage), stage) for stage in ("total", *controller.plan.stages)]
+        plan += [(entity_path("control", *name.split("/")), name) for name in layout.control_name]
+        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", *controller.plan.stages)]
         plan += [("/diverged_worlds", "diverged worlds")]
         self._plan_curves = len(plan)
         state = [(f"/goal_error/{name}", name) for name in ("position", *self._turning)]
         names = [f"{pair.first}-{pair.second}" for pair in self._plant.pairs]
-        return plan + state + [(path("contact_force", name), name) for name in names]
+        return plan + state + [(entity_path("contact_force", name), name) for name in names]
 
     # ---- what changes
 
@@ -238,7 +249,8 @@ class Recorder:
         """
         controller = self._controller
         cost = controller.plan.weights.cost.numpy()[0]
-        ranked = np.argsort(cost)[: np.count_nonzero(np.isfinite(cost))]  # infinite and NaN costs sort last
+        ranked = np.argsort(cost)
+        ranked = ranked[np.isfinite(cost[ranked])]
         if controller.info.fallback or not len(ranked):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=np.uint32)
         rows = np.linspace(0, len(ranked) - 1, min(self._fan, len(ranked))).astype(int)
@@ -261,7 +273,12 @@ class Recorder:
         if self._plans:
             self._send_plans()
         self._states, self._plans = [], []
-        self._recording.flush()
+        try:
+            self._recording.flush()
+        except RuntimeError as error:
+            if not self._failed:
+                logger.error("t = %.2f s: the recording '%s' ends here: %s", self._plant.time, self.path, error)
+            self._failed = True
 
     def _send_states(self) -> None:
         send = self._recording.send_columns

@@ -21,7 +21,7 @@ GHOST = 0.35
 """Opacity of the goal."""
 
 
-def path(*parts: str) -> str:
+def entity_path(*parts: str) -> str:
     """Entity path of these parts; a slash inside a part does not start a child."""
     return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
 
@@ -31,7 +31,7 @@ def body_path(layout: Layout, body: int) -> str:
     owner = next((e.name for e in layout.entities if body in e.bodies), "")
     name = layout.body_name[body]
     link = name.removeprefix(f"{owner}/") if owner else name
-    return path("scene", owner, link) if owner and name != owner else path("scene", name)
+    return entity_path("scene", owner, link) if owner and name != owner else entity_path("scene", name)
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -108,14 +108,14 @@ def _fetch(folder: Path, key: str) -> CompiledScene:
         ValueError: If its files do not belong together. A damaged entry may raise otherwise, too.
     """
     entry = json.loads((folder / f"{key}.json").read_text())
-    if entry["digest"] != _digest(folder / f"{key}.npz", folder / f"{key}.xml"):
+    if entry["digest"] != _digest(entry["names"], folder / f"{key}.npz", folder / f"{key}.xml"):
         raise ValueError("a damaged cache entry")
     layout = Layout.load(folder / f"{key}.npz")
     return CompiledScene(layout, (folder / f"{key}.xml").read_text(), *(tuple(names) for names in entry["names"]))
 
 
-def _digest(*files: Path) -> str:
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+def _digest(names: object, *files: Path) -> str:
+    return hashlib.sha256(json.dumps(names).encode() + b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
@@ -126,7 +126,7 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         compiled.layout.save(parts / "npz.npz")
         (parts / "xml").write_text(compiled.mjcf)
         names = [compiled.body_name, compiled.geom_name, compiled.joint_name]
-        entry = {"names": names, "digest": _digest(parts / "npz.npz", parts / "xml")}
+        entry = {"names": names, "digest": _digest(names, parts / "npz.npz", parts / "xml")}
         (parts / "json").write_text(json.dumps(entry))
         os.replace(parts / "npz.npz", folder / f"{key}.npz")
         os.replace(parts / "xml", folder / f"{key}.xml")

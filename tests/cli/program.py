@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the command line as a user does: as a program of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = [sys.executable, "-m", "warpmpc.cli"]
+
+TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
+"""Ten controls from few samples: nothing is reached."""
+
+SCENE = """
+[[robot]]
+name = "base"
+asset = "omni_base.urdf"
+drive = { damping = 600.0, effort_limit = 100.0, limit = [0.8, 0.8, 1.0] }
+frames.tip = { link = "base_link" }
+
+[[object]]
+name = "box"
+shape = "box"
+size = [0.3, 0.5, 0.3]
+mass = 1.0
+position = [1.0, 0.0, 0.15]
+
+[goal]
+object = "box"
+position = [2.0, 0.0]
+
+[[cost]]
+term = "distance"
+between = ["base/tip", "box"]
+
+[planner]
+samples = 16
+horizon = 4
+
+[success]
+position = 0.05
+
+[variants.near]
+goal.position = [1.2, 0.0]
+"""
+
+
+def warpmpc(*args: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run ``warpmpc ARGS`` in a folder."""
+    command = [*PROGRAM, *map(str, args)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, encoding="utf-8", timeout=280)
+
+
+def results(done: subprocess.CompletedProcess[str]) -> list[dict]:
+    """What ``--json`` printed, every line of it."""
+
+    def reject(constant: str) -> None:
+        raise ValueError(f"{constant} is not JSON")
+
+    return [json.loads(line, parse_constant=reject) for line in done.stdout.splitlines()]
+
+
+def untimed(result: dict) -> dict:
+    """A result without its wall times."""
+    return {key: value for key, value in result.items() if key not in ("plan_ms", "stages_ms")}

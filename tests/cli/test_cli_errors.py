@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong input: exit code 2 and one message that says where, what and what instead; never a traceback."""
+
+import pytest
+from program import SCENE, warpmpc
+
+
+def message(folder, *args) -> str:
+    """The one line on stderr of a command that must refuse its input."""
+    done = warpmpc(*args, folder=folder)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a scene file in it."""
+    (tmp_path / "mine.toml").write_text(SCENE)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("samples = 16", "sampels = 16", ["planner.sampels", "unknown key", "horizon", "Did you mean 'samples'?"]),
+        ("mass = 1.0", "mass = -1.0", ["object.box.mass", "must be above 0", "found -1.0"]),
+        ("horizon = 4", "horizon = 0", ["planner.horizon", "must be at least 1", "found 0"]),
+        ("[planner]", "[planner", ["mine.toml:", "is not valid TOML"]),
+        (
+            'asset = "omni_base.urdf"',
+            'asset = "omni_bse.urdf"',
+            ["robot.base.asset", "no such file", "'omni_bse.urdf'"],
+        ),
+        ('term = "distance"', 'term = "distence"', ["cost.distence.term", "height", "Did you mean 'distance'?"]),
+        ('"base/tip", "box"', '"base/tup", "box"', ["cost.distance.between", "found 'base/tup'", "'base/tip'?"]),
+        ('"base/tip", "box"]', '"base/tip", "box"]\nmetrik = 1', ["cost.distance.metrik", "'metric'?"]),
+        ('link = "base_link"', 'link = "base_lnk"', ["robot.base.frames.tip.link", "'base_link'?"]),
+    ],
+    ids=["key", "mass", "horizon", "syntax", "asset", "term", "frame", "term key", "link"],
+)
+def test_a_mistake_in_the_file(folder, old, new, says):
+    assert old in SCENE
+    (folder / "mine.toml").write_text(SCENE.replace(old, new, 1))
+    text = message(folder, "run", "mine.toml")
+    assert str(folder / "mine.toml") in text
+    for part in says:
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["omni_push_bax"], ["no such scene file", "point_reach", "Did you mean 'omni_push_box'?"]),
+        (["mine.toml:naer"], ["mine.toml", "no such variant", "allowed: near", "Did you mean 'near'?"]),
+        (["mine.toml", "--set", "planner.discount=nan"], ["--set", "planner.discount", "must be finite", "found nan"]),
+        (["mine.toml", "--set", "planner.samples"], ["--set", "KEY=VALUE"]),
+        (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco"]),
+        (["mine.toml", "--device", "cuda:7"], ["cpu", "'cuda:7'"]),
+        (["mine.toml", "--terms", "none.py"], ["none.py", "cannot be read", "No such file"]),
+        (["mine.toml", "--record", "no/where.rrd"], ["--record", "no such folder"]),
+    ],
+    ids=["scene", "variant", "nan", "no value", "engine", "device", "terms", "record"],
+)
+def test_a_mistake_in_the_command(folder, args, says):
+    text = message(folder, "run", *args)
+    for part in says:
+        assert part in text
+
+
+def test_check_refuses_like_run(folder):
+    assert "Did you mean 'base/tip'?" in message(
+        folder, "check", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("def f(:\n", ["terms.py:1", "SyntaxError"]),
+        ("\nimport warpmpc\nwarpmpc.nothing\n", ["terms.py:3", "AttributeError", "nothing"]),
+        ("x = 1\n", ["terms.py", "defines no cost term"]),
+    ],
+    ids=["syntax", "exception", "no term"],
+)
+def test_a_mistake_in_a_file_of_terms(folder, text, says):
+    (folder / "terms.py").write_text(text)
+    found = message(folder, "run", "mine.toml", "--terms", "terms.py")
+    for part in says:
+        assert part in found
+
+
+@pytest.mark.parametrize(
+    "args", [["run"], ["run", "mine.toml", "--nonsense"], ["run", "mine.toml", "--episodes", "0"], ["fly"]]
+)
+def test_wrong_usage(folder, args):
+    done = warpmpc(*args, folder=folder)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("Error: ") == 1
+    assert "Traceback" not in done.stderr

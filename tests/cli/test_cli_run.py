@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes from the command line: what stdout carries, exit codes, seeds, recordings, Ctrl-C, users' terms."""
+
+import json
+import signal
+import subprocess
+
+import pytest
+from program import PROGRAM, SCENE, TINY, results, untimed, warpmpc
+
+KEYS = [
+    "scene",
+    "variant",
+    "seed",
+    "engine",
+    "device",
+    "success",
+    "reason",
+    "time_to_goal_s",
+    "sim_time_s",
+    "steps",
+    "final",
+    "collisions",
+    "plan_ms",
+    "stages_ms",
+    "diverged_worlds",
+    "samples",
+    "horizon",
+    "fallbacks",
+]
+
+TERMS = """
+import numpy as np
+import warp as wp
+import warpmpc
+
+
+@wp.struct
+class LeanParams:
+    frame: int
+
+
+@warpmpc.cost_term("lean")
+def lean(s: warpmpc.StepView, p: LeanParams) -> float:
+    return 1.0 - wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), wp.vec3(0.0, 0.0, 1.0))[2]
+
+
+@warpmpc.array_cost("effort")
+def effort(batch):
+    print("a term may chatter")
+    return batch["params"]["gain"] * np.square(batch["control"]).sum(axis=-1)
+"""
+
+
+@pytest.fixture(scope="module")
+def two_episodes():
+    return warpmpc("run", "omni_push_box:B", "--json", "--seed", "3", "--episodes", "2", *TINY)
+
+
+def test_json_is_all_there_is_on_stdout(two_episodes):
+    assert two_episodes.stderr == ""
+    first, second = results(two_episodes)
+    for result in (first, second):
+        assert list(result) == KEYS
+        assert list(result["final"]) == ["position_error_m", "yaw_error_rad", "cost"]
+        assert list(result["collisions"]) == ["max_force_N", "time_in_contact_s"]
+        assert list(result["plan_ms"]) == ["p50", "p90", "p99", "max"]
+        assert list(result["stages_ms"]) == ["clone", "sample", "rollout", "cost", "weigh"]
+        assert (result["scene"], result["variant"]) == ("omni_push_box", "B")
+        assert (result["engine"], result["device"]) == ("mujoco", "cpu")
+        assert (result["samples"], result["horizon"], result["steps"]) == (16, 4, 10)
+        assert (result["success"], result["reason"], result["time_to_goal_s"]) == (False, "timeout", None)
+        assert result["sim_time_s"] == pytest.approx(0.4)
+        assert 0.0 < result["plan_ms"]["p50"] <= result["plan_ms"]["p99"] <= result["plan_ms"]["max"]
+    assert [first["seed"], second["seed"]] == [3, 4]
+    assert first["final"]["cost"] != second["final"]["cost"]
+
+
+def test_an_episode_that_fails_ends_in_exit_code_1(two_episodes):
+    assert two_episodes.returncode == 1
+
+
+def test_the_same_seed_gives_the_same_result(two_episodes):
+    again = warpmpc("run", "omni_push_box:B", "--json", "--seed", "4", *TINY)
+    assert [untimed(result) for result in results(again)] == [untimed(results(two_episodes)[1])]
+
+
+def test_success_ends_in_exit_code_0(tmp_path):
+    easy = ["--set", "success.position=5.0", "--set", "success.yaw=3.2", "--set", "success.hold=0.08"]
+    done = warpmpc("run", "omni_push_box", "--json", *TINY, *easy)
+    assert done.returncode == 0
+    (result,) = results(done)
+    assert (result["success"], result["reason"], result["steps"]) == (True, "goal reached", 2)
+    assert result["time_to_goal_s"] == result["sim_time_s"] == pytest.approx(0.08)
+
+
+def test_a_goal_that_is_reached_at_the_start_needs_no_plan():
+    done = warpmpc("run", "omni_push_box", "--json", *TINY, "--set", "success={ position = 5.0 }")
+    (result,) = results(done)
+    assert (done.returncode, result["success"], result["steps"], result["time_to_goal_s"]) == (0, True, 0, 0.0)
+    assert set(result["plan_ms"].values()) == {None}
+    assert result["final"]["cost"] is None
+
+
+def test_drawn_tasks_say_what_was_drawn():
+    done = warpmpc("run", "point_reach", "--json", "--episodes", "2", *TINY)
+    first, second = results(done)
+    assert list(first) == [*KEYS, "drawn"]
+    assert first["drawn"].keys() == second["drawn"].keys() >= {"goal.position"}
+    assert first["drawn"] != second["drawn"]
+
+
+def test_the_table_has_one_row_per_episode_and_a_sum():
+    done = warpmpc("run", "omni_push_box", "--episodes", "2", *TINY)
+    assert (done.returncode, done.stderr) == (1, "")
+    rows = [line.split()[:3] for line in done.stdout.splitlines() if "timeout" in line]
+    assert rows == [["0", "timeout", "0.40"], ["1", "timeout", "0.40"]]
+    assert done.stdout.endswith("0 of 2 reached the goal\n")
+
+
+def test_quiet_says_nothing():
+    done = warpmpc("run", "omni_push_box", "--quiet", *TINY)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
+
+
+def test_terms_of_a_user(tmp_path):
+    (tmp_path / "terms.py").write_text(TERMS)
+    costs = '[[cost]]\nterm = "lean"\nframe = "box"\n\n[[cost]]\nterm = "effort"\ngain = 0.5\n\n[planner]'
+    (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", costs))
+    done = warpmpc("run", "mine.toml", "--json", "--terms", "terms.py", *TINY, folder=tmp_path)
+    (result,) = results(done)
+    assert result["steps"] == 10
+    assert "a term may chatter" in done.stderr
+
+
+def test_recordings_of_several_episodes_carry_their_seeds(tmp_path):
+    done = warpmpc(
+        "run", "omni_push_box", "--quiet", "--seed", "7", "--episodes", "2", "--record", "a.rrd", *TINY, folder=tmp_path
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-7.rrd", "a-8.rrd"]
+
+
+def test_ctrl_c_prints_what_there_is(tmp_path):
+    # samples and horizon of TINY, but an episode long enough to be interrupted
+    command = ["run", "omni_push_box", "--json", "--episodes", "100", "--record", "a.rrd", *TINY[:4]]
+    with subprocess.Popen(
+        [*PROGRAM, *command, "--set", "timing.timeout=4.0"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    ) as process:
+        lines = [process.stdout.readline()]
+        process.send_signal(signal.SIGINT)
+        rest, errors = process.communicate(timeout=120)
+    lines += rest.splitlines()
+    found = [json.loads(line) for line in lines]
+    assert process.returncode == 130
+    assert errors == ""
+    assert found[0]["reason"] == "timeout"
+    assert all(result["reason"] == "timeout" for result in found[:-1])
+    assert len(found) < 100
+    assert (tmp_path / "a-0.rrd").stat().st_size > 0
