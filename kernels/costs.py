@@ -147,16 +147,23 @@ class DistanceParams:
     second: int
     planar: int  # compare x and y alone
     field: int  # distance field, -1 for the straight line
+    near: float  # [m] saturate: 1 - exp(-d/near) instead of d; 0 means d itself
 
 
 @wp.func
 def distance(s: StepView, p: DistanceParams) -> float:
-    """Distance between two frames, ‖p_a - p_b‖ (Pezzato et al. 2025, Eq. 10), or along the geodesic."""
+    """Distance between two frames, ‖p_a - p_b‖ (Pezzato et al. 2025, Eq. 10), straight or along the geodesic [m].
+
+    With ``near`` it saturates, 1 - exp(-d/near): a pull that acts close to the target alone.
+    """
     a = frame_position(s, p.first)
     b = frame_position(s, p.second)
-    if p.planar == 0:
-        return wp.length(a - b)
-    return plane_distance(s, p.field, wp.vec2(b[0], b[1]), wp.vec2(a[0], a[1]))
+    d = wp.length(a - b)
+    if p.planar != 0:
+        d = plane_distance(s, p.field, wp.vec2(b[0], b[1]), wp.vec2(a[0], a[1]))
+    if p.near > 0.0:
+        return 1.0 - wp.exp(-d / p.near)
+    return d
 
 
 @wp.struct

@@ -58,7 +58,7 @@ class Binding:
         """Watch the contact forces between two entities or groups; returns (first pair, count).
 
         Raises:
-            SceneError: If there is no such entity or group, or no pair of different entities.
+            SceneError: If there is no such entity or group, or it is one entity with itself.
         """
         try:
             sides = [self.layout.group(name) for name in (first, second)]
@@ -66,6 +66,10 @@ class Binding:
             raise SceneError(
                 error.message, key=f"{self.key}.{key}", file=self.file, found=error.found, allowed=error.allowed
             ) from None
+        if first == second and len(sides[0]) == 1:
+            raise SceneError(
+                "contact takes two different things", key=f"{self.key}.{key}", file=self.file, found=[first, second]
+            )
         wanted = [Pair(a.name, b.name) for a in sides[0] for b in sides[1] if a.name != b.name]
         start = len(self.pairs)
         self.pairs.extend(wanted)

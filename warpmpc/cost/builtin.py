@@ -39,6 +39,8 @@ class Distance(Section):
     """Whether the height is left out; always so with the geodesic metric and for goals without a height."""
     inflation: NonNegative | None = None
     """Geodesic: obstacles grow by this for the mover's size [m]; from its shapes when left out."""
+    near: NonNegative = 0.0
+    """Saturate: 1 - exp(-d/near), a pull that acts within about this distance alone [m]; 0 means d itself."""
 
 
 class Yaw(Section):
@@ -131,7 +133,7 @@ def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
     p.first, p.second = (b.frame(name, "between") for name in v.between)
     flat_goal = "goal" in v.between and len(b.scene.goal.position) == 2
     p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
-    p.field = -1
+    p.field, p.near = -1, v.near
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.second, b.footprint(v.between[0]) if v.inflation is None else v.inflation)
     return p
