@@ -17,7 +17,7 @@ from .engine.mujoco import MujocoEngine
 from .engine.properties import draw_properties
 from .engine.trajectory import ObservedState, Shape
 from .goal import goal_pose
-from .planner.plan import PlanStep
+from .planner.plan import PlanStep, step_dt
 from .state import Info, State
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ class Controller:
         terms: Sequence[CostTerm | ArrayCost] = (),
         compiled: CompiledScene | None = None,
     ):
-        wp.config.quiet = True
         engine = str(scene.engine.name) if engine == "auto" else engine
         if engine not in ("auto", "mujoco"):
             raise ValueError(f"no engine '{engine}'; there is: auto, mujoco")
@@ -69,7 +68,7 @@ class Controller:
         self.engine = MujocoEngine(
             self.compiled,
             self.shape,
-            control_dt=scene.timing.control_dt,
+            control_dt=step_dt(scene),
             substeps=physics.substeps,
             pairs=self.costs.pairs,
             properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
@@ -96,14 +95,15 @@ class Controller:
         """Move the goal; takes effect at the next plan.
 
         Args:
-            pose: Pose ``[7]`` (x, y, z, qx, qy, qz, qw).
+            pose: Pose ``[7]`` (x, y, z, qx, qy, qz, qw); the quaternion is normalized.
 
         Raises:
-            ValueError: If the pose is not seven finite numbers.
+            ValueError: If the pose is not seven finite numbers, or its quaternion is zero.
         """
-        pose = np.asarray(pose, dtype=np.float32)
-        if pose.shape != (7,) or not np.isfinite(pose).all():
+        pose = np.array(pose, dtype=np.float32)
+        if pose.shape != (7,) or not np.isfinite(pose).all() or not pose[3:].any():
             raise ValueError(f"a goal is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
+        pose[3:] /= np.linalg.norm(pose[3:])
         self.costs.set_goal(pose[None])
 
     def reset(self) -> None:

@@ -57,9 +57,9 @@ class EpisodeResult:
     cost: float
     """Cost of the last plan's best sample; NaN without a plan."""
     max_force: float
-    """Largest net force between robots and obstacles [N]."""
+    """Largest net force between robots or objects and obstacles [N]."""
     time_in_contact: float
-    """Time of contact between robots and obstacles [s]."""
+    """Time of contact between robots or objects and obstacles [s]."""
     plan_ms: dict[str, float]
     """Wall time of a plan [ms]: ``p50``, ``p90``, ``p99``, ``max``; NaN without a plan."""
     stages_ms: dict[str, float]

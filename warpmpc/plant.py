@@ -29,6 +29,9 @@ CONTACT_FORCE = 1e-3
 class Plant:
     """A simulated plant with physical properties, noise, delay and disturbances of its own.
 
+    ``error`` is how far the goal's object or frame is from the goal, ``contact`` what robots and objects touched,
+    ``pairs`` the pairs whose contact is watched.
+
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
@@ -172,14 +175,18 @@ class Plant:
     def _check(self) -> None:
         """Take note of the state just reached."""
         self._history.append(self.state)
+        self.error = self._goal_error()
         self._within = self._within + 1 if self.error.within(self.scene.success) else 0
 
-    @property
-    def error(self) -> GoalError:
-        """How far the goal's object or frame is from the goal."""
+    def _goal_error(self) -> GoalError:
         frame = self.layout.frame(self.scene.goal.target, key="goal")
         pose = wp.transform(*self.body_q[self.layout.frame_body[frame]]) * wp.transform(*self.layout.frame_pose[frame])
         return goal_error(self.scene.goal, self.goal, np.array([*pose.p, *pose.q]))
+
+    @property
+    def forces(self) -> np.ndarray:
+        """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
+        return -self._engine.sensor[0, -1].reshape(-1, 3)  # MuJoCo measures it on the second
 
     @property
     def success(self) -> bool:

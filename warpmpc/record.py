@@ -224,7 +224,7 @@ class Recorder:
         error = plant.error
         force = np.zeros((len(plant.pairs), 3))
         if plant.pairs and plant.steps:
-            force[:] = plant._engine.sensor[0, -1].reshape(-1, 3)
+            force[:] = plant.forces
         size = np.linalg.norm(force, axis=1)
         touching = np.flatnonzero(size > CONTACT_FORCE)
         origins = np.array([self._points[i](body_q) for i in touching]).reshape(-1, 3)

@@ -57,7 +57,7 @@ class Info:
 
 @dataclass
 class Contact:
-    """Contacts of robots with obstacles over an episode."""
+    """Contacts of robots and objects with obstacles over an episode."""
 
     max_force: float = 0.0
     """Largest net force [N]."""

@@ -164,8 +164,11 @@ class CostStack:
             batch = {name: array.numpy() for name, array in batch.items()}
         value = term.function({**batch, "params": params})
         if tuple(value.shape) != tuple(self.cost.shape[1:]):
-            raise ValueError(
-                f"cost term '{term.name}' returned shape {tuple(value.shape)}, not [T, W] = {self.cost.shape[1:]}"
+            raise SceneError(
+                "this cost term returned an array of the wrong shape",
+                key=f"cost.{self.labels[i]}",
+                found=tuple(value.shape),
+                allowed=f"[T, W] = {tuple(self.cost.shape[1:])}",
             )
         if self.device == "cpu":
             self.cost[i].assign(np.asarray(value, dtype=np.float32) * self._weights[i])

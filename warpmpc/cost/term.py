@@ -146,14 +146,15 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
     try:
         return keys.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
+        # an unknown key is often a missing one misspelt
+        first = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
         name = ".".join(str(part) for part in first["loc"])
         where = f"{binding.key}.{name}"
         if first["type"] == "extra_forbidden":
             raise SceneError(
                 "unknown key", key=where, file=binding.file, found=name, allowed=keys.model_fields
             ) from None
-        if first["type"] == "missing":
+        if first["type"] == "missing" and len(first["loc"]) == 1:
             raise SceneError(f"the key '{name}' is missing", key=binding.key, file=binding.file) from None
         field = keys.model_fields.get(str(first["loc"][0]))
         allowed = field.description if field and field.description else first["msg"]

@@ -19,6 +19,6 @@ class Pair:
 
 
 def collision_pairs(layout: Layout) -> tuple[Pair, ...]:
-    """Every robot against every obstacle: the contacts that count as collisions in reports."""
-    robots, obstacles = layout.group("robots"), layout.group("obstacles")
-    return tuple(Pair(r.name, o.name) for r in robots for o in obstacles)
+    """Every robot and object against every obstacle: the contacts that count as collisions in reports."""
+    movers = layout.group("robots") + layout.group("objects")
+    return tuple(Pair(m.name, o.name) for m in movers for o in layout.group("obstacles"))

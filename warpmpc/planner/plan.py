@@ -67,11 +67,11 @@ class PlanStep:
         self.device = engine.device
         envs, samples, nu = shape.envs, shape.samples, layout.nu
         self.knots_count = planner.knots or shape.horizon
-        self.control_dt = scene.timing.control_dt
-        # P = T: one knot per control; fewer knots span the horizon end to end
+        self.control_dt, self.step_dt = scene.timing.control_dt, step_dt(scene)
+        # P = T: one knot per step; fewer knots span the horizon end to end
         span = shape.horizon if self.knots_count == shape.horizon else shape.horizon - 1
         steps = self.knots_count if self.knots_count == shape.horizon else self.knots_count - 1
-        self.knot_dt = self.control_dt * span / steps
+        self.knot_dt = self.step_dt * span / steps
         self.kind = SplineKind(planner.spline.value).code
 
         def array(values: np.ndarray) -> wp.array:
@@ -96,9 +96,11 @@ class PlanStep:
         self.control = empty(shape.horizon, shape.worlds, nu)
         self.rollout_cost = empty(shape.worlds)
         self.command = empty(envs, nu)
+        self.weighting = weighting_of(planner)
         self.noise = NoiseSource(
             source=NoiseKind(planner.noise.source.value),
-            redraw=planner.noise.redraw or planner.iterations > 1,
+            # a σ that narrows onto the same draws again and again carries the plan away from the optimum
+            redraw=planner.noise.redraw or planner.iterations > 1 or self.weighting.adapts_sigma,
             seed=seed,
             envs=envs,
             samples=samples,
@@ -107,7 +109,6 @@ class PlanStep:
             device=self.device,
         )
         self.shaping = array(shaping_matrix(planner.noise, self.knots_count))
-        self.weighting = weighting_of(planner)
         self.weights = WeightingState(
             envs=envs, samples=samples, temperature=planner.temperature.initial, device=self.device
         )
@@ -175,7 +176,7 @@ class PlanStep:
         self._launch(
             spline_control_kernel,
             self.control.shape[:2],
-            [self.knots, self.lower, self.upper, self.kind, self.knot_dt, self.control_dt, self.shape.domains],
+            [self.knots, self.lower, self.upper, self.kind, self.knot_dt, self.step_dt, self.shape.domains],
             [self.control],
         )
 
@@ -227,6 +228,25 @@ class PlanStep:
                 shift_knots_kernel, plan.shape, [plan, self.kind, self.control_dt, self.knot_dt], [self._shifted]
             )
             wp.copy(plan, self._shifted)
+
+
+def step_dt(scene: Scene) -> float:
+    """Length of one step of a scene's rollouts [s].
+
+    Raises:
+        SceneError: If it differs from the control's and the spline is of zero order, which could not be moved ahead
+            by part of a step.
+    """
+    dt = scene.planner.dt or scene.timing.control_dt
+    if abs(dt - scene.timing.control_dt) > 1e-9 and scene.planner.spline == SplineKind.ZERO:
+        raise SceneError(
+            "rollout steps that differ from timing.control_dt need a smoother spline",
+            key="planner.spline",
+            file=scene.path,
+            found="zero",
+            allowed="linear, cubic, bspline",
+        )
+    return dt
 
 
 def weighting_of(planner: Planner) -> Weighting:

@@ -346,7 +346,10 @@ class Planner(Section):
     samples: TwoOrMore = 256
     """Candidate control sequences S."""
     horizon: Count = 16
-    """Control steps T of a rollout."""
+    """Steps T of a rollout."""
+    dt: Positive | None = None
+    """Length of one step of a rollout [s], ``timing.control_dt`` when left out. Longer steps look further ahead at the
+    same price; they need a spline other than zero."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     risk: Risk = Risk.MEAN
