@@ -77,6 +77,21 @@ def random_normal_kernel(
 
 
 @wp.kernel
+def scale_samples_kernel(
+    # inputs
+    low: float,
+    high: float,
+    # outputs
+    z: wp.array4d[float],  # [E, S, P, nu] scaled in place
+):
+    """Scale one number: samples grow geometrically from ``low`` to ``high``, so that one batch searches near and far."""
+    e, s, p, u = wp.tid()
+
+    share = float(s) / wp.max(float(z.shape[1] - 1), 1.0)
+    z[e, s, p, u] = z[e, s, p, u] * low * wp.pow(high / low, share)
+
+
+@wp.kernel
 def perturb_knots_kernel(
     # inputs
     mean: wp.array3d[float],  # [E, P, nu]

@@ -117,3 +117,14 @@ def test_a_source_may_be_named_by_its_word(device):
     assert make("sobol", device).source is NoiseKind.SOBOL
     with pytest.raises(ValueError, match="pink"):
         make("pink", device)
+
+
+def test_spread_scales_samples_geometrically(device):
+    shape = {"samples": 65, "knots": 3, "nu": 2}
+    plain = NoiseSource(source="halton", seed=1, device=device, **shape).z.numpy().copy()
+    spread = NoiseSource(source="halton", seed=1, spread=(0.25, 4.0), device=device, **shape).z.numpy()
+    ratio = (spread / plain)[0]
+    np.testing.assert_allclose(ratio[0], 0.25, rtol=1e-5)
+    np.testing.assert_allclose(ratio[32], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(ratio[64], 4.0, rtol=1e-5)
+    assert np.all(np.diff(ratio[:, 0, 0]) > 0.0)

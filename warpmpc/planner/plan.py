@@ -106,6 +106,7 @@ class PlanStep:
             samples=samples,
             knots=self.knots_count,
             nu=nu,
+            spread=planner.noise.spread,
             device=self.device,
         )
         self.shaping = array(shaping_matrix(planner.noise, self.knots_count))

@@ -10,6 +10,7 @@ from warpmpc.kernels.sampling import (
     advance_counter_kernel,
     random_normal_kernel,
     random_shift_kernel,
+    scale_samples_kernel,
     table_normal_kernel,
 )
 
@@ -53,11 +54,12 @@ class NoiseSource:
         samples: Number of samples S.
         knots: Number of knots P.
         nu: Number of controls.
+        spread: Factors (low, high) between which the samples' scale runs geometrically.
         device: Warp device, the current one if None.
     """
 
     z: wp.array4d[float]
-    """Standard normals of the last draw, ``[E, S, P, nu]``; the array stays the same one."""
+    """Standard normals of the last draw, scaled by ``spread``, ``[E, S, P, nu]``; the array stays the same one."""
 
     def __init__(
         self,
@@ -69,11 +71,13 @@ class NoiseSource:
         samples: int,
         knots: int,
         nu: int,
+        spread: tuple[float, float] = (1.0, 1.0),
         device: wp.DeviceLike = None,
     ):
         self.source = NoiseKind(source)
         self.redraw = redraw
         self.seed = seed
+        self.spread = spread
         self.device = wp.get_device(device)
         self.z = wp.empty((envs, samples, knots, nu), dtype=float, device=self.device)
         self._counter = wp.zeros(1, dtype=int, device=self.device)
@@ -113,3 +117,7 @@ class NoiseSource:
         else:
             kernel, inputs = table_normal_kernel, [self._table, self._shift]
         wp.launch(kernel, dim=self.z.shape, inputs=inputs, outputs=[self.z], device=self.device)
+        if self.spread != (1.0, 1.0):
+            wp.launch(
+                scale_samples_kernel, dim=self.z.shape, inputs=[*self.spread], outputs=[self.z], device=self.device
+            )

@@ -289,6 +289,8 @@ class Noise(Section):
     shape: NoiseShape = NoiseShape.BSPLINE
     sigma: Positives = (0.5,)
     """Standard deviation in control units, one value or one per control."""
+    spread: tuple[Positive, Positive] = (1.0, 1.0)
+    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
     redraw: Flag = False
     """Fresh noise at every plan; when false it is drawn once, as in the papers."""
     comb: Vec3 = (0.3, 0.0, 0.7)
