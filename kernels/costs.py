@@ -196,13 +196,15 @@ class PushAlignmentParams:
     goal: int
     field: int
     near: float  # [m] the term fades as the object comes closer to the goal than about this
+    slack: float  # subtracted, so that the pusher may choose its place on a side of the object
 
 
 @wp.func
 def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
 
-    With a distance field the direction to the goal is the field's downhill direction at the object.
+    With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
+    term is max(cos α + 1 - slack, 0), zero over a range of directions.
     """
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
@@ -217,7 +219,7 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
         if path - wp.length(at - s.field_center[f]) > s.field_cell:
             to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
     scale = wp.length(to_pusher) * wp.length(to_goal)
-    value = wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0
+    value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
     if p.near > 0.0:
         value *= 1.0 - wp.exp(-wp.length(straight) / p.near)
     return value

@@ -69,6 +69,8 @@ class PushAlignment(Section):
     """Geodesic: obstacles grow by this for the object's size [m]."""
     near: NonNegative = 0.0
     """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
+    slack: NonNegative = 0.0
+    """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
 
 
 class ContactForce(Section):
@@ -150,7 +152,7 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> k.PushAlignmentParams:
     v = parse_keys(PushAlignment, keys, b)
     p = k.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
-    p.near, p.field = v.near, -1
+    p.near, p.slack, p.field = v.near, v.slack, -1
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
     return p
