@@ -6,67 +6,74 @@ Every type is frozen. Units are SI: metres, kilograms, seconds, radians, newtons
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
+from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
+from .schema_planner import (
+    Engine,
+    EngineName,
+    Method,
+    Noise,
+    NoiseShape,
+    NoiseSource,
+    Planner,
+    Risk,
+    SplineKind,
+    Temperature,
+)
 from .types import (
-    Channel,
     Count,
     Finite,
     Flag,
     Floats,
-    FloatsByName,
     Fraction,
     Name,
-    Natural,
     NonNegative,
-    NonNegatives,
-    OneOrMore,
     Param,
     Positive,
-    Positives,
     Quat,
     Section,
-    Share,
-    TwoOrMore,
     Vec2or3,
     Vec3,
 )
 
-
-class DriveMode(StrEnum):
-    """What a control means to the joints it drives."""
-
-    VELOCITY = "velocity"
-    """Joint velocity targets [m/s or rad/s]."""
-    POSITION = "position"
-    """Joint position targets [m or rad]."""
-    EFFORT = "effort"
-    """Joint forces or torques [N or N·m]."""
-    DIFF_DRIVE = "diff_drive"
-    """Forward and turning speed (v [m/s], ω [rad/s]) of a base with a left and a right wheel."""
-
-
-class ShapeKind(StrEnum):
-    """Shapes of objects and obstacles."""
-
-    BOX = "box"
-    SPHERE = "sphere"
-    CYLINDER = "cylinder"
-    CAPSULE = "capsule"
-    PLANE = "plane"
-    MESH = "mesh"
-
-
-class Method(StrEnum):
-    """How costs become sample weights."""
-
-    MPPI = "mppi"
-    PREDICTIVE_SAMPLING = "predictive_sampling"
-    CEM = "cem"
+__all__ = [
+    "Cost",
+    "Draw",
+    "Drive",
+    "DriveMode",
+    "Engine",
+    "EngineName",
+    "Frame",
+    "Goal",
+    "Ground",
+    "Kick",
+    "Method",
+    "Noise",
+    "NoiseShape",
+    "NoiseSource",
+    "Normal",
+    "Object",
+    "Obstacle",
+    "Planner",
+    "Plant",
+    "PlantNoise",
+    "Randomization",
+    "RandomizeTask",
+    "Rejection",
+    "Risk",
+    "Robot",
+    "Scene",
+    "ShapeKind",
+    "SplineKind",
+    "Success",
+    "Temperature",
+    "Timing",
+    "Uniform",
+]
 
 
 class Timing(Section):
@@ -76,142 +83,6 @@ class Timing(Section):
     """Length of one planned control [s]."""
     timeout: Positive = 45.0
     """Simulated time after which a run counts as failed [s]."""
-
-
-class Frame(Section):
-    """A named place on a robot link, such as a tool or a contact point."""
-
-    link: str
-    """Link (body) of the robot's asset the frame is fixed to."""
-    offset: Vec3 = (0.0, 0.0, 0.0)
-    """Position in the link's frame [m]."""
-    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
-    """Orientation in the link's frame (x, y, z, w)."""
-
-
-class Drive(Section):
-    """What turns controls into motion of a group of joints."""
-
-    mode: DriveMode = DriveMode.VELOCITY
-    joints: tuple[str, ...] | None = None
-    """Driven joints in control order; every joint that can move when left out. ``diff_drive``: (left, right) wheel."""
-    stiffness: NonNegatives = (0.0,)
-    """Position gain [N/m or N·m/rad], one value or one per joint. Used by ``position``."""
-    damping: NonNegatives = (0.0,)
-    """Velocity gain [N·s/m or N·m·s/rad], one value or one per joint. Used by ``velocity`` and ``position``."""
-    effort_limit: Positives | None = None
-    """Largest force or torque [N or N·m]; the asset's own limits when left out."""
-    limit: Positives | None = None
-    """Controls stay within ± this, one value or one per control."""
-    lower: Floats | None = None
-    """Lower bound of the controls where it is not ``-limit``."""
-    upper: Floats | None = None
-    """Upper bound of the controls where it is not ``limit``."""
-    wheel_radius: Positive | None = None
-    """``diff_drive``: radius of the wheels [m]."""
-    track: Positive | None = None
-    """``diff_drive``: distance between the wheels [m]."""
-
-    @model_validator(mode="after")
-    def _bounds(self) -> Drive:
-        if self.limit is None and (self.lower is None or self.upper is None):
-            raise ValueError("a drive needs limit = [...], or both lower = [...] and upper = [...]")
-        if self.limit is not None and (self.lower is not None or self.upper is not None):
-            raise ValueError("limit excludes lower and upper: give one or the other")
-        if self.mode is DriveMode.DIFF_DRIVE:
-            if self.wheel_radius is None or self.track is None:
-                raise ValueError("mode 'diff_drive' needs wheel_radius and track")
-            if self.joints is None or len(self.joints) != 2:
-                raise ValueError("mode 'diff_drive' needs joints = [left, right]")
-        if self.mode in (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE) and not any(self.damping):
-            raise ValueError(f"mode '{self.mode}' needs damping > 0: it is the gain of the velocity servo")
-        if self.mode is DriveMode.POSITION and not any(self.stiffness):
-            raise ValueError("mode 'position' needs stiffness > 0: it is the gain of the position servo")
-        return self
-
-
-class Robot(Section):
-    """A robot from a URDF, MJCF or USD file."""
-
-    name: Name
-    asset: str
-    """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Start position of the root [m]."""
-    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
-    """Start orientation of the root (x, y, z, w)."""
-    floating: Flag = False
-    """Whether the root moves freely (legged robots, drones) or is fixed to the world."""
-    joint_q: FloatsByName | None = None
-    """Start joint coordinates in the asset's order, or by joint name; the asset's own when left out."""
-    frames: dict[Name, Frame] = Field(default_factory=dict)
-    drive: Annotated[tuple[Drive, ...], OneOrMore] = Field(min_length=1)
-    """One drive or several, each with joints of its own; controls are stacked in this order."""
-    self_collision: Flag = False
-    """Whether links of this robot collide with each other."""
-    friction: NonNegative | None = None
-    """Friction of all its shapes; the asset's own when left out."""
-    ground_contact: Flag = True
-    """Whether its shapes touch planes; switch off for bases that glide on their joints."""
-    armature: NonNegatives | None = None
-    """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
-    gravity_compensation: Flag = False
-    """Whether gravity on its links is cancelled, as the controllers of most arms do."""
-
-
-class _Shape(Section):
-    name: Name
-    shape: ShapeKind
-    size: Positives | None = None
-    """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder: (radius, length along z).
-    Capsule: (radius, length along z between the centres of its caps)."""
-    mesh: str | None = None
-    """Mesh file (STL, OBJ, PLY, ...), found like a robot's asset. Collides as its convex hull."""
-    scale: Positive = 1.0
-    """Factor from the mesh file's unit to metres."""
-    friction: NonNegative = 1.0
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Position of the centre [m]."""
-    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
-    color: tuple[Channel, Channel, Channel] | None = None
-    """Colour in recordings, each channel in [0, 1]."""
-
-    @model_validator(mode="after")
-    def _dimensions(self) -> _Shape:
-        need = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "plane": 0, "mesh": 0}[self.shape]
-        found = 0 if self.size is None else len(self.size)
-        if found != need:
-            what = {"box": "full extents [x, y, z]", "sphere": "[radius]"}.get(self.shape, "[radius, length]")
-            wanted = f"size = {what}, {need} value{'s' * (need > 1)}" if need else "no size"
-            raise ValueError(f"shape '{self.shape}' needs {wanted}; found {found}")
-        if (self.mesh is not None) != (self.shape is ShapeKind.MESH):
-            raise ValueError("mesh = \"file\" belongs to shape 'mesh', and to it alone")
-        return self
-
-
-class Object(_Shape):
-    """A thing that moves freely: pushed, rolled, picked."""
-
-    mass: Positive
-    """Mass [kg]."""
-
-    @field_validator("shape")
-    @classmethod
-    def _moves(cls, value: ShapeKind) -> ShapeKind:
-        if value is ShapeKind.PLANE:
-            raise ValueError("a plane cannot move: make it an obstacle")
-        return value
-
-
-class Obstacle(_Shape):
-    """A thing that stays where it is."""
-
-
-class Ground(Section):
-    """The floor z = height."""
-
-    friction: NonNegative = 1.0
-    height: Finite = 0.0
 
 
 class Goal(Section):
@@ -263,136 +134,6 @@ class Cost(Section):
     def params(self) -> dict[str, Any]:
         """The term's own keys."""
         return dict(self.model_extra or {})
-
-
-class NoiseSource(StrEnum):
-    """Where standard normals come from."""
-
-    HALTON = "halton"
-    SOBOL = "sobol"
-    RANDOM = "random"
-
-
-class NoiseShape(StrEnum):
-    """How standard normals are correlated along the horizon."""
-
-    IDENTITY = "identity"
-    BSPLINE = "bspline"
-    COMB = "comb"
-    COLOURED = "coloured"
-
-
-class Noise(Section):
-    """Perturbation of the knots, ε = σ ⊙ (B z)."""
-
-    source: NoiseSource = NoiseSource.HALTON
-    shape: NoiseShape = NoiseShape.BSPLINE
-    sigma: Positives = (0.5,)
-    """Standard deviation in control units, one value or one per control."""
-    spread: tuple[Positive, Positive] = (1.0, 1.0)
-    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
-    redraw: Flag = False
-    """Fresh noise at every plan; when false it is drawn once, as in the papers."""
-    comb: Vec3 = (0.3, 0.0, 0.7)
-    """Coefficients of the comb filter (STORM)."""
-    exponent: NonNegative = 1.0
-    """Exponent α of coloured noise, power ∝ 1/f^α."""
-    null_sample: Flag = True
-    """Whether one sample is the zero control sequence."""
-
-
-class Temperature(Section):
-    """The inverse-exponential temperature β of MPPI."""
-
-    initial: Positive = 1.0
-    eta: tuple[Positive, Positive] | None = (5.0, 10.0)
-    """Bounds of the effective number of samples η; β follows them between plans [P6]."""
-    ess: Positive | None = None
-    """Effective sample size (Σw)²/Σw² that β is solved for within each plan, instead of ``eta``."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _ess_replaces_default_eta(cls, data: object) -> object:
-        return {"eta": None, **data} if isinstance(data, dict) and data.get("ess") else data
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Temperature:
-        if self.eta is not None and self.ess is not None:
-            raise ValueError("only one of eta and ess can steer the temperature: switch one off, as in eta = false")
-        if self.eta is not None and self.eta[0] >= self.eta[1]:
-            raise ValueError(f"eta = [low, high] needs low < high; found {list(self.eta)}")
-        return self
-
-
-class SplineKind(StrEnum):
-    """How knots become controls."""
-
-    ZERO = "zero"
-    LINEAR = "linear"
-    CUBIC = "cubic"
-    BSPLINE = "bspline"
-
-
-class Risk(StrEnum):
-    """How the costs of one sample in several domains become one cost."""
-
-    MEAN = "mean"
-    WORST = "worst"
-    CVAR = "cvar"
-
-
-class Planner(Section):
-    """The sampling-based planner."""
-
-    method: Method = Method.MPPI
-    samples: TwoOrMore = 256
-    """Candidate control sequences S."""
-    horizon: Count = 16
-    """Steps T of a rollout."""
-    dt: Positive | None = None
-    """Length of one step of a rollout [s], ``timing.control_dt`` when left out. Longer steps look further ahead at the
-    same price; they need a spline other than zero."""
-    domains: Count = 1
-    """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
-    risk: Risk = Risk.MEAN
-    cvar: Share = 0.25
-    """Share of worst domains that ``risk = "cvar"`` averages."""
-    knots: TwoOrMore | None = None
-    """Spline control points P; one per step when left out."""
-    spline: SplineKind = SplineKind.ZERO
-    discount: Share = 0.95
-    """Factor γ per control step [P5]."""
-    noise: Noise = Noise()
-    temperature: Temperature = Temperature()
-    step_size: Share = 1.0
-    """Step α of the mean towards the weighted samples [S4]."""
-    iterations: Count = 1
-    """Sample-roll-out-update rounds per plan."""
-    elites: Count = 8
-    """``cem``: best samples that carry weight."""
-    sigma_min: NonNegatives = (0.01,)
-    """``cem``: floor of the adapted standard deviation."""
-
-
-class EngineName(StrEnum):
-    """What rolls controls out."""
-
-    AUTO = "auto"
-    MUJOCO = "mujoco"
-
-
-class Engine(Section):
-    """The physics of the rollouts."""
-
-    name: EngineName = EngineName.AUTO
-    substeps: Count = 2
-    """Physics steps per control."""
-    threads: Natural = 0
-    """CPU threads; 0 means one per core."""
-    iterations: Count = 20
-    """Largest number of constraint solver iterations."""
-    tolerance: NonNegative = 1e-6
-    """Constraint solver tolerance."""
 
 
 class Kick(Section):

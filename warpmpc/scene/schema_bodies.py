@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The types of what stands in a scene: robots with their drives, objects, obstacles, the floor."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, field_validator, model_validator
+
+from .types import (
+    Channel,
+    Finite,
+    Flag,
+    Floats,
+    FloatsByName,
+    Name,
+    NonNegative,
+    NonNegatives,
+    OneOrMore,
+    Positive,
+    Positives,
+    Quat,
+    Section,
+    Vec3,
+)
+
+
+class DriveMode(StrEnum):
+    """What a control means to the joints it drives."""
+
+    VELOCITY = "velocity"
+    """Joint velocity targets [m/s or rad/s]."""
+    POSITION = "position"
+    """Joint position targets [m or rad]."""
+    EFFORT = "effort"
+    """Joint forces or torques [N or N·m]."""
+    DIFF_DRIVE = "diff_drive"
+    """Forward and turning speed (v [m/s], ω [rad/s]) of a base with a left and a right wheel."""
+
+
+class ShapeKind(StrEnum):
+    """Shapes of objects and obstacles."""
+
+    BOX = "box"
+    SPHERE = "sphere"
+    CYLINDER = "cylinder"
+    CAPSULE = "capsule"
+    PLANE = "plane"
+    MESH = "mesh"
+
+
+class Frame(Section):
+    """A named place on a robot link, such as a tool or a contact point."""
+
+    link: str
+    """Link (body) of the robot's asset the frame is fixed to."""
+    offset: Vec3 = (0.0, 0.0, 0.0)
+    """Position in the link's frame [m]."""
+    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
+    """Orientation in the link's frame (x, y, z, w)."""
+
+
+class Drive(Section):
+    """What turns controls into motion of a group of joints."""
+
+    mode: DriveMode = DriveMode.VELOCITY
+    joints: tuple[str, ...] | None = None
+    """Driven joints in control order; every joint that can move when left out. ``diff_drive``: (left, right) wheel."""
+    stiffness: NonNegatives = (0.0,)
+    """Position gain [N/m or N·m/rad], one value or one per joint. Used by ``position``."""
+    damping: NonNegatives = (0.0,)
+    """Velocity gain [N·s/m or N·m·s/rad], one value or one per joint. Used by ``velocity`` and ``position``."""
+    effort_limit: Positives | None = None
+    """Largest force or torque [N or N·m]; the asset's own limits when left out."""
+    limit: Positives | None = None
+    """Controls stay within ± this, one value or one per control."""
+    lower: Floats | None = None
+    """Lower bound of the controls where it is not ``-limit``."""
+    upper: Floats | None = None
+    """Upper bound of the controls where it is not ``limit``."""
+    wheel_radius: Positive | None = None
+    """``diff_drive``: radius of the wheels [m]."""
+    track: Positive | None = None
+    """``diff_drive``: distance between the wheels [m]."""
+
+    @model_validator(mode="after")
+    def _bounds(self) -> Drive:
+        if self.limit is None and (self.lower is None or self.upper is None):
+            raise ValueError("a drive needs limit = [...], or both lower = [...] and upper = [...]")
+        if self.limit is not None and (self.lower is not None or self.upper is not None):
+            raise ValueError("limit excludes lower and upper: give one or the other")
+        if self.mode is DriveMode.DIFF_DRIVE:
+            if self.wheel_radius is None or self.track is None:
+                raise ValueError("mode 'diff_drive' needs wheel_radius and track")
+            if self.joints is None or len(self.joints) != 2:
+                raise ValueError("mode 'diff_drive' needs joints = [left, right]")
+        if self.mode in (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE) and not any(self.damping):
+            raise ValueError(f"mode '{self.mode}' needs damping > 0: it is the gain of the velocity servo")
+        if self.mode is DriveMode.POSITION and not any(self.stiffness):
+            raise ValueError("mode 'position' needs stiffness > 0: it is the gain of the position servo")
+        return self
+
+
+class Robot(Section):
+    """A robot from a URDF, MJCF or USD file."""
+
+    name: Name
+    asset: str
+    """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Start position of the root [m]."""
+    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
+    """Start orientation of the root (x, y, z, w)."""
+    floating: Flag = False
+    """Whether the root moves freely (legged robots, drones) or is fixed to the world."""
+    joint_q: FloatsByName | None = None
+    """Start joint coordinates in the asset's order, or by joint name; the asset's own when left out."""
+    frames: dict[Name, Frame] = Field(default_factory=dict)
+    drive: Annotated[tuple[Drive, ...], OneOrMore] = Field(min_length=1)
+    """One drive or several, each with joints of its own; controls are stacked in this order."""
+    self_collision: Flag = False
+    """Whether links of this robot collide with each other."""
+    friction: NonNegative | None = None
+    """Friction of all its shapes; the asset's own when left out."""
+    ground_contact: Flag = True
+    """Whether its shapes touch planes; switch off for bases that glide on their joints."""
+    armature: NonNegatives | None = None
+    """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
+    gravity_compensation: Flag = False
+    """Whether gravity on its links is cancelled, as the controllers of most arms do."""
+
+
+class _Shape(Section):
+    name: Name
+    shape: ShapeKind
+    size: Positives | None = None
+    """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder: (radius, length along z).
+    Capsule: (radius, length along z between the centres of its caps)."""
+    mesh: str | None = None
+    """Mesh file (STL, OBJ, PLY, ...), found like a robot's asset. Collides as its convex hull."""
+    scale: Positive = 1.0
+    """Factor from the mesh file's unit to metres."""
+    friction: NonNegative = 1.0
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Position of the centre [m]."""
+    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
+    color: tuple[Channel, Channel, Channel] | None = None
+    """Colour in recordings, each channel in [0, 1]."""
+
+    @model_validator(mode="after")
+    def _dimensions(self) -> _Shape:
+        need = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "plane": 0, "mesh": 0}[self.shape]
+        found = 0 if self.size is None else len(self.size)
+        if found != need:
+            what = {"box": "full extents [x, y, z]", "sphere": "[radius]"}.get(self.shape, "[radius, length]")
+            wanted = f"size = {what}, {need} value{'s' * (need > 1)}" if need else "no size"
+            raise ValueError(f"shape '{self.shape}' needs {wanted}; found {found}")
+        if (self.mesh is not None) != (self.shape is ShapeKind.MESH):
+            raise ValueError("mesh = \"file\" belongs to shape 'mesh', and to it alone")
+        return self
+
+
+class Object(_Shape):
+    """A thing that moves freely: pushed, rolled, picked."""
+
+    mass: Positive
+    """Mass [kg]."""
+
+    @field_validator("shape")
+    @classmethod
+    def _moves(cls, value: ShapeKind) -> ShapeKind:
+        if value is ShapeKind.PLANE:
+            raise ValueError("a plane cannot move: make it an obstacle")
+        return value
+
+
+class Obstacle(_Shape):
+    """A thing that stays where it is."""
+
+
+class Ground(Section):
+    """The floor z = height."""
+
+    friction: NonNegative = 1.0
+    height: Finite = 0.0

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The types of what plans: the sampling-based planner, its noise and temperature, the physics of its rollouts."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import model_validator
+
+from .types import Count, Flag, Natural, NonNegative, NonNegatives, Positive, Positives, Section, Share, TwoOrMore, Vec3
+
+
+class Method(StrEnum):
+    """How costs become sample weights."""
+
+    MPPI = "mppi"
+    PREDICTIVE_SAMPLING = "predictive_sampling"
+    CEM = "cem"
+
+
+class NoiseSource(StrEnum):
+    """Where standard normals come from."""
+
+    HALTON = "halton"
+    SOBOL = "sobol"
+    RANDOM = "random"
+
+
+class NoiseShape(StrEnum):
+    """How standard normals are correlated along the horizon."""
+
+    IDENTITY = "identity"
+    BSPLINE = "bspline"
+    COMB = "comb"
+    COLOURED = "coloured"
+
+
+class Noise(Section):
+    """Perturbation of the knots, ε = σ ⊙ (B z)."""
+
+    source: NoiseSource = NoiseSource.HALTON
+    shape: NoiseShape = NoiseShape.BSPLINE
+    sigma: Positives = (0.5,)
+    """Standard deviation in control units, one value or one per control."""
+    spread: tuple[Positive, Positive] = (1.0, 1.0)
+    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
+    redraw: Flag = False
+    """Fresh noise at every plan; when false it is drawn once, as in the papers."""
+    comb: Vec3 = (0.3, 0.0, 0.7)
+    """Coefficients of the comb filter (STORM)."""
+    exponent: NonNegative = 1.0
+    """Exponent α of coloured noise, power ∝ 1/f^α."""
+    null_sample: Flag = True
+    """Whether one sample is the zero control sequence."""
+
+
+class Temperature(Section):
+    """The inverse-exponential temperature β of MPPI."""
+
+    initial: Positive = 1.0
+    eta: tuple[Positive, Positive] | None = (5.0, 10.0)
+    """Bounds of the effective number of samples η; β follows them between plans [P6]."""
+    ess: Positive | None = None
+    """Effective sample size (Σw)²/Σw² that β is solved for within each plan, instead of ``eta``."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _ess_replaces_default_eta(cls, data: object) -> object:
+        return {"eta": None, **data} if isinstance(data, dict) and data.get("ess") else data
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Temperature:
+        if self.eta is not None and self.ess is not None:
+            raise ValueError("only one of eta and ess can steer the temperature: switch one off, as in eta = false")
+        if self.eta is not None and self.eta[0] >= self.eta[1]:
+            raise ValueError(f"eta = [low, high] needs low < high; found {list(self.eta)}")
+        return self
+
+
+class SplineKind(StrEnum):
+    """How knots become controls."""
+
+    ZERO = "zero"
+    LINEAR = "linear"
+    CUBIC = "cubic"
+    BSPLINE = "bspline"
+
+
+class Risk(StrEnum):
+    """How the costs of one sample in several domains become one cost."""
+
+    MEAN = "mean"
+    WORST = "worst"
+    CVAR = "cvar"
+
+
+class Planner(Section):
+    """The sampling-based planner."""
+
+    method: Method = Method.MPPI
+    samples: TwoOrMore = 256
+    """Candidate control sequences S."""
+    horizon: Count = 16
+    """Steps T of a rollout."""
+    dt: Positive | None = None
+    """Length of one step of a rollout [s], ``timing.control_dt`` when left out. Longer steps look further ahead at the
+    same price; they need a spline other than zero."""
+    domains: Count = 1
+    """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
+    risk: Risk = Risk.MEAN
+    cvar: Share = 0.25
+    """Share of worst domains that ``risk = "cvar"`` averages."""
+    knots: TwoOrMore | None = None
+    """Spline control points P; one per step when left out."""
+    spline: SplineKind = SplineKind.ZERO
+    discount: Share = 0.95
+    """Factor γ per control step [P5]."""
+    noise: Noise = Noise()
+    temperature: Temperature = Temperature()
+    step_size: Share = 1.0
+    """Step α of the mean towards the weighted samples [S4]."""
+    iterations: Count = 1
+    """Sample-roll-out-update rounds per plan."""
+    elites: Count = 8
+    """``cem``: best samples that carry weight."""
+    sigma_min: NonNegatives = (0.01,)
+    """``cem``: floor of the adapted standard deviation."""
+
+
+class EngineName(StrEnum):
+    """What rolls controls out."""
+
+    AUTO = "auto"
+    MUJOCO = "mujoco"
+
+
+class Engine(Section):
+    """The physics of the rollouts."""
+
+    name: EngineName = EngineName.AUTO
+    substeps: Count = 2
+    """Physics steps per control."""
+    threads: Natural = 0
+    """CPU threads; 0 means one per core."""
+    iterations: Count = 20
+    """Largest number of constraint solver iterations."""
+    tolerance: NonNegative = 1e-6
+    """Constraint solver tolerance."""
