@@ -173,14 +173,19 @@ class YawParams:
     of: int
     to: int
     near: float  # [m] the term fades with distance beyond about this; 0 means everywhere
+    smooth: float  # [rad] √(ψ² + p²) - p instead of |ψ|: quadratic below about p
 
 
 @wp.func
 def yaw_error(s: StepView, p: YawParams) -> float:
-    """Heading error |ψ_a - ψ_b| on the circle (Eq. 10), optionally fading with the distance to the target."""
+    """Heading error |ψ_a - ψ_b| on the circle (Eq. 10), optionally fading with the distance to the target.
+
+    With ``smooth`` the error counts by MuJoCo MPC's SmoothAbs norm (Howell et al. 2022): small errors cost little.
+    """
     a = frame_pose(s, p.of)
     b = frame_pose(s, p.to)
     error = wp.abs(wrap_angle(yaw(wp.transform_get_rotation(a)) - yaw(wp.transform_get_rotation(b))))
+    error = wp.sqrt(error * error + p.smooth * p.smooth) - p.smooth
     if p.near > 0.0:
         d = wp.transform_get_translation(a) - wp.transform_get_translation(b)
         error *= wp.exp(-wp.length(wp.vec2(d[0], d[1])) / p.near)

@@ -84,7 +84,7 @@ def scale_samples_kernel(
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] scaled in place
 ):
-    """Scale one number: samples grow geometrically from ``low`` to ``high``, so that one batch searches near and far."""
+    """Scale one number: samples grow geometrically from ``low`` to ``high``, to search near and far at once."""
     e, s, p, u = wp.tid()
 
     share = float(s) / wp.max(float(z.shape[1] - 1), 1.0)

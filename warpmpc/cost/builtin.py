@@ -52,6 +52,8 @@ class Yaw(Section):
     """Frame it is compared with."""
     near: NonNegative = 0.0
     """Fade: full weight at the target, 1/e of it at this distance [m]; 0 means the same weight everywhere."""
+    smooth: NonNegative = 0.0
+    """√(ψ² + p²) - p instead of |ψ| [rad]: errors below about p cost little, a push may turn the object a bit."""
 
 
 class PushAlignment(Section):
@@ -144,7 +146,7 @@ def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
 def _yaw(keys: dict[str, Any], b: Binding) -> k.YawParams:
     v = parse_keys(Yaw, keys, b)
     p = k.YawParams()
-    p.of, p.to, p.near = b.frame(v.of, "of"), b.frame(v.to, "to"), v.near
+    p.of, p.to, p.near, p.smooth = b.frame(v.of, "of"), b.frame(v.to, "to"), v.near, v.smooth
     return p
 
 
