@@ -151,6 +151,8 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         encoding="utf-8",
+        # a suite that runs in the background of a shell ignores Ctrl-C and would hand that down
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         lines = [process.stdout.readline()]
         process.send_signal(signal.SIGINT)
