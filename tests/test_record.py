@@ -206,7 +206,7 @@ def test_forces_are_arrows_at_the_touched_obstacle(loop, tmp_path):
         loop.plant.apply(control)
         loop.plant._engine.sensor[0, -1, :] = 0.0
         touched = [(p.first, p.second) for p in loop.plant.pairs].index(("base", "wall_2"))
-        loop.plant._engine.sensor[0, -1, 3 * touched : 3 * touched + 3] = (-3.0, 4.0, 0.0)  # MuJoCo's on the wall: wall_2 pushes the base
+        loop.plant._engine.sensor[0, -1, 3 * touched : 3 * touched + 3] = (-3.0, 4.0, 0.0)  # on the wall
         recorder.log(control)
     recording = Recording(tmp_path / "force.rrd")
     _, _, vectors = recording.over_time("/contact", "Arrows3D:vectors")
