@@ -148,15 +148,17 @@ class DistanceParams:
     planar: int  # compare x and y alone
     field: int  # distance field, -1 for the straight line
     near: float  # [m] saturate: 1 - exp(-d/near) instead of d; 0 means d itself
+    lead: float  # [s] measure from where the first frame would coast to in this time
 
 
 @wp.func
 def distance(s: StepView, p: DistanceParams) -> float:
     """Distance between two frames, ‖p_a - p_b‖ (Pezzato et al. 2025, Eq. 10), straight or along the geodesic [m].
 
-    With ``near`` it saturates, 1 - exp(-d/near): a pull that acts close to the target alone.
+    With ``near`` it saturates, 1 - exp(-d/near): a pull that acts close to the target alone. With ``lead`` it is
+    measured from p_a + lead · ṗ_a, so that what rolls or slides on after the horizon is seen to do so.
     """
-    a = frame_position(s, p.first)
+    a = frame_position(s, p.first) + p.lead * frame_velocity(s, p.first)
     b = frame_position(s, p.second)
     d = wp.length(a - b)
     if p.planar != 0:

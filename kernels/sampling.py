@@ -101,12 +101,14 @@ def perturb_knots_kernel(
     lower: wp.array[float],  # [nu]
     upper: wp.array[float],  # [nu]
     null_sample: int,
+    constant: float,  # share of the samples whose noise is the same at every knot
     # outputs
     knots: wp.array4d[float],  # [E, S, P, nu] within the limits
 ):
     """Perturb one knot of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
 
     Sample 0 is the mean itself. With ``null_sample`` sample 1 is zero control (a null particle, Bhardwaj et al. 2021).
+    Constant samples are spread evenly over the rest; theirs is the noise of the first knot.
     """
     e, s, p, u = wp.tid()
 
@@ -114,9 +116,11 @@ def perturb_knots_kernel(
     if s == 1 and null_sample != 0:
         value = 0.0
     elif s > 0:
-        shaped = float(0.0)
-        for q in range(shaping.shape[1]):
-            shaped += shaping[p, q] * z[e, s, q, u]
+        shaped = float(z[e, s, 0, u])
+        if wp.floor(float(s + 1) * constant) == wp.floor(float(s) * constant):
+            shaped = float(0.0)
+            for q in range(shaping.shape[1]):
+                shaped += shaping[p, q] * z[e, s, q, u]
         value += sigma[e, p, u] * shaped
 
     knots[e, s, p, u] = wp.clamp(value, lower[u], upper[u])

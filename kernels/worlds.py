@@ -234,3 +234,59 @@ def divergence_kernel(
         if not wp.isfinite(state[w, last, i]):
             bad = 1
     diverged[w] = bad
+
+
+VELOCITY_TARGET = wp.constant(0)
+POSITION_TARGET = wp.constant(1)
+EFFORT = wp.constant(2)
+
+
+@wp.kernel
+def newton_control_kernel(
+    # inputs
+    control: wp.array3d[float],  # [T, W, nu]
+    matrix: wp.array2d[float],  # [na, nu] actuator targets per control
+    offset: wp.array[float],  # [na]
+    mode: wp.array[int],  # [na]
+    dof: wp.array[int],  # [na]
+    coord: wp.array[int],  # [na] joint coordinate of the dof
+    effort_limit: wp.array[float],  # [na]
+    # outputs
+    target_q: wp.array3d[float],  # [T, W, nq]
+    target_qd: wp.array3d[float],  # [T, W, nv]
+    effort: wp.array3d[float],  # [T, W, nv]
+):
+    """One thread: the target of one actuator in one world and control step."""
+    t, w, a = wp.tid()
+    target = offset[a]
+    for i in range(matrix.shape[1]):
+        target += matrix[a, i] * control[t, w, i]
+    if mode[a] == VELOCITY_TARGET:
+        target_qd[t, w, dof[a]] = target
+    elif mode[a] == POSITION_TARGET:
+        target_q[t, w, coord[a]] = target
+    else:
+        effort[t, w, dof[a]] = wp.clamp(target, -effort_limit[a], effort_limit[a])
+
+
+@wp.kernel
+def finite_state_kernel(
+    # inputs
+    joint_q: wp.array3d[float],  # [T+1, W, nq]
+    joint_qd: wp.array3d[float],  # [T+1, W, nv]
+    largest: float,  # speed above which a world counts as blown up
+    # outputs
+    diverged: wp.array[int],  # [W]
+):
+    """One thread: whether one world blew up: its last state is not finite, or faster than anything real."""
+    w = wp.tid()
+    last = joint_q.shape[0] - 1
+    bad = int(0)
+    for i in range(joint_q.shape[2]):
+        if not wp.isfinite(joint_q[last, w, i]):
+            bad = 1
+    for i in range(joint_qd.shape[2]):
+        # written so that a NaN counts as bad
+        if not (wp.abs(joint_qd[last, w, i]) < largest):
+            bad = 1
+    diverged[w] = bad

@@ -9,14 +9,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from .cost.stack import CostStack
 from .engine.compiled import CompiledScene, compile_scene
-from .engine.mujoco import MujocoEngine
 from .engine.properties import draw_properties
-from .engine.trajectory import ObservedState, Shape
+from .engine.select import make_engine, resolve
+from .engine.trajectory import Shape
 from .goal import goal_pose
+from .kernels.exchange import REPORT
+from .planner.graph import PlanGraph
 from .planner.plan import PlanStep, step_dt
 from .state import Info, State
 
@@ -30,11 +31,15 @@ logger = logging.getLogger("warpmpc")
 class Controller:
     """Plans the next control of a scene's robots from its observed state.
 
+    With several environments it solves as many independent problems in one go: states, goals and controls then have
+    a leading axis ``[E]``, and :attr:`info` is a tuple. All environments share noise and randomized worlds.
+
     Args:
         scene: The scene, from :func:`warpmpc.load_scene` or built in Python.
-        engine: ``"mujoco"``, or ``"auto"`` for the fastest one this machine has.
-        device: ``"cpu"``, or ``"auto"``.
-        seed: Seed of noise and randomized worlds; the same seed gives the same commands on the same machine.
+        engine: ``"mujoco"``, ``"newton"``, or ``"auto"``: with a GPU the faster of the two, measured once.
+        device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``.
+        seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
+        envs: Number of environments E.
         terms: Users' own cost terms that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
 
@@ -50,40 +55,44 @@ class Controller:
         engine: str = "auto",
         device: str = "auto",
         seed: int = 0,
+        envs: int = 1,
         terms: Sequence[CostTerm | ArrayCost] = (),
         compiled: CompiledScene | None = None,
     ):
-        engine = str(scene.engine.name) if engine == "auto" else engine
-        if engine not in ("auto", "mujoco"):
-            raise ValueError(f"no engine '{engine}'; there is: auto, mujoco")
-        if device not in ("auto", "cpu"):
-            raise ValueError(f"the engine mujoco runs on device cpu, not '{device}'")
-        self.scene, self.seed = scene, seed
+        if envs < 1:
+            raise ValueError(f"a controller has at least one environment, not {envs}")
+        name, device = resolve(scene, engine, device)
+        self.scene, self.seed, self.envs = scene, seed, envs
         self.compiled = compiled or compile_scene(scene)
+        if name == "auto":
+            from .engine.auto import fastest
+
+            name, device = fastest(scene, self.compiled, device, envs=envs, terms=terms)
         self.layout = self.compiled.layout
-        planner, physics = scene.planner, scene.engine
-        self.shape = Shape(1, planner.samples, planner.domains, planner.horizon)
-        self.costs = CostStack(scene, self.layout, terms=terms, device="cpu")
+        planner = scene.planner
+        self.shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
+        self.costs = CostStack(scene, self.layout, terms=terms, device=device)
         draws = planner.domains if planner.domains > 1 else planner.samples
-        self.engine = MujocoEngine(
+        self.engine = make_engine(
+            name,
+            scene,
             self.compiled,
             self.shape,
             control_dt=step_dt(scene),
-            substeps=physics.substeps,
+            device=device,
             pairs=self.costs.pairs,
             properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
-            threads=physics.threads,
-            iterations=physics.iterations,
-            tolerance=physics.tolerance,
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
-        self._observed = ObservedState(
-            wp.zeros((1, self.layout.nq), dtype=float, device="cpu"),
-            wp.zeros((1, self.layout.nv), dtype=float, device="cpu"),
-        )
-        self._hold = self.layout.joint_q.copy()
-        self.info: Info | None = None
-        """What the last plan did."""
+        self._graph = PlanGraph(self.plan)
+        # the last finite observation of every environment
+        self._hold_q = np.tile(self.layout.joint_q, (envs, 1))
+        self._hold_qd = np.tile(self.layout.joint_qd, (envs, 1))
+        self._warned_of_overflow = False
+        self.info: Info | tuple[Info, ...] | None = None
+        """What the last plan did, one per environment when there are several."""
+        self.goal = np.empty((envs, 7), dtype=np.float32)
+        """Goal poses ``[E, 7]`` (x, y, z, qx, qy, qz, qw); change them with :meth:`set_goal`."""
         self.set_goal(goal_pose(scene))
 
     @property
@@ -95,16 +104,42 @@ class Controller:
         """Move the goal; takes effect at the next plan.
 
         Args:
-            pose: Pose ``[7]`` (x, y, z, qx, qy, qz, qw); the quaternion is normalized.
+            pose: Pose ``[7]`` of every environment, or ``[E, 7]`` (x, y, z, qx, qy, qz, qw); quaternions are
+                normalized.
 
         Raises:
-            ValueError: If the pose is not seven finite numbers, or its quaternion is zero.
+            ValueError: If a pose is not seven finite numbers, or its quaternion is zero.
         """
         pose = np.array(pose, dtype=np.float32)
-        if pose.shape != (7,) or not np.isfinite(pose).all() or not pose[3:].any():
+        right = pose.shape in ((7,), (self.envs, 7))
+        if not right or not np.isfinite(pose).all() or not pose[..., 3:].any(axis=-1).all():
             raise ValueError(f"a goal is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
-        pose[3:] /= np.linalg.norm(pose[3:])
-        self.costs.set_goal(pose[None])
+        pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
+        self.goal[:] = pose
+        self.costs.set_goal(self.goal)
+
+    def set_weight(self, term: str, weight: float) -> None:
+        """Change the weight of a cost term; takes effect at the next plan.
+
+        Raises:
+            ValueError: If there is no such term, or the weight is not finite.
+        """
+        self.costs.set_weight(term, weight)
+
+    def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Change the limits of the controls ``[nu]``; takes effect at the next plan.
+
+        Raises:
+            ValueError: If they have the wrong shape, are not finite, or cross.
+        """
+        lower, upper = np.asarray(lower, dtype=np.float32), np.asarray(upper, dtype=np.float32)
+        right = (
+            lower.shape == upper.shape == (self.layout.nu,) and np.isfinite(lower).all() and np.isfinite(upper).all()
+        )
+        if not right or (lower >= upper).any():
+            raise ValueError(f"limits are {self.layout.nu} finite numbers each, lower below upper")
+        self.plan.lower.assign(lower)
+        self.plan.upper.assign(upper)
 
     def reset(self) -> None:
         """Forget every earlier plan, as if just constructed."""
@@ -115,62 +150,81 @@ class Controller:
         """Plan from an observed state.
 
         Args:
-            state: Observed state, ``joint_q [nq]`` and ``joint_qd [nv]``.
+            state: Observed state, ``joint_q [nq]`` and ``joint_qd [nv]``; ``[E, nq]`` and ``[E, nv]`` with several
+                environments.
 
         Returns:
-            Control ``[nu]`` to apply now, within its limits. When no rollout survives (a diverged simulation, a NaN
-            in the observation) it is the safe command: zero velocity, zero effort, or the held position;
-            :attr:`info` says so and a warning is logged.
+            Control ``[nu]``, or ``[E, nu]``, to apply now, within its limits. Where no rollout survives (a diverged
+            simulation, a NaN in the observation) it is the safe command: zero velocity, zero effort, or the held
+            position; :attr:`info` says so and a warning is logged.
 
         Raises:
             ValueError: If the state has the wrong shape.
         """
-        q, qd = np.asarray(state.joint_q, dtype=np.float32), np.asarray(state.joint_qd, dtype=np.float32)
-        if q.shape != (self.layout.nq,) or qd.shape != (self.layout.nv,):
-            raise ValueError(
-                f"a state of this scene has joint_q [{self.layout.nq}] and joint_qd [{self.layout.nv}], "
-                f"not {list(q.shape)} and {list(qd.shape)}"
-            )
+        q, qd = self._checked(state)
         start = time.perf_counter()
-        finite = bool(np.isfinite(q).all() and np.isfinite(qd).all())
-        if finite:
-            self._hold = q
-            self._observed.joint_q.assign(q[None])
-            self._observed.joint_qd.assign(qd[None])
-            self.plan(self._observed)
-        command, costs = self.plan.command.numpy()[0].copy(), self.plan.weights.cost.numpy()[0]
-        fallback = not finite or not np.isfinite(costs).any()
-        if fallback:
-            command = self._safe_command()
-            self.plan.costs.last_control.assign(command[None])
+        finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        self._hold_q[finite], self._hold_qd[finite] = q[finite], qd[finite]
+        nu = self.layout.nu
+        if finite.any():
+            report = self._graph(self._hold_q, self._hold_qd, self.goal)
+            command, rows = report[:, :nu].copy(), report[:, nu:].astype(float)
+        else:
+            command, rows = np.zeros((self.envs, nu), np.float32), np.full((self.envs, int(REPORT)), np.nan)
+        fallback = ~finite | ~np.isfinite(rows[:, 2])
+        if fallback.any():
+            command[fallback] = self._safe_command()[fallback]
+            self.plan.costs.last_control.assign(command)
             logger.warning(
                 "t = %.2f s: %s; sending the safe command",
                 state.time,
-                "every rollout diverged" if finite else "the observation is not finite",
+                "the observation is not finite" if not finite.all() else "every rollout diverged",
             )
-        self.info = self._describe(state, costs, fallback, 1e3 * (time.perf_counter() - start))
-        return command
+        plan_ms = 1e3 * (time.perf_counter() - start)
+        self._warn_of_overflow(rows)
+        infos = tuple(self._describe(state, e, rows[e], bool(fallback[e]), plan_ms) for e in range(self.envs))
+        self.info = infos if np.ndim(state.joint_q) == 2 else infos[0]
+        return command if np.ndim(state.joint_q) == 2 else command[0]
+
+    def _checked(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Joint coordinates and velocities with a leading axis [E]."""
+        q, qd = np.asarray(state.joint_q, dtype=np.float32), np.asarray(state.joint_qd, dtype=np.float32)
+        nq, nv = self.layout.nq, self.layout.nv
+        many = (q.shape, qd.shape) == ((self.envs, nq), (self.envs, nv))
+        if not many and not (self.envs == 1 and (q.shape, qd.shape) == ((nq,), (nv,))):
+            lead = f"{self.envs}, " if self.envs > 1 else ""
+            raise ValueError(
+                f"a state of this scene has joint_q [{lead}{nq}] and joint_qd [{lead}{nv}], "
+                f"not {list(q.shape)} and {list(qd.shape)}"
+            )
+        return q.reshape(self.envs, nq), qd.reshape(self.envs, nv)
 
     def _safe_command(self) -> np.ndarray:
-        """Zero velocity or effort; the present position where a drive holds positions."""
+        """Zero velocity or effort; the present position where a drive holds positions; ``[E, nu]``."""
         held = self.layout.control_safe
-        safe = np.where(held >= 0, self._hold[np.maximum(held, 0)], 0.0)
+        safe = np.where(held >= 0, self._hold_q[:, np.maximum(held, 0)], 0.0)
         return np.clip(safe, self.layout.control_lower, self.layout.control_upper).astype(np.float32)
 
-    def _describe(self, state: State, costs: np.ndarray, fallback: bool, plan_ms: float) -> Info:
-        sample = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
-        world = sample * self.shape.domains
-        discount = self.scene.planner.discount ** np.arange(self.shape.horizon)
-        terms = self.costs.cost.numpy()[:, :, world] @ discount
+    def _warn_of_overflow(self, rows: np.ndarray) -> None:
+        bits = int(np.nanmax(rows[:, 5], initial=0.0))
+        if bits and not self._warned_of_overflow:
+            self._warned_of_overflow = True
+            logger.warning("%s", self.engine.overflow_message(bits))
+
+    def _describe(self, state: State, e: int, row: np.ndarray, fallback: bool, plan_ms: float) -> Info:
+        """Row e of the report, in words; without a plan it is all NaN."""
+        planned = not np.isnan(row[2])
+        sample, diverged = (int(row[3]), int(row[4])) if planned else (0, 0)
+        terms = row[int(REPORT) :] if planned else [np.nan] * len(self.costs.labels)
         return Info(
             time=state.time,
-            beta=float(self.plan.weights.beta.numpy()[0]),
-            eta=0.0 if fallback else float(self.plan.weights.eta.numpy()[0]),
-            cost=float("inf") if fallback else float(costs[sample]),
+            beta=float(row[0] if planned else self.plan.weights.beta.numpy()[e]),
+            eta=0.0 if fallback else float(row[1]),
+            cost=float("inf") if fallback else float(row[2]),
             terms={label: float(value) for label, value in zip(self.costs.labels, terms, strict=True)},
-            best=world,
+            best=(e * self.shape.samples + sample) * self.shape.domains,
             plan_ms=plan_ms,
-            stages_ms={name: 1e3 * seconds for name, seconds in self.plan.stages.items()},
-            diverged_worlds=int(np.count_nonzero(self.engine.trajectory.diverged.numpy())),
+            stages_ms={name: 1e3 * seconds for name, seconds in self._graph.stages.items()},
+            diverged_worlds=diverged,
             fallback=fallback,
         )

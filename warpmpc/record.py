@@ -207,7 +207,7 @@ class Recorder:
     @property
     def _goal_pose(self) -> np.ndarray:
         """The goal the controller plans for, ``[7]``."""
-        return self._controller.costs.goal.numpy()[0]
+        return self._controller.goal[0]
 
     def _draw_goal(self) -> None:
         pose = self._goal_pose

@@ -155,12 +155,3 @@ def test_an_unreachable_target_leaves_the_field_finite():
     grid = make_grid(*walls)
     for target in ((1.0, 0.0), (-1.0, 0.0)):
         assert np.isfinite(grid.path_length(np.array(target), 0.1)).all()
-
-
-def test_points_beyond_the_grid_are_moved_onto_it():
-    grid = make_grid(wall())
-    far = grid.nearest(np.array([100.0, 0.3]))
-    assert far[1] == 0.3
-    assert np.isfinite(grid.path_length(far, INFLATION)).all()
-    inner = np.array([0.5, 0.6])
-    np.testing.assert_array_equal(grid.nearest(inner), inner)

@@ -41,11 +41,15 @@ def random_shifts(shape: tuple[int, int], *, seed: int, count: int, device: str)
     return shift.numpy()
 
 
-def perturb(mean, sigma, shaping, z, *, lower, upper, null_sample: bool, device: str) -> np.ndarray:
+def perturb(
+    mean, sigma, shaping, z, *, lower, upper, null_sample: bool, constant: float = 0.0, device: str
+) -> np.ndarray:
     """Run the kernel on mean and σ [E, P, nu], B [P, P] and z [E, S, P, nu]; returns knots [E, S, P, nu]."""
     knots = wp.empty(z.shape, dtype=float, device=device)
     inputs = [wp.array(a, dtype=float, device=device) for a in (mean, sigma, shaping, z, lower, upper)]
-    wp.launch(perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample)], outputs=[knots], device=device)
+    wp.launch(
+        perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample), constant], outputs=[knots], device=device
+    )
     return knots.numpy()
 
 

@@ -41,6 +41,8 @@ class Distance(Section):
     """Geodesic: obstacles grow by this for the mover's size [m]; from its shapes when left out."""
     near: NonNegative = 0.0
     """Saturate: 1 - exp(-d/near), a pull that acts within about this distance alone [m]; 0 means d itself."""
+    lead: NonNegative = 0.0
+    """Measure from where the first frame's body would coast to in this time [s]: for what rolls on by itself."""
 
 
 class Yaw(Section):
@@ -137,7 +139,7 @@ def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
     p.first, p.second = (b.frame(name, "between") for name in v.between)
     flat_goal = "goal" in v.between and len(b.scene.goal.position) == 2
     p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
-    p.field, p.near = -1, v.near
+    p.field, p.near, p.lead = -1, v.near, v.lead
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.second, b.footprint(v.between[0]) if v.inflation is None else v.inflation)
     return p

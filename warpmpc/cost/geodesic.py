@@ -65,6 +65,40 @@ class Grid:
         """The point itself (x, y) [m], or the nearest one on the grid; beyond it there is nothing to go around."""
         return np.clip(p, self.origin, self.points[-1, -1])
 
+    def nearest_free(self, inflation: float) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest cell outside the grown obstacles, of every cell.
+
+        Args:
+            inflation: Obstacles grow by this [m].
+
+        Returns:
+            Its index row · columns + column, and the distance to it [m], both ``[rows, columns]``.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        blocked = self.clearance < inflation
+        if blocked.all():  # nowhere to go: as if nothing were in the way
+            blocked[:] = False
+        depth, (row, column) = distance_transform_edt(blocked, sampling=self.cell, return_indices=True)
+        return (row * blocked.shape[1] + column).astype(np.int32), depth.astype(np.float32)
+
+    def waypoints(self, inflation: float, *, spacing: float = 0.2) -> np.ndarray:
+        """Points (x, y) on the borders of the grown obstacles, about ``spacing`` [m] apart, ``[M, 2]``.
+
+        Args:
+            inflation: Obstacles grow by this [m].
+            spacing: Distance between neighbours [m].
+        """
+        from scipy.ndimage import binary_dilation
+
+        blocked = self.clearance < inflation
+        border = self.points[binary_dilation(blocked, structure=np.ones((3, 3))) & ~blocked]
+        kept: list[np.ndarray] = []
+        for point in border:
+            if all(np.linalg.norm(point - other) >= spacing for other in kept):
+                kept.append(point)
+        return np.array(kept).reshape(-1, 2)
+
     def _clearance_at(self, p: np.ndarray) -> float:
         column, row = np.clip(np.round((p - self.origin) / self.cell).astype(int), 0, None)
         rows, columns = self.clearance.shape

@@ -14,6 +14,7 @@ from ..scene.errors import SceneError
 from .binding import Binding
 from .builtin import BUILTIN
 from .geodesic import Grid
+from .guide import Guide
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
@@ -68,6 +69,24 @@ class CostStack:
         bodies = [r.joint_q[:2] for r in scene.robot if isinstance(r.joint_q, tuple) and len(r.joint_q) >= 2]
         return Grid(self.layout, np.array([scene.goal.position[:2], *starts, *bodies], dtype=float))
 
+    @property
+    def capturable(self) -> bool:
+        """Whether every term is a kernel, so that a CUDA graph can hold them all."""
+        return not any(isinstance(term, ArrayCost) for term in self._terms)
+
+    def set_weight(self, label: str, weight: float) -> None:
+        """Change the weight of a term; takes effect at the next plan.
+
+        Raises:
+            ValueError: If there is no such term, or the weight is not finite.
+        """
+        if label not in self.labels:
+            raise ValueError(f"no cost term '{label}'; there is: {', '.join(self.labels)}")
+        if not np.isfinite(weight):
+            raise ValueError(f"a weight is a finite number, not {weight}")
+        self._weights[self.labels.index(label)] = float(weight)
+        self.weight.assign(np.array(self._weights, dtype=np.float32))
+
     def attach(self, trajectory: Trajectory, control: wp.array, shape: Shape) -> None:
         """Point the terms at the rollouts they judge.
 
@@ -91,48 +110,29 @@ class CostStack:
         view.frame_body = wp.array(layout.frame_body, dtype=int, device=device)
         view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
         view.fields = len(self._fields)
+        self._guide = None
         if self._grid is not None:
-            rows, columns = self._grid.clearance.shape
-            count = shape.envs * len(self._fields)
-            view.field = wp.zeros((count, rows, columns), dtype=float, device=device)
-            view.field_center = wp.zeros(count, dtype=wp.vec2, device=device)
+            self._guide = Guide(self._grid, self._fields, layout, envs=shape.envs, device=device)
+            view.field, view.field_center = self._guide.field, self._guide.center
             view.field_origin, view.field_cell = wp.vec2(*self._grid.origin), self._grid.cell
-            self._field_at = np.full((count, 2), np.inf)
         self.view, self._trajectory, self._control = view, trajectory, control
 
     def reset(self) -> None:
-        """Forget the distance fields of earlier plans."""
-        if self._grid is not None:
-            self._field_at.fill(np.inf)
+        """Forget where the targets of distance fields were."""
+        if self._guide is not None:
+            self._guide.reset()
 
     def set_goal(self, pose: np.ndarray) -> None:
         """Set the goal poses ``[E, 7]``."""
-        self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
+        pose = np.asarray(pose, dtype=np.float32).reshape(-1, 7)
+        self.goal.assign(pose)
+        if self._guide is not None:
+            self._guide.set_goal(pose)
 
     def guide(self) -> None:
         """Bring the distance fields up to date with the observed state in slice 0 of the trajectory."""
-        if self._grid is None:
-            return
-        bodies = self._trajectory.body_q[0].numpy()
-        goals = self.goal.numpy()
-        for e in range(self.shape.envs):
-            world = e * self.shape.rollouts
-            for i, request in enumerate(self._fields):
-                at = self._grid.nearest(self._place(request.target, bodies[world], goals[e]))
-                f = e * len(self._fields) + i
-                # within half a cell the old field still tells the way round
-                if np.linalg.norm(at - self._field_at[f]) > 0.5 * self._grid.cell:
-                    self._field_at[f] = at
-                    self.view.field[f].assign(self._grid.path_length(at, request.inflation).astype(np.float32))
-                    self.view.field_center.assign(self._field_at.astype(np.float32))
-
-    def _place(self, frame: int, bodies: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        body, pose = int(self.layout.frame_body[frame]), wp.transform(*self.layout.frame_pose[frame])
-        if body == -2:
-            pose = wp.transform(*goal) * pose
-        elif body >= 0:
-            pose = wp.transform(*bodies[body]) * pose
-        return np.array([pose.p[0], pose.p[1]], dtype=float)
+        if self._guide is not None:
+            self._guide.launch(self._trajectory.body_q, self.shape.rollouts)
 
     def launch(self) -> None:
         """Evaluate every term at every step of every world into :attr:`cost` ``[term, T, W]``, weighted."""

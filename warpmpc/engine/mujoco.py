@@ -115,14 +115,11 @@ class MujocoEngine:
         silence_mujoco()
 
     def _randomized(self, world, properties: Properties | None) -> list[mujoco.MjModel]:
-        shape = self.shape
         if properties is None or not properties.names:
-            return [world.model] * shape.worlds
-        if properties.draws < (need := shape.domains if shape.domains > 1 else shape.samples):
-            raise ValueError(f"{need} draws of physical properties are needed, {properties.draws} were given")
-        count = shape.domains if shape.domains > 1 else shape.samples
-        drawn = [randomize_model(world, properties, i) for i in range(count)]
-        return (drawn * shape.samples if shape.domains > 1 else drawn) * shape.envs
+            return [world.model] * self.shape.worlds
+        draws = properties.of_worlds(self.shape)
+        models = {draw: randomize_model(world, properties, draw) for draw in np.unique(draws)}
+        return [models[draw] for draw in draws]
 
     def clone(self, state: ObservedState) -> None:
         """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
@@ -193,6 +190,10 @@ class MujocoEngine:
             outputs=[out.diverged],
             device="cpu",
         )
+
+    def overflow_message(self, bits: int) -> str:
+        """MuJoCo's C engine grows its memory as needed."""
+        return f"capacity bits {bits:#x}"
 
     def close(self) -> None:
         """Stop the threads."""

@@ -15,6 +15,7 @@ from ..scene.errors import SceneError
 if TYPE_CHECKING:
     from ..scene.layout import Layout
     from ..scene.schema import Scene
+    from .trajectory import Shape
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,18 @@ class Properties:
     def draws(self) -> int:
         """Number of draws."""
         return len(self.mass)
+
+    def of_worlds(self, shape: Shape) -> np.ndarray:
+        """Draw of every world ``[W]``: its domain's when there are several, else its sample's, else its environment's.
+
+        Raises:
+            ValueError: If there are fewer draws than that needs.
+        """
+        count = next((n for n in (shape.domains, shape.samples) if n > 1), shape.envs)
+        if self.draws < count:
+            raise ValueError(f"{count} draws of physical properties are needed, {self.draws} were given")
+        inner = 1 if shape.domains > 1 else shape.domains * (1 if shape.samples > 1 else shape.samples)
+        return (np.arange(shape.worlds, dtype=np.int32) // inner) % count
 
 
 def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Properties:

@@ -42,6 +42,7 @@ class Trajectory:
     body_qd: wp.array  # [T+1, W, nb] spatial vector: linear velocity of the centre of mass, angular velocity
     contact_force: wp.array  # [T, W, pairs] vec3 [N], world frame, on the first of the pair
     diverged: wp.array  # [W] nonzero where the world blew up
+    overflow: wp.array  # [W] bits of the solver's capacities that did not suffice
 
     @classmethod
     def allocate(cls, shape: Shape, layout: Layout, pairs: int, device: str) -> Trajectory:
@@ -54,6 +55,7 @@ class Trajectory:
             body_qd=wp.zeros((t, w, layout.nb), dtype=wp.spatial_vector, device=device),
             contact_force=wp.zeros((t - 1, w, pairs), dtype=wp.vec3, device=device),
             diverged=wp.zeros(w, dtype=int, device=device),
+            overflow=wp.zeros(w, dtype=int, device=device),
         )
 
 
@@ -69,10 +71,17 @@ class Engine(Protocol):
     """Rolls controls out from a state."""
 
     name: str
+    device: str
     trajectory: Trajectory
 
     def clone(self, state: ObservedState) -> None:
         """Put every world into the observed state; nothing of an earlier plan remains."""
 
     def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`."""
+        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`; capture-safe on CUDA."""
+
+    def overflow_message(self, bits: int) -> str:
+        """What overflowed and which setting to raise."""
+
+    def close(self) -> None:
+        """Release threads and memory."""

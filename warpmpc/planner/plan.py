@@ -171,6 +171,7 @@ class PlanStep:
                 self.lower,
                 self.upper,
                 int(self.planner.noise.null_sample),
+                self.planner.noise.constant,
             ],
             [self.knots],
         )

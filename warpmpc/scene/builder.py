@@ -45,7 +45,7 @@ def build_world(scene: Scene) -> World:
     Raises:
         SceneError: If an asset is missing or broken, or the scene names links or joints that its asset lacks.
     """
-    builder = _new_builder()
+    builder = new_builder()
     entities: list[Entity] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
     actuators = Actuators()
@@ -72,7 +72,8 @@ def build_world(scene: Scene) -> World:
     return World(builder, _layout(builder, entities, frames, actuators))
 
 
-def _new_builder() -> newton.ModelBuilder:
+def new_builder() -> newton.ModelBuilder:
+    """An empty builder with the settings and custom attributes of every warpmpc model."""
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     builder.rigid_gap = 0.0  # every detected contact is an active one: no speculative pairs to pay for
@@ -87,7 +88,7 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
-    part = _new_builder()
+    part = new_builder()
     options = {
         "xform": _transform(robot.position, robot.rotation),
         "floating": robot.floating,

@@ -21,6 +21,7 @@ from .schema_planner import (
     NoiseSource,
     Planner,
     Risk,
+    Solver,
     SplineKind,
     Temperature,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "Robot",
     "Scene",
     "ShapeKind",
+    "Solver",
     "SplineKind",
     "Success",
     "Temperature",

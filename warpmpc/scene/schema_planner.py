@@ -5,9 +5,23 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
-from .types import Count, Flag, Natural, NonNegative, NonNegatives, Positive, Positives, Section, Share, TwoOrMore, Vec3
+from .types import (
+    Channel,
+    Count,
+    Flag,
+    Natural,
+    NonNegative,
+    NonNegatives,
+    Param,
+    Positive,
+    Positives,
+    Section,
+    Share,
+    TwoOrMore,
+    Vec3,
+)
 
 
 class Method(StrEnum):
@@ -44,6 +58,9 @@ class Noise(Section):
     """Standard deviation in control units, one value or one per control."""
     spread: tuple[Positive, Positive] = (1.0, 1.0)
     """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
+    constant: Channel = 0.0
+    """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
+    several controls hardly ever draw."""
     redraw: Flag = False
     """Fresh noise at every plan; when false it is drawn once, as in the papers."""
     comb: Vec3 = (0.3, 0.0, 0.7)
@@ -132,6 +149,18 @@ class EngineName(StrEnum):
 
     AUTO = "auto"
     MUJOCO = "mujoco"
+    NEWTON = "newton"
+
+
+class Solver(StrEnum):
+    """Which Newton solver the engine ``newton`` steps."""
+
+    MUJOCO = "mujoco"
+    XPBD = "xpbd"
+    FEATHERSTONE = "featherstone"
+    SEMI_IMPLICIT = "semi_implicit"
+    STEEL = "steel"
+    KAMINO = "kamino"
 
 
 class Engine(Section):
@@ -146,3 +175,7 @@ class Engine(Section):
     """Largest number of constraint solver iterations."""
     tolerance: NonNegative = 1e-6
     """Constraint solver tolerance."""
+    solver: Solver = Solver.MUJOCO
+    """``newton``: which of Newton's solvers."""
+    options: dict[str, Param] = Field(default_factory=dict)
+    """``newton``: further options, passed to the solver's constructor by name."""

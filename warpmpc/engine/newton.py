@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ``newton`` engine: all worlds in one Newton model, stepped together by any of its solvers."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+import newton
+import numpy as np
+import warp as wp
+
+from ..kernels.worlds import clone_state_kernel, finite_state_kernel, newton_control_kernel
+from .joints import joint_table
+from .newton_model import build_model, randomize
+from .newton_solver import make_solver
+from .trajectory import ObservedState, Shape, Trajectory
+
+if TYPE_CHECKING:
+    from ..scene.layout import Layout
+    from ..scene.schema import Scene
+    from .pairs import Pair
+    from .properties import Properties
+
+_MODES = {"velocity": 0, "position": 1, "effort": 2}
+LARGEST_SPEED = 1.0e10
+"""Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
+
+
+class NewtonEngine:
+    """Rolls out W worlds of one replicated Newton model.
+
+    Slice t of the trajectory is the memory of a ``newton.State``: the solver writes its result straight into the
+    record. Everything after construction is a fixed sequence of launches without host synchronization or allocation,
+    so that a whole plan can be captured in one CUDA graph. On the CPU the same launches run one by one, slowly.
+
+    Args:
+        scene: The scene; ``engine.solver`` and ``engine.options`` say which solver steps it.
+        layout: Its layout.
+        shape: Sizes of the batch.
+        control_dt: Length of a control step [s].
+        substeps: Physics steps per control step.
+        pairs: Pairs of entities whose contact force is watched.
+        properties: Draws of physical properties; ``None`` leaves every world nominal.
+        device: Warp device.
+
+    Raises:
+        SceneError: If the solver has no such option, or reports no contact forces although terms watch some.
+    """
+
+    name = "newton"
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        shape: Shape,
+        *,
+        control_dt: float,
+        substeps: int,
+        pairs: tuple[Pair, ...] = (),
+        properties: Properties | None = None,
+        device: str = "cuda",
+    ):
+        self.shape, self.substeps, self.pairs = shape, substeps, pairs
+        self.device = str(wp.get_device(device))
+        self.dt = control_dt / substeps
+        with wp.ScopedDevice(self.device):
+            self.model = build_model(scene, shape.worlds, self.device)
+            self.solver = make_solver(self.model, scene, layout, shape, pairs)
+            if properties and (changed := randomize(self.model, layout, shape, properties)):
+                self.solver.solver.notify_model_changed(changed)
+            self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
+            self._table = joint_table(layout, self.device)
+            self._states = self._make_states()
+            self._scratch = [self.model.state() for _ in range(min(substeps - 1, 2))]
+            self._make_controls(layout)
+
+    def _make_states(self) -> list[newton.State]:
+        """One state per slice of the trajectory, in the trajectory's own memory."""
+        out, base = self.trajectory, self.model.state()
+        states = []
+        for t in range(self.shape.horizon + 1):
+            state = copy.copy(base)
+            state.joint_q, state.joint_qd = out.joint_q[t].flatten(), out.joint_qd[t].flatten()
+            state.body_q, state.body_qd = out.body_q[t].flatten(), out.body_qd[t].flatten()
+            states.append(state)
+        return states
+
+    def _make_controls(self, layout: Layout) -> None:
+        """One control per step, in the memory of the target arrays."""
+        t, w = self.shape.horizon, self.shape.worlds
+
+        def upload(values: object, dtype: type) -> wp.array:
+            return wp.array(values, dtype=dtype, device=self.device)
+
+        self._target_q = wp.zeros((t, w, layout.nq), dtype=float, device=self.device)
+        self._target_qd = wp.zeros((t, w, layout.nv), dtype=float, device=self.device)
+        self._effort = wp.zeros((t, w, layout.nv), dtype=float, device=self.device)
+        self._actuators = [
+            upload(layout.actuator_matrix, float),
+            upload(layout.actuator_offset, float),
+            upload([_MODES[mode] for mode in layout.actuator_mode], int),
+            upload(layout.actuator_dof, int),
+            upload(layout.dof_coord[layout.actuator_dof], int),
+            upload(np.minimum(layout.actuator_effort, 1e30), float),
+        ]
+        base = self.model.control()
+        self._controls = []
+        for i in range(t):
+            control = copy.copy(base)
+            control.joint_target_q = self._target_q[i].flatten()
+            control.joint_target_qd = self._target_qd[i].flatten()
+            control.joint_f = self._effort[i].flatten()
+            self._controls.append(control)
+
+    def clone(self, state: ObservedState) -> None:
+        """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
+        out = self.trajectory
+        wp.launch(
+            clone_state_kernel,
+            dim=self.shape.worlds,
+            inputs=[self._table, state.joint_q, state.joint_qd, self.shape.rollouts],
+            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
+            device=self.device,
+        )
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`; capture-safe."""
+        out = self.trajectory
+        wp.launch(
+            newton_control_kernel,
+            dim=(*control.shape[:2], len(self._actuators[1])),
+            inputs=[control, *self._actuators],
+            outputs=[self._target_q, self._target_qd, self._effort],
+            device=self.device,
+        )
+        out.contact_force.zero_()
+        out.overflow.zero_()
+        self.solver.reset(self._states[0])
+        for t in range(self.shape.horizon):
+            self._control_step(t)
+        wp.launch(
+            finite_state_kernel,
+            dim=self.shape.worlds,
+            inputs=[out.joint_q, out.joint_qd, LARGEST_SPEED],
+            outputs=[out.diverged],
+            device=self.device,
+        )
+
+    def _control_step(self, t: int) -> None:
+        """The physics steps of one control step, from slice t to slice t + 1."""
+        before, control = self._states[t], self._controls[t]
+        for n in range(self.substeps):
+            after = self._states[t + 1] if n == self.substeps - 1 else self._scratch[n % 2]
+            self.solver.step(before, after, control, self.dt)
+            self.solver.add_forces(t, 1.0 / self.substeps, self.trajectory.contact_force, self.trajectory.overflow)
+            before = after
+        self.solver.finish(before)
+
+    def step_physics(self) -> None:
+        """The physics alone: the same solver steps with the last controls, nothing recorded but their states."""
+        for t in range(self.shape.horizon):
+            before, control = self._states[t], self._controls[t]
+            for n in range(self.substeps):
+                after = self._states[t + 1] if n == self.substeps - 1 else self._scratch[n % 2]
+                self.solver.step(before, after, control, self.dt)
+                before = after
+
+    def overflow_message(self, bits: int) -> str:
+        """What overflowed and which setting to raise."""
+        return self.solver.overflow_message(bits)
+
+    def close(self) -> None:
+        """Nothing to stop."""
