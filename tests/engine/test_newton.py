@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The newton engine: it agrees with MuJoCo's C engine, forgets earlier plans, and keeps a bad world to itself.
+
+On the CPU, kernels for one small scene are compiled once (about a minute with empty caches); the GPU variants run with
+``-m gpu``.
+"""
+
+import logging
+
+import numpy as np
+import pytest
+import warp as wp
+from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, observed, roll
+
+from warpmpc import Controller, Plant, SceneError, State
+from warpmpc.engine.newton import NewtonEngine
+from warpmpc.engine.pairs import Pair
+from warpmpc.engine.properties import draw_properties
+from warpmpc.engine.trajectory import ObservedState, Shape
+
+PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"), Pair("box", "wall"))
+RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}}}
+SAMPLES, HORIZON = 6, 8
+PUSHER = {**DISC, "asset": "omni_base.urdf"}  # a box: contacts of boxes are computed alike by both, of cylinders not
+NEAR_BOX = {**BOX, "position": (0.47, 0.0, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The base almost touches the box, and the box is not far from the wall."""
+    return make_scene(robot=[PUSHER], object=[NEAR_BOX], obstacle=[WALL], randomize=RANDOM)
+
+
+def controls(worlds: int, *, seed: int = 0) -> np.ndarray:
+    """Random controls that mostly push forward, ``[T, W, 3]``."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform([0.2, -0.5, -1.0], [1.0, 0.5, 1.0], size=(HORIZON, worlds, 3)).astype(np.float32)
+
+
+def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
+    layout = compiled(scene).layout
+    return NewtonEngine(
+        scene,
+        layout,
+        Shape(envs, samples, 1, horizon),
+        control_dt=0.04,
+        substeps=substeps,
+        pairs=pairs,
+        properties=draw_properties(scene, layout, samples, seed=seed),
+        device=device,
+    )
+
+
+@pytest.fixture(scope="module")
+def engine(scene, device):
+    return newton_engine(scene, device)
+
+
+def roll_newton(
+    engine: NewtonEngine, control: np.ndarray, q, qd, *, poison: int | None = None
+) -> dict[str, np.ndarray]:
+    """Roll controls [T, W, nu] out from states [E, nq], [E, nv]; returns copies of what was recorded.
+
+    With ``poison`` the start of that world is NaN.
+    """
+    state = observed(q, qd)
+    engine.clone(ObservedState(*(wp.clone(a, device=engine.device) for a in (state.joint_q, state.joint_qd))))
+    if poison is not None:
+        engine.trajectory.joint_q[0, poison].fill_(np.nan)
+        engine.trajectory.joint_qd[0, poison].fill_(np.nan)
+    engine.rollout(wp.array(control, dtype=float, device=engine.device))
+    out = engine.trajectory
+    names = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force", "diverged", "overflow")
+    return {name: getattr(out, name).numpy().copy() for name in names}
+
+
+def start(scene) -> tuple[np.ndarray, np.ndarray]:
+    layout = compiled(scene).layout
+    return layout.joint_q, layout.joint_qd
+
+
+def test_it_agrees_with_the_mujoco_engine(scene, engine):
+    """Same solver, same formulas: float32 against float64, through contacts and in differently randomized worlds."""
+    layout = compiled(scene).layout
+    reference = make_engine(
+        scene,
+        samples=SAMPLES,
+        horizon=HORIZON,
+        pairs=PAIRS,
+        properties=draw_properties(scene, layout, SAMPLES, seed=3),
+    )
+    control = controls(SAMPLES)
+    expected = roll(reference, control, *start(scene))
+    found = roll_newton(engine, control, *start(scene))
+    box = layout.joint_q_start[layout.entity("box").joints[0]]
+    assert np.ptp(found["joint_q"][-1, :, box]) > 0.01  # the worlds were pushed differently
+    np.testing.assert_allclose(found["joint_q"], expected.joint_q.numpy(), atol=2e-4)
+    np.testing.assert_allclose(found["joint_qd"], expected.joint_qd.numpy(), atol=2e-2)
+    np.testing.assert_allclose(found["body_q"], expected.body_q.numpy(), atol=2e-4)
+    force = expected.contact_force.numpy()
+    assert np.abs(force[:, :, 1]).max() > 2.0  # base and box pushed each other
+    np.testing.assert_allclose(found["contact_force"], force, atol=0.02 * np.abs(force).max())
+    assert not found["diverged"].any()
+    assert not found["overflow"].any()
+
+
+def test_a_plan_leaves_nothing_behind(scene, engine):
+    control = controls(SAMPLES)
+    first = roll_newton(engine, control, *start(scene))
+    roll_newton(engine, controls(SAMPLES, seed=1) * 3.0, *start(scene))
+    again = roll_newton(engine, control, *start(scene))
+    for name, values in first.items():
+        np.testing.assert_allclose(again[name], values, atol=1e-5, err_msg=name)
+
+
+def test_a_poisoned_world_hurts_nobody_else_and_not_the_next_plan(scene, engine):
+    control = controls(SAMPLES)
+    clean = roll_newton(engine, control, *start(scene))
+    poisoned = control.copy()
+    poisoned[:, 2] = 1e30
+    poisoned[3:, 4] = np.nan
+    found = roll_newton(engine, poisoned, *start(scene), poison=4)
+    assert found["diverged"][4] == 1
+    others = [0, 1, 3, 5]
+    assert not found["diverged"][others].any()
+    exact = engine.device == "cpu"  # contacts are gathered in no fixed order on a GPU, which moves the last bits
+    for name in ("joint_q", "joint_qd", "body_q", "contact_force"):
+        a, b = found[name][:, others], clean[name][:, others]
+        if exact:
+            np.testing.assert_array_equal(a, b, err_msg=name)
+        np.testing.assert_allclose(a, b, atol=1e-4, err_msg=name)
+    after = roll_newton(engine, control, *start(scene))
+    for name, values in clean.items():
+        np.testing.assert_allclose(after[name], values, atol=1e-5, err_msg=name)
+
+
+def test_every_environment_starts_from_its_own_state(scene, device):
+    engine = newton_engine(scene, device, envs=2, samples=3)
+    q, qd = (np.stack([a, a]) for a in start(scene))
+    q[1, 1] += 0.1
+    control = np.concatenate([controls(3), controls(3)], axis=1)
+    both = roll_newton(engine, control, q, qd)
+    np.testing.assert_allclose(both["joint_q"][0, :3], np.tile(q[0], (3, 1)))
+    np.testing.assert_allclose(both["joint_q"][0, 3:], np.tile(q[1], (3, 1)))
+    swapped = roll_newton(engine, control, q[::-1], qd[::-1])
+    # worlds of both environments are randomized alike
+    np.testing.assert_allclose(swapped["joint_q"][:, 3:], both["joint_q"][:, :3], atol=1e-5)
+
+
+def test_overflow_is_reported_with_the_setting_to_raise(scene, device):
+    tight = scene.model_copy(
+        update={"engine": scene.engine.model_copy(update={"options": {"njmax": 17, "nconmax": 5}})}
+    )
+    engine = newton_engine(tight, device, samples=4, pairs=())
+    q, qd = start(scene)
+    found = roll_newton(engine, controls(4), q, qd)
+    bits = int(found["overflow"].max())
+    assert bits != 0
+    message = engine.overflow_message(bits)
+    assert "engine.options.nconmax" in message
+    assert "engine.options.njmax" in message
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "says"),
+    [
+        ({"options": {"njmx": 3}}, "engine.options.njmx", "njmax"),
+        ({"solver": "featherstone"}, "engine.solver", "contact forces"),
+        ({"solver": "xpbd", "options": {"iterations": 2, "njmax": 5}}, "engine.options.njmax", "iterations"),
+        ({"options": {"cone": "round"}}, "engine.options", "refuses"),
+    ],
+)
+def test_a_solver_that_does_not_fit_is_refused_with_its_key(scene, section, key, says):
+    section = {**section, "solver": section.get("solver", "mujoco")}
+    wrong = make_scene(robot=[PUSHER], object=[NEAR_BOX], obstacle=[WALL], engine=section)
+    with pytest.raises(SceneError) as error:
+        newton_engine(wrong, "cpu", samples=2)
+    assert error.value.key == key
+    assert says in str(error.value)
+
+
+def test_the_controller_brings_the_disc_to_its_goal(device):
+    planner = {"samples": 24, "horizon": 6, "temperature": {"initial": 0.1}}
+    scene = make_scene(robot=[PUSHER], planner=planner, timing={"timeout": 3.0})
+    controller = Controller(scene, engine="newton", device=device, compiled=compiled(scene))
+    plant = Plant(scene, compiled=compiled(scene))
+    while not plant.done:
+        plant.apply(controller.step(plant.observe()))
+    assert plant.reason == "goal reached"
+    assert controller.info.diverged_worlds == 0
+    assert controller.device == device
+
+
+def test_both_engines_plan_the_same_command(scene, device):
+    scene = scene.model_copy(update={"planner": scene.planner.model_copy(update={"samples": SAMPLES, "horizon": 8})})
+    controllers = [
+        Controller(scene, engine="mujoco", compiled=compiled(scene), seed=2),
+        Controller(scene, engine="newton", device=device, compiled=compiled(scene), seed=2),
+    ]
+    state = State.start(compiled(scene).layout)
+    for _ in range(4):
+        expected, found = (controller.step(state) for controller in controllers)
+        np.testing.assert_allclose(found, expected, atol=5e-3)
+        costs = [controller.info.cost for controller in controllers]
+        assert costs[1] == pytest.approx(costs[0], rel=1e-3)
+        for label, value in controllers[0].info.terms.items():
+            assert controllers[1].info.terms[label] == pytest.approx(value, rel=1e-2, abs=1e-3)
+
+
+@pytest.mark.gpu
+def test_goals_weights_and_limits_change_without_a_new_graph(scene):
+    """What a captured plan reads from device arrays may change between replays."""
+    if not wp.is_cuda_available():
+        pytest.skip("needs a CUDA device")
+    controller = Controller(scene, engine="newton", device="cuda:0", compiled=compiled(scene))
+    state = State.start(compiled(scene).layout)
+    for _ in range(3):
+        controller.step(state)
+    graph = controller._graph._graph
+    assert graph is not None
+    cost = controller.info.cost
+    controller.reset()
+    controller.set_goal(np.array([3.0, 0.5, 0, 0, 0, 0, 1.0]))
+    controller.step(state)
+    assert controller.info.cost > 1.5 * cost
+    controller.set_weight("distance", 0.0)
+    controller.step(state)
+    assert controller.info.cost == 0.0
+    controller.set_limits(np.full(3, -0.01), np.full(3, 0.01))
+    assert np.abs(controller.step(state)).max() <= 0.01
+    assert controller._graph._graph is graph
+    assert controller.info.stages_ms["rollout"] != controller.info.stages_ms["rollout"]  # one graph: no stages
+
+
+def test_a_warning_names_the_overflow_once(scene, device, caplog):
+    options = {"options": {"njmax": 17, "nconmax": 5}}
+    tight = make_scene(robot=[PUSHER], object=[NEAR_BOX], obstacle=[WALL], engine=options)
+    controller = Controller(tight, engine="newton", device=device, compiled=compiled(tight))
+    with caplog.at_level(logging.WARNING, logger="warpmpc"):
+        for _ in range(3):
+            controller.step(State.start(compiled(tight).layout))
+    assert sum("nconmax" in record.getMessage() for record in caplog.records) == 1
