@@ -135,8 +135,7 @@ def plane_distance(s: StepView, field: int, target: wp.vec2, p: wp.vec2) -> floa
         return straight
     f = s.e * s.fields + field
     path = sample_field(s.field, f, s.field_origin, s.field_cell, p)
-    # the field's own error grows with the path, about a cell's width here
-    return straight + wp.max(path - wp.length(p - s.field_center[f]) - s.field_cell, 0.0)
+    return straight + wp.max(path - wp.length(p - s.field_center[f]), 0.0)
 
 
 @wp.struct

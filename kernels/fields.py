@@ -36,22 +36,62 @@ def field_gradient(field: wp.array3d[float], f: int, origin: wp.vec2, cell: floa
 
 @wp.struct
 class GuideTable:
-    """What path lengths are made of: the way from every cell to waypoints on the borders of grown obstacles.
+    """What path lengths are made of: waypoints on the borders of grown obstacles, what they see, and how far apart.
 
-    A shortest path that is not straight touches a border, so it passes (nearly) through a waypoint. The fields of R
-    requests (a target and a mover's size) stand one after the other.
+    A shortest path that is not straight follows a border for a while, so it passes (nearly) through waypoints. There
+    are R requests (a target and a mover's size), each with waypoints of its own.
     """
 
     clearance: wp.array3d[float]  # [1, rows, columns] distance from the obstacles [m]
     inflation: wp.array[float]  # [R] obstacles grow by this [m]
-    waypoint_start: wp.array[int]  # [R+1] first waypoint of each request
-    waypoint: wp.array2d[float]  # [rows · columns, M] path length to each waypoint [m]
+    count: wp.array[int]  # [R] number of waypoints
+    sight: wp.array3d[float]  # [R, rows · columns, M] straight way from a cell to a waypoint [m], infinite if blocked
+    between: wp.array3d[float]  # [R, M, M] path length between waypoints [m]
     nearest: wp.array3d[int]  # [R, rows, columns] nearest free cell, row · columns + column
     depth: wp.array3d[float]  # [R, rows, columns] distance to it [m]
     origin: wp.vec2  # [m]
     cell: float  # [m]
-    body: wp.array[int]  # [R] body of the target, negative for one that stays
+    body: wp.array[int]  # [R] body of the target, -1 for the world, -2 for the goal
     pose: wp.array[wp.transform]  # [R] target in that body's frame
+
+
+@wp.func
+def clear_way(
+    clearance: wp.array3d[float], origin: wp.vec2, cell: float, inflation: float, a: wp.vec2, b: wp.vec2, free: float
+) -> bool:
+    """Whether the straight way from a to b keeps clear of the grown obstacles, its last ``free`` metres left out."""
+    d = wp.length(b - a)
+    if d <= free:
+        return True
+    steps = int((d - free) / cell) + 1
+    # in cells; rounded to the nearest one, which may stand half a cell inside
+    p = (a - origin) / cell + wp.vec2(0.5, 0.5)
+    step = (b - a) * ((d - free) / d / float(steps) / cell)
+    for _ in range(steps):
+        if clearance[0, int(p[1]), int(p[0])] < inflation - 0.5 * cell:
+            return False
+        p += step
+    return True
+
+
+@wp.kernel
+def sight_kernel(
+    # inputs
+    clearance: wp.array3d[float],  # [1, rows, columns] [m]
+    inflation: float,  # [m]
+    origin: wp.vec2,  # [m]
+    cell: float,  # [m]
+    point: wp.array[wp.vec2],  # [N] [m]
+    waypoint: wp.array[wp.vec2],  # [M] [m]
+    # outputs
+    sight: wp.array2d[float],  # [N, M] [m]
+):
+    """One thread: the straight way from a point to a waypoint, infinite where a grown obstacle is in between."""
+    i, m = wp.tid()
+    sight[i, m] = wp.inf
+    # from the border outwards: half of all ways end at once in the obstacle they start at
+    if clear_way(clearance, origin, cell, inflation, waypoint[m], point[i], 0.0):
+        sight[i, m] = wp.length(point[i] - waypoint[m])
 
 
 @wp.kernel
@@ -59,20 +99,23 @@ def guide_target_kernel(
     # inputs
     table: GuideTable,
     body_q: wp.array3d[wp.transform],  # [T+1, W, nb] slice 0 is read
+    goal: wp.array[wp.transform],  # [E]
     rollouts: int,  # worlds per environment
     # outputs
     center: wp.array[wp.vec2],  # [E·R] where the target of each field is [m]
     stale: wp.array[int],  # [E·R] whether the field must follow
 ):
-    """One thread: where the moving target of one field is; within half a cell the old field still tells the way."""
+    """One thread: where the target of one field is now; within half a cell the old field still tells the way."""
     f = wp.tid()
     requests = table.inflation.shape[0]
     e = f // requests
     r = f % requests
-    if table.body[r] < 0:
-        stale[f] = 0
-        return
-    p = wp.transform_get_translation(body_q[0, e * rollouts, table.body[r]] * table.pose[r])
+    pose = table.pose[r]
+    if table.body[r] == -2:
+        pose = goal[e] * pose
+    elif table.body[r] >= 0:
+        pose = body_q[0, e * rollouts, table.body[r]] * pose
+    p = wp.transform_get_translation(pose)
     # beyond the grid there is nothing to go around
     rows = table.clearance.shape[1]
     columns = table.clearance.shape[2]
@@ -89,26 +132,33 @@ def guide_target_kernel(
 
 
 @wp.func
-def in_sight(table: GuideTable, r: int, a: wp.vec2, b: wp.vec2) -> bool:
-    """Whether the straight way from a to the target b keeps clear of the grown obstacles.
+def target_cell(table: GuideTable, at: wp.vec2) -> wp.vec2i:
+    """Row and column of the cell nearest to a point."""
+    return wp.vec2i(
+        int(wp.round((at[1] - table.origin[1]) / table.cell)), int(wp.round((at[0] - table.origin[0]) / table.cell))
+    )
 
-    Around a target inside a grown obstacle the way out is free.
-    """
-    d = wp.length(b - a)
-    blocked = table.inflation[r]
-    clear = sample_field(table.clearance, 0, table.origin, table.cell, b)
-    free = wp.max(blocked - clear + 1.5 * table.cell, 2.0 * table.cell)
-    if d <= free:
-        return True
-    steps = int((d - free) / table.cell) + 1
-    # in cells; rounded to the nearest one, which may stand half a cell inside
-    p = (a - table.origin) / table.cell + wp.vec2(0.5, 0.5)
-    step = (b - a) * ((d - free) / d / float(steps) / table.cell)
-    for _ in range(steps):
-        if table.clearance[0, int(p[1]), int(p[0])] < blocked - 0.5 * table.cell:
-            return False
-        p += step
-    return True
+
+@wp.kernel
+def guide_waypoint_kernel(
+    # inputs
+    table: GuideTable,
+    center: wp.array[wp.vec2],  # [E·R] [m]
+    stale: wp.array[int],  # [E·R]
+    # outputs
+    remaining: wp.array2d[float],  # [E·R, M] path length from a waypoint to the target [m]
+):
+    """One thread: the way from one waypoint to one target, by the last waypoint that sees it."""
+    f, m = wp.tid()
+    r = f % table.inflation.shape[0]
+    if stale[f] == 0 or m >= table.count[r]:
+        return
+    at = target_cell(table, center[f])
+    end = table.nearest[r, at[0], at[1]]
+    best = float(wp.inf)
+    for k in range(table.count[r]):
+        best = wp.min(best, table.between[r, m, k] + table.sight[r, end, k])
+    remaining[f, m] = best + table.depth[r, at[0], at[1]]
 
 
 @wp.kernel
@@ -117,30 +167,36 @@ def guide_field_kernel(
     table: GuideTable,
     center: wp.array[wp.vec2],  # [E·R]
     stale: wp.array[int],  # [E·R]
+    remaining: wp.array2d[float],  # [E·R, M]
     # outputs
     field: wp.array3d[float],  # [E·R, rows, columns] path length to the target [m]
 ):
     """One thread: the path length from one cell to one target, straight where in sight, else by the best waypoint.
 
-    Cells inside grown obstacles hold the value of the nearest free cell plus twice the way there, so that the field
-    leads out of them.
+    Around a target inside a grown obstacle the way out is free. Cells inside grown obstacles hold the value of the
+    nearest free cell plus twice the way there, so that the field leads out of them. Where there is no way at all it is
+    twice the straight one.
     """
     f, row, column = wp.tid()
     if stale[f] == 0:
         return
     r = f % table.inflation.shape[0]
     columns = table.clearance.shape[2]
+    inflation = table.inflation[r]
     target = center[f]
     start = table.nearest[r, row, column]
     here = table.origin + table.cell * wp.vec2(float(start % columns), float(start // columns))
-    length = wp.length(target - here)
-    if not in_sight(table, r, here, target):
-        target_row = int(wp.round((target[1] - table.origin[1]) / table.cell))
-        target_column = int(wp.round((target[0] - table.origin[0]) / table.cell))
-        end = table.nearest[r, target_row, target_column]
-        rest = table.depth[r, target_row, target_column]
+    clear = sample_field(table.clearance, 0, table.origin, table.cell, target)
+    free = wp.max(inflation - clear + 1.5 * table.cell, 2.0 * table.cell)
+    itself = table.origin + table.cell * wp.vec2(float(column), float(row))
+    if wp.length(target - itself) <= free:
+        field[f, row, column] = wp.length(target - itself)
+        return
+    straight = wp.length(target - here)
+    length = float(straight)
+    if not clear_way(table.clearance, table.origin, table.cell, inflation, here, target, free):
         best = float(wp.inf)
-        for m in range(table.waypoint_start[r], table.waypoint_start[r + 1]):
-            best = wp.min(best, table.waypoint[start, m] + table.waypoint[end, m])
-        length = wp.max(length, best + rest)
+        for m in range(table.count[r]):
+            best = wp.min(best, table.sight[r, start, m] + remaining[f, m])
+        length = wp.where(wp.isfinite(best), wp.max(best, straight), 2.0 * straight)
     field[f, row, column] = length + 2.0 * table.depth[r, row, column]

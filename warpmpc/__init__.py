@@ -7,6 +7,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .batch import run_batch
     from .controller import Controller
     from .cost.term import ArrayCost, CostTerm, array_cost, cost_term
     from .episode import EpisodeResult, run_episode
@@ -51,6 +52,7 @@ __all__ = [
     "joint_position",
     "joint_velocity",
     "load_scene",
+    "run_batch",
     "run_episode",
     "shipped_scenes",
 ]
@@ -68,6 +70,7 @@ _HOME = {
     "array_cost": "cost.term",
     "cost_term": "cost.term",
     "load_scene": "scene.load",
+    "run_batch": "batch",
     "run_episode": "episode",
     "shipped_scenes": "scene.load",
 }

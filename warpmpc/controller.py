@@ -84,7 +84,7 @@ class Controller:
             properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
-        self._graph = PlanGraph(self.plan)
+        self.graph = PlanGraph(self.plan)
         # the last finite observation of every environment
         self._hold_q = np.tile(self.layout.joint_q, (envs, 1))
         self._hold_qd = np.tile(self.layout.joint_qd, (envs, 1))
@@ -116,7 +116,6 @@ class Controller:
             raise ValueError(f"a goal is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
         pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
         self.goal[:] = pose
-        self.costs.set_goal(self.goal)
 
     def set_weight(self, term: str, weight: float) -> None:
         """Change the weight of a cost term; takes effect at the next plan.
@@ -167,7 +166,7 @@ class Controller:
         self._hold_q[finite], self._hold_qd[finite] = q[finite], qd[finite]
         nu = self.layout.nu
         if finite.any():
-            report = self._graph(self._hold_q, self._hold_qd, self.goal)
+            report = self.graph(self._hold_q, self._hold_qd, self.goal)
             command, rows = report[:, :nu].copy(), report[:, nu:].astype(float)
         else:
             command, rows = np.zeros((self.envs, nu), np.float32), np.full((self.envs, int(REPORT)), np.nan)
@@ -224,7 +223,7 @@ class Controller:
             terms={label: float(value) for label, value in zip(self.costs.labels, terms, strict=True)},
             best=(e * self.shape.samples + sample) * self.shape.domains,
             plan_ms=plan_ms,
-            stages_ms={name: 1e3 * seconds for name, seconds in self._graph.stages.items()},
+            stages_ms={name: 1e3 * seconds for name, seconds in self.graph.stages.items()},
             diverged_worlds=diverged,
             fallback=fallback,
         )

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .cost.term import ArrayCost, CostTerm
     from .plant import Plant
     from .scene.schema import Scene
+    from .state import Info
 
 BODIES = ("robot", "object", "obstacle", "ground")
 """Sections of a scene that its compiled form depends on."""
@@ -61,15 +62,17 @@ class EpisodeResult:
     time_in_contact: float
     """Time of contact between robots or objects and obstacles [s]."""
     plan_ms: dict[str, float]
-    """Wall time of a plan [ms]: ``p50``, ``p90``, ``p99``, ``max``; NaN without a plan."""
+    """Wall time of a plan of all environments [ms]: ``p50``, ``p90``, ``p99``, ``max``; NaN without a plan."""
     stages_ms: dict[str, float]
-    """Median wall time of each stage of a plan [ms]."""
+    """Median wall time of each stage of a plan [ms]; NaN on a CUDA device, where one graph runs them all."""
     diverged_worlds: int
     """Rollouts whose physics blew up, summed over the episode."""
     samples: int
     horizon: int
     fallbacks: int
     """Safe commands sent because no rollout survived."""
+    envs: int = 1
+    """Environments that every plan planned for at once."""
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
@@ -99,6 +102,7 @@ class EpisodeResult:
             "samples": self.samples,
             "horizon": self.horizon,
             "fallbacks": self.fallbacks,
+            "envs": self.envs,
         }
         if self.drawn:
             data["drawn"] = self.drawn
@@ -111,6 +115,66 @@ class EpisodeInterrupted(KeyboardInterrupt):
     def __init__(self, result: EpisodeResult):
         super().__init__("the episode was interrupted")
         self.result = result
+
+
+class Tally:
+    """Adds up the plans of one episode.
+
+    Args:
+        scene: The scene, its task drawn.
+        seed: Seed of the episode.
+        drawn: Values drawn for it by scene key.
+        controller: Makes the plans.
+        plant: The plant that follows them.
+    """
+
+    def __init__(self, scene: Scene, seed: int, drawn: dict[str, object], controller: Controller, plant: Plant):
+        self.scene, self.seed, self.drawn, self.controller, self.plant = scene, seed, drawn, controller, plant
+        self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
+        self._diverged = self._fallbacks = 0
+        self._cost = math.nan
+
+    def note(self, info: Info) -> None:
+        """Keep the numbers of the plan just made."""
+        self._plans.append((info.plan_ms, info.stages_ms))
+        self._diverged += info.diverged_worlds
+        self._fallbacks += info.fallback
+        self._cost = info.cost
+
+    def result(self, *, reason: str | None = None) -> EpisodeResult:
+        """The result as of now.
+
+        Args:
+            reason: Why the episode ended before its plant was done.
+        """
+        scene, controller, plant = self.scene, self.controller, self.plant
+        error, oriented = plant.error, scene.goal.yaw is not None or scene.goal.rotation is not None
+        plans = self._plans or [(math.nan, dict.fromkeys(controller.plan.stages, math.nan))]
+        p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
+        return EpisodeResult(
+            scene=scene.name,
+            variant=scene.variant,
+            seed=self.seed,
+            engine=controller.engine.name,
+            device=controller.device,
+            success=plant.success,
+            reason=plant.reason if plant.success else reason or plant.reason,
+            sim_time=plant.time,
+            steps=plant.steps,
+            position_error=error.position,
+            yaw_error=error.yaw if oriented else None,
+            cost=self._cost,
+            max_force=plant.contact.max_force,
+            time_in_contact=plant.contact.time,
+            plan_ms={"p50": p50, "p90": p90, "p99": p99, "max": longest},
+            stages_ms={name: float(np.median([stages[name] for _, stages in plans])) for name in plans[0][1]},
+            diverged_worlds=self._diverged,
+            samples=controller.shape.samples,
+            horizon=controller.shape.horizon,
+            fallbacks=self._fallbacks,
+            envs=controller.envs,
+            drawn=self.drawn,
+        )
 
 
 class Episode:
@@ -150,8 +214,7 @@ class Episode:
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )
         self.plant = Plant(self.scene, seed=seed, compiled=compiled)
-        self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
-        self._diverged = self._fallbacks = 0
+        self._tally = Tally(self.scene, seed, self.drawn, self.controller, self.plant)
 
     def run(
         self,
@@ -179,7 +242,7 @@ class Episode:
                 controller.reset()
             while not plant.done:
                 control = controller.step(observation)
-                self._note()
+                self._tally.note(controller.info)
                 plant.apply(control)
                 if recorder is not None:
                     recorder.log(control)
@@ -187,52 +250,11 @@ class Episode:
                     on_step(controller, plant, control)
                 observation = plant.observe()
         except KeyboardInterrupt:
-            raise EpisodeInterrupted(self.result(reason="interrupted")) from None
+            raise EpisodeInterrupted(self._tally.result(reason="interrupted")) from None
         finally:
             if recorder is not None:
                 recorder.close()
-        return self.result()
-
-    def _note(self) -> None:
-        """Keep the numbers of the plan just made."""
-        info = self.controller.info
-        self._plans.append((info.plan_ms, info.stages_ms))
-        self._diverged += info.diverged_worlds
-        self._fallbacks += info.fallback
-
-    def result(self, *, reason: str | None = None) -> EpisodeResult:
-        """The result as of now.
-
-        Args:
-            reason: Why the episode ended, the plant's own reason if None.
-        """
-        scene, controller, plant = self.scene, self.controller, self.plant
-        error, oriented = plant.error, scene.goal.yaw is not None or scene.goal.rotation is not None
-        plans = self._plans or [(math.nan, dict.fromkeys(controller.plan.stages, math.nan))]
-        p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
-        return EpisodeResult(
-            scene=scene.name,
-            variant=scene.variant,
-            seed=self.seed,
-            engine=controller.engine.name,
-            device=controller.device,
-            success=plant.success,
-            reason=plant.reason if plant.success else reason or plant.reason,
-            sim_time=plant.time,
-            steps=plant.steps,
-            position_error=error.position,
-            yaw_error=error.yaw if oriented else None,
-            cost=controller.info.cost if controller.info else math.nan,
-            max_force=plant.contact.max_force,
-            time_in_contact=plant.contact.time,
-            plan_ms={"p50": p50, "p90": p90, "p99": p99, "max": longest},
-            stages_ms={name: float(np.median([stages[name] for _, stages in plans])) for name in plans[0][1]},
-            diverged_worlds=self._diverged,
-            samples=controller.shape.samples,
-            horizon=controller.shape.horizon,
-            fallbacks=self._fallbacks,
-            drawn=self.drawn,
-        )
+        return self._tally.result()
 
 
 def run_episode(

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,17 +15,65 @@ import warp as wp
 from .engine.compiled import CompiledScene, compile_scene
 from .engine.mujoco import MujocoEngine
 from .engine.pairs import collision_pairs
-from .engine.properties import draw_properties
+from .engine.properties import Properties, draw_properties
 from .engine.trajectory import ObservedState, Shape
 from .goal import GoalError, goal_error, goal_pose
 from .scene.errors import SceneError
 from .state import Contact, State
 
 if TYPE_CHECKING:
+    from .plant_batch import PlantBatch
     from .scene.schema import Kick, Scene
 
 CONTACT_FORCE = 1e-3
 """Net force above which two things count as touching [N]."""
+
+
+@dataclass(frozen=True)
+class PlantWorld:
+    """Where a plant lives: one world of an engine."""
+
+    engine: MujocoEngine
+    control: wp.array
+    """Controls of all worlds of the engine ``[1, E, nu]``."""
+    index: int
+    """Which world of the engine."""
+    properties: Properties | None
+    """Draw of the plant's physical properties, None for nominal ones."""
+
+
+def plant_worlds(scene: Scene, compiled: CompiledScene, seeds: Sequence[int]) -> list[PlantWorld]:
+    """Worlds of one engine at the start state, for one plant per seed.
+
+    Args:
+        scene: The scene.
+        compiled: The scene, compiled.
+        seeds: Seeds of the plants' properties.
+    """
+    layout, draws = compiled.layout, None
+    if scene.plant.randomize:
+        draws = [draw_properties(scene, layout, 1, seed=2 * seed + 1) for seed in seeds]
+    engine = MujocoEngine(
+        compiled,
+        Shape(len(seeds), 1, 1, 1),
+        control_dt=scene.timing.control_dt,
+        substeps=scene.plant.substeps,
+        pairs=collision_pairs(layout),
+        properties=_stacked(draws) if draws else None,
+        threads=1 if len(seeds) == 1 else 0,
+        iterations=100,
+        tolerance=1e-8,
+    )
+    start = (np.tile(a, (len(seeds), 1)) for a in (layout.joint_q, layout.joint_qd))
+    engine.clone(ObservedState(*(wp.array(a, dtype=float, device="cpu") for a in start)))
+    control = wp.zeros((1, len(seeds), layout.nu), dtype=float, device="cpu")
+    return [PlantWorld(engine, control, i, draws[i] if draws else None) for i in range(len(seeds))]
+
+
+def _stacked(draws: Sequence[Properties]) -> Properties:
+    """Draws of one plant each as draws of one batch."""
+    rows = (np.concatenate([getattr(draw, field) for draw in draws]) for field in ("mass", "friction", "size"))
+    return Properties(draws[0].names, *rows)
 
 
 class Plant:
@@ -35,31 +85,42 @@ class Plant:
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
+        envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant_batch.PlantBatch` of plants
+            with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
         compiled: The scene compiled earlier, to save doing it again.
+        world: World of a batch's engine that this plant lives in; an engine of its own if None.
 
     Raises:
         SceneError: If a kick has the wrong number of values.
+        ValueError: If there is to be less than one plant.
     """
 
-    def __init__(self, scene: Scene, *, seed: int = 0, compiled: CompiledScene | None = None):
+    def __new__(cls, scene: Scene, *, seed: int = 0, envs: int = 1, **keys: object) -> Plant | PlantBatch:
+        """A plant, or a batch of them."""
+        if envs < 1:
+            raise ValueError(f"there is at least one plant, not {envs}")
+        if envs == 1:
+            return super().__new__(cls)
+        from .plant_batch import PlantBatch
+
+        return PlantBatch([scene] * envs, seeds=range(seed, seed + envs), **keys)
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        envs: int = 1,
+        compiled: CompiledScene | None = None,
+        world: PlantWorld | None = None,
+    ):
         self.scene = scene
         self.compiled = compiled or compile_scene(scene)
         self.layout = self.compiled.layout
-        self.pairs = collision_pairs(self.layout)
-        properties = draw_properties(scene, self.layout, 1, seed=2 * seed + 1) if scene.plant.randomize else None
-        self.properties = properties
-        self._engine = MujocoEngine(
-            self.compiled,
-            Shape(1, 1, 1, 1),
-            control_dt=scene.timing.control_dt,
-            substeps=scene.plant.substeps,
-            pairs=self.pairs,
-            properties=properties,
-            threads=1,
-            iterations=100,
-            tolerance=1e-8,
-        )
-        self._control = wp.zeros((1, 1, self.layout.nu), dtype=float, device="cpu")
+        self._world = world or plant_worlds(scene, self.compiled, [seed])[0]
+        self._engine, self._index = self._world.engine, self._world.index
+        self.pairs, self.properties = self._engine.pairs, self._world.properties
+        self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
@@ -68,10 +129,8 @@ class Plant:
 
     def reset(self) -> None:
         """Go back to the start state."""
-        start = State.start(self.layout)
-        observed = (wp.array(a[None], dtype=float, device="cpu") for a in (start.joint_q, start.joint_qd))
-        self._engine.clone(ObservedState(*observed))
-        self._slice = 0
+        self._engine.initial[self._index] = self._start
+        self._slice = 0  # of the trajectory: the start, later 1, the state after a control
         self.steps = 0
         self.contact = Contact()
         self.diverged = False
@@ -88,14 +147,13 @@ class Plant:
     def state(self) -> State:
         """The true state."""
         out = self._engine.trajectory
-        return State(
-            out.joint_q.numpy()[self._slice, 0].copy(), out.joint_qd.numpy()[self._slice, 0].copy(), time=self.time
-        )
+        at = self._slice, self._index
+        return State(out.joint_q.numpy()[at].copy(), out.joint_qd.numpy()[at].copy(), time=self.time)
 
     @property
     def body_q(self) -> np.ndarray:
         """True poses of all bodies ``[nb, 7]``."""
-        return self._engine.trajectory.body_q.numpy()[self._slice, 0].copy()
+        return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
     def observe(self) -> State:
         """The state as sensors show it: with noise, and ``delay`` old."""
@@ -120,15 +178,23 @@ class Plant:
         control = np.asarray(control, dtype=np.float32)
         if control.shape != (self.layout.nu,) or not np.isfinite(control).all():
             raise ValueError(f"a control of this scene is {self.layout.nu} finite numbers, not {control}")
-        engine = self._engine
+        self.begin(control)
+        self._engine.rollout(self._world.control)
+        self.end()
+
+    def begin(self, control: np.ndarray) -> None:
+        """The part of :meth:`apply` before the engine's step: kicks and the control ``[nu]``."""
         self._disturb()
-        self._control.assign(control[None, None])
-        engine.rollout(self._control)
+        self._world.control.numpy()[0, self._index] = control
+
+    def end(self) -> None:
+        """The part of :meth:`apply` after the engine's step: take note of the state reached."""
+        engine, i = self._engine, self._index
         self._slice = 1
         self.steps += 1
-        self.diverged = bool(engine.trajectory.diverged.numpy()[0])
-        engine.initial[:] = engine.state[:, -1]
-        engine.initial[:, 0] = 0.0
+        self.diverged = bool(engine.trajectory.diverged.numpy()[i])
+        engine.initial[i] = engine.state[i, -1]
+        engine.initial[i, 0] = 0.0
         self._feel()
         self._check()
 
@@ -138,7 +204,7 @@ class Plant:
         for kick, columns in self._kicks:
             # counted in whole steps: a sum of times may miss its own border
             if self.steps == math.floor(kick.time / dt + 1e-6):
-                self._engine.initial[0, columns] += kick.velocity
+                self._engine.initial[self._index, columns] += kick.velocity
 
     def _kicked(self, i: int, kick: Kick) -> list[int]:
         """Columns of the physics state that a kick changes."""
@@ -164,7 +230,7 @@ class Plant:
         """Record contacts between robots and obstacles at every physics step."""
         if not self.pairs:
             return
-        force = np.linalg.norm(self._engine.sensor[0].reshape(-1, len(self.pairs), 3), axis=-1)
+        force = np.linalg.norm(self._engine.sensor[self._index].reshape(-1, len(self.pairs), 3), axis=-1)
         step = self.scene.timing.control_dt / self.scene.plant.substeps
         self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
         for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
@@ -186,7 +252,7 @@ class Plant:
     @property
     def forces(self) -> np.ndarray:
         """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
-        return -self._engine.sensor[0, -1].reshape(-1, 3)  # MuJoCo measures it on the second
+        return -self._engine.sensor[self._index, -1].reshape(-1, 3)  # MuJoCo measures it on the second
 
     @property
     def success(self) -> bool:

@@ -216,7 +216,7 @@ def test_goals_weights_and_limits_change_without_a_new_graph(scene):
     state = State.start(compiled(scene).layout)
     for _ in range(3):
         controller.step(state)
-    graph = controller._graph._graph
+    graph = controller.graph.captured
     assert graph is not None
     cost = controller.info.cost
     controller.reset()
@@ -228,7 +228,7 @@ def test_goals_weights_and_limits_change_without_a_new_graph(scene):
     assert controller.info.cost == 0.0
     controller.set_limits(np.full(3, -0.01), np.full(3, 0.01))
     assert np.abs(controller.step(state)).max() <= 0.01
-    assert controller._graph._graph is graph
+    assert controller.graph.captured is graph
     assert controller.info.stages_ms["rollout"] != controller.info.stages_ms["rollout"]  # one graph: no stages
 
 

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Path lengths around obstacles in the ground plane, by fast marching (scikit-fmm)."""
+"""A grid over the ground plane: how far the obstacles are, and what shortest paths around them are made of."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
+
+from ..kernels.fields import sight_kernel
 
 if TYPE_CHECKING:
     from ..scene.layout import Layout, ShapeInfo
@@ -36,35 +39,6 @@ class Grid:
         for corner in corners:
             self.clearance = np.minimum(self.clearance, _polygon_distance(self.points, corner))
 
-    def path_length(self, target: np.ndarray, inflation: float) -> np.ndarray:
-        """Length [m] of the shortest path from every cell to a point, ``[rows, columns]``.
-
-        Cells inside the grown obstacles hold the value of the nearest free cell plus twice the way there, so that
-        the field leads out of them; a target inside is reached through its own surroundings.
-
-        Args:
-            target: Point (x, y) [m].
-            inflation: Obstacles grow by this [m].
-        """
-        import skfmm
-        from scipy.ndimage import distance_transform_edt
-
-        from_target = np.linalg.norm(self.points - target, axis=-1)
-        blocked = (self.clearance < inflation) & (from_target > 2.0 * self.cell)
-        # around a target inside a grown obstacle the way out along the clearance's gradient is free
-        if (reach := inflation - self._clearance_at(target)) > 0.0:
-            blocked &= from_target > reach + 1.5 * self.cell
-        start = np.ma.MaskedArray(from_target - 1.5 * self.cell, mask=blocked)
-        length = skfmm.distance(start, dx=self.cell) + 1.5 * self.cell
-        known = ~np.ma.getmaskarray(length)
-        length = np.where(known, np.ma.getdata(length), 0.0)
-        depth, nearest = distance_transform_edt(~known, sampling=self.cell, return_indices=True)
-        return np.where(known, length, length[tuple(nearest)] + 2.0 * depth)
-
-    def nearest(self, p: np.ndarray) -> np.ndarray:
-        """The point itself (x, y) [m], or the nearest one on the grid; beyond it there is nothing to go around."""
-        return np.clip(p, self.origin, self.points[-1, -1])
-
     def nearest_free(self, inflation: float) -> tuple[np.ndarray, np.ndarray]:
         """The nearest cell outside the grown obstacles, of every cell.
 
@@ -82,27 +56,61 @@ class Grid:
         depth, (row, column) = distance_transform_edt(blocked, sampling=self.cell, return_indices=True)
         return (row * blocked.shape[1] + column).astype(np.int32), depth.astype(np.float32)
 
-    def waypoints(self, inflation: float, *, spacing: float = 0.2) -> np.ndarray:
-        """Points (x, y) on the borders of the grown obstacles, about ``spacing`` [m] apart, ``[M, 2]``.
+    def border(self, inflation: float) -> np.ndarray:
+        """The free cells (x, y) next to the grown obstacles, ``[n, 2]`` [m].
 
         Args:
             inflation: Obstacles grow by this [m].
-            spacing: Distance between neighbours [m].
         """
         from scipy.ndimage import binary_dilation
 
         blocked = self.clearance < inflation
-        border = self.points[binary_dilation(blocked, structure=np.ones((3, 3))) & ~blocked]
-        kept: list[np.ndarray] = []
-        for point in border:
-            if all(np.linalg.norm(point - other) >= spacing for other in kept):
-                kept.append(point)
-        return np.array(kept).reshape(-1, 2)
+        return self.points[binary_dilation(blocked, structure=np.ones((3, 3))) & ~blocked]
 
-    def _clearance_at(self, p: np.ndarray) -> float:
-        column, row = np.clip(np.round((p - self.origin) / self.cell).astype(int), 0, None)
-        rows, columns = self.clearance.shape
-        return float(self.clearance[min(row, rows - 1), min(column, columns - 1)])
+    def sight(self, inflation: float, points: np.ndarray, waypoints: np.ndarray) -> np.ndarray:
+        """Length [m] of the straight way from every point to every waypoint, ``[N, M]``, infinite where blocked.
+
+        Args:
+            inflation: Obstacles grow by this [m].
+            points: Points (x, y) ``[N, 2]`` [m].
+            waypoints: Points (x, y) ``[M, 2]`` [m].
+        """
+        sight = wp.zeros((len(points), len(waypoints)), dtype=float, device="cpu")
+        if sight.size:
+            clearance = wp.array(np.minimum(self.clearance, 1e6)[None], dtype=float, device="cpu")
+            ends = [wp.array(p, dtype=wp.vec2, device="cpu") for p in (points, waypoints)]
+            wp.launch(
+                sight_kernel,
+                dim=sight.shape,
+                inputs=[clearance, inflation, wp.vec2(*self.origin), self.cell, *ends],
+                outputs=[sight],
+                device="cpu",
+            )
+        return sight.numpy()
+
+    def ways(self, inflation: float, *, spacing: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+        """What shortest paths that are not straight are made of: waypoints on the borders of the grown obstacles.
+
+        Args:
+            inflation: Obstacles grow by this [m].
+            spacing: Least distance between waypoints [m].
+
+        Returns:
+            Straight ways from every cell to every waypoint, ``[rows · columns, M]``, infinite where blocked; path
+            lengths between waypoints, ``[M, M]``, by Dijkstra's algorithm over all cells of the borders (SciPy). [m]
+        """
+        from scipy.sparse.csgraph import shortest_path
+
+        border = self.border(inflation)
+        kept: list[int] = []
+        for i, point in enumerate(border):
+            if all(np.linalg.norm(point - border[k]) >= spacing for k in kept):
+                kept.append(i)
+        if not kept:
+            return np.zeros((self.clearance.size, 0)), np.zeros((0, 0))
+        edges = self.sight(inflation, border, border)
+        between = shortest_path(np.minimum(edges, edges.T), directed=False, indices=kept)[:, kept]
+        return self.sight(inflation, self.points.reshape(-1, 2), border[kept]), between
 
 
 def _corners(layout: Layout, shape: ShapeInfo) -> np.ndarray:

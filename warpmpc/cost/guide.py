@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.fields import GuideTable, guide_field_kernel, guide_target_kernel
-from ..scene.layout import GOAL
+from ..kernels.fields import GuideTable, guide_field_kernel, guide_target_kernel, guide_waypoint_kernel
 
 if TYPE_CHECKING:
     from ..scene.layout import Layout
@@ -20,10 +19,9 @@ if TYPE_CHECKING:
 class Guide:
     """The distance fields that cost terms asked for, one per environment and request.
 
-    Fast marching is slow and runs on the host. For targets that stay (the goal, an obstacle) it runs when they are
-    set. For targets that move it runs once, from waypoints on the borders of the grown obstacles to every cell; the
-    field to where the target is now is put together from those on the device, at every plan whose target moved by
-    more than half a cell.
+    The host prepares, once, waypoints on the borders of the grown obstacles: what they see and how far apart they are.
+    The field to a target is put together from those on the device, at every plan whose target moved by more than half
+    a cell; so nothing waits for the host while objects move.
 
     Args:
         grid: Grid over the scene.
@@ -39,19 +37,16 @@ class Guide:
     """Where those targets were, ``[E·R]`` [m]."""
 
     def __init__(self, grid: Grid, requests: list[FieldRequest], layout: Layout, *, envs: int, device: str):
-        self.device, self._grid, self._requests, self._layout, self._envs = device, grid, requests, layout, envs
+        self.device = device
+        known = {i: (*grid.ways(i), *grid.nearest_free(i)) for i in {r.inflation for r in requests}}
+        sights, betweens, nearests, depths = zip(*(known[r.inflation] for r in requests), strict=True)
+        counts = [len(b) for b in betweens]
         rows, columns = grid.clearance.shape
-        count = envs * len(requests)
-        self.field = wp.zeros((count, rows, columns), dtype=float, device=device)
-        self.center = wp.full(count, wp.vec2(wp.inf, wp.inf), dtype=wp.vec2, device=device)
-        self._stale = wp.zeros(count, dtype=int, device=device)
-        self._moves = [layout.frame_body[r.target] >= 0 for r in requests]
-        self._placed = np.full((count, 2), np.inf)
-
-        moving = [r.inflation if moves else None for r, moves in zip(requests, self._moves, strict=True)]
-        fields = {i: [grid.path_length(p, i).ravel() for p in grid.waypoints(i)] for i in {*moving} - {None}}
-        ways = [fields.get(inflation, []) for inflation in moving]
-        free = [grid.nearest_free(r.inflation) for r in requests]
+        most, count = max(counts), envs * len(requests)
+        sight = np.full((len(requests), rows * columns, most), np.inf, dtype=np.float32)
+        between = np.full((len(requests), most, most), np.inf, dtype=np.float32)
+        for r, m in enumerate(counts):
+            sight[r, :, :m], between[r, :m, :m] = sights[r], betweens[r]
 
         def upload(values: object, dtype: type = float) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
@@ -59,65 +54,35 @@ class Guide:
         table = GuideTable()
         table.clearance = upload(np.minimum(grid.clearance, 1e6)[None])
         table.inflation = upload([r.inflation for r in requests])
-        table.waypoint_start = upload(np.cumsum([0, *map(len, ways)]), int)
-        flat = np.array([field for way in ways for field in way]).reshape(-1, rows * columns)
-        table.waypoint = upload(np.ascontiguousarray(flat.T))
-        table.nearest = upload(np.array([nearest for nearest, _ in free]), int)
-        table.depth = upload(np.array([depth for _, depth in free]))
+        table.count = upload(counts, int)
+        table.sight, table.between = upload(sight), upload(between)
+        table.nearest, table.depth = upload(np.array(nearests), int), upload(np.array(depths))
         table.origin, table.cell = wp.vec2(*grid.origin), grid.cell
         table.body = upload([int(layout.frame_body[r.target]) for r in requests], int)
         table.pose = upload([layout.frame_pose[r.target] for r in requests], wp.transform)
         self._table = table
+        self.field = wp.zeros((count, rows, columns), dtype=float, device=device)
+        self.center = wp.empty(count, dtype=wp.vec2, device=device)
+        self._stale = wp.zeros(count, dtype=int, device=device)
+        self._remaining = wp.zeros((count, most), dtype=float, device=device)
+        self.reset()
 
     def reset(self) -> None:
-        """Forget where moving targets were."""
-        center = self.center.numpy().reshape(self._envs, -1, 2)
-        center[:, self._moves] = np.inf
-        self.center.assign(center.reshape(-1, 2))
+        """Forget where the targets were; capture-safe."""
+        self.center.fill_(wp.vec2(wp.inf, wp.inf))
 
-    def set_goal(self, goal: np.ndarray) -> None:
-        """Compute the fields to targets that stay.
-
-        Args:
-            goal: Goal poses ``[E, 7]``.
-        """
-        for f in range(len(self._placed)):
-            e, r = divmod(f, len(self._requests))
-            if self._moves[r]:
-                continue
-            target = self._requests[r].target
-            pose = wp.transform(*self._layout.frame_pose[target])
-            if self._layout.frame_body[target] == GOAL:
-                pose = wp.transform(*goal[e]) * pose
-            at = self._grid.nearest(np.array([pose.p[0], pose.p[1]], dtype=float))
-            if np.linalg.norm(at - self._placed[f]) <= 1e-6:
-                continue
-            self._placed[f] = at
-            self.field[f].assign(self._grid.path_length(at, self._requests[r].inflation).astype(np.float32))
-            center = self.center.numpy()
-            center[f] = at
-            self.center.assign(center)
-
-    def launch(self, body_q: wp.array, rollouts: int) -> None:
-        """Bring the fields to moving targets up to date; capture-safe.
+    def launch(self, body_q: wp.array, goal: wp.array, rollouts: int) -> None:
+        """Bring the fields up to date; capture-safe.
 
         Args:
             body_q: Recorded body poses ``[T+1, W, nb]``, of which the observed state in slice 0 is read.
+            goal: Goal poses ``[E]``.
             rollouts: Worlds per environment.
         """
-        if not any(self._moves):
-            return
-        wp.launch(
-            guide_target_kernel,
-            dim=self.center.shape,
-            inputs=[self._table, body_q, rollouts],
-            outputs=[self.center, self._stale],
-            device=self.device,
-        )
-        wp.launch(
-            guide_field_kernel,
-            dim=self.field.shape,
-            inputs=[self._table, self.center, self._stale],
-            outputs=[self.field],
-            device=self.device,
-        )
+        targets = [self.center, self._stale]
+        for kernel, dim, inputs, outputs in (
+            (guide_target_kernel, self.center.shape, [body_q, goal, rollouts], targets),
+            (guide_waypoint_kernel, self._remaining.shape, targets, [self._remaining]),
+            (guide_field_kernel, self.field.shape, [*targets, self._remaining], [self.field]),
+        ):
+            wp.launch(kernel, dim=dim, inputs=[self._table, *inputs], outputs=outputs, device=self.device)

@@ -124,15 +124,12 @@ class CostStack:
 
     def set_goal(self, pose: np.ndarray) -> None:
         """Set the goal poses ``[E, 7]``."""
-        pose = np.asarray(pose, dtype=np.float32).reshape(-1, 7)
-        self.goal.assign(pose)
-        if self._guide is not None:
-            self._guide.set_goal(pose)
+        self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
 
     def guide(self) -> None:
         """Bring the distance fields up to date with the observed state in slice 0 of the trajectory."""
         if self._guide is not None:
-            self._guide.launch(self._trajectory.body_q, self.shape.rollouts)
+            self._guide.launch(self._trajectory.body_q, self.goal, self.shape.rollouts)
 
     def launch(self) -> None:
         """Evaluate every term at every step of every world into :attr:`cost` ``[term, T, W]``, weighted."""

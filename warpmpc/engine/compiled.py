@@ -141,7 +141,7 @@ def _cache_key(scene: Scene) -> str | None:
     for package in ("warpmpc", "newton", "mujoco", "warp-lang"):
         digest.update(importlib.metadata.version(package).encode())
     room = Path(__file__).parent.parent
-    sources = [Path(__file__), *(room / "scene" / f"{name}.py" for name in ("builder", "controls", "layout"))]
+    sources = [Path(__file__), *(room / "scene" / f"{name}.py" for name in ("axes", "builder", "controls", "layout"))]
     for source in sources:
         digest.update(source.read_bytes())
     for robot in scene.robot:

@@ -43,15 +43,15 @@ class PlanGraph:
 
         self._host_in, self._host_out = host(wide), host(reported)
         self._in, self._out = device(wide), device(reported)
-        self._state = ObservedState(device(layout.nq), device(layout.nv))
+        self.state = ObservedState(device(layout.nq), device(layout.nv))
         self._packed, self._report = self._host_in.numpy(), self._host_out.numpy()
-        self._graph: wp.Graph | None = None
+        self.captured: wp.Graph | None = None
         self.capturable = cuda and plan.costs.capturable
 
     @property
     def stages(self) -> dict[str, float]:
         """Wall time of each stage of the last plan [s]; NaN where a graph runs them all as one."""
-        return self.plan.stages if self._graph is None else dict.fromkeys(self.plan.stages, float("nan"))
+        return self.plan.stages if self.captured is None else dict.fromkeys(self.plan.stages, float("nan"))
 
     def __call__(self, joint_q: np.ndarray, joint_qd: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Plan.
@@ -68,14 +68,14 @@ class PlanGraph:
         self._packed[:, : self._nq] = joint_q
         self._packed[:, self._nq : -7] = joint_qd
         self._packed[:, -7:] = goal
-        if self._graph is not None:
-            wp.capture_launch(self._graph)
+        if self.captured is not None:
+            wp.capture_launch(self.captured)
         else:
             self._sequence()
             if self.capturable:
                 with wp.ScopedCapture(device=self.device) as capture:
                     self._sequence()
-                self._graph = capture.graph
+                self.captured = capture.graph
         wp.synchronize_device(self.device)
         return self._report
 
@@ -87,10 +87,10 @@ class PlanGraph:
             unpack_observation_kernel,
             dim=envs,
             inputs=[self._in],
-            outputs=[self._state.joint_q, self._state.joint_qd, plan.costs.goal],
+            outputs=[self.state.joint_q, self.state.joint_qd, plan.costs.goal],
             device=self.device,
         )
-        plan(self._state)
+        plan(self.state)
         wp.launch_tiled(
             report_kernel,
             dim=[envs],

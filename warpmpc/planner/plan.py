@@ -30,7 +30,7 @@ from ..scene.schema import Method, Noise, NoiseShape, Planner, Risk
 from .weighting import BLOCK_DIM, Adaptation, CrossEntropy, Mppi, PredictiveSampling, Weighting, WeightingState
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from ..cost.stack import CostStack
     from ..engine.trajectory import Engine, ObservedState, Shape
@@ -128,25 +128,26 @@ class PlanStep:
         self.costs.last_control.assign(np.broadcast_to(self.start, self.command.shape).copy())
 
     def __call__(self, state: ObservedState) -> None:
-        """Plan from the observed state; the result is in :attr:`command`."""
+        """Plan from the observed state; the result is in :attr:`command`. Capture-safe where the engine is."""
         self.stages = dict.fromkeys(STAGES, 0.0)
-        with self._stage("clone"):
-            self.engine.clone(state)
-        with self._stage("cost"):
-            self.costs.guide()
-        for _ in range(self.planner.iterations):
-            with self._stage("sample"):
-                self._sample()
-            with self._stage("rollout"):
-                self.engine.rollout(self.control)
-            with self._stage("cost"):
-                self.costs.launch()
-                self._reduce()
-            with self._stage("weigh"):
-                self.weighting.launch(self.weights)
-                self._update()
-        with self._stage("weigh"):
-            self._finish()
+        for stage, run in self.sequence(state):
+            with self._stage(stage):
+                run()
+
+    def sequence(self, state: ObservedState) -> list[tuple[str, Callable[[], None]]]:
+        """The plan step in order, each piece with the stage it belongs to."""
+        iteration = [
+            ("sample", self._sample),
+            ("rollout", lambda: self.engine.rollout(self.control)),
+            ("cost", self._judge),
+            ("weigh", self._weigh),
+        ]
+        return [
+            ("clone", lambda: self.engine.clone(state)),
+            ("cost", self.costs.guide),
+            *(iteration * self.planner.iterations),
+            ("weigh", self._finish),
+        ]
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -182,7 +183,9 @@ class PlanStep:
             [self.control],
         )
 
-    def _reduce(self) -> None:
+    def _judge(self) -> None:
+        """Stage costs of all terms, then one cost per sample."""
+        self.costs.launch()
         self._launch(
             discount_cost_kernel,
             (self.shape.worlds,),
@@ -196,7 +199,9 @@ class PlanStep:
             [self.weights.cost],
         )
 
-    def _update(self) -> None:
+    def _weigh(self) -> None:
+        """Weights of the samples, then the new mean and σ."""
+        self.weighting.launch(self.weights)
         envs, _, knots, nu = self.knots.shape
         wp.launch_tiled(
             update_mean_kernel,

@@ -13,6 +13,7 @@ import warp as wp
 from newton import GeoType, ShapeFlags
 
 from .assets import AssetKind, asset_kind, package_dirs, resolve_asset
+from .axes import axis_names
 from .controls import Actuators, drive_robot
 from .errors import SceneError
 from .layout import GOAL, IDENTITY, WORLD, Entity, Layout, ShapeInfo
@@ -47,11 +48,12 @@ def build_world(scene: Scene) -> World:
     """
     builder = new_builder()
     entities: list[Entity] = []
+    axes: list[str] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
     actuators = Actuators()
 
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators))
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes))
     for item in scene.object:
         entities.append(_add_object(builder, item, scene))
         frames[item.name] = (entities[-1].bodies[0], IDENTITY)
@@ -69,7 +71,7 @@ def build_world(scene: Scene) -> World:
         )
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
-    return World(builder, _layout(builder, entities, frames, actuators))
+    return World(builder, _layout(builder, entities, frames, actuators, axes))
 
 
 def new_builder() -> newton.ModelBuilder:
@@ -84,7 +86,7 @@ def _transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.t
     return wp.transform(wp.vec3(*position), wp.quat(*rotation))
 
 
-def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Actuators) -> Entity:
+def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Actuators, axes: list[str]) -> Entity:
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
@@ -121,8 +123,10 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
         part.shape_material_mu[:] = [robot.friction] * part.shape_count
     if robot.gravity_compensation:
         part.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(range(part.body_count), 1.0)
+    own = axis_names(part, joints, path)
+    axes += [f"{robot.name}/{name}" if name else "" for name in own]
     drive_robot(
-        part, robot, joints, scene, actuators, first_coord=builder.joint_coord_count, first_dof=builder.joint_dof_count
+        part, robot, own, scene, actuators, first_coord=builder.joint_coord_count, first_dof=builder.joint_dof_count
     )
 
     first_body, first_shape, first_joint = builder.body_count, builder.shape_count, builder.joint_count
@@ -228,7 +232,7 @@ def _filter_ground(builder, scene: Scene, entities: list[Entity]) -> None:
                     builder.add_shape_collision_filter_pair(shape, plane)
 
 
-def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators) -> Layout:
+def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators, robot_axes: list[str]) -> Layout:
     axes = np.array(builder.joint_axis, dtype=np.float32).reshape(-1, 3)
     dims = np.array(builder.joint_dof_dim, dtype=np.int32).reshape(-1, 2)
     q_start, qd_start = np.array(builder.joint_q_start), np.array(builder.joint_qd_start)
@@ -256,6 +260,7 @@ def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators)
         dof_lower=np.array(builder.joint_limit_lower, dtype=np.float32),
         dof_upper=np.array(builder.joint_limit_upper, dtype=np.float32),
         dof_coord=dof_coord,
+        dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
         body_name=tuple(builder.body_label),
         body_com=np.array(builder.body_com, dtype=np.float32).reshape(-1, 3),
         joint_q=np.array(builder.joint_q, dtype=np.float32),

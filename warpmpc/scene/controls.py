@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from newton import JointTargetMode, JointType
+from newton import JointTargetMode
 
 from .errors import SceneError
 from .schema import Drive, DriveMode, Robot, Scene
@@ -52,7 +52,7 @@ class Actuators:
 def drive_robot(
     part: newton.ModelBuilder,
     robot: Robot,
-    joints: list[str],
+    axes: list[str | None],
     scene: Scene,
     actuators: Actuators,
     *,
@@ -61,15 +61,21 @@ def drive_robot(
 ) -> None:
     """Set a robot's start joints and servos in its builder and append its controls to ``actuators``.
 
+    Args:
+        part: The robot's builder.
+        robot: The robot.
+        axes: Name of every joint velocity, None for those of free and ball joints.
+        scene: The scene, for errors.
+        actuators: Takes the controls and actuators.
+        first_coord: Joint coordinates of the robots before.
+        first_dof: Joint velocities of the robots before.
+
     Raises:
         SceneError: If a joint name is unknown or driven twice, or a list has the wrong length.
     """
     key = f"robot.{robot.name}"
-    dims = np.array(part.joint_dof_dim).reshape(-1, 2).sum(axis=1)
     movable = {
-        name: (int(part.joint_q_start[i]), int(part.joint_qd_start[i]))
-        for i, name in enumerate(joints)
-        if dims[i] == 1 and part.joint_type[i] in (JointType.PRISMATIC, JointType.REVOLUTE, JointType.D6)
+        name: (coord, dof) for dof, (name, coord) in enumerate(zip(axes, _coordinates(part), strict=True)) if name
     }
     _start(part, robot, movable, scene, key)
     for dof in range(part.joint_dof_count):
@@ -99,6 +105,14 @@ def drive_robot(
         values = robot.armature * (len(driven) if len(robot.armature) == 1 else 1)
         for name, value in zip(driven, values, strict=True):
             part.joint_armature[movable[name][1]] = value
+
+
+def _coordinates(part: newton.ModelBuilder) -> list[int]:
+    """Joint coordinate of every joint velocity, in order; those of free and ball joints are not their own."""
+    coords: list[int] = []
+    for start, dims in zip(part.joint_q_start, part.joint_dof_dim, strict=True):
+        coords += [int(start) + k for k in range(sum(dims))]
+    return coords
 
 
 def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene, key: str) -> None:

@@ -76,6 +76,7 @@ class Layout:
     dof_lower: np.ndarray  # [nv]
     dof_upper: np.ndarray  # [nv]
     dof_coord: np.ndarray  # [nv] joint coordinate of a dof, -1 for those of free and ball joints
+    dof_name: tuple[str, ...]  # [nv] robot/axis, empty for those of free and ball joints
     body_name: tuple[str, ...]
     body_com: np.ndarray  # [nb, 3]
     joint_q: np.ndarray  # [nq] start
@@ -156,17 +157,17 @@ class Layout:
         raise SceneError("no such frame", key=key, found=name, allowed=self.frame_name)
 
     def joint(self, name: str, *, key: str = "") -> int:
-        """Joint coordinate index of a one-axis joint, ``robot/joint`` or the joint's own name where unique.
+        """Joint coordinate index of a joint axis, ``robot/joint`` or the joint's own name where unique.
 
         Raises:
-            SceneError: If there is none, or several, or it has more than one axis.
+            SceneError: If there is none, or several.
         """
-        moving = [i for i in range(len(self.joint_name)) if self.joint_dof_dim[i].sum() == 1]
-        found = [i for i in moving if name in (self.joint_name[i], self.joint_name[i].split("/")[-1])]
+        axes = [i for i, axis in enumerate(self.dof_name) if axis]
+        found = [i for i in axes if name in (self.dof_name[i], self.dof_name[i].split("/")[-1])]
         if len(found) != 1:
-            what = "several joints have this name" if found else "no such joint with one axis"
-            raise SceneError(what, key=key, found=name, allowed=[self.joint_name[i] for i in moving])
-        return int(self.joint_q_start[found[0]])
+            what = "several joints have this name" if found else "no such joint"
+            raise SceneError(what, key=key, found=name, allowed=[self.dof_name[i] for i in axes])
+        return int(self.dof_coord[found[0]])
 
     def save(self, path: Path) -> None:
         """Write the layout to an ``.npz`` file."""
