@@ -66,7 +66,8 @@ def mujoco_warp_contact_force_kernel(
     contact_friction: wp.array[vec5],  # [contact]
     contact_row: wp.array2d[int],  # [contact, 10] constraint rows
     efc_force: wp.array2d[float],  # [W, njmax]
-    step_overflow: wp.array[int],  # [W] capacity bits of the last physics step
+    step_overflow: wp.array[int],  # [W] overflow bits of the last physics step
+    capacity_bits: int,  # those of them that tell of lost contacts or rows
     t: int,
     share: float,  # of one physics step in the mean over a control step
     # outputs
@@ -76,7 +77,7 @@ def mujoco_warp_contact_force_kernel(
     """One thread: the share of one contact in the force of its pair, or one world's capacity bits, or both."""
     i = wp.tid()
     if i < overflow.shape[0]:
-        overflow[i] = overflow[i] | step_overflow[i]
+        overflow[i] = overflow[i] | (step_overflow[i] & capacity_bits)
     if i >= contact_count[0] or i >= contact_world.shape[0]:
         return
     a = pairs.shape_entity[contact_geom[i][0]]

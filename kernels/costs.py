@@ -360,17 +360,42 @@ def obstacle_clearance(s: StepView, p: ObstacleClearanceParams) -> float:
 
 
 @wp.struct
+class OutlineDistanceParams:
+    """Parameters of ``outline_distance``."""
+
+    of: int
+    object: int
+    pose: wp.transform  # object → shape
+    kind: int
+    size: wp.vec3
+    inside: float  # factor on the depth within the outline
+
+
+@wp.func
+def outline_distance(s: StepView, p: OutlineDistanceParams) -> float:
+    """Distance from a frame to the outline of an object that stands upright, seen from above [m].
+
+    ‖p_R - p_O‖ (Pezzato et al. 2025, Eq. 10) is least on top of the object; this is least at its sides.
+    """
+    local = wp.transform_point(wp.transform_inverse(frame_pose(s, p.object)), frame_position(s, p.of))
+    at = wp.transform_point(p.pose, local)
+    d = shape_distance(p.kind, p.size, wp.vec3(at[0], at[1], 0.0))
+    return wp.where(d < 0.0, -p.inside * d, d)
+
+
+@wp.struct
 class HeightParams:
     """Parameters of ``height``."""
 
     of: int
     target: float  # [m]
+    slack: float  # [m] errors up to this cost nothing
 
 
 @wp.func
 def height(s: StepView, p: HeightParams) -> float:
-    """|z - target| of a frame (Pezzato et al. 2025, C_ee) [m]."""
-    return wp.abs(frame_position(s, p.of)[2] - p.target)
+    """|z - target| of a frame (Pezzato et al. 2025, C_ee) [m], or what it exceeds ``slack`` by."""
+    return wp.max(wp.abs(frame_position(s, p.of)[2] - p.target) - p.slack, 0.0)
 
 
 @wp.struct

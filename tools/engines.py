@@ -93,15 +93,15 @@ def activities(controller: warpmpc.Controller, state: warpmpc.State) -> dict[str
     """What one plan makes the GPU do when launched piece by piece: kernels, copies, fills, by Warp's own timing."""
     if not wp.get_device(controller.device).is_cuda:
         return {}
-    graph, found = controller.graph.captured, []
+    graph = controller.graph.captured
     controller.graph.captured, controller.graph.capturable = None, False
     before = wp.get_mempool_used_mem_current(controller.device)
-    with wp.ScopedTimer("plan", cuda_filter=wp.TIMING_ALL, print=False, report_func=lambda r, _: found.extend(r)):
+    with wp.ScopedTimer("plan", cuda_filter=wp.TIMING_ALL, print=False) as timer:
         controller.step(state)
     allocated = wp.get_mempool_used_mem_current(controller.device) - before
     controller.graph.captured, controller.graph.capturable = graph, True
-    kinds = [r.name.split()[0] if r.name.startswith(("memcpy", "memset")) else "kernel" for r in found]
-    names = [r.name for r in found if r.name.startswith(("memcpy", "memset"))]
+    kinds = [r.name.split()[0] if r.name.startswith(("memcpy", "memset")) else "kernel" for r in timer.timing_results]
+    names = [r.name for r in timer.timing_results if r.name.startswith(("memcpy", "memset"))]
     counts = {kind: kinds.count(kind) for kind in sorted(set(kinds))}
     return {**counts, **{n: names.count(n) for n in sorted(set(names))}, "bytes still allocated": int(allocated)}
 
@@ -132,7 +132,9 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
     cuda = engine == "newton" and wp.get_device(device).is_cuda
     free = wp.get_device(device).free_memory if cuda else 0
     began = time.perf_counter()
-    controller = warpmpc.Controller(scene, engine=engine, device=device, envs=args.envs, compiled=compiled)
+    controller = warpmpc.Controller(
+        scene, engine=engine, device=device if engine == "newton" else "cpu", envs=args.envs, compiled=compiled
+    )
     if args.envs > 1:
         states = [
             warpmpc.State(np.tile(s.joint_q, (args.envs, 1)), np.tile(s.joint_qd, (args.envs, 1)), s.time)

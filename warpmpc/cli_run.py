@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc check`` and ``warpmpc run`` do: build, run, show progress, report, and fail with one message."""
+"""What ``warpmpc check`` and ``warpmpc run`` do: build, run, report, and fail with one message."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import logging
 import os
 import sys
 import tempfile
-import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 import typer
 
+from .cli_progress import BatchBar, EpisodeBar, Messages
 from .cli_terms import load_terms
 from .scene.errors import SceneError
 from .scene.load import load_scene
@@ -23,14 +23,10 @@ from .scene.schema import EngineName
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    import numpy as np
-    from rich.console import Console
-
-    from .controller import Controller
+    from .batch import Batch
     from .cost.term import ArrayCost, CostTerm
     from .engine.compiled import CompiledScene
     from .episode import Episode, EpisodeResult
-    from .plant import Plant
     from .scene.schema import Scene
 
 SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -124,12 +120,26 @@ class Setup:
             compiled=self.compiled,
         )
 
+    def batch(self, seeds: Sequence[int], envs: int) -> Batch:
+        """The episodes of several seeds, ready to run on one controller."""
+        from .batch import Batch
+
+        return Batch(
+            self.scene,
+            seeds,
+            envs=envs,
+            engine=self.engine,
+            device=self.device,
+            terms=self.terms,
+            compiled=self.compiled,
+        )
+
 
 def check(
     source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
 ) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code."""
-    with results_only() as out:
+    with results_only() as out, Messages(notices=True, warnings=True):
         with user_errors():
             setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
             episode = setup.episode(seed)
@@ -147,6 +157,7 @@ def run(
     source: str,
     *,
     seeds: Sequence[int],
+    envs: int,
     overrides: Sequence[str],
     term_files: Sequence[Path],
     engine: str,
@@ -155,36 +166,66 @@ def run(
     json_lines: bool,
     quiet: bool,
 ) -> int:
-    """Run one episode per seed, report, and return the exit code."""
+    """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
     interrupted = False
-    with results_only() as out:
+    with results_only() as out, Messages(notices=not quiet and not json_lines, warnings=not quiet) as messages:
         try:
             with user_errors():
-                if record is not None and not record.absolute().parent.is_dir():
-                    raise ValueError(f"--record: no such folder: {record.absolute().parent}")
+                _check_record(record, envs)
+                envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            with Progress(setup.scene, seeds, shown=not quiet) as progress:
-                for seed in seeds:
-                    result = _run_one(setup, seed, _record_path(record, seed, len(seeds)), progress)
-                    interrupted = result.reason == "interrupted"
+            if envs > 1:
+                episodes = _run_batch(setup, seeds, envs, shown=not quiet)
+            else:
+                episodes = _run_each(setup, seeds, record, messages, shown=not quiet)
+            with closing(episodes):
+                for result in episodes:
+                    interrupted |= result.reason == "interrupted"
                     results.append(result)
                     if json_lines:
                         print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
-                    if interrupted:
-                        break
         except KeyboardInterrupt:
             interrupted = True
         if results and not json_lines and not quiet:
-            from .report import print_results
+            from .report import print_batch, print_results
 
-            print_results(results, out)
+            (print_batch if envs > 1 else print_results)(results, out)
     if interrupted:
         return INTERRUPTED
     return SUCCESS if all(result.success for result in results) else FAILURE
 
 
-def _run_one(setup: Setup, seed: int, path: Path | None, progress: Progress) -> EpisodeResult:
+def _check_record(record: Path | None, envs: int) -> None:
+    """Refuse recordings that cannot be made.
+
+    Raises:
+        ValueError: If this is one.
+    """
+    if record is None:
+        return
+    if envs > 1:
+        raise ValueError("--record: a recording shows one environment: leave out --envs or --record")
+    if not record.absolute().parent.is_dir():
+        raise ValueError(f"--record: no such folder: {record.absolute().parent}")
+
+
+def _run_each(
+    setup: Setup, seeds: Sequence[int], record: Path | None, messages: Messages, *, shown: bool
+) -> Iterator[EpisodeResult]:
+    """Run one episode after the other, to the last or to Ctrl-C."""
+    with EpisodeBar(setup.scene.timing.timeout, seeds, shown=shown) as bar:
+        for seed in seeds:
+            messages.warned = False
+            # of several recordings, each has its seed in its name
+            path = record.with_stem(f"{record.stem}-{seed}") if record is not None and len(seeds) > 1 else record
+            result = _run_one(setup, seed, path, bar)
+            yield result
+            if result.reason == "interrupted":
+                return
+
+
+def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar) -> EpisodeResult:
     """Run the episode of one seed, to its end or to Ctrl-C."""
     from .episode import EpisodeInterrupted
 
@@ -195,92 +236,18 @@ def _run_one(setup: Setup, seed: int, path: Path | None, progress: Progress) -> 
             from .record import Recorder  # slow to import
 
             recorder = Recorder(path, episode.controller, episode.plant)
-    progress.start(seed)
+    bar.start(seed)
     try:
-        return episode.run(recorder=recorder, on_step=progress.step if progress.console else None)
+        return episode.run(recorder=recorder, on_step=bar.step)
     except EpisodeInterrupted as error:
         return error.result
 
 
-def _record_path(record: Path | None, seed: int, episodes: int) -> Path | None:
-    """File of one episode's recording: of several, each has its seed in its name."""
-    return record.with_stem(f"{record.stem}-{seed}") if record is not None and episodes > 1 else record
-
-
-class Progress:
-    """A bar on stderr with the numbers of the last plan, and at most one warning per episode.
-
-    Args:
-        scene: The scene.
-        seeds: Seeds of the episodes.
-        shown: Whether to show anything.
-    """
-
-    PERIOD = 0.1
-    """Time between updates [s]; the bar is drawn between plans, never during one."""
-
-    def __init__(self, scene: Scene, seeds: Sequence[int], *, shown: bool):
-        self.scene, self.seeds, self.shown = scene, seeds, shown
-        self.console: Console | None = None
-        self._next = 0.0
-        self._handler = _FirstWarning(shown)
-
-    def __enter__(self) -> Progress:
-        logging.getLogger("warpmpc").addHandler(self._handler)
-        if not self.shown or not sys.stderr.isatty():
-            return self
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn
-        from rich.progress import Progress as Bar
-
-        self.console = Console(stderr=True)
-        self._bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=10 if self.console.width < 100 else 24),
-            TextColumn("{task.fields[numbers]}"),
-            console=self.console,
-            auto_refresh=False,
-            transient=True,
-        )
-        self._bar.start()
-        self._task = self._bar.add_task("", total=self.scene.timing.timeout, numbers="building")
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self.console:
-            self._bar.stop()
-        logging.getLogger("warpmpc").removeHandler(self._handler)
-
-    def start(self, seed: int) -> None:
-        """A new episode begins."""
-        self._handler.said = False
-        if self.console:
-            count = f" ({seed - self.seeds[0] + 1}/{len(self.seeds)})" if len(self.seeds) > 1 else ""
-            self._bar.reset(self._task, description=f"seed {seed}{count}", numbers="first plan")
-            self._bar.refresh()
-
-    def step(self, controller: Controller, plant: Plant, control: np.ndarray) -> None:
-        """An episode's ``on_step``."""
-        if not plant.done and time.perf_counter() < self._next:
-            return
-        info = controller.info
-        numbers = (
-            f"{plant.time:4.1f} s  cost {info.cost:<6.4g} η {info.eta:<4.0f} β {info.beta:<7.2g} "
-            f"goal {plant.error.position:.3f} m  plan {info.plan_ms:.0f} ms"
-        )
-        self._bar.update(self._task, completed=plant.time, numbers=numbers, refresh=True)
-        self._next = time.perf_counter() + self.PERIOD
-
-
-class _FirstWarning(logging.Handler):
-    """Shows the first warning of an episode; the results count the rest."""
-
-    def __init__(self, shown: bool):
-        super().__init__(logging.WARNING)
-        self.shown, self.said = shown, False
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Show the first record."""
-        if self.shown and not self.said:
-            print(f"warning: {record.getMessage()}", file=sys.stderr)
-        self.said = True
+def _run_batch(setup: Setup, seeds: Sequence[int], envs: int, *, shown: bool) -> Iterator[EpisodeResult]:
+    """Run up to ``envs`` episodes at once, to the last or to Ctrl-C."""
+    with BatchBar(len(seeds), shown=shown) as bar:
+        with user_errors():
+            batch = setup.batch(seeds, envs)
+        for result in batch.run(on_step=bar.step):
+            bar.finish(result)
+            yield result

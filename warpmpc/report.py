@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import statistics
 from enum import StrEnum
 from types import NoneType
@@ -236,8 +237,6 @@ def _number(value: Any) -> str:
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
-    first = results[0]
-    name = first.scene + (f":{first.variant}" if first.variant else "")
     numbers = ["seed", "time\n[s]", "position\n[m]", "yaw\n[rad]", "contact\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
@@ -247,7 +246,7 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
         *numbers[1:],
         *safe,
         right=[*numbers, *safe],
-        title=f"{name}, {first.engine} on {first.device}",
+        title=_title(results[0]),
     )
     for r in results:
         table.add_row(
@@ -258,13 +257,64 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
             "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
             f"{r.max_force:.1f}",
             f"{r.time_in_contact:.2f}",
-            f"{r.plan_ms['p50']:.1f}",
-            f"{r.plan_ms['p99']:.1f}",
+            _ms(r.plan_ms["p50"]),
+            _ms(r.plan_ms["p99"]),
             *([str(r.fallbacks)] if safe else []),
         )
     console = _console(out)
     console.print(table)
     console.print(summary(results), markup=False)
+
+
+def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
+    """Print what became of many episodes that ran at once: one row per way they ended, plan times, and a sum."""
+    envs, plans = results[0].envs, [r.plan_ms for r in results if not math.isnan(r.plan_ms["p50"])]
+    p50 = statistics.median(plan["p50"] for plan in plans) if plans else math.nan
+    longest = max((plan["max"] for plan in plans), default=math.nan)
+    table = _table(
+        "result",
+        "episodes",
+        "mean time\n[s]",
+        "position\n[m]",
+        "contact\n[s]",
+        "seeds",
+        right=["episodes", "mean time\n[s]", "position\n[m]", "contact\n[s]"],
+        title=_title(results[0]),
+    )
+    for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
+        group = sorted((r for r in results if r.reason == reason), key=lambda r: r.seed)
+        table.add_row(
+            Text(reason, style="green" if group[0].success else "red"),
+            str(len(group)),
+            f"{statistics.mean(r.sim_time for r in group):.2f}",
+            f"{statistics.mean(r.position_error for r in group):.3f}",
+            f"{statistics.mean(r.time_in_contact for r in group):.2f}",
+            "" if group[0].success else _some([str(r.seed) for r in group]),
+        )
+    console = _console(out)
+    console.print(table)
+    safe = sum(r.fallbacks for r in results)
+    console.print(
+        f"plan of {envs} environments: p50 {_ms(p50)} ms, {_ms(p50 / envs)} ms each; longest {_ms(longest)} ms"
+        + (f"\n{safe} safe commands" if safe else ""),
+        markup=False,
+    )
+    console.print(f"{100.0 * sum(r.success for r in results) / len(results):.1f} %: {summary(results)}", markup=False)
+
+
+def _title(result: EpisodeResult) -> str:
+    name = result.scene + (f":{result.variant}" if result.variant else "")
+    return f"{name}, {result.engine} on {result.device}"
+
+
+def _ms(value: float) -> str:
+    """A wall time [ms]; a dash without a plan."""
+    return "-" if math.isnan(value) else f"{value:.1f}"
+
+
+def _some(names: Sequence[str], *, most: int = 12) -> str:
+    """The first of many names."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def summary(results: Sequence[EpisodeResult]) -> str:

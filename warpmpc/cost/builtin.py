@@ -113,6 +113,17 @@ class ObstacleClearance(Section):
     """Shorter distances count as this [m]."""
 
 
+class OutlineDistance(Section):
+    """Distance to the outline of an object seen from above [m]: least at its sides, not on top of it."""
+
+    of: str
+    """Frame."""
+    object: str
+    """Upright object with a primitive shape."""
+    inside: NonNegative = 1.0
+    """Factor on the depth within the outline: keeps a pusher from climbing onto the object."""
+
+
 class Height(Section):
     """Height error of a frame [m]."""
 
@@ -120,6 +131,8 @@ class Height(Section):
     """Frame."""
     target: Finite
     """Wanted height [m]."""
+    slack: NonNegative = 0.0
+    """Errors up to this cost nothing [m]."""
 
 
 class Orientation(Section):
@@ -228,10 +241,27 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearance
     return p
 
 
+def _outline_distance(keys: dict[str, Any], b: Binding) -> k.OutlineDistanceParams:
+    v = parse_keys(OutlineDistance, keys, b)
+    objects = {e.name: e for e in b.layout.entities if e.kind == "object"}
+    if v.object not in objects:
+        raise SceneError("no such object", key=f"{b.key}.object", file=b.file, found=v.object, allowed=objects)
+    shape = b.layout.shapes[objects[v.object].shapes[0]]
+    if shape.kind not in _SHAPE:
+        raise SceneError("an outline needs a primitive shape", key=f"{b.key}.object", file=b.file, found=shape.kind)
+    p = k.OutlineDistanceParams()
+    p.of, p.object, p.inside = b.frame(v.of, "of"), b.frame(v.object, "object"), v.inside
+    p.pose = wp.transform_inverse(wp.transform(*shape.pose))
+    x, y, _ = shape.scale
+    # as tall as needed: the nearest point of the shape then lies level with the frame
+    p.kind, p.size = (_SHAPE["box"], wp.vec3(x, y, 1e3)) if shape.kind == "box" else (2, wp.vec3(x, 1e3, 0.0))
+    return p
+
+
 def _height(keys: dict[str, Any], b: Binding) -> k.HeightParams:
     v = parse_keys(Height, keys, b)
     p = k.HeightParams()
-    p.of, p.target = b.frame(v.of, "of"), v.target
+    p.of, p.target, p.slack = b.frame(v.of, "of"), v.target, v.slack
     return p
 
 
@@ -260,6 +290,7 @@ BUILTIN = {
             _obstacle_clearance,
             ObstacleClearance,
         ),
+        CostTerm("outline_distance", k.outline_distance, k.OutlineDistanceParams, _outline_distance, OutlineDistance),
         CostTerm("height", k.height, k.HeightParams, _height, Height),
         CostTerm("orientation", k.orientation, k.OrientationParams, _orientation, Orientation),
     )

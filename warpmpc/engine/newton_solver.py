@@ -6,6 +6,7 @@ from __future__ import annotations
 import inspect
 from typing import TYPE_CHECKING, Any
 
+import mujoco_warp
 import newton
 import warp as wp
 
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 PIPELINE_OVERFLOW = 1 << 30
 """Capacity bit of Newton's own contact pipeline."""
+_CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
+"""Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
+_GRAPH_CONDITIONAL = "graph_conditional"
+"""MuJoCo Warp's own option: leave the solver's loop when all worlds have converged; else run every iteration."""
 _ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
 _LARGEST_BOUND = 256
 """Contact points per world beyond which the sum over all shape pairs says nothing about what happens at once."""
@@ -43,8 +48,11 @@ class MujocoWarp:
             "kinematic_switchable_roots": False,
         }
         cls = newton.solvers.SolverMuJoCo
-        self.solver = cls(model, **{**defaults, **checked_options(scene, cls.__init__)})
-        # an asset's own sites may have made sensors, but nobody reads them
+        options = {**defaults, **checked_options(scene, cls.__init__, more=(_GRAPH_CONDITIONAL,))}
+        conditional = bool(options.pop(_GRAPH_CONDITIONAL, True))
+        self.solver = cls(model, **options)
+        self.solver.mjw_model.opt.graph_conditional = conditional
+        self.solver.mjw_model.opt.warn_overflow = 0  # overflows are gathered and told once, not printed by the GPU
         self._data = self.solver.mjw_data
         geoms = self.solver.mjc_geom_to_newton_shape.numpy()[0].tolist()
         self._pairs = pair_table(layout, pairs, geoms, str(model.device))
@@ -80,6 +88,7 @@ class MujocoWarp:
                 contact.efc_address,
                 data.efc.force,
                 data.overflow,
+                _CAPACITY_BITS,
                 t,
                 share,
             ],
@@ -206,13 +215,19 @@ def make_solver(
         ) from error
 
 
-def checked_options(scene: Scene, make: Callable) -> dict[str, Any]:
+def checked_options(scene: Scene, make: Callable, *, more: tuple[str, ...] = ()) -> dict[str, Any]:
     """The scene's solver options.
+
+    Args:
+        scene: The scene.
+        make: What takes them by name.
+        more: Options taken elsewhere.
 
     Raises:
         SceneError: If the solver has no such option.
     """
     allowed = [n for n in inspect.signature(make).parameters if n not in ("self", "model")]
+    allowed += more
     for name in scene.engine.options:
         if name not in allowed:
             raise SceneError(
