@@ -135,7 +135,8 @@ def plane_distance(s: StepView, field: int, target: wp.vec2, p: wp.vec2) -> floa
         return straight
     f = s.e * s.fields + field
     path = sample_field(s.field, f, s.field_origin, s.field_cell, p)
-    return straight + wp.max(path - wp.length(p - s.field_center[f]), 0.0)
+    # between cells the field is interpolated, which adds a little near the target
+    return straight + wp.max(path - wp.length(p - s.field_center[f]) - 0.25 * s.field_cell, 0.0)
 
 
 @wp.struct

@@ -58,12 +58,14 @@ def test_a_mistake_in_the_file(folder, old, new, says):
         (["mine.toml:naer"], ["mine.toml", "no such variant", "allowed: near", "Did you mean 'near'?"]),
         (["mine.toml", "--set", "planner.discount=nan"], ["--set", "planner.discount", "must be finite", "found nan"]),
         (["mine.toml", "--set", "planner.samples"], ["--set", "KEY=VALUE"]),
-        (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco"]),
+        (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco, newton"]),
         (["mine.toml", "--device", "cuda:7"], ["cpu", "'cuda:7'"]),
         (["mine.toml", "--terms", "none.py"], ["none.py", "cannot be read", "No such file"]),
         (["mine.toml", "--record", "no/where.rrd"], ["--record", "no such folder"]),
+        (["mine.toml", "--envs", "2", "--record", "a.rrd"], ["--record", "leave out --envs"]),
+        (["point_reach", "--envs", "2", "--episodes", "2"], ["obstacle.*.position", "without --envs"]),
     ],
-    ids=["scene", "variant", "nan", "no value", "engine", "device", "terms", "record"],
+    ids=["scene", "variant", "nan", "no value", "engine", "device", "terms", "record", "record a batch", "drawn"],
 )
 def test_a_mistake_in_the_command(folder, args, says):
     text = message(folder, "run", *args)
@@ -94,7 +96,14 @@ def test_a_mistake_in_a_file_of_terms(folder, text, says):
 
 
 @pytest.mark.parametrize(
-    "args", [["run"], ["run", "mine.toml", "--nonsense"], ["run", "mine.toml", "--episodes", "0"], ["fly"]]
+    "args",
+    [
+        ["run"],
+        ["run", "mine.toml", "--nonsense"],
+        ["run", "mine.toml", "--episodes", "0"],
+        ["run", "mine.toml", "--envs", "0"],
+        ["fly"],
+    ],
 )
 def test_wrong_usage(folder, args):
     done = warpmpc(*args, folder=folder)

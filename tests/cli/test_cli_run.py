@@ -2,11 +2,15 @@
 """Episodes from the command line: what stdout carries, exit codes, seeds, recordings, Ctrl-C, users' terms."""
 
 import json
+import logging
+import re
 import signal
 import subprocess
 
 import pytest
 from program import PROGRAM, SCENE, TINY, results, untimed, warpmpc
+
+from warpmpc.cli_progress import Messages
 
 KEYS = [
     "scene",
@@ -27,6 +31,7 @@ KEYS = [
     "samples",
     "horizon",
     "fallbacks",
+    "envs",
 ]
 
 TERMS = """
@@ -116,6 +121,53 @@ def test_the_table_has_one_row_per_episode_and_a_sum():
     rows = [line.split()[:3] for line in done.stdout.splitlines() if "timeout" in line]
     assert rows == [["0", "timeout", "0.40"], ["1", "timeout", "0.40"]]
     assert done.stdout.endswith("0 of 2 reached the goal\n")
+
+
+def test_many_episodes_at_once(tmp_path):
+    (tmp_path / "mine.toml").write_text(SCENE)
+    many = ("run", "mine.toml", "--json", "--seed", "3", "--episodes", "5", "--envs", "2", *TINY)
+    done = warpmpc(*many, folder=tmp_path)
+    assert (done.returncode, done.stderr) == (1, "")
+    found = results(done)
+    assert [result["seed"] for result in found] == [3, 4, 5, 6, 7]
+    assert [list(result) for result in found] == [KEYS] * 5
+    assert {(result["envs"], result["steps"], result["reason"]) for result in found} == {(2, 10, "timeout")}
+    alone = results(warpmpc("run", "mine.toml", "--json", "--seed", "3", *TINY, folder=tmp_path))[0]
+    assert alone["envs"] == 1
+    assert {**untimed(found[0]), "envs": 1} == untimed(alone)
+
+
+def test_many_episodes_make_a_short_table():
+    easy = ["--set", "success={ position = 5.0 }"]
+    done = warpmpc("run", "omni_push_box", "--episodes", "3", "--envs", "2", *TINY, *easy)
+    assert (done.returncode, done.stderr) == (0, "")
+    (row,) = [line.split() for line in done.stdout.splitlines() if "goal reached" in line]
+    assert row[2:4] == ["3", "0.00"]
+    assert "plan of 2 environments: p50 - ms, - ms each" in done.stdout  # there was none
+    assert done.stdout.endswith("100.0 %: 3 of 3 reached the goal; time to goal 0.00 ± 0.00 s\n")
+    done = warpmpc("run", "omni_push_box", "--episodes", "3", "--envs", "8", *TINY)
+    (row,) = [line.split() for line in done.stdout.splitlines() if "timeout" in line]
+    assert (done.returncode, row[:3], row[-3:]) == (1, ["timeout", "3", "0.40"], ["0,", "1,", "2"])
+    assert re.search(r"plan of 3 environments: p50 \d+\.\d ms, \d+\.\d ms each", done.stdout)
+
+
+def test_notices_are_shown_once_and_warnings_once_per_episode(capsys):
+    logger = logging.getLogger("warpmpc")
+    with Messages(notices=True, warnings=True) as messages:
+        for _ in range(2):
+            logger.info("taking newton")
+            logger.warning("every rollout diverged")
+            logger.warning("every rollout diverged again")
+            messages.warned = False
+    assert capsys.readouterr().err.splitlines() == [
+        "taking newton",
+        "warning: every rollout diverged",
+        "warning: every rollout diverged",
+    ]
+    with Messages(notices=False, warnings=False):
+        logger.info("taking newton")
+        logger.warning("every rollout diverged")
+    assert capsys.readouterr().err == ""
 
 
 def test_quiet_says_nothing():

@@ -112,6 +112,21 @@ def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
     return r.each(total)
 
 
+def leading_distance(r: Rollouts, lead: float) -> np.ndarray:
+    body = int(r.layout.frame_body[r.layout.frame("box")])
+    velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
+    ahead = r.pose("box")[0] + lead * velocity.reshape(r.pose("box")[0].shape)
+    return np.linalg.norm(ahead - r.pose("base/tip")[0], axis=-1)
+
+
+def outline_distance(r: Rollouts, inside: float) -> np.ndarray:
+    (tip, _), (box, turn) = r.pose("base/tip"), r.pose("box")
+    local = np.abs(turn.inv().apply((tip - box).reshape(-1, 3)))[:, :2]
+    beyond = local - 0.5 * np.array(r.scene.object[0].size[:2])
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    return r.each(np.where(outside > 0.0, outside, -inside * beyond.max(axis=1)))
+
+
 def joint_limit(r: Rollouts, margin: float) -> np.ndarray:
     q = r.trajectory.joint_q.numpy()[1:, :, :2].astype(np.float64)  # yaw has no limits
     return (np.maximum(np.abs(q) - (100.0 - margin), 0.0) ** 2).sum(-1)
@@ -155,7 +170,19 @@ CASES = {
         {"term": "obstacle_clearance", "of": "base/tip", "to": "centre"},
         lambda r: clearance(r, "centre", 0.0, 0.05),
     ),
+    "leading distance": (
+        {"term": "distance", "between": ["box", "base/tip"], "lead": 0.7},
+        lambda r: leading_distance(r, 0.7),
+    ),
+    "outline_distance": (
+        {"of": "base/tip", "object": "box", "inside": 3.0},
+        lambda r: outline_distance(r, 3.0),
+    ),
     "height": ({"of": "base/tip", "target": 0.3}, lambda r: np.abs(r.pose("base/tip")[0][..., 2] - 0.3)),
+    "slack height": (
+        {"term": "height", "of": "base/tip", "target": 0.3, "slack": 0.2},
+        lambda r: np.maximum(np.abs(r.pose("base/tip")[0][..., 2] - 0.3) - 0.2, 0.0),
+    ),
     "orientation": (
         {"of": "base/tip", "to": "box"},
         lambda r: r.each((r.pose("base/tip")[1].inv() * r.pose("box")[1]).magnitude()),

@@ -110,7 +110,7 @@ def test_a_plan_leaves_nothing_behind(scene, engine):
     roll_newton(engine, controls(SAMPLES, seed=1) * 3.0, *start(scene))
     again = roll_newton(engine, control, *start(scene))
     for name, values in first.items():
-        np.testing.assert_allclose(again[name], values, atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(again[name], values, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
 def test_a_poisoned_world_hurts_nobody_else_and_not_the_next_plan(scene, engine):
@@ -128,10 +128,10 @@ def test_a_poisoned_world_hurts_nobody_else_and_not_the_next_plan(scene, engine)
         a, b = found[name][:, others], clean[name][:, others]
         if exact:
             np.testing.assert_array_equal(a, b, err_msg=name)
-        np.testing.assert_allclose(a, b, atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
     after = roll_newton(engine, control, *start(scene))
     for name, values in clean.items():
-        np.testing.assert_allclose(after[name], values, atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(after[name], values, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
 def test_every_environment_starts_from_its_own_state(scene, device):

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reproducing tables: statistics, runs that are kept and never repeated, reports, and mistakes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import reproduce
+from experiments.metrics import METRICS, estimate, mean, rate, shown
+from experiments.plots import plot
+from experiments.report import Report, Row
+from experiments.runs import Run, Store, plan_runs
+from experiments.tables import TABLES, Cell, Table
+from scene_keys import present, spread
+from workers import Job
+
+import warpmpc
+
+TOOL = Path(__file__).parents[2] / "tools" / "reproduce.py"
+TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
+
+
+def tool(*args: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the tool as a user does."""
+    command = [sys.executable, TOOL, *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, encoding="utf-8", timeout=280)
+
+
+@pytest.mark.parametrize(
+    ("successes", "count", "low", "high"),
+    [(8, 10, 0.4901625, 0.9433178), (0, 10, 0.0, 0.2775328), (100, 100, 0.9630065, 1.0), (1, 2, 0.0945312, 0.9054688)],
+)
+def test_wilson_intervals(successes, count, low, high):
+    found = rate(successes, count)
+    assert (found.low, found.high) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
+
+
+def test_student_intervals():
+    found = mean([1.0, 2.0, 3.0])
+    assert (found.value, found.high - 2.0) == (2.0, pytest.approx(2.4841377))  # 4.302653 / √3
+    assert shown(METRICS["time"], found) == "2.00 ± 2.48"
+    assert mean([4.0]).low is None
+    assert shown(METRICS["time"], mean([4.0])) == "4.00"
+
+
+def record(*, success=True, time=10.0, force=0.0, **more) -> dict:
+    """A run's record, as far as the tables need it."""
+    return {
+        "result": {
+            "success": success,
+            "reason": "goal reached" if success else "timeout",
+            "time_to_goal_s": time if success else None,
+            "final": {"position_error_m": 0.03, "yaw_error_rad": 0.2},
+            "collisions": {"max_force_N": force},
+            "plan_ms": {"p50": 30.0},
+        },
+        "measured": {"path_length_m": 4.0, "clearance_m": None, "axes_error_m": [0.02, -0.01]},
+        "gpu": None,
+        "jobs": 1,
+        "code": "now",
+        "cpu": "a processor",
+        "cores": 4,
+        **more,
+    }
+
+
+def test_metrics_of_records():
+    runs = [record(time=8.0), record(time=12.0, force=3.0), record(success=False)]
+    assert estimate(METRICS["success"], runs).value == pytest.approx(2 / 3)
+    assert estimate(METRICS["free"], runs).value == pytest.approx(2 / 3)
+    assert estimate(METRICS["time"], runs).value == 10.0
+    assert estimate(METRICS["time"], runs).count == estimate(METRICS["path"], runs).count == 2
+    assert estimate(METRICS["cost"], runs).value == pytest.approx(1.5 * 0.03 + 0.01 * 0.2)
+    assert estimate(METRICS["clearance"], runs) is None
+    assert shown(METRICS["clearance"], None) == "–"
+
+
+CELL = Cell(name="one", title="first cell", scenes=("some:A",), paper={"success": (0.9,), "time": (9.66, 0.84)})
+
+
+def report(*records: dict) -> Report:
+    """A report of one cell with these runs, seeds 0 and up."""
+    job = {"scene": "some:A", "overrides": ("planner.samples=9",)}
+    runs = [
+        (Run(table="t", cell="one", job=Job(**job, seed=seed), scene_hash="x"), record)
+        for seed, record in enumerate(records)
+    ]
+    table = Table(title="A table", metrics=("success", "free", "time"), runs=3, cells=(CELL,), note="A note.")
+    return Report("t", table, [Row(CELL, runs)], "the command", {"python": "3"}, "2026-01-01", "now")
+
+
+def test_the_page_has_figures_failures_with_seeds_and_commands():
+    bad = record(success=False)
+    page = report(record(time=8.0), bad, record(time=12.0, force=3.0), bad).markdown()
+    assert "| first cell | 4 | 50 % [15, 85] | 75 % [30, 95] | 10.00 ± 25.41 |" in page
+    assert "| *paper* |  | *90 %* |  | *9.66 ± 0.84* |" in page
+    assert "2 × timeout: seeds 1, 3. One alone: `warpmpc run some:A --seed 1 --set planner.samples=9`" in page
+    assert "1 × collision: seed 2." in page
+    for part in ("the command", "2026-01-01", "4 cores of a processor", "python 3", "A note."):
+        assert part in page
+    assert "No failures." in report(record()).markdown()
+
+
+def test_the_page_owns_up_to_crowded_and_outdated_runs():
+    page = report(record(jobs=8), record(code="before")).markdown()
+    assert "8 at a time" in page
+    assert "1 of these 2 runs were made by another state of the code" in page
+
+
+def test_the_data_names_failed_runs():
+    cell = report(record(), record(success=False)).to_json()["cells"][0]
+    assert [(run["scene"], run["seed"]) for run in cell["failures"]["timeout"]] == [("some:A", 1)]
+    assert cell["ours"]["success"]["count"] == 2
+
+
+def test_the_picture_is_drawn_from_one_run_or_many(tmp_path):
+    for count in (1, 4, 9):
+        assert plot(report(*(record(time=10.0 + i) for i in range(count))), tmp_path / f"{count}.png")
+        assert (tmp_path / f"{count}.png").stat().st_size > 5000
+    assert not plot(report(record(success=False)), tmp_path / "none.png")
+
+
+def runs_of(cell: Cell, **changes) -> list[Run]:
+    options = {"seeds": range(2), "overrides": [], "engine": "auto", "device": "auto", **changes}
+    return plan_runs("t", [cell], **options)
+
+
+def test_a_run_is_another_one_when_anything_that_matters_differs():
+    cell = Cell(name="p", title="", scenes=("omni_push_box:A",))
+    base = {run.key for run in runs_of(cell)}
+    assert base == {run.key for run in runs_of(cell)}
+    for other in (
+        runs_of(cell, overrides=["planner.samples=17"]),
+        runs_of(cell, engine="mujoco"),
+        runs_of(cell, seeds=range(5, 7)),
+        runs_of(Cell(name="p", title="", scenes=("omni_push_box:B",))),
+        runs_of(Cell(name="q", title="", scenes=("omni_push_box:A",))),
+    ):
+        assert len(other) == 2
+        assert not base & {run.key for run in other}
+
+
+def test_a_star_skips_entries_without_the_key():
+    scene = warpmpc.load_scene("omni_push_box")
+    texts = spread(scene, ["cost.*.metric=straight", "planner.samples=9"])
+    assert {"cost.reach.metric=straight", "cost.bring.metric=straight", "planner.samples=9"} <= set(texts)
+    assert not any(text.startswith("cost.yaw") for text in texts)
+    assert present(scene, "robot.base.joint_q.1") == {"robot.base.joint_q.1": 2.0}
+    with pytest.raises(ValueError, match="no entry of omni_push_box has this key"):
+        spread(scene, ["cost.*.nonsense=1"])
+
+
+def exists(source: str) -> bool:
+    try:
+        warpmpc.load_scene(source)
+    except warpmpc.SceneError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("table", "cell"), [(name, cell) for name, table in TABLES.items() for cell in table.cells])
+def test_every_cell_fits_its_scenes(table, cell):
+    if missing := [name for name in cell.scenes if not exists(name)]:
+        pytest.skip(f"no scene {missing[0]}")
+    assert len(runs_of(cell)) == 2 * len(cell.scenes)
+    assert set(cell.paper) <= set(TABLES[table].metrics) <= set(METRICS)
+
+
+def test_kept_runs_survive_a_write_that_was_cut_off(tmp_path):
+    first, second = runs_of(Cell(name="p", title="", scenes=("omni_push_box",)))
+    store = Store(tmp_path / "t.jsonl")
+    store.add(first, {"result": 1})
+    with open(store.path, "ab") as file:
+        file.write(b'{"key": "half')
+    store = Store(store.path)
+    assert set(store.runs) == {first.key}
+    store.add(second, {"result": 2})
+    assert [json.loads(line)["seed"] for line in store.path.read_text().splitlines()] == [0, 1]
+    assert set(Store(store.path).runs) == {first.key, second.key}
+
+
+def test_finished_runs_are_never_repeated(tmp_path, capsys):
+    args = ["table4/box_A", *TINY, "--out", str(tmp_path)]
+    first = tool(*args, "--runs", "2")
+    assert first.returncode == 0, first.stderr
+    assert "paper 9.66 ± 0.84" in first.stdout
+    lines = (tmp_path / "table4.jsonl").read_text().splitlines()
+    assert [json.loads(line)["seed"] for line in lines] == [0, 1]
+    assert reproduce.main([*args, "--runs", "3"]) == 0
+    assert "1/1" in capsys.readouterr().err
+    assert (tmp_path / "table4.jsonl").read_text().splitlines()[:2] == lines
+    page = (tmp_path / "table4.md").read_text()
+    assert "3 × timeout: seeds 0, 1, 2. One alone: `warpmpc run omni_push_box:A --seed 0 --set planner" in page
+    (cell,) = json.loads((tmp_path / "table4.json").read_text())["cells"]
+    assert (cell["runs"], cell["ours"]["success"]["value"]) == (3, 0.0)
+    assert (tmp_path / "table4.png").exists()
+    assert reproduce.main([*args, "--runs", "3"]) == 0  # nothing left to do
+    assert "0/0" in capsys.readouterr().err
+    assert len((tmp_path / "table4.jsonl").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["tabel4"], "no such table: 'tabel4'; there is: table1, table2"),
+        (["table4/box_C"], "no such cell of table4: 'box_C'; there is: box_A"),
+        (["ghost/walks"], "ghost/walks: no_scene_at_all: no such scene file"),
+        (["table1/point", "--set", "planner.sampels=3"], "Did you mean 'samples'?"),
+        (["table1/point", "--set", "cost.*.nonsense=3"], "no entry of point_reach has this key"),
+        (["table1/point", "--engine", "mujocco"], "no engine 'mujocco'"),
+    ],
+    ids=["table", "cell", "scene", "override", "star", "engine"],
+)
+def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, monkeypatch, capsys):
+    ghost = Cell(name="walks", title="", scenes=("no_scene_at_all",))
+    monkeypatch.setitem(TABLES, "ghost", Table(title="", metrics=("success",), runs=1, cells=(ghost,)))
+    assert reproduce.main([*args, "--out", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert says in err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the plant did in an episode, measured step by step: path length, clearance, errors at start and end."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from warpmpc import Controller, Plant
+    from warpmpc.engine.compiled import CompiledScene
+
+FAR = 1e3
+"""Distances beyond this count as this [m]."""
+
+
+class Clearance:
+    """Distance between the surfaces of robots and obstacles, planes left out.
+
+    Shapes have their nominal sizes; meshes are their convex hulls, as in the plant's own collisions.
+
+    Args:
+        compiled: The compiled scene of the plant.
+    """
+
+    def __init__(self, compiled: CompiledScene):
+        self.model = mujoco.MjModel.from_xml_string(compiled.mjcf)
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, self.data)  # poses of whatever is fixed to the world
+        layout = compiled.layout
+        kind = {entity.name: entity.kind for entity in layout.entities}
+        solid: dict[str, list[tuple[int, int]]] = {"robot": [], "obstacle": []}
+        for shape, name in zip(layout.shapes, compiled.geom_name, strict=True):
+            if name and shape.kind != "plane" and kind[shape.entity] in solid:
+                solid[kind[shape.entity]].append((self.model.geom(name).id, shape.body))
+        self.robot, self.obstacle = solid["robot"], solid["obstacle"]
+
+    def __call__(self, body_q: np.ndarray) -> float:
+        """The least distance [m] at body poses ``[nb, 7]``: below zero where they overlap, infinite without a pair."""
+        if not self.robot or not np.isfinite(body_q).all():
+            return math.inf
+        for geom, body in (*self.robot, *self.obstacle):
+            if body >= 0:
+                self._place(geom, body_q[body])
+        pairs = ((robot, obstacle) for robot, _ in self.robot for obstacle, _ in self.obstacle)
+        distances = (mujoco.mj_geomDistance(self.model, self.data, *pair, FAR, None) for pair in pairs)
+        return min(distances, default=math.inf)
+
+    def _place(self, geom: int, pose: np.ndarray) -> None:
+        """Put a geom where its body is."""
+        turn = Rotation.from_quat(pose[3:])
+        w, *xyz = self.model.geom_quat[geom]
+        self.data.geom_xpos[geom] = pose[:3] + turn.apply(self.model.geom_pos[geom])
+        self.data.geom_xmat[geom] = (turn * Rotation.from_quat([*xyz, w])).as_matrix().ravel()
+
+
+class Meter:
+    """Measures an episode; hand it to :meth:`warpmpc.episode.Episode.run` as ``on_step``.
+
+    Args:
+        plant: The episode's plant, before its first step.
+    """
+
+    def __init__(self, plant: Plant):
+        self.plant = plant
+        frame = plant.layout.frame(plant.scene.goal.target)
+        self._body, self._offset = int(plant.layout.frame_body[frame]), plant.layout.frame_pose[frame][:3]
+        self.place = self._goal_target()
+        self._start = plant.error
+        self.path_length = 0.0
+        self._clearance = Clearance(plant.compiled) if plant.scene.obstacle else None
+        self.clearance = self._clearance(plant.body_q) if self._clearance else math.inf
+
+    def __call__(self, controller: Controller | None, plant: Plant, control: np.ndarray) -> None:
+        """Take note of the step just made."""
+        at = self._goal_target()
+        self.path_length += float(np.linalg.norm(at - self.place))
+        self.place = at
+        if self._clearance:
+            self.clearance = min(self.clearance, self._clearance(plant.body_q))
+
+    def _goal_target(self) -> np.ndarray:
+        """Where the frame or object is that shall reach the goal ``[3]`` [m]."""
+        pose = self.plant.body_q[self._body]
+        return pose[:3] + Rotation.from_quat(pose[3:]).apply(self._offset)
+
+    def to_json(self) -> dict[str, object]:
+        """The measures as data for JSON, ``None`` for what is not finite; units in the keys."""
+        start, end = self._start, self.plant.error
+        return {
+            "path_length_m": _number(self.path_length),
+            "clearance_m": _number(self.clearance),
+            "start_position_error_m": _number(start.position),
+            "axes_error_m": [_number(value) for value in end.axes],
+            "rotation_error_rad": _number(end.rotation),
+        }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
