@@ -36,13 +36,14 @@ TermsOption = Annotated[
 EngineOption = Annotated[
     str,
     typer.Option(
+        "--engine",
         metavar="ENGINE",
         help="Engine of the rollouts: mujoco (on the CPU), newton (best on a GPU), or auto: the scene's choice, else "
         "with a GPU the faster of the two, measured once.",
     ),
 ]
 DeviceOption = Annotated[
-    str, typer.Option(metavar="DEVICE", help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto.")
+    str, typer.Option("--device", metavar="DEVICE", help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto.")
 ]
 LAST_SEED = 2**28
 """Largest seed; the kernels' seeds derived from it stay 32-bit integers."""

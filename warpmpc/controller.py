@@ -89,8 +89,8 @@ class Controller:
         self._hold_q = np.tile(self.layout.joint_q, (envs, 1))
         self._hold_qd = np.tile(self.layout.joint_qd, (envs, 1))
         self._warned_of_overflow = False
-        self.info: Info | tuple[Info, ...] | None = None
-        """What the last plan did, one per environment when there are several."""
+        self._last: tuple[State, np.ndarray, np.ndarray, float] | None = None
+        self._info: Info | tuple[Info, ...] | None = None
         self.goal = np.empty((envs, 7), dtype=np.float32)
         """Goal poses ``[E, 7]`` (x, y, z, qx, qy, qz, qw); change them with :meth:`set_goal`."""
         self.set_goal(goal_pose(scene))
@@ -99,6 +99,15 @@ class Controller:
     def device(self) -> str:
         """Device the rollouts run on."""
         return self.engine.device
+
+    @property
+    def info(self) -> Info | tuple[Info, ...] | None:
+        """What the last plan did, one per environment when there are several; None before the first."""
+        if self._info is None and self._last is not None:
+            state, rows, fallback, plan_ms = self._last
+            infos = tuple(self._describe(state, e, rows[e], bool(fallback[e]), plan_ms) for e in range(self.envs))
+            self._info = infos if np.ndim(state.joint_q) == 2 else infos[0]
+        return self._info
 
     def set_goal(self, pose: np.ndarray) -> None:
         """Move the goal; takes effect at the next plan.
@@ -143,7 +152,7 @@ class Controller:
     def reset(self) -> None:
         """Forget every earlier plan, as if just constructed."""
         self.plan.reset()
-        self.info = None
+        self._last = self._info = None
 
     def step(self, state: State) -> np.ndarray:
         """Plan from an observed state.
@@ -180,9 +189,9 @@ class Controller:
                 "the observation is not finite" if not finite.all() else "every rollout diverged",
             )
         plan_ms = 1e3 * (time.perf_counter() - start)
-        self._warn_of_overflow(rows)
-        infos = tuple(self._describe(state, e, rows[e], bool(fallback[e]), plan_ms) for e in range(self.envs))
-        self.info = infos if np.ndim(state.joint_q) == 2 else infos[0]
+        if finite.any():
+            self._warn_of_overflow(rows)
+        self._last, self._info = (state, rows, fallback, plan_ms), None
         return command if np.ndim(state.joint_q) == 2 else command[0]
 
     def _checked(self, state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -205,8 +214,7 @@ class Controller:
         return np.clip(safe, self.layout.control_lower, self.layout.control_upper).astype(np.float32)
 
     def _warn_of_overflow(self, rows: np.ndarray) -> None:
-        bits = int(np.nanmax(rows[:, 5], initial=0.0))
-        if bits and not self._warned_of_overflow:
+        if not self._warned_of_overflow and (bits := int(rows[:, 5].max())):
             self._warned_of_overflow = True
             logger.warning("%s", self.engine.overflow_message(bits))
 

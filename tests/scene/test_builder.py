@@ -247,8 +247,7 @@ def test_a_floating_robot_falls_and_a_fixed_one_does_not():
     floating = of_robot("nv_humanoid.xml", drive, floating=True, position=(0.0, 0.0, 2.0))
     layout = compiled(floating).layout
     assert layout.nq == layout.nv + 1
-    one_axis = (layout.joint_dof_dim.sum(axis=1) == 1).sum()
-    assert len(layout.control_name) == one_axis > 0
+    assert len(layout.control_name) == layout.nv - 6 == 21  # all but its free joint
     start = layout.joint_q[2]
     q, qd, _ = simulate(floating, np.zeros(layout.nu), steps=5)
     fallen = 0.5 * 9.81 * 0.2**2
@@ -256,6 +255,34 @@ def test_a_floating_robot_falls_and_a_fixed_one_does_not():
     assert qd[-1, 2] == pytest.approx(-9.81 * 0.2, rel=0.1)
     fixed = compiled(of_robot("nv_humanoid.xml", drive, position=(0.0, 0.0, 2.0))).layout
     assert fixed.nq == fixed.nv == layout.nv - 6  # its own free joint is gone
+
+
+def test_several_joints_on_one_body_are_driven_by_their_own_names():
+    """In MJCF a body may stand on several joints, which Newton takes together: same motion as joint by joint."""
+    drive = {"damping": 600.0, "effort_limit": 100.0, "limit": 1.0}
+    control = [0.5, -0.3, 0.8]
+    ends = []
+    for asset in ("omni_base.urdf", "omni_base.xml"):
+        scene = of_robot(asset, drive, ground_contact=False, joint_q={"x": 0.2, "yaw": 0.1})
+        layout = compiled(scene).layout
+        assert layout.control_name == ("arm/x", "arm/y", "arm/yaw")
+        q, _, out = simulate(scene, control, steps=10)
+        assert q[-1, layout.joint("yaw")] - q[0, layout.joint("yaw")] == pytest.approx(0.8 * 0.4, abs=0.05)
+        ends.append(out.body_q.numpy()[-1, 0, layout.body_name.index("arm/base_link")])
+    np.testing.assert_allclose(ends[0], ends[1], atol=2e-3)
+
+
+def test_axes_of_a_humanoid_bear_the_names_of_its_file():
+    drive = {"damping": 200.0, "effort_limit": 1000.0, "limit": 1.0}
+    scene = of_robot("nv_humanoid.xml", drive, position=(0.0, 0.0, 2.0), gravity_compensation=True)
+    layout = compiled(scene).layout
+    control = np.zeros(layout.nu)
+    control[layout.control_name.index("arm/right_hip_y")] = -0.5
+    q, _, _ = simulate(scene, control, steps=10)
+    moved = q[-1] - q[0]
+    assert moved[layout.joint("right_hip_y")] == pytest.approx(-0.5 * 0.4, abs=0.06)
+    others = [layout.joint(name) for name in layout.dof_name if name and name != "arm/right_hip_y"]
+    assert np.abs(moved[others]).max() < 0.06
 
 
 # drives

@@ -59,3 +59,48 @@ def test_a_kicked_arm_recovers():
 @pytest.mark.parametrize("variant", ["A", "B"])
 def test_nine_of_ten_seeds_succeed(variant):
     assert sum(r.success for r in episodes(f"omni_push_box:{variant}", range(400, 410))) >= 9
+
+
+def test_the_arm_reaches_drawn_goals_between_spheres():
+    results = episodes("panda_reach", (500, 501), ["timing.timeout=5.0"])
+    assert all(r.success for r in results), results
+    assert all(r.max_force == 0.0 for r in results), results
+    assert np.mean([r.sim_time for r in results]) <= 1.2
+
+
+# Minutes of simulated pushing each; run them with: pytest -m slow tests/scenes
+
+
+@pytest.mark.slow
+def test_the_wheeled_base_pushes_the_box_to_its_goal():
+    results = episodes("diff_push_box", (510, 511))
+    assert sum(r.success for r in results) >= 1, results
+    assert all(r.diverged_worlds == 0 for r in results)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_the_base_pushes_the_ball_into_the_gap(variant):
+    results = episodes(f"omni_push_sphere:{variant}", (520, 521))
+    assert sum(r.success for r in results) >= 1, results  # nothing stops a ball that got away
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["pose_1", "pose_2"])
+def test_the_stick_pushes_the_block_to_a_pose(variant):
+    for r in episodes(f"panda_push:{variant}", (530, 531)):
+        # at most √2 of the distance is the sum of both axes: 1.5 (|x| + |y|) + 0.01 |yaw| (Table II)
+        assert 1.5 * 2.0**0.5 * r.position_error + 0.01 * r.yaw_error <= 0.06, r
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["B_right", "C_right"])
+def test_the_stick_pushes_objects_of_all_sorts(variant):
+    results = episodes(f"panda_push_objects:{variant}", (540, 541))
+    assert sum(r.success for r in results) >= 1, results
+
+
+def test_the_mobile_arm_and_its_cube_are_sane_for_a_second():
+    result = episodes("mobile_pick", (550,), ["timing.timeout=1.0"])[0]
+    assert result.diverged_worlds == 0
+    assert result.fallbacks == 0
