@@ -98,9 +98,3 @@ def test_the_stick_pushes_the_block_to_a_pose(variant):
 def test_the_stick_pushes_objects_of_all_sorts(variant):
     results = episodes(f"panda_push_objects:{variant}", (540, 541))
     assert sum(r.success for r in results) >= 1, results
-
-
-def test_the_mobile_arm_and_its_cube_are_sane_for_a_second():
-    result = episodes("mobile_pick", (550,), ["timing.timeout=1.0"])[0]
-    assert result.diverged_worlds == 0
-    assert result.fallbacks == 0

@@ -28,6 +28,11 @@ _CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.Overflow
 """Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
 _GRAPH_CONDITIONAL = "graph_conditional"
 """MuJoCo Warp's own option: leave the solver's loop when all worlds have converged; else run every iteration."""
+_NOT_FOR_SCENES = (
+    *("self", "model", "separate_worlds", "use_mujoco_cpu", "use_mujoco_contacts", "use_speculative_contacts"),
+    *("save_to_mjcf", "update_data_interval"),
+)
+"""Arguments of solvers that say how a program uses them; scenes have no say in it."""
 _ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
 _LARGEST_BOUND = 256
 """Contact points per world beyond which the sum over all shape pairs says nothing about what happens at once."""
@@ -226,7 +231,7 @@ def checked_options(scene: Scene, make: Callable, *, more: tuple[str, ...] = ())
     Raises:
         SceneError: If the solver has no such option.
     """
-    allowed = [n for n in inspect.signature(make).parameters if n not in ("self", "model")]
+    allowed = [n for n in inspect.signature(make).parameters if n not in _NOT_FOR_SCENES]
     allowed += more
     for name in scene.engine.options:
         if name not in allowed:
