@@ -8,6 +8,8 @@ drifts does not distort it.
 
     python tools/bench.py                          # the shipped scenes
     python tools/bench.py omni_push_box:B --plans 400 --json bench.json
+
+For the engines on a GPU, over sample counts and solver settings, see tools/engines.py.
 """
 
 from __future__ import annotations
