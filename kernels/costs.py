@@ -8,7 +8,7 @@ the term (see ``warpmpc.cost.term``).
 
 import warp as wp
 
-from .fields import field_gradient, sample_field
+from .fields import field_gradient, sample_field, sample_push
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,6 +20,8 @@ BOX = wp.constant(1)
 CYLINDER = wp.constant(2)
 CAPSULE = wp.constant(3)
 PLANE = wp.constant(4)
+
+LARGEST_STEER = wp.constant(0.4)  # [rad] beside the middle of an object, for turning it
 
 
 @wp.struct
@@ -230,6 +232,68 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     if p.near > 0.0:
         value *= 1.0 - wp.exp(-wp.length(straight) / p.near)
     return value
+
+
+@wp.struct
+class PushPathParams:
+    """Parameters of ``push_path``."""
+
+    pusher: int
+    object: int
+    goal: int
+    tolerance: float  # [m] along each axis of the goal
+    value: wp.array4d[float]  # [E, 16, rows, columns] work left [m]
+    origin: wp.array[wp.vec2]  # [E] place of the first cell [m]
+    cell: float  # [m]
+    field: int  # distance field of the pusher to the object
+    radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
+    turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
+    steer: float  # how far to push beside the middle, as an angle per heading error
+
+
+@wp.func
+def shrink(d: float, tolerance: float) -> float:
+    """Zero within ± tolerance, d itself beyond 2.5 times that, and continuous."""
+    a = wp.abs(d)
+    if a < 2.5 * tolerance:
+        a = wp.max(a - tolerance, 0.0) * 2.5 / 1.5
+    return wp.sign(d) * a
+
+
+@wp.func
+def push_path(s: StepView, p: PushPathParams) -> float:
+    """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
+
+    min over sides d of V(o, d) + turn · walk(r → d), with V from dynamic programming (``warpmpc.cost.push_path``). The
+    walk is straight to the sides of a circle about the object that the pusher sees, longer by what obstacles in
+    between add. Being a cost-to-go, it rewards the first step to another side of the object already; so it stands for
+    the object's distance to the goal and for ``push_alignment`` together.
+    """
+    r = frame_position(s, p.pusher)
+    o = frame_position(s, p.object)
+    goal = frame_pose(s, p.goal)
+    off = wp.transform_point(wp.transform_inverse(goal), o)
+    near = wp.transform_point(goal, wp.vec3(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance), off[2]))
+    at = wp.vec2(near[0], near[1])
+    pusher = wp.vec2(r[0], r[1]) + at - wp.vec2(o[0], o[1])
+    origin = p.origin[s.e]
+    apart = wp.length(pusher - at)
+    angle = wp.atan2(r[1] - o[1], r[0] - o[0])
+    # a push beside the middle turns the object: on the left of it anticlockwise
+    heading = yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - yaw(wp.transform_get_rotation(goal))
+    angle += wp.clamp(p.steer * wrap_angle(heading), -LARGEST_STEER, LARGEST_STEER)
+    best = sample_push(p.value, s.e, origin, p.cell, at, angle)
+    if apart <= p.radius:
+        return best
+    best += p.turn * (apart - p.radius)
+    seen = wp.acos(p.radius / apart)
+    for i in range(1, 4):
+        part = seen * float(i) / 3.0
+        way = p.turn * wp.sqrt(apart * apart + p.radius * p.radius - 2.0 * apart * p.radius * wp.cos(part))
+        left = sample_push(p.value, s.e, origin, p.cell, at, angle + part)
+        right = sample_push(p.value, s.e, origin, p.cell, at, angle - part)
+        best = wp.min(best, wp.min(left, right) + way)
+    return best + p.turn * (plane_distance(s, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1])) - apart)
 
 
 @wp.struct

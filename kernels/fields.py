@@ -34,6 +34,43 @@ def field_gradient(field: wp.array3d[float], f: int, origin: wp.vec2, cell: floa
     return wp.vec2(dx, dy) / (2.0 * cell)
 
 
+ATAN_HALF = wp.constant(0.4636476090008061)  # arctan 1/2
+
+
+@wp.func
+def side_of(angle: float) -> float:
+    """Fractional index, in [0, 16), of a direction among the 16 of a push value.
+
+    They are those from one grid cell to its neighbours and a knight's move away: 0, arctan 1/2, π/4, arctan 2, π/2 ...
+    """
+    quarters = angle / wp.half_pi
+    turned = quarters - wp.floor(quarters)
+    quarter = wp.floor(quarters) - 4.0 * wp.floor(wp.floor(quarters) / 4.0)
+    within = turned * wp.half_pi
+    mirrored = wp.min(within, wp.half_pi - within)  # in [0, π/4]
+    part = mirrored / ATAN_HALF
+    if mirrored > ATAN_HALF:
+        part = 1.0 + (mirrored - ATAN_HALF) / (0.5 * wp.half_pi - ATAN_HALF)
+    return 4.0 * quarter + wp.where(within > mirrored, 4.0 - part, part)
+
+
+@wp.func
+def sample_push(value: wp.array4d[float], e: int, origin: wp.vec2, cell: float, at: wp.vec2, angle: float) -> float:
+    """Value [E, 16, rows, columns] of an object at a point with its pusher in a direction, interpolated linearly.
+
+    Beyond the grid it grows by the distance from it.
+    """
+    side = side_of(angle)
+    low = int(side) % 16
+    part = side - wp.floor(side)
+    field = value[e]
+    here = sample_field(field, low, origin, cell, at)
+    there = sample_field(field, (low + 1) % 16, origin, cell, at)
+    across = wp.vec2(cell * float(field.shape[2] - 1), cell * float(field.shape[1] - 1))
+    inside = wp.min(wp.max(at, origin), origin + across)
+    return (1.0 - part) * here + part * there + wp.length(at - inside)
+
+
 @wp.struct
 class GuideTable:
     """What path lengths are made of: waypoints on the borders of grown obstacles, what they see, and how far apart.

@@ -12,7 +12,7 @@ import numpy as np
 
 from .cost.stack import CostStack
 from .engine.compiled import CompiledScene, compile_scene
-from .engine.properties import draw_properties
+from .engine.properties import draw_properties, with_margins
 from .engine.select import make_engine, resolve
 from .engine.trajectory import Shape
 from .goal import goal_pose
@@ -81,7 +81,7 @@ class Controller:
             control_dt=step_dt(scene),
             device=device,
             pairs=self.costs.pairs,
-            properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
+            properties=with_margins(draw_properties(scene, self.layout, draws, seed=2 * seed), scene),
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
         self.graph = PlanGraph(self.plan)
@@ -125,6 +125,7 @@ class Controller:
             raise ValueError(f"a goal is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
         pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
         self.goal[:] = pose
+        self.costs.aim(self.goal)
 
     def set_weight(self, term: str, weight: float) -> None:
         """Change the weight of a cost term; takes effect at the next plan.

@@ -12,8 +12,13 @@ from ..scene.errors import SceneError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..scene.layout import Layout
+    from ..kernels.costs import PushPathParams
+    from ..scene.layout import Layout, ShapeInfo
     from ..scene.schema import Scene
+    from .push_path import PushRequest
+
+PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
+"""Numbers of the shapes whose distance ``kernels.costs.shape_distance`` knows."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,8 @@ class Binding:
     """Scene key of the term being bound, for errors."""
     pairs: list[Pair] = field(default_factory=list)
     fields: list[FieldRequest] = field(default_factory=list)
+    push_paths: list[tuple[PushPathParams, PushRequest]] = field(default_factory=list)
+    """Parameters of terms that want a push value, and for what sizes."""
 
     @property
     def file(self) -> Path | None:
@@ -74,6 +81,21 @@ class Binding:
         start = len(self.pairs)
         self.pairs.extend(wanted)
         return start, len(wanted)
+
+    def object_shape(self, name: str, key: str) -> ShapeInfo:
+        """The first shape of an object, a primitive.
+
+        Raises:
+            SceneError: If there is no such object, or its shape is a mesh.
+        """
+        objects = {e.name: e for e in self.layout.entities if e.kind == "object"}
+        where = f"{self.key}.{key}"
+        if name not in objects:
+            raise SceneError("no such object", key=where, file=self.file, found=name, allowed=objects)
+        shape = self.layout.shapes[objects[name].shapes[0]]
+        if shape.kind not in PRIMITIVES:
+            raise SceneError("an outline needs a primitive shape", key=where, file=self.file, found=shape.kind)
+        return shape
 
     def distance_field(self, target: int, inflation: float) -> int:
         """Index of the distance field to a frame; terms that ask for the same field share it."""

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import warp as wp
@@ -13,12 +14,12 @@ from pydantic import Field
 from ..kernels import costs as k
 from ..scene.errors import SceneError
 from ..scene.types import Finite, NonNegative, Positive, Section
+from .binding import PRIMITIVES
+from .push_path import PushRequest
 from .term import CostTerm, parse_keys
 
 if TYPE_CHECKING:
     from .binding import Binding
-
-_SHAPE = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
 
 
 class Metric(StrEnum):
@@ -75,6 +76,31 @@ class PushAlignment(Section):
     """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
     slack: NonNegative = 0.0
     """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
+
+
+class PushPath(Section):
+    """Work left to push an object to the goal around the obstacles [m]: pushes, and ways around the object."""
+
+    pusher: str
+    """Frame that pushes."""
+    object: str
+    """Object that is pushed, upright."""
+    inflation: NonNegative | None = None
+    """Obstacles grow by this for the object's size [m]; from its shapes when left out."""
+    width: Positive
+    """Room that the pusher needs across its direction of pushing [m]."""
+    length: NonNegative
+    """Room that the pusher needs behind its frame [m]."""
+    behind: NonNegative = 0.0
+    """How far the frame is behind the pusher's front [m]."""
+    tolerance: NonNegative = 0.0
+    """How far from the goal along each of its axes counts as there [m]: leaves the last push some play."""
+    turn: Positive = 1.0
+    """Cost of a metre around the object, relative to a metre of pushing."""
+    steer: NonNegative = 0.0
+    """Push beside the middle by this angle per heading error of the object, to turn it back [rad/rad]; up to 0.4."""
+    slant: Annotated[float, Field(ge=1.0)] = 1.5
+    """How much dearer a push is at about 27° to a side of the object than square to it."""
 
 
 class ContactForce(Section):
@@ -175,6 +201,22 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> k.PushAlignmentParams:
     return p
 
 
+def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
+    v = parse_keys(PushPath, keys, b)
+    shape = b.object_shape(v.object, "object")
+    p = k.PushPathParams()
+    p.pusher, p.object = b.frame(v.pusher, "pusher"), b.frame(v.object, "object")
+    x, y = shape.scale[0], shape.scale[1 if shape.kind == "box" else 0]
+    inflation = b.footprint(v.object) if v.inflation is None else v.inflation
+    p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
+    p.steer = v.steer
+    p.field = b.distance_field(p.object, 0.5 * math.hypot(v.width, v.length))
+    p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn
+    request = PushRequest(inflation, (x, y), shape.kind == "box", v.width, v.length, v.turn, v.slant)
+    b.push_paths.append((p, request))
+    return p
+
+
 def _contact_force(keys: dict[str, Any], b: Binding) -> k.ContactForceParams:
     v = parse_keys(ContactForce, keys, b)
     p = k.ContactForceParams()
@@ -230,31 +272,26 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearance
     if v.to not in ("surface", "centre"):
         raise SceneError("wrong value", key=f"{b.key}.to", file=b.file, found=v.to, allowed=["surface", "centre"])
     shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
-    if meshes := [s.name for s in shapes if s.kind not in _SHAPE]:
+    if meshes := [s.name for s in shapes if s.kind not in PRIMITIVES]:
         raise SceneError("clearance needs primitive obstacles", key=b.key, file=b.file, found=meshes[0])
     p = k.ObstacleClearanceParams()
     p.of, p.radius, p.least, p.surface = b.frame(v.of, "of"), v.radius, v.least, int(v.to == "surface")
     inverse = [wp.transform_inverse(wp.transform(*s.pose)) for s in shapes]
     p.pose = wp.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
-    p.kind = wp.array([_SHAPE[s.kind] for s in shapes], dtype=int)
+    p.kind = wp.array([PRIMITIVES[s.kind] for s in shapes], dtype=int)
     p.size = wp.array(np.array([s.scale for s in shapes], dtype=np.float32).reshape(-1, 3), dtype=wp.vec3)
     return p
 
 
 def _outline_distance(keys: dict[str, Any], b: Binding) -> k.OutlineDistanceParams:
     v = parse_keys(OutlineDistance, keys, b)
-    objects = {e.name: e for e in b.layout.entities if e.kind == "object"}
-    if v.object not in objects:
-        raise SceneError("no such object", key=f"{b.key}.object", file=b.file, found=v.object, allowed=objects)
-    shape = b.layout.shapes[objects[v.object].shapes[0]]
-    if shape.kind not in _SHAPE:
-        raise SceneError("an outline needs a primitive shape", key=f"{b.key}.object", file=b.file, found=shape.kind)
+    shape = b.object_shape(v.object, "object")
     p = k.OutlineDistanceParams()
     p.of, p.object, p.inside = b.frame(v.of, "of"), b.frame(v.object, "object"), v.inside
     p.pose = wp.transform_inverse(wp.transform(*shape.pose))
     x, y, _ = shape.scale
     # as tall as needed: the nearest point of the shape then lies level with the frame
-    p.kind, p.size = (_SHAPE["box"], wp.vec3(x, y, 1e3)) if shape.kind == "box" else (2, wp.vec3(x, 1e3, 0.0))
+    p.kind, p.size = (PRIMITIVES["box"], wp.vec3(x, y, 1e3)) if shape.kind == "box" else (2, wp.vec3(x, 1e3, 0.0))
     return p
 
 
@@ -278,6 +315,7 @@ BUILTIN = {
         CostTerm("distance", k.distance, k.DistanceParams, _distance, Distance),
         CostTerm("yaw", k.yaw_error, k.YawParams, _yaw, Yaw),
         CostTerm("push_alignment", k.push_alignment, k.PushAlignmentParams, _push_alignment, PushAlignment),
+        CostTerm("push_path", k.push_path, k.PushPathParams, _push_path, PushPath),
         CostTerm("contact_force", k.contact_cost, k.ContactForceParams, _contact_force, ContactForce),
         CostTerm("control_effort", k.control_effort, k.ControlParams, _controls, Robots),
         CostTerm("control_rate", k.control_rate, k.ControlParams, _controls, Robots),

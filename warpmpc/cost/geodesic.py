@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
+from scipy.ndimage import map_coordinates
 
 from ..kernels.fields import sight_kernel
 
@@ -38,6 +40,23 @@ class Grid:
         self.clearance = np.full((rows, columns), np.inf)
         for corner in corners:
             self.clearance = np.minimum(self.clearance, _polygon_distance(self.points, corner))
+
+    def through(self, point: np.ndarray) -> tuple[Grid, tuple[int, int]]:
+        """The same grid moved by less than a cell, so that a point is in the middle of one; and that cell's column, row.
+
+        Args:
+            point: Point (x, y) [m]; where it is outside, the nearest cell counts.
+        """
+        moved = copy(self)
+        size = np.array(self.clearance.shape[::-1])
+        at = (np.asarray(point) - self.origin) / self.cell
+        cell = np.clip(np.round(at), 0, size - 1)
+        shift = np.clip(at - cell, -0.5, 0.5) * self.cell
+        moved.origin, moved.points = self.origin + shift, self.points + shift
+        if np.isfinite(self.clearance).all():
+            where = np.moveaxis((moved.points - self.origin) / self.cell, -1, 0)[::-1]
+            moved.clearance = map_coordinates(self.clearance, where, order=1, mode="nearest")
+        return moved, (int(cell[0]), int(cell[1]))
 
     def nearest_free(self, inflation: float) -> tuple[np.ndarray, np.ndarray]:
         """The nearest cell outside the grown obstacles, of every cell.

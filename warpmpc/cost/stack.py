@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from ..kernels.costs import StepView
 from ..scene.errors import SceneError
@@ -15,12 +16,17 @@ from .binding import Binding
 from .builtin import BUILTIN
 from .geodesic import Grid
 from .guide import Guide
+from .push_path import STEPS, push_value
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
     from ..engine.trajectory import Shape, Trajectory
     from ..scene.layout import Layout
     from ..scene.schema import Scene
+
+
+_PUSH_MARGIN = 1.5
+"""Room around everything in the scene in which ways to push are searched [m]."""
 
 
 class CostStack:
@@ -62,12 +68,14 @@ class CostStack:
         self.weight = wp.array([cost.weight for cost in scene.cost], dtype=float, device=device)
         self._weights = [cost.weight for cost in scene.cost]
         self._fields = binding.fields
-        self._grid = self._make_grid(scene) if self._fields else None
+        self._push_paths = binding.push_paths
+        self._grid = self._make_grid(scene) if self._fields or self._push_paths else None
 
     def _make_grid(self, scene: Scene) -> Grid:
         starts = [item.position[:2] for item in (*scene.object, *scene.robot)]
         bodies = [r.joint_q[:2] for r in scene.robot if isinstance(r.joint_q, tuple) and len(r.joint_q) >= 2]
-        return Grid(self.layout, np.array([scene.goal.position[:2], *starts, *bodies], dtype=float))
+        points = np.array([scene.goal.position[:2], *starts, *bodies], dtype=float)
+        return Grid(self.layout, points, margin=_PUSH_MARGIN if self._push_paths else 1.0)
 
     @property
     def capturable(self) -> bool:
@@ -111,10 +119,16 @@ class CostStack:
         view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
         view.fields = len(self._fields)
         self._guide = None
-        if self._grid is not None:
+        if self._fields:
             self._guide = Guide(self._grid, self._fields, layout, envs=shape.envs, device=device)
             view.field, view.field_center = self._guide.field, self._guide.center
             view.field_origin, view.field_cell = wp.vec2(*self._grid.origin), self._grid.cell
+        for params, _ in self._push_paths:
+            size = (shape.envs, len(STEPS), *self._grid.clearance.shape)
+            params.value = wp.zeros(size, dtype=float, device=device)
+            params.origin = wp.zeros(shape.envs, dtype=wp.vec2, device=device)
+            params.cell = self._grid.cell
+        self._aims = np.full((shape.envs, 7), np.nan)
         self.view, self._trajectory, self._control = view, trajectory, control
 
     def reset(self) -> None:
@@ -125,6 +139,20 @@ class CostStack:
     def set_goal(self, pose: np.ndarray) -> None:
         """Set the goal poses ``[E, 7]``."""
         self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
+
+    def aim(self, goal: np.ndarray) -> None:
+        """Search the ways to push to new goals, on the host: a tenth of a second for each goal that moved.
+
+        Args:
+            goal: Goal poses ``[E, 7]``.
+        """
+        for e in np.flatnonzero((self._aims != goal).any(axis=1)) if self._push_paths else ():
+            heading = float(Rotation.from_quat(goal[e, 3:]).as_euler("zyx")[0])
+            for params, request in self._push_paths:
+                value, origin = push_value(self._grid, request, goal[e, :2], heading)
+                params.value[int(e)].assign(value.astype(np.float32))
+                params.origin[int(e) : int(e) + 1].assign(origin[None].astype(np.float32))
+            self._aims[e] = goal[e]
 
     def guide(self) -> None:
         """Bring the distance fields up to date with the observed state in slice 0 of the trajectory."""
