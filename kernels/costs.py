@@ -242,8 +242,8 @@ class PushPathParams:
     object: int
     goal: int
     tolerance: float  # [m] along each axis of the goal
-    value: wp.array4d[float]  # [E, 16, rows, columns] work left [m]
-    origin: wp.array[wp.vec2]  # [E] place of the first cell [m]
+    value: wp.array4d[float]  # [E, 16, rows, columns] work left, in the goal's frame [m]
+    origin: wp.array[wp.vec2]  # [E] place of the first cell in the goal's frame [m]
     cell: float  # [m]
     field: int  # distance field of the pusher to the object
     radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
@@ -272,17 +272,21 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
     goal = frame_pose(s, p.goal)
-    off = wp.transform_point(wp.transform_inverse(goal), o)
-    near = wp.transform_point(goal, wp.vec3(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance), off[2]))
-    at = wp.vec2(near[0], near[1])
-    pusher = wp.vec2(r[0], r[1]) + at - wp.vec2(o[0], o[1])
+    g = wp.transform_get_translation(goal)
+    heading = yaw(wp.transform_get_rotation(goal))
+    c = wp.cos(heading)
+    d = wp.sin(heading)
+    to_goal = wp.mat22(c, d, -d, c)  # world → the goal's frame
+    off = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
+    at = wp.vec2(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance))
+    to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
+    angle = wp.atan2(to_pusher[1], to_pusher[0])
+    # a pusher that stands farther anticlockwise about the object than it pushes turns it anticlockwise
+    error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
+    angle += wp.clamp(p.steer * error, -LARGEST_STEER, LARGEST_STEER)
     origin = p.origin[s.e]
-    apart = wp.length(pusher - at)
-    angle = wp.atan2(r[1] - o[1], r[0] - o[0])
-    # a push beside the middle turns the object: on the left of it anticlockwise
-    heading = yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - yaw(wp.transform_get_rotation(goal))
-    angle += wp.clamp(p.steer * wrap_angle(heading), -LARGEST_STEER, LARGEST_STEER)
     best = sample_push(p.value, s.e, origin, p.cell, at, angle)
+    apart = wp.length(to_pusher)
     if apart <= p.radius:
         return best
     best += p.turn * (apart - p.radius)
@@ -421,6 +425,62 @@ def obstacle_clearance(s: StepView, p: ObstacleClearanceParams) -> float:
         if p.surface != 0:
             d = shape_distance(p.kind[i], p.size[i], local)
         total += 1.0 / wp.max(d - p.radius, p.least)
+    return total
+
+
+@wp.func
+def outside_edges(corner: wp.array[wp.vec2], first: int, count: int, p: wp.vec2) -> float:
+    """Signed distance from a point to a convex counter-clockwise outline [m], negative inside."""
+    nearest = float(wp.inf)
+    inside = float(wp.inf)
+    for i in range(count):
+        a = corner[first + i]
+        edge = corner[first + (i + 1) % count] - a
+        off = p - a
+        along = wp.clamp(wp.dot(off, edge) / wp.max(wp.length_sq(edge), EPSILON), 0.0, 1.0)
+        nearest = wp.min(nearest, wp.length(off - along * edge))
+        inside = wp.min(inside, (edge[0] * off[1] - edge[1] * off[0]) / wp.max(wp.length(edge), EPSILON))
+    return wp.where(inside > 0.0, -inside, nearest)
+
+
+@wp.struct
+class OutlineClearanceParams:
+    """Parameters of ``outline_clearance``: outlines seen from above, the body's in its frame, then the obstacles'."""
+
+    of: int
+    corner: wp.array[wp.vec2]  # [corners] [m]
+    first: wp.array[int]  # [outline] first corner
+    count: wp.array[int]  # [outline] number of corners
+    centre: wp.array[wp.vec2]  # [outline] of a circle around it [m]
+    radius: wp.array[float]  # [outline] [m]
+    within: float  # [m] greater distances cost nothing
+
+
+@wp.func
+def outline_clearance(s: StepView, p: OutlineClearanceParams) -> float:
+    """Σ max(0, 1 - d/within) over the obstacles, with d between their outlines and a body's, seen from above.
+
+    The distance between two convex outlines that do not overlap is one from a corner of either to the other.
+    """
+    pose = frame_pose(s, p.of)
+    c = wp.cos(yaw(wp.transform_get_rotation(pose)))
+    d = wp.sin(yaw(wp.transform_get_rotation(pose)))
+    position = wp.transform_get_translation(pose)
+    at = wp.vec2(position[0], position[1])
+    turn = wp.mat22(c, -d, d, c)
+    total = float(0.0)
+    centre = at + turn * p.centre[0]
+    for k in range(1, p.first.shape[0]):
+        if wp.length(centre - p.centre[k]) - p.radius[0] - p.radius[k] >= p.within:
+            continue
+        least = float(p.within)
+        for i in range(p.count[0]):
+            corner = at + turn * p.corner[i]
+            least = wp.min(least, outside_edges(p.corner, p.first[k], p.count[k], corner))
+        for i in range(p.count[k]):
+            corner = wp.transpose(turn) * (p.corner[p.first[k] + i] - at)
+            least = wp.min(least, outside_edges(p.corner, 0, p.count[0], corner))
+        total += 1.0 - least / p.within
     return total
 
 

@@ -39,7 +39,7 @@ ATAN_HALF = wp.constant(0.4636476090008061)  # arctan 1/2
 
 @wp.func
 def side_of(angle: float) -> float:
-    """Fractional index, in [0, 16), of a direction among the 16 of a push value.
+    """Fractional index, in [0, 16], of a direction among the 16 of a push value.
 
     They are those from one grid cell to its neighbours and a knight's move away: 0, arctan 1/2, π/4, arctan 2, π/2 ...
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from .cost.stack import CostStack
 from .engine.compiled import CompiledScene, compile_scene
-from .engine.properties import draw_properties, with_margins
+from .engine.properties import draw_properties
 from .engine.select import make_engine, resolve
 from .engine.trajectory import Shape
 from .goal import goal_pose
@@ -81,7 +81,7 @@ class Controller:
             control_dt=step_dt(scene),
             device=device,
             pairs=self.costs.pairs,
-            properties=with_margins(draw_properties(scene, self.layout, draws, seed=2 * seed), scene),
+            properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
         self.graph = PlanGraph(self.plan)

@@ -154,8 +154,8 @@ def print_check(episode: Episode, out: TextIO) -> None:
         "rollouts",
         f"{shape.worlds} worlds × {shape.horizon} controls × {substeps} substeps = {steps} physics steps a plan",
     )
-    dt = scene.timing.control_dt
-    fact("time", f"a control lasts {1e3 * dt:g} ms, a plan looks {shape.horizon * dt:g} s ahead")
+    ahead = shape.horizon * (scene.planner.dt or scene.timing.control_dt)
+    fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
     console.print(facts)
     console.print(_controls(layout))

@@ -4,12 +4,14 @@
 import numpy as np
 import pytest
 import warp as wp
+from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, DISC, WALL, compiled, make_scene
 
 import warpmpc
 from warpmpc import SceneError
 from warpmpc.cost.builtin import BUILTIN
+from warpmpc.cost.push_path import ANGLES
 from warpmpc.cost.stack import CostStack
 from warpmpc.engine.trajectory import Shape, Trajectory
 from warpmpc.scene.draw import signed_distance
@@ -48,6 +50,7 @@ class Rollouts:
         self.stack.attach(self.trajectory, self.control, SHAPE)
         self.goal = np.concatenate([rng.normal(size=(2, 3)), Rotation.random(2, rng=rng).as_quat()], axis=1)
         self.stack.set_goal(self.goal)
+        self.stack.aim(self.goal)
         self.stack.last_control.assign(rng.normal(size=(2, 3)).astype(np.float32))
 
     def cost(self, term: int = 0) -> np.ndarray:
@@ -112,6 +115,42 @@ def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
     return r.each(total)
 
 
+def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float) -> np.ndarray:
+    """The least over seven ways to a circle about the box; the box is moved towards the goal within the tolerance."""
+    (pusher, _), (box, box_turn), (goal, goal_turn) = (r.pose(name) for name in ("base/tip", "box", "goal"))
+    off = goal_turn.inv().apply((box - goal).reshape(-1, 3))
+    size = np.abs(off[:, :2])
+    shrunk = np.interp(size, [0.0, tolerance, 2.5 * tolerance, 100.0], [0.0, 0.0, 2.5 * tolerance, 100.0])
+    off[:, :2] = np.sign(off[:, :2]) * shrunk
+    at = (goal.reshape(-1, 3) + goal_turn.apply(off))[:, :2]
+
+    params, _ = r.stack._push_paths[0]
+    table, cell = params.value.numpy().astype(np.float64), params.cell
+    tables = [
+        RegularGridInterpolator([np.arange(n) for n in (17, *v.shape[1:])], np.concatenate([v, v[:1]])) for v in table
+    ]
+    envs = np.tile(np.repeat([0, 1], SHAPE.rollouts), r.t)
+    origin = params.origin.numpy()[envs]
+    reach = cell * (np.array(table.shape[:1:-1]) - 1.0)
+    inside = np.clip(at, origin, origin + reach)
+
+    def value(angle: np.ndarray) -> np.ndarray:
+        side = np.interp(angle % (2.0 * np.pi), [*ANGLES, 2.0 * np.pi], np.arange(17))
+        index = np.column_stack([side, ((inside - origin) / cell)[:, ::-1]])
+        return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
+
+    to = (pusher - box).reshape(-1, 3)[:, :2]
+    apart, error = np.linalg.norm(to, axis=1), heading(box_turn) - heading(goal_turn)
+    side = np.arctan2(to[:, 1], to[:, 0]) + np.clip(steer * np.angle(np.exp(1j * error)), -0.4, 0.4)
+    least = value(side) + turn * np.maximum(apart - radius, 0.0)
+    for part in np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0]):
+        angle = part * np.arccos(np.minimum(radius / apart, 1.0))
+        way = np.linalg.norm(np.stack([apart - radius * np.cos(angle), radius * np.sin(angle)]), axis=0)
+        other = value(side + angle) + turn * way
+        least = np.where(apart > radius, np.minimum(least, other), least)
+    return r.each(least)
+
+
 def leading_distance(r: Rollouts, lead: float) -> np.ndarray:
     body = int(r.layout.frame_body[r.layout.frame("box")])
     velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
@@ -150,6 +189,11 @@ CASES = {
     "near push_alignment": (
         {"term": "push_alignment", "pusher": "base/tip", "object": "box", "near": 0.4},
         lambda r: alignment(r, 0.4),
+    ),
+    "push_path": (
+        {"pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "behind": 0.6, "turn": 0.7}
+        | {"tolerance": 0.3, "steer": 0.3},
+        lambda r: push_path(r, 0.7, np.hypot(0.15, 0.25) + 0.7, 0.3, 0.3),
     ),
     "contact_force": (
         {"between": ["box", "obstacles"]},

@@ -132,6 +132,63 @@ def test_knots_match_the_reference(seed, null_sample, device):
     np.testing.assert_allclose(knots, np.clip(expected, lower, upper), rtol=1e-5, atol=1e-5)
 
 
+def random_knots(seed: int, *, samples: int = 200) -> dict[str, np.ndarray]:
+    """Arguments of ``perturb`` with limits that no knot reaches."""
+    rng = np.random.default_rng(seed)
+    return {
+        "mean": rng.normal(size=(2, 5, 3)),
+        "sigma": rng.uniform(0.1, 1.0, size=(2, 5, 3)),
+        "shaping": rng.normal(size=(5, 5)),
+        "z": rng.normal(size=(2, samples, 5, 3)),
+        "lower": np.full(3, -99.0),
+        "upper": np.full(3, 99.0),
+    }
+
+
+@pytest.mark.parametrize("null_sample", [False, True])
+@pytest.mark.parametrize("constant", [0.01, 0.25, 0.3, 0.5, 0.77])
+def test_a_share_of_the_samples_is_perturbed_alike_at_every_knot(constant, null_sample, device):
+    case = random_knots(0)
+    knots = perturb(**case, null_sample=null_sample, constant=constant, device=device)
+    shaped = perturb(**case, null_sample=null_sample, device=device)
+    noise = (knots - case["mean"][:, None]) / case["sigma"][:, None]
+    alike = np.ptp(noise, axis=2).max(axis=2) < 1e-4  # [E, S]
+    np.testing.assert_array_equal(alike[0], alike[1])
+    first = 2 if null_sample else 1
+    np.testing.assert_array_equal(knots[:, :first], shaped[:, :first])
+    chosen = np.flatnonzero(alike[0, first:]) + first
+    assert abs(len(chosen) - constant * 200) <= first
+    # evenly: however many samples are looked at, the share is right
+    share = np.cumsum(np.isin(np.arange(200), chosen)) - constant * np.arange(1, 201)
+    assert np.abs(share).max() < first + 1.0
+
+    others = np.setdiff1d(np.arange(200), chosen)
+    np.testing.assert_array_equal(knots[:, others], shaped[:, others])
+    expected = case["mean"][:, None] + case["sigma"][:, None] * case["z"][:, chosen, :1]
+    np.testing.assert_allclose(knots[:, chosen], expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("null_sample", [False, True])
+def test_all_samples_or_none_are_constant_at_the_limits_of_the_share(null_sample, device):
+    case = random_knots(1, samples=50)
+    none, every = (perturb(**case, null_sample=null_sample, constant=c, device=device) for c in (0.0, 1.0))
+    mean, sigma = case["mean"][:, None], case["sigma"][:, None]
+    shaped = mean + sigma * np.einsum("pq,esqu->espu", case["shaping"], case["z"])
+    alike = mean + sigma * case["z"][:, :, :1]
+    for found, expected in ((none, shaped), (every, alike)):
+        expected[:, 0] = case["mean"]
+        if null_sample:
+            expected[:, 1] = 0.0
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_constant_samples_stay_within_the_limits(device):
+    case = {**random_knots(2, samples=50), "lower": [-0.5, -0.1, 0.0], "upper": [0.2, 0.4, 0.3]}
+    knots = perturb(**case, null_sample=True, constant=0.5, device=device)
+    wanted = case["mean"][:, None] + case["sigma"][:, None] * case["z"][:, 3::2, :1]
+    np.testing.assert_allclose(knots[:, 3::2], np.clip(wanted, case["lower"], case["upper"]), rtol=1e-5, atol=1e-5)
+
+
 def test_null_sample_respects_limits_that_exclude_zero(device):
     ones = np.ones((1, 2, 1))
     knots = perturb(

@@ -15,6 +15,7 @@ from ..kernels import costs as k
 from ..scene.errors import SceneError
 from ..scene.types import Finite, NonNegative, Positive, Section
 from .binding import PRIMITIVES
+from .geodesic import convex_outline, outline
 from .push_path import PushRequest
 from .term import CostTerm, parse_keys
 
@@ -99,8 +100,8 @@ class PushPath(Section):
     """Cost of a metre around the object, relative to a metre of pushing."""
     steer: NonNegative = 0.0
     """Push beside the middle by this angle per heading error of the object, to turn it back [rad/rad]; up to 0.4."""
-    slant: Annotated[float, Field(ge=1.0)] = 1.5
-    """How much dearer a push is at about 27° to a side of the object than square to it."""
+    slant: Annotated[float, Field(ge=1.0)] = 1.2
+    """How much dearer a push is at 18° to a side's normal than square to it."""
 
 
 class ContactForce(Section):
@@ -137,6 +138,15 @@ class ObstacleClearance(Section):
     """Subtracted from the distance [m]."""
     least: Positive = 0.05
     """Shorter distances count as this [m]."""
+
+
+class OutlineClearance(Section):
+    """Nearness of a body's outline to the obstacles', seen from above: Σ max(0, 1 - d/within)."""
+
+    of: str
+    """Frame of the body, upright; its link's colliding shapes are its outline (their convex hull)."""
+    within: Positive
+    """Distances from here on cost nothing [m]."""
 
 
 class OutlineDistance(Section):
@@ -283,6 +293,30 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearance
     return p
 
 
+def _outline_clearance(keys: dict[str, Any], b: Binding) -> k.OutlineClearanceParams:
+    v = parse_keys(OutlineClearance, keys, b)
+    p = k.OutlineClearanceParams()
+    p.of, p.within = b.frame(v.of, "of"), v.within
+    layout = b.layout
+    body = int(layout.frame_body[p.of])
+    own = [s for s in layout.shapes if s.body == body and s.collides and s.kind != "plane"]
+    if body < 0 or not own:
+        raise SceneError("this frame's body has no colliding shape", key=f"{b.key}.of", file=b.file, found=v.of)
+    obstacles = [layout.shapes[i] for e in layout.group("obstacles") for i in e.shapes]
+    to_frame = wp.transform_inverse(wp.transform(*layout.frame_pose[p.of]))
+    outlines = [convex_outline(np.concatenate([outline(layout, s, to_frame) for s in own]))]
+    outlines += [outline(layout, s) for s in obstacles if s.kind != "plane"]
+    counts = [len(o) for o in outlines]
+    centres = [o.mean(axis=0) for o in outlines]
+    p.corner = wp.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
+    p.first = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int)
+    p.count = wp.array(counts, dtype=int)
+    p.centre = wp.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
+    radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(outlines, centres, strict=True)]
+    p.radius = wp.array(radii, dtype=float)
+    return p
+
+
 def _outline_distance(keys: dict[str, Any], b: Binding) -> k.OutlineDistanceParams:
     v = parse_keys(OutlineDistance, keys, b)
     shape = b.object_shape(v.object, "object")
@@ -327,6 +361,9 @@ BUILTIN = {
             k.ObstacleClearanceParams,
             _obstacle_clearance,
             ObstacleClearance,
+        ),
+        CostTerm(
+            "outline_clearance", k.outline_clearance, k.OutlineClearanceParams, _outline_clearance, OutlineClearance
         ),
         CostTerm("outline_distance", k.outline_distance, k.OutlineDistanceParams, _outline_distance, OutlineDistance),
         CostTerm("height", k.height, k.HeightParams, _height, Height),

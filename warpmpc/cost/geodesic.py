@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import map_coordinates
 
 from ..kernels.fields import sight_kernel
 
@@ -29,34 +28,49 @@ class Grid:
     def __init__(self, layout: Layout, points: np.ndarray, *, cell: float = 0.05, margin: float = 1.0):
         obstacles = [layout.shapes[i] for e in layout.group("obstacles") for i in e.shapes]
         obstacles = [shape for shape in obstacles if shape.kind != "plane"]
-        corners = [_corners(layout, shape) for shape in obstacles]
-        low, high = np.min([p.min(0) for p in (*corners, points)], 0), np.max([p.max(0) for p in (*corners, points)], 0)
+        self.outlines = [outline(layout, shape) for shape in obstacles]
+        covered = np.concatenate([points, *self.outlines])
+        low, high = covered.min(axis=0), covered.max(axis=0)
         self.cell = cell
         self.origin = (low - margin).astype(np.float64)
         columns, rows = np.ceil((high - low + 2 * margin) / cell).astype(int) + 1
         x = self.origin[0] + cell * np.arange(columns)
         y = self.origin[1] + cell * np.arange(rows)
         self.points = np.stack(np.meshgrid(x, y), axis=-1)  # [rows, columns, 2]
-        self.clearance = np.full((rows, columns), np.inf)
-        for corner in corners:
-            self.clearance = np.minimum(self.clearance, _polygon_distance(self.points, corner))
+        self.clearance = self._clearance(self.points)
 
-    def through(self, point: np.ndarray) -> tuple[Grid, tuple[int, int]]:
-        """The same grid moved by less than a cell, so that a point is in the middle of one; and that cell's column, row.
+    def turned(self, point: np.ndarray, yaw: float) -> tuple[Grid, tuple[int, int]]:
+        """A square grid over the same area in a frame of its own, and the column and row of the frame's origin.
 
         Args:
-            point: Point (x, y) [m]; where it is outside, the nearest cell counts.
+            point: Origin (x, y) of the frame [m]; on a cell of the new grid, the nearest one if it is not in the area.
+            yaw: Heading of the frame [rad].
+
+        Returns:
+            A grid whose ``origin`` is in that frame and whose ``points`` are in the world.
         """
-        moved = copy(self)
-        size = np.array(self.clearance.shape[::-1])
-        at = (np.asarray(point) - self.origin) / self.cell
-        cell = np.clip(np.round(at), 0, size - 1)
-        shift = np.clip(at - cell, -0.5, 0.5) * self.cell
-        moved.origin, moved.points = self.origin + shift, self.points + shift
-        if np.isfinite(self.clearance).all():
-            where = np.moveaxis((moved.points - self.origin) / self.cell, -1, 0)[::-1]
-            moved.clearance = map_coordinates(self.clearance, where, order=1, mode="nearest")
-        return moved, (int(cell[0]), int(cell[1]))
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        size = self.size(self.clearance.shape)
+        middle = (0.5 * (self.points[0, 0] + self.points[-1, -1]) - np.asarray(point)) @ turn
+        cell = np.clip(np.round(0.5 * (size - 1) - middle / self.cell), 0, size - 1).astype(int)
+        grid = copy(self)
+        grid.origin = -self.cell * cell.astype(np.float64)
+        x, y = (self.cell * (np.arange(size) - c) for c in cell)
+        grid.points = np.stack(np.meshgrid(x, y), axis=-1) @ turn.T + np.asarray(point)
+        grid.clearance = self._clearance(grid.points)
+        return grid, (int(cell[0]), int(cell[1]))
+
+    @staticmethod
+    def size(shape: tuple[int, int]) -> int:
+        """Rows and columns of a turned grid: enough for the other's diagonal."""
+        return int(np.ceil(np.hypot(*shape)))
+
+    def _clearance(self, points: np.ndarray) -> np.ndarray:
+        """Distance of points ``[..., 2]`` from the nearest obstacle [m], negative inside, infinite without any."""
+        clearance = np.full(points.shape[:-1], np.inf)
+        for corners in self.outlines:
+            clearance = np.minimum(clearance, _polygon_distance(points, corners))
+        return clearance
 
     def nearest_free(self, inflation: float) -> tuple[np.ndarray, np.ndarray]:
         """The nearest cell outside the grown obstacles, of every cell.
@@ -132,9 +146,14 @@ class Grid:
         return self.sight(inflation, self.points.reshape(-1, 2), border[kept]), between
 
 
-def _corners(layout: Layout, shape: ShapeInfo) -> np.ndarray:
-    """Convex outline of a static shape seen from above, counter-clockwise, [n, 2]."""
-    from scipy.spatial import ConvexHull
+def outline(layout: Layout, shape: ShapeInfo, to_frame: wp.transform | None = None) -> np.ndarray:
+    """Convex outline of a shape seen from above, counter-clockwise, ``[n, 2]`` [m].
+
+    Args:
+        layout: Layout the shape belongs to.
+        shape: Any shape but a plane.
+        to_frame: From the shape's body to the frame it is wanted in; the body's own when left out.
+    """
     from scipy.spatial.transform import Rotation
 
     if shape.kind == "mesh":
@@ -150,8 +169,15 @@ def _corners(layout: Layout, shape: ShapeInfo) -> np.ndarray:
         if shape.kind in ("sphere", "capsule"):
             caps = np.roll(ring, 1, axis=1)
             points = np.concatenate([points, caps + [0, 0, half], caps - [0, 0, half]])
-    world = Rotation.from_quat(shape.pose[3:]).apply(points)[:, :2] + np.array(shape.pose[:2])
-    return world[ConvexHull(world).vertices]
+    pose = wp.transform(*shape.pose) if to_frame is None else to_frame * wp.transform(*shape.pose)
+    return convex_outline(Rotation.from_quat([*pose.q]).apply(points)[:, :2] + np.array([*pose.p])[:2])
+
+
+def convex_outline(points: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull of points ``[n, 2]``, counter-clockwise."""
+    from scipy.spatial import ConvexHull
+
+    return points[ConvexHull(points).vertices]
 
 
 def _polygon_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

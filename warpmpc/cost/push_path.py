@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ STEPS = np.concatenate([STEPS, -STEPS])
 """Columns and rows from one cell to the next in each of the 16 directions, counter-clockwise."""
 ANGLES = np.arctan2(STEPS[:, 1], STEPS[:, 0]) % (2.0 * np.pi)
 """Those directions [rad], ascending."""
-_FINEST = 0.5 * np.arctan(0.5) + 1e-6
-"""No direction is farther than this from one of the 16 [rad]."""
 OBSTRUCTED = 4.0
 """How much dearer the way around the object is where the pusher has no room."""
 
@@ -59,50 +58,50 @@ def push_value(grid: Grid, request: PushRequest, goal: np.ndarray, yaw: float) -
         yaw: Heading of the goal [rad].
 
     Returns:
-        Metres of pushing, the pusher's way included, ``[16, rows, columns]``; in cells that the object cannot be in,
-        that of the nearest free cell and twice the way there. And the place of the first cell (x, y) [m]: the cells are
-        the grid's, moved so that the goal is in the middle of one.
+        Metres of pushing, the pusher's way included, ``[16, rows, columns]``, in the goal's frame; in cells that the
+        object cannot be in, that of the nearest free cell and twice the way there. And the place (x, y) of the first
+        cell in that frame [m].
     """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
-    grid, (column, row) = grid.through(goal)
+    grid, (column, row) = grid.turned(goal, yaw)
     rows, columns = grid.clearance.shape
-    count, sides = rows * columns, len(STEPS)
+    count = rows * columns
+    edges = [*_edges(grid, request)]
+    # one more state for the goal, which is reached from every side; a sparse matrix has no zeros
+    edges.append((np.arange(len(STEPS)) * count + row * columns + column, len(STEPS) * count, 1e-6))
+    tail, head, cost = (np.concatenate(part) for part in zip(*(np.broadcast_arrays(*e) for e in edges), strict=True))
+    graph = csr_matrix((cost, (head, tail)), shape=(len(STEPS) * count + 1,) * 2)  # backwards
+    value = dijkstra(graph, indices=len(STEPS) * count)[:-1].reshape(-1, count)
+    straight = np.linalg.norm(grid.points - np.asarray(goal), axis=-1).ravel()
+    value = np.where(np.isfinite(value), value, 3.0 * straight)  # where no push leads to the goal
+    nearest, depth = (a.ravel() for a in grid.nearest_free(request.inflation))
+    return (value[:, nearest] + 2.0 * depth).reshape(-1, rows, columns), grid.origin
+
+
+def _edges(grid: Grid, request: PushRequest) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+    """Tails, heads and costs of all pushes, and of all ways from one side of the object to the next."""
+    rows, columns = grid.clearance.shape
     free = grid.clearance >= request.inflation
-    room, reach = _room(grid, request, yaw)
-    index = np.arange(sides * count).reshape(sides, rows, columns)
-    tails, heads, costs = [], [], []
-    length = grid.cell * np.linalg.norm(STEPS, axis=1)
-    square = _slant(yaw) <= _FINEST if request.faces else np.ones(sides, dtype=bool)
+    room, reach = _room(grid, request)
+    sides = len(STEPS)
+    index = np.arange(sides * rows * columns).reshape(sides, rows, columns)
     for d in range(sides):
-        # square to a side a push may also go a little aslant, within the friction cone
-        for way, dearer in ((d, 1.0), (d - 1, request.slant), (d + 1, request.slant)) if square[d] else ():
-            di, dj = -STEPS[way % sides]  # away from the pusher
-            here, there = _shifted(rows, dj), _shifted(columns, di)
+        pushes = [(d, 1.0)]
+        if request.faces:  # from the middle of a side, and a little aslant at a price
+            pushes = [(d, 1.0), (d - 1, request.slant), (d + 1, request.slant)] if d % 4 == 0 else []
+        for way, dearer in pushes:
+            step = -STEPS[way % sides]  # away from the pusher
+            here, there = _shifted(rows, step[1]), _shifted(columns, step[0])
             source, target = (here[0], there[0]), (here[1], there[1])
             allowed = free[source] & free[target] & room[d][source] & room[d][target]
-            tails.append(index[d][source][allowed])
-            heads.append(index[d][target][allowed])
-            costs.append(np.full(allowed.sum(), dearer * length[way % sides]))
+            yield index[d][source][allowed], index[d][target][allowed], dearer * grid.cell * np.linalg.norm(step)
         e = (d + 1) % sides
-        angle = (ANGLES[e] - ANGLES[d]) % (2.0 * np.pi)
-        arc = request.turn * angle * 0.5 * (reach[d] + reach[e])
+        arc = request.turn * ((ANGLES[e] - ANGLES[d]) % (2.0 * np.pi)) * 0.5 * (reach[d] + reach[e])
         walk = np.where(room[d] & room[e], arc, OBSTRUCTED * arc).ravel()
-        for a, b in ((d, e), (e, d)):
-            tails.append(index[a].ravel())
-            heads.append(index[b].ravel())
-            costs.append(walk)
-    tails.append(index[:, row, column])
-    heads.append(np.full(sides, sides * count))
-    costs.append(np.full(sides, 1e-6))  # a sparse matrix has no zeros
-    tail, head, cost = (np.concatenate(parts) for parts in (tails, heads, costs))
-    graph = csr_matrix((cost, (head, tail)), shape=(sides * count + 1,) * 2)  # backwards
-    value = dijkstra(graph, indices=sides * count)[:-1].reshape(sides, rows, columns)
-    straight = np.linalg.norm(grid.points - np.asarray(goal), axis=-1)
-    value = np.where(np.isfinite(value), value, 3.0 * straight)
-    nearest, depth = grid.nearest_free(request.inflation)
-    return (value.reshape(sides, count)[:, nearest.ravel()] + 2.0 * depth.ravel()).reshape(value.shape), grid.origin
+        yield index[d].ravel(), index[e].ravel(), walk
+        yield index[e].ravel(), index[d].ravel(), walk
 
 
 def _shifted(size: int, step: int) -> tuple[slice, slice]:
@@ -112,26 +111,19 @@ def _shifted(size: int, step: int) -> tuple[slice, slice]:
     return slice(-step, size), slice(0, size + step)
 
 
-def _slant(yaw: float) -> np.ndarray:
-    """Angle of every direction to the nearest side's normal, in [0, π/4]."""
-    turned = (ANGLES - yaw) % (0.5 * np.pi)
-    return np.minimum(turned, 0.5 * np.pi - turned)
-
-
-def _room(grid: Grid, request: PushRequest, yaw: float) -> tuple[np.ndarray, np.ndarray]:
+def _room(grid: Grid, request: PushRequest) -> tuple[np.ndarray, np.ndarray]:
     """Whether the pusher has room in each direction from each cell, and how far its centre is from the object's."""
-    local = np.stack([np.cos(ANGLES - yaw), np.sin(ANGLES - yaw)], axis=1)
+    along = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
     half = np.array(request.half_size)
     edge = np.full(len(ANGLES), half[0])
     if request.faces:
-        edge = np.min(half / np.maximum(np.abs(local), 1e-9), axis=1)
+        edge = np.min(half / np.maximum(np.abs(along), 1e-9), axis=1)
     rows, columns = grid.clearance.shape
     room = np.ones((len(ANGLES), rows, columns), dtype=bool)
-    direction = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
     behind = np.linspace(0.5 * request.width, max(request.length - 0.5 * request.width, 0.5 * request.width), 4)
     for d, back in ((d, b) for d in range(len(ANGLES)) for b in behind):
-        at = (grid.points + (edge[d] + back) * direction[d] - grid.origin) / grid.cell
-        column = np.clip(np.round(at[..., 0]).astype(int), 0, columns - 1)
-        row = np.clip(np.round(at[..., 1]).astype(int), 0, rows - 1)
-        room[d] &= grid.clearance[row, column] >= 0.5 * request.width
+        off = np.round((edge[d] + back) * along[d] / grid.cell).astype(int)
+        column = np.clip(np.arange(columns) + off[0], 0, columns - 1)
+        row = np.clip(np.arange(rows) + off[1], 0, rows - 1)
+        room[d] &= grid.clearance[np.ix_(row, column)] >= 0.5 * request.width
     return room, edge + 0.5 * request.length

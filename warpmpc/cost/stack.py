@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from scipy.spatial.transform import Rotation
 
 from ..kernels.costs import StepView
 from ..scene.errors import SceneError
@@ -124,7 +124,8 @@ class CostStack:
             view.field, view.field_center = self._guide.field, self._guide.center
             view.field_origin, view.field_cell = wp.vec2(*self._grid.origin), self._grid.cell
         for params, _ in self._push_paths:
-            size = (shape.envs, len(STEPS), *self._grid.clearance.shape)
+            side = self._grid.size(self._grid.clearance.shape)
+            size = (shape.envs, len(STEPS), side, side)
             params.value = wp.zeros(size, dtype=float, device=device)
             params.origin = wp.zeros(shape.envs, dtype=wp.vec2, device=device)
             params.cell = self._grid.cell
@@ -147,7 +148,8 @@ class CostStack:
             goal: Goal poses ``[E, 7]``.
         """
         for e in np.flatnonzero((self._aims != goal).any(axis=1)) if self._push_paths else ():
-            heading = float(Rotation.from_quat(goal[e, 3:]).as_euler("zyx")[0])
+            x, y, z, w = goal[e, 3:]
+            heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
             for params, request in self._push_paths:
                 value, origin = push_value(self._grid, request, goal[e, :2], heading)
                 params.value[int(e)].assign(value.astype(np.float32))

@@ -77,22 +77,6 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
     return Properties(names, mass, friction, size.numpy().astype(np.float64))
 
 
-def with_margins(properties: Properties, scene: Scene) -> Properties:
-    """The same draws with obstacles thicker by their ``margin``, as the rollouts see them."""
-    margins = {obstacle.name: obstacle for obstacle in scene.obstacle if obstacle.margin > 0.0}
-    names = (*properties.names, *(name for name in margins if name not in properties.names))
-    more = len(names) - len(properties.names)
-    ones = np.ones((properties.draws, more))
-    size = np.concatenate([properties.size, np.zeros((properties.draws, more, 3))], axis=1)
-    for name, obstacle in margins.items():
-        # the first size of round shapes is a radius
-        both = np.array([1.0 if obstacle.shape != "box" else 2.0, 2.0, 2.0])
-        size[:, names.index(name)] += obstacle.margin * both
-    return Properties(
-        names, np.concatenate([properties.mass, ones], 1), np.concatenate([properties.friction, ones], 1), size
-    )
-
-
 def _uniform(spread: list[float], draws: int, seed: int) -> np.ndarray:
     scale = wp.zeros((draws, len(spread)), dtype=float, device="cpu")
     if spread:

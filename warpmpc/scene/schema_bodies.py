@@ -178,15 +178,6 @@ class Object(_Shape):
 class Obstacle(_Shape):
     """A thing that stays where it is."""
 
-    margin: NonNegative = 0.0
-    """Rollouts see it thicker by this on every side [m], so that plans keep clear of it; not for meshes."""
-
-    @model_validator(mode="after")
-    def _can_grow(self) -> Obstacle:
-        if self.margin and self.shape in (ShapeKind.MESH, ShapeKind.PLANE):
-            raise ValueError(f"shape '{self.shape}' takes no margin: leave it out")
-        return self
-
 
 class Ground(Section):
     """The floor z = height."""

@@ -1,0 +1,553 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The work left to push an object to its goal: against plain value iteration, and as the cost of rollouts."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.interpolate import RegularGridInterpolator
+from small_scenes import BOX, compiled, make_scene
+from test_geodesic import around_corners
+
+from warpmpc import SceneError
+from warpmpc.cost.geodesic import Grid
+from warpmpc.cost.push_path import ANGLES, OBSTRUCTED, STEPS, PushRequest, push_value
+from warpmpc.cost.stack import CostStack
+from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.kernels.fields import sample_push, side_of
+from warpmpc.scene.draw import signed_distance
+
+REACH = 1.0 - 1e-6  # [m] the grid is a square about the origin, mapped onto itself by quarter turns
+GOALS = [(0.0, 0.0), (0.13, -0.27), (-0.342, 0.561)]
+
+
+def block(name="block", *, size=(0.4, 0.8, 0.4), position=(0.5, 0.3), yaw=0.0) -> dict:
+    rotation = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+    return {"name": name, "shape": "box", "size": size, "position": (*position, size[2] / 2), "rotation": rotation}
+
+
+def make_grid(*obstacles: dict, cell: float = 0.1, reach: float = REACH) -> Grid:
+    layout = compiled(make_scene(obstacle=obstacles)).layout
+    return Grid(layout, np.array([[-reach, -reach], [reach, reach]]), cell=cell)
+
+
+def request(**changes) -> PushRequest:
+    """A box of 0.3 × 0.5 m and a pusher of 0.2 × 0.3 m."""
+    sizes = {"inflation": 0.23, "half_size": (0.15, 0.25), "faces": True, "width": 0.2, "length": 0.3}
+    return PushRequest(**{**sizes, "turn": 1.0, "slant": 1.5, **changes})
+
+
+def round_request(radius: float = 0.2, **changes) -> PushRequest:
+    return request(half_size=(radius, radius), faces=False, **changes)
+
+
+def edge(r: PushRequest, angle) -> np.ndarray:
+    """Distance from an object's centre to its outline in directions of its own frame."""
+    x, y = r.half_size
+    if not r.faces:
+        return np.full(np.shape(angle), x)
+    return 1.0 / np.maximum(np.abs(np.cos(angle)) / x, np.abs(np.sin(angle)) / y)
+
+
+# the search
+
+
+@pytest.mark.parametrize("side", [0, 4, 8, 12])
+@pytest.mark.parametrize("goal", GOALS)
+@pytest.mark.parametrize("make", [request, round_request])
+def test_from_the_right_side_it_is_the_straight_distance_and_else_also_the_way_around(make, goal, side):
+    r = make(turn=0.7, slant=100.0)
+    grid = make_grid()
+    value, origin = push_value(grid, r, np.array(goal), 0.0)
+    column, row = np.round((np.array(goal) - origin) / grid.cell).astype(int)
+    np.testing.assert_allclose(origin + grid.cell * np.array([column, row]), goal, atol=1e-9)
+    np.testing.assert_allclose(value[:, row, column], 0.0, atol=2e-6)
+    steps = np.arange(1, 6)
+    line = value[:, row + steps * STEPS[side, 1], column + steps * STEPS[side, 0]]
+    np.testing.assert_allclose(line[side], grid.cell * steps, atol=2e-6)
+
+    extra = np.roll(line - line[side], -side, axis=0)[:9]  # half a turn, starting at the right side
+    np.testing.assert_allclose(np.roll(line[::-1] - line[side], side + 1, axis=0)[:9], extra, atol=1e-6)
+    np.testing.assert_allclose(extra, extra[:, :1].repeat(len(steps), axis=1), atol=1e-6)
+    angle = np.linspace(0.0, np.pi, 2001)
+    reach = edge(r, angle + ANGLES[side]) + 0.5 * r.length
+    length = np.append(0.0, np.cumsum(0.5 * (reach[1:] + reach[:-1]) * np.diff(angle)))
+    expected = r.turn * np.interp(ANGLES[:9], angle, length)
+    np.testing.assert_allclose(extra[:, 0], expected, rtol=0.08 if r.faces else 1e-6, atol=1e-6)
+    assert (np.diff(extra[:, 0]) > 0.05).all()
+
+
+def pushes(d: int, slant: float) -> list[tuple[int, int, float]]:
+    """Columns, rows and price of the pushes from one side: straight away from it, and one direction aside."""
+    ways = [(STEPS[d], 1.0), (STEPS[(d + 1) % 16], slant), (STEPS[(d - 1) % 16], slant)]
+    return [(-x, -y, price) for (x, y), price in ways]
+
+
+def value_iteration(grid: Grid, r: PushRequest, goal: tuple[int, int], yaw: float) -> np.ndarray:
+    """Least work ``[16, rows, columns]`` by relaxing every state until none changes; infinite where there is no way."""
+    rows, columns = grid.clearance.shape
+    heading = [math.atan2(y, x) % math.tau for x, y in STEPS]
+    outline = edge(r, np.array(heading) - yaw)
+
+    def clear(row: int, column: int, away: float, d: int) -> bool:
+        u = round(column + away * math.cos(heading[d]) / grid.cell)
+        v = round(row + away * math.sin(heading[d]) / grid.cell)
+        return grid.clearance[min(max(v, 0), rows - 1), min(max(u, 0), columns - 1)] >= r.width / 2
+
+    least, most = r.width / 2, max(r.length - r.width / 2, r.width / 2)
+    room = np.zeros((16, rows, columns), bool)
+    for d, row, column in np.ndindex(*room.shape):
+        behind = [outline[d] + least + part * (most - least) for part in (0.0, 1 / 3, 2 / 3, 1.0)]
+        room[d, row, column] = all(clear(row, column, away, d) for away in behind)
+    free = grid.clearance >= r.inflation
+
+    moves = []  # (side, its step, cost)
+    for d in range(16):
+        aslant = min((heading[d] - yaw - k * math.pi / 2) % math.tau for k in range(4))
+        square = not r.faces or min(aslant, math.pi / 2 - aslant) <= 0.5 * math.atan(0.5) + 1e-6
+        for dx, dy, price in pushes(d, r.slant) if square else ():
+            moves.append((d, dx, dy, price * grid.cell * math.hypot(dx, dy)))
+
+    value = np.full((16, rows, columns), np.inf)
+    value[:, goal[1], goal[0]] = 0.0
+    for _ in range(1000):
+        before = value.copy()
+        for d, dx, dy, cost in moves:
+            for row in range(max(0, -dy), min(rows, rows - dy)):
+                column = np.arange(max(0, -dx), min(columns, columns - dx))
+                there = row + dy, column + dx
+                can = free[row, column] & free[there] & room[d, row, column] & room[(d, *there)]
+                value[d, row, column] = np.minimum(
+                    value[d, row, column], np.where(can, cost + value[(d, *there)], np.inf)
+                )
+        for d in range(16):
+            for e in ((d - 1) % 16, (d + 1) % 16):
+                angle = abs(math.remainder(heading[e] - heading[d], math.tau))
+                arc = r.turn * angle * (0.5 * (outline[d] + outline[e]) + 0.5 * r.length)
+                value[d] = np.minimum(value[d], np.where(room[d] & room[e], arc, OBSTRUCTED * arc) + value[e])
+        if np.array_equal(value, before):
+            return value
+    raise AssertionError("no end")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_agrees_with_value_iteration(seed):
+    rng = np.random.default_rng(seed)
+    half = rng.uniform(0.1, 0.25, size=2)
+    r = PushRequest(
+        inflation=rng.uniform(0.12, 0.3),
+        half_size=tuple(half if seed % 2 else half[[0, 0]]),
+        faces=bool(seed % 2),
+        width=rng.uniform(0.1, 0.3),
+        length=rng.uniform(0.0, 0.5),
+        turn=rng.uniform(0.3, 1.5),
+        slant=rng.uniform(1.0, 2.0),
+    )
+    grid = make_grid(block(), cell=0.2)
+    goal, yaw = rng.uniform([-0.2, -0.6], [0.2, 0.6]), rng.uniform(-3.0, 3.0)
+    value, origin = push_value(grid, r, goal, yaw)
+    moved, cell = grid.through(goal)
+    np.testing.assert_array_equal(origin, moved.origin)
+    expected = value_iteration(moved, r, cell, yaw)
+    straight = np.linalg.norm(moved.points - goal, axis=-1)
+    expected = np.where(np.isfinite(expected), expected, 3.0 * straight)
+    free = moved.clearance >= r.inflation
+    assert 10 < (~free).sum() < 0.3 * free.size
+    assert (expected - straight)[:, free].max() > 1.0
+    np.testing.assert_allclose(value[:, free], expected[:, free], atol=2e-6)
+
+    for row, column in np.argwhere(~free):
+        away = np.linalg.norm(moved.points[free] - moved.points[row, column], axis=1)
+        nearest = expected[:, free][:, away < away.min() + 1e-6] + 2.0 * away.min()
+        assert np.abs(nearest - value[:, row, column, None]).max(axis=0).min() < 1e-5
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.2, math.atan(0.5), 0.6, np.pi / 4, 2.0])
+def test_in_the_open_every_cell_has_a_way_whatever_the_goals_heading(yaw):
+    grid = make_grid()
+    value, _ = push_value(grid, request(), np.zeros(2), yaw)
+    straight = np.linalg.norm(grid.through(np.zeros(2))[0].points, axis=-1)
+    assert (value >= straight - 1e-9).all()
+    # two sides and a way around between them; without a way it would be three times as far
+    assert (value.min(axis=0) < 1.5 * straight + 1.5).all()
+
+
+def test_where_no_push_leads_to_the_goal_it_stays_finite():
+    sides = [block(n, size=(0.1, 1.0, 0.4), position=(x, 0.0)) for n, x in (("left", -0.4), ("right", 0.4))]
+    ends = [block(n, size=(0.9, 0.1, 0.4), position=(0.0, y)) for n, y in (("top", 0.45), ("bottom", -0.45))]
+    grid = make_grid(*sides, *ends)
+    value, _ = push_value(grid, request(inflation=0.15), np.zeros(2), 0.0)
+    moved, _ = grid.through(np.zeros(2))
+    free = moved.clearance >= 0.15
+    straight = np.linalg.norm(moved.points, axis=-1)
+    outside = free & (straight > 0.5)
+    np.testing.assert_allclose(value[:, outside], np.tile(3.0 * straight[outside], (16, 1)))
+    assert np.isfinite(value).all()
+
+
+def test_a_box_that_overshot_towards_a_wall_is_much_dearer_than_one_that_stopped_short():
+    goal = np.array([0.03, 0.1])
+    for obstacles, trapped in (((block(size=(1.4, 0.2, 0.4), position=(0.0, 0.6)),), True), ((), False)):
+        grid = make_grid(*obstacles, cell=0.05)
+        value, _ = push_value(grid, request(), goal, 0.0)
+        _, (column, row) = grid.through(goal)
+        short, over = (value[:, row + k, column].min() for k in (-1, 1))
+        assert short == pytest.approx(0.05, abs=1e-5)
+        if trapped:
+            assert over > short + 1.0
+        else:
+            assert over == pytest.approx(short)
+
+
+def test_a_round_object_may_be_pushed_along_a_diagonal_and_a_box_needs_two_sides():
+    goal = np.array([0.02, -0.13])
+    grid = make_grid()
+    _, (column, row) = grid.through(goal)
+    cases = {"round": round_request(), "box": request(slant=100.0), "slant": request()}
+    value = {name: push_value(grid, r, goal, 0.0)[0] for name, r in cases.items()}
+    for d, (dx, dy) in enumerate(STEPS):
+        place = row + 2 * dy, column + 2 * dx
+        straight = 0.2 * math.hypot(dx, dy)
+        assert value["round"][(d, *place)] == pytest.approx(straight, abs=1e-5)
+        if d % 4 == 0:
+            assert value["box"][(d, *place)] == pytest.approx(straight, abs=1e-5)
+            # a push aslant saves the second side
+            aslant = row + 2 * dy + dx, column + 2 * dx - dy
+            assert value["slant"][(d, *aslant)] == pytest.approx(1.5 * 0.1 * math.sqrt(5.0), abs=1e-5)
+            assert value["box"][:, *aslant].min() > 0.6
+            continue
+        # along one axis, a quarter of the way around, along the other
+        quarter = value["box"][4, row, column + 1] - value["box"][0, row, column + 1]
+        assert quarter > 0.3
+        assert value["box"][:, *place].min() == pytest.approx(0.2 * (abs(dx) + abs(dy)) + quarter, abs=1e-5)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_a_quarter_turn_of_everything_turns_the_values(yaw):
+    goal = np.array([-0.32, 0.14])
+    plain = make_grid(block(yaw=0.3, size=(0.3, 0.7, 0.4)))
+    turned = make_grid(block(yaw=0.3 + np.pi / 2, size=(0.3, 0.7, 0.4), position=(-0.3, 0.5)))
+    # no sizes that put the pusher halfway between two cells
+    r = request(half_size=(0.16, 0.27), width=0.19, length=0.31)
+    value, origin = push_value(plain, r, goal, yaw)
+    found, at = push_value(turned, r, np.array([-goal[1], goal[0]]), yaw + np.pi / 2)
+    np.testing.assert_allclose(at[1], origin[0], atol=1e-5)
+    free = plain.through(goal)[0].clearance >= r.inflation
+    assert (~free).sum() > 10
+    for d in range(16):
+        # cells in the grown obstacle may be as near to one free cell as to another
+        again = np.rot90(found[(d + 4) % 16])
+        np.testing.assert_allclose(again[free], value[d, free], atol=1e-4)
+
+
+# the grid through a goal
+
+
+@pytest.mark.parametrize("point", [(0.137, -0.61), (0.0, 0.0), (-0.971, 0.33), (0.449, 1.249)])
+def test_a_grid_through_a_point_keeps_its_distances(point):
+    obstacles = [block(yaw=0.5), {"name": "can", "shape": "cylinder", "size": (0.2, 0.4), "position": (-0.4, 0, 0.2)}]
+    grid = make_grid(*obstacles)
+    before = grid.origin.copy(), grid.points.copy(), grid.clearance.copy()
+    moved, (column, row) = grid.through(np.array(point))
+    np.testing.assert_allclose(moved.points[row, column], point, atol=1e-12)
+    np.testing.assert_allclose(moved.origin, moved.points[0, 0], atol=1e-12)
+    assert np.abs(moved.origin - grid.origin).max() <= 0.5 * grid.cell + 1e-12
+    shapes = make_scene(obstacle=obstacles).obstacle
+    exact = [[min(signed_distance(o, tuple(p)) for o in shapes) for p in line] for line in moved.points]
+    error = np.abs(moved.clearance - exact)
+    assert error[1:-1, 1:-1].max() < 0.5 * grid.cell
+    # beyond the old border there is only the nearest value
+    assert error.max() < np.linalg.norm(moved.origin - grid.origin) + 0.1 * grid.cell
+    for old, kept in zip(before, (grid.origin, grid.points, grid.clearance), strict=True):
+        np.testing.assert_array_equal(old, kept)
+
+
+@pytest.mark.parametrize(("point", "cell"), [((9.0, 0.0), (40, 20)), ((-9.0, 9.0), (0, 40)), ((0.0, -2.3), (20, 0))])
+def test_a_goal_outside_the_grid_counts_as_the_nearest_cell(point, cell):
+    grid = make_grid(block())
+    moved, found = grid.through(np.array(point))
+    assert found == cell
+    assert np.abs(moved.origin - grid.origin).max() <= 0.5 * grid.cell + 1e-9
+    value, _ = push_value(grid, request(), np.array(point), 0.0)
+    assert np.isfinite(value).all()
+    assert (value[:, cell[1], cell[0]] <= 2e-6).all()
+
+
+def test_without_obstacles_there_is_nothing_near_anywhere():
+    moved, _ = make_grid().through(np.array([0.123, 0.456]))
+    assert np.isinf(moved.clearance).all()
+
+
+# sampling
+
+
+@wp.kernel
+def side_kernel(
+    # inputs
+    angle: wp.array[float],
+    # outputs
+    side: wp.array[float],
+):
+    """The side of one direction."""
+    i = wp.tid()
+    side[i] = side_of(angle[i])
+
+
+@wp.kernel
+def sample_push_kernel(
+    # inputs
+    value: wp.array4d[float],
+    origin: wp.vec2,
+    cell: float,
+    at: wp.array[wp.vec2],
+    angle: wp.array[float],
+    # outputs
+    out: wp.array2d[float],
+):
+    """Sample one environment's value at one point and direction."""
+    e, i = wp.tid()
+    out[e, i] = sample_push(value, e, origin, cell, at[i], angle[i])
+
+
+def side_at(angle, device: str) -> np.ndarray:
+    """Fractional sides of directions [n]."""
+    out = wp.zeros(len(angle), dtype=float, device=device)
+    wp.launch(
+        side_kernel,
+        dim=len(angle),
+        inputs=[wp.array(angle, dtype=float, device=device)],
+        outputs=[out],
+        device=device,
+    )
+    return out.numpy().astype(np.float64)
+
+
+ORIGIN, CELL = (-1.5, 0.7), 0.25
+
+
+def sample(value: np.ndarray, at, angle, device: str) -> np.ndarray:
+    """Samples [E, n] of values [E, 16, rows, columns] at points [n, 2] and directions [n]."""
+    out = wp.zeros((len(value), len(at)), dtype=float, device=device)
+    inputs = [wp.array(value, dtype=float, device=device), wp.vec2(*ORIGIN), CELL]
+    inputs += [wp.array(at, dtype=wp.vec2, device=device), wp.array(angle, dtype=float, device=device)]
+    wp.launch(sample_push_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 3])
+def test_the_16_directions_have_whole_sides_and_those_between_go_on_evenly(turns, device):
+    full = 2.0 * np.pi * turns
+    error = side_at(ANGLES + full, device) - np.arange(16)
+    np.testing.assert_allclose((error + 8.0) % 16.0 - 8.0, 0.0, atol=3e-5)
+    angle = np.linspace(0.01, 2.0 * np.pi - 0.01, 1000)
+    found = side_at(angle + full, device)
+    assert (np.diff(found) > 0.0).all()
+    assert np.diff(found).max() < 0.03
+    np.testing.assert_allclose(found, np.interp(angle, [*ANGLES, 2.0 * np.pi], np.arange(17)), atol=1e-4)
+    seam = side_at(np.array([-1e-3, 1e-3]) + full, device)
+    np.testing.assert_allclose(seam, [16.0 - 1e-3 / ANGLES[1], 1e-3 / ANGLES[1]], atol=1e-4)
+
+
+def test_at_cells_and_sides_a_sample_is_the_table(device):
+    value = np.random.default_rng(0).normal(size=(2, 16, 4, 6))
+    index = np.array(list(np.ndindex(16, 4, 6)))
+    at = np.array(ORIGIN) + CELL * index[:, [2, 1]]
+    found = sample(value, at, ANGLES[index[:, 0]], device)
+    np.testing.assert_allclose(found, value.reshape(2, -1), atol=2e-5)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_between_cells_and_sides_a_sample_is_linear_and_grows_outside_the_grid(seed, device):
+    rng = np.random.default_rng(seed)
+    value = rng.normal(size=(2, 16, 4, 6))
+    low, high = np.array(ORIGIN), np.array(ORIGIN) + CELL * np.array([5, 3])
+    at = rng.uniform(low - 1.0, high + 1.0, size=(300, 2))
+    angle = rng.uniform(-7.0, 7.0, size=300)
+    inside = np.clip(at, low, high)
+    outside = np.linalg.norm(at - inside, axis=1)
+    assert 30 < (outside == 0.0).sum() < 270
+    sides = np.interp(angle % (2.0 * np.pi), [*ANGLES, 2.0 * np.pi], np.arange(17))
+    cells = (inside - low) / CELL
+    found = sample(value, at, angle, device)
+    for e in range(2):
+        axes = np.arange(17), np.arange(4), np.arange(6)
+        table = RegularGridInterpolator(axes, np.concatenate([value[e], value[e, :1]]))
+        expected = table(np.stack([sides, cells[:, 1], cells[:, 0]], axis=1)) + outside
+        np.testing.assert_allclose(found[e], expected, atol=5e-5)
+
+
+# the cost term
+
+KEYS = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
+RADIUS = math.hypot(0.15, 0.25) + 0.1  # [m] within which the pusher is at the box
+SAMPLES = 315
+
+
+def pose(x: float, y: float, yaw: float = 0.0) -> list[float]:
+    return [x, y, 0.1, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]
+
+
+class Pushing:
+    """Two environments of one step, with box and pusher put in place by hand."""
+
+    def __init__(self, *costs: dict, obstacles=(), goals=((0.0, 0.0),), device: str = "cpu"):
+        self.scene = make_scene(
+            object=[{**BOX, "position": (0.8, 0.0, 0.1)}],
+            obstacle=list(obstacles),
+            goal={"object": "box", "position": (0.0, 0.0), "yaw": 0.0},
+            cost=[{**KEYS, **cost} for cost in costs],
+        )
+        self.layout, self.device = compiled(self.scene).layout, device
+        self.stack = CostStack(self.scene, self.layout, device=device)
+        shape = Shape(2, SAMPLES, 1, 1)
+        self.trajectory = Trajectory.allocate(shape, self.layout, 0, device)
+        self.stack.attach(self.trajectory, wp.zeros((1, shape.worlds, 3), dtype=float, device=device), shape)
+        self.aim(*(goals if len(goals) == 2 else 2 * goals))
+
+    def aim(self, *goals) -> None:
+        """Move the goals (x, y, yaw) of both environments."""
+        poses = np.array([pose(*goal) for goal in goals])
+        self.stack.set_goal(poses)
+        self.stack.aim(poses)
+
+    def values(self) -> np.ndarray:
+        """Values of the first term ``[E, 16, rows, columns]``."""
+        return self.stack._push_paths[0][0].value.numpy().copy()
+
+    def cost(self, box, pusher) -> np.ndarray:
+        """Cost ``[term, E, S]`` of boxes (x, y, yaw) and pushers (x, y), each for one, a sample or an environment."""
+        body_q = np.zeros((2, 2, SAMPLES, self.layout.nb, 7), np.float32)
+        body_q[..., 6] = 1.0
+        for name, place in (("box", box), ("base/centre", pusher)):
+            body = self.layout.frame_body[self.layout.frame(name)]
+            body_q[..., body, :] = np.apply_along_axis(lambda p: pose(*p), -1, np.asarray(place, dtype=float))
+        self.trajectory.body_q.assign(body_q.reshape(2, 2 * SAMPLES, -1, 7))
+        self.stack.guide()
+        self.stack.launch()
+        return self.stack.cost.numpy()[:, 0].reshape(-1, 2, SAMPLES).astype(np.float64)
+
+
+def around(centre, radius, angle: np.ndarray) -> np.ndarray:
+    """Places [n, 2] at a distance from a centre in directions [n]."""
+    return np.array(centre) + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("turn", [1.0, 0.4])
+def test_a_pusher_farther_away_costs_its_way(turn, device):
+    pushing = Pushing({"turn": turn, "behind": 0.05}, device=device)
+    away = np.linspace(0.2, 2.0, SAMPLES)
+    found = pushing.cost((0.6, 0.0), around((0.6, 0.0), away, np.zeros(SAMPLES)))[0]
+    expected = 0.6 + turn * np.maximum(away - RADIUS - 0.05, 0.0)
+    np.testing.assert_allclose(found, [expected] * 2, atol=1e-4)
+    # on the wrong side a way around comes on top
+    wrong = pushing.cost((0.6, 0.0), around((0.6, 0.0), away, np.full(SAMPLES, np.pi)))[0, 0]
+    assert (wrong > expected + 0.9 * turn).all()
+    assert (np.diff(wrong) >= -1e-5).all()
+
+
+def test_obstacles_between_pusher_and_object_make_the_way_longer(device):
+    wall = block(size=(0.2, 1.2, 0.4), position=(0.9, 0.0))
+    found = [Pushing({}, obstacles=o, device=device).cost((0.0, 0.0), (1.5, 0.1))[0, 0, 0] for o in ((), (wall,))]
+    exact = around_corners((0.0, 0.0), (1.5, 0.1), [(0.8, 0.6), (1.0, 0.6)], 0.5 * math.hypot(0.2, 0.3))
+    assert exact > 2.0
+    assert found[1] - found[0] == pytest.approx(exact - math.hypot(1.5, 0.1), abs=0.08)
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, 0.7])
+def test_offsets_within_the_tolerance_along_the_goals_axes_are_free(yaw, device):
+    pushing = Pushing({"tolerance": 0.04}, {}, goals=[(0.3, -0.2, yaw)], device=device)
+    rng = np.random.default_rng(0)
+    along = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+
+    def costs(offset: np.ndarray) -> np.ndarray:
+        box = np.array([0.3, -0.2]) + offset @ along
+        at = around((0.0, 0.0), 0.3, rng.uniform(-np.pi, np.pi, SAMPLES))
+        return pushing.cost(np.column_stack([box, np.full(SAMPLES, yaw)]), box + at)[:, 0]
+
+    small = rng.uniform(-0.039, 0.039, size=(SAMPLES, 2))
+    tolerant, strict = costs(small)
+    np.testing.assert_allclose(tolerant, 0.0, atol=1e-4)
+    assert np.median(strict) > 0.1
+    large = rng.uniform(0.101, 0.5, size=(SAMPLES, 2)) * rng.choice([-1.0, 1.0], size=(SAMPLES, 2))
+    tolerant, strict = costs(large)
+    np.testing.assert_allclose(tolerant, strict, atol=1e-4)
+    assert tolerant.min() > 0.1
+    # in between it grows without a jump
+    one = np.stack([np.linspace(0.0, 0.12, SAMPLES), np.zeros(SAMPLES)], axis=1)
+    box = np.array([0.3, -0.2]) + one @ along
+    found, strict = pushing.cost(np.column_stack([box, np.full(SAMPLES, yaw)]), box + 0.3 * along[0])[:, 0]
+    assert np.abs(np.diff(found)).max() < 0.04
+    np.testing.assert_allclose(found[-1], strict[-1], atol=1e-4)
+
+
+def cheapest_angle(pushing: Pushing, box: tuple[float, float], yaw: float) -> float:
+    """Direction from a box to where a pusher beside it is cheapest."""
+    angle = np.linspace(-np.pi, np.pi, SAMPLES)
+    return float(angle[pushing.cost((*box, yaw), around(box, 0.3, angle))[0, 0].argmin()])
+
+
+@pytest.mark.parametrize(
+    ("steer", "goal_yaw", "yaw", "error"),
+    [(0.0, 0.0, 0.2, 0.2), (0.5, 0.0, 0.3, 0.3), (0.5, 0.0, -0.4, -0.4), (0.5, 3.0, -3.0, 2.0 * np.pi - 6.0)],
+)
+def test_steering_moves_the_cheapest_side_so_that_a_push_turns_the_object_back(steer, goal_yaw, yaw, error, device):
+    pushing = Pushing({"steer": steer}, goals=[(0.0, 0.0, goal_yaw)], device=device)
+    for side, box in ((0.0, (0.6, 0.0)), (np.pi / 2, (0.0, 0.6))):
+        cheapest = cheapest_angle(pushing, box, yaw)
+        assert cheapest == pytest.approx(side - steer * error, abs=0.011)
+        # torque of a force towards the goal at the pusher's place
+        torque = math.cos(cheapest) * -math.sin(side) - math.sin(cheapest) * -math.cos(side)
+        assert torque * error < -0.01 or steer == 0.0
+
+
+@pytest.mark.parametrize("yaw", [0.5, -0.5, 2.9])
+def test_steering_stays_near_the_middle_of_a_side(yaw, device):
+    pushing = Pushing({"steer": 2.0}, device=device)
+    for side, box in ((0.0, (0.6, 0.0)), (np.pi / 2, (0.0, 0.6))):
+        assert cheapest_angle(pushing, box, yaw) == pytest.approx(side - math.copysign(0.4, yaw), abs=0.011)
+
+
+def test_a_goal_moves_in_its_own_environment_alone(device):
+    pushing = Pushing({}, device=device)
+    before, old = pushing.values(), pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0]
+    np.testing.assert_array_equal(before[0], before[1])
+    np.testing.assert_allclose(old, 0.6, atol=1e-4)
+    pushing.aim((0.0, 0.0), (-0.313, 0.0))
+    after, new = pushing.values(), pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0]
+    np.testing.assert_array_equal(after[0], before[0])
+    assert np.abs(after[1] - before[1]).max() > 0.2
+    np.testing.assert_allclose(new, [0.6, 0.913], atol=1e-4)
+    pushing.aim((0.1, 0.0), (-0.313, 0.0))
+    np.testing.assert_array_equal(pushing.values()[1], after[1])
+    np.testing.assert_allclose(pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0], [0.5, 0.913], atol=1e-4)
+    pushing.aim((0.1, 0.0, np.pi / 2), (-0.313, 0.0))  # a turn alone is a move
+    assert np.abs(pushing.values()[0] - before[0]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("cost", "key", "found", "allowed", "says"),
+    [
+        ({"object": "boks"}, ".object", "boks", "box", "Did you mean 'box'"),
+        ({"object": "wall"}, ".object", "wall", "box", "no such object"),
+        ({"object": "stone"}, ".object", "mesh", None, "needs a primitive shape"),
+        ({"pusher": "base/center"}, ".pusher", "base/center", "base/centre", "Did you mean 'base/centre'"),
+        ({"width": None}, "", None, None, "the key 'width' is missing"),
+        ({"widht": 0.2}, ".widht", "widht", "width", "Did you mean 'width'"),
+        ({"width": 0.0}, ".width", 0.0, "across its direction", "wrong value"),
+        ({"slant": 0.9}, ".slant", 0.9, "square to it", "wrong value"),
+    ],
+)
+def test_mistakes_in_the_table_name_the_key_and_a_way_out(cost, key, found, allowed, says):
+    table = {name: value for name, value in {**KEYS, **cost}.items() if value is not None}
+    scene = make_scene(object=[BOX, {**BOX, "name": "stone"}], obstacle=[block("wall")], cost=[table])
+    layout = compiled(scene).layout
+    (stone,) = layout.entity("stone").shapes
+    shapes = [replace(shape, kind="mesh") if i == stone else shape for i, shape in enumerate(layout.shapes)]
+    with pytest.raises(SceneError, match=says) as caught:
+        CostStack(scene, replace(layout, shapes=shapes))
+    assert caught.value.key == f"cost.push_path{key}"
+    assert caught.value.found == found
+    if allowed:
+        assert allowed in str(caught.value.allowed) or allowed in list(caught.value.allowed)
