@@ -21,7 +21,7 @@ CYLINDER = wp.constant(2)
 CAPSULE = wp.constant(3)
 PLANE = wp.constant(4)
 
-LARGEST_STEER = wp.constant(0.4)  # [rad] beside the middle of an object, for turning it
+LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
 
 
 @wp.struct
@@ -248,7 +248,9 @@ class PushPathParams:
     field: int  # distance field of the pusher to the object
     radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
     turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
+    faces: int  # whether the object has sides
     steer: float  # how far to push beside the middle, as an angle per heading error
+    lead: float  # [s] look at where the object would coast to in this time
 
 
 @wp.func
@@ -270,7 +272,7 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     the object's distance to the goal and for ``push_alignment`` together.
     """
     r = frame_position(s, p.pusher)
-    o = frame_position(s, p.object)
+    o = frame_position(s, p.object) + p.lead * frame_velocity(s, p.object)
     goal = frame_pose(s, p.goal)
     g = wp.transform_get_translation(goal)
     heading = yaw(wp.transform_get_rotation(goal))
@@ -281,9 +283,11 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     at = wp.vec2(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance))
     to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
     angle = wp.atan2(to_pusher[1], to_pusher[0])
-    # a pusher that stands farther anticlockwise about the object than it pushes turns it anticlockwise
-    error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
-    angle += wp.clamp(p.steer * error, -LARGEST_STEER, LARGEST_STEER)
+    if p.faces != 0:
+        # sides are where the object's heading puts them; a pusher that stands farther anticlockwise about the object
+        # than the middle of its side turns it anticlockwise
+        error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
+        angle += wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - error
     origin = p.origin[s.e]
     best = sample_push(p.value, s.e, origin, p.cell, at, angle)
     apart = wp.length(to_pusher)
@@ -429,18 +433,29 @@ def obstacle_clearance(s: StepView, p: ObstacleClearanceParams) -> float:
 
 
 @wp.func
-def outside_edges(corner: wp.array[wp.vec2], first: int, count: int, p: wp.vec2) -> float:
-    """Signed distance from a point to a convex counter-clockwise outline [m], negative inside."""
+def apart_of(
+    corner: wp.array[wp.vec2], first: int, count: int, other: int, others: int, turn: wp.mat22, shift: wp.vec2
+) -> wp.vec2:
+    """How far another outline's corners are from a convex counter-clockwise outline [m].
+
+    The other's corners are turned and shifted into this one's frame. Returns the least distance from an edge, and the
+    greatest over the edges of the least distance outwards: that one is negative for all edges of both outlines if and
+    only if they overlap (separating axes).
+    """
     nearest = float(wp.inf)
-    inside = float(wp.inf)
+    gap = float(-wp.inf)
     for i in range(count):
         a = corner[first + i]
         edge = corner[first + (i + 1) % count] - a
-        off = p - a
-        along = wp.clamp(wp.dot(off, edge) / wp.max(wp.length_sq(edge), EPSILON), 0.0, 1.0)
-        nearest = wp.min(nearest, wp.length(off - along * edge))
-        inside = wp.min(inside, (edge[0] * off[1] - edge[1] * off[0]) / wp.max(wp.length(edge), EPSILON))
-    return wp.where(inside > 0.0, -inside, nearest)
+        size = wp.length(edge)
+        outwards = float(wp.inf)
+        for k in range(others):
+            off = turn * corner[other + k] + shift - a
+            along = wp.clamp(wp.dot(off, edge) / (size * size), 0.0, 1.0)
+            nearest = wp.min(nearest, wp.length(off - along * edge))
+            outwards = wp.min(outwards, (off[0] * edge[1] - off[1] * edge[0]) / size)
+        gap = wp.max(gap, outwards)
+    return wp.vec2(nearest, gap)
 
 
 @wp.struct
@@ -460,7 +475,8 @@ class OutlineClearanceParams:
 def outline_clearance(s: StepView, p: OutlineClearanceParams) -> float:
     """Σ max(0, 1 - d/within) over the obstacles, with d between their outlines and a body's, seen from above.
 
-    The distance between two convex outlines that do not overlap is one from a corner of either to the other.
+    The distance between two convex outlines that do not overlap is one from a corner of either to the other; of those
+    that do it is the depth, negative.
     """
     pose = frame_pose(s, p.of)
     c = wp.cos(yaw(wp.transform_get_rotation(pose)))
@@ -473,13 +489,11 @@ def outline_clearance(s: StepView, p: OutlineClearanceParams) -> float:
     for k in range(1, p.first.shape[0]):
         if wp.length(centre - p.centre[k]) - p.radius[0] - p.radius[k] >= p.within:
             continue
-        least = float(p.within)
-        for i in range(p.count[0]):
-            corner = at + turn * p.corner[i]
-            least = wp.min(least, outside_edges(p.corner, p.first[k], p.count[k], corner))
-        for i in range(p.count[k]):
-            corner = wp.transpose(turn) * (p.corner[p.first[k] + i] - at)
-            least = wp.min(least, outside_edges(p.corner, 0, p.count[0], corner))
+        back = wp.transpose(turn)
+        a = apart_of(p.corner, p.first[k], p.count[k], 0, p.count[0], turn, at)
+        b = apart_of(p.corner, 0, p.count[0], p.first[k], p.count[k], back, -(back * at))
+        gap = wp.max(a[1], b[1])
+        least = wp.min(wp.where(gap < 0.0, gap, wp.min(a[0], b[0])), p.within)
         total += 1.0 - least / p.within
     return total
 

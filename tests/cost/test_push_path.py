@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 from small_scenes import BOX, compiled, make_scene
 from test_geodesic import around_corners
 
@@ -19,8 +20,8 @@ from warpmpc.engine.trajectory import Shape, Trajectory
 from warpmpc.kernels.fields import sample_push, side_of
 from warpmpc.scene.draw import signed_distance
 
-REACH = 1.0 - 1e-6  # [m] the grid is a square about the origin, mapped onto itself by quarter turns
-GOALS = [(0.0, 0.0), (0.13, -0.27), (-0.342, 0.561)]
+GOALS = [(0.0, 0.0, 0.0), (0.13, -0.27, 0.7), (-0.342, 0.561, -2.0)]
+YAWS = [0.0, 0.2, 0.7, np.pi / 4]
 
 
 def block(name="block", *, size=(0.4, 0.8, 0.4), position=(0.5, 0.3), yaw=0.0) -> dict:
@@ -28,7 +29,7 @@ def block(name="block", *, size=(0.4, 0.8, 0.4), position=(0.5, 0.3), yaw=0.0) -
     return {"name": name, "shape": "box", "size": size, "position": (*position, size[2] / 2), "rotation": rotation}
 
 
-def make_grid(*obstacles: dict, cell: float = 0.1, reach: float = REACH) -> Grid:
+def make_grid(*obstacles: dict, cell: float = 0.1, reach: float = 1.0) -> Grid:
     layout = compiled(make_scene(obstacle=obstacles)).layout
     return Grid(layout, np.array([[-reach, -reach], [reach, reach]]), cell=cell)
 
@@ -44,7 +45,7 @@ def round_request(radius: float = 0.2, **changes) -> PushRequest:
 
 
 def edge(r: PushRequest, angle) -> np.ndarray:
-    """Distance from an object's centre to its outline in directions of its own frame."""
+    """Distance from an object's centre to its outline in some directions."""
     x, y = r.half_size
     if not r.faces:
         return np.full(np.shape(angle), x)
@@ -60,9 +61,9 @@ def edge(r: PushRequest, angle) -> np.ndarray:
 def test_from_the_right_side_it_is_the_straight_distance_and_else_also_the_way_around(make, goal, side):
     r = make(turn=0.7, slant=100.0)
     grid = make_grid()
-    value, origin = push_value(grid, r, np.array(goal), 0.0)
-    column, row = np.round((np.array(goal) - origin) / grid.cell).astype(int)
-    np.testing.assert_allclose(origin + grid.cell * np.array([column, row]), goal, atol=1e-9)
+    value, origin = push_value(grid, r, np.array(goal[:2]), goal[2])
+    column, row = np.round(-origin / grid.cell).astype(int)
+    np.testing.assert_allclose(origin + grid.cell * np.array([column, row]), 0.0, atol=1e-9)
     np.testing.assert_allclose(value[:, row, column], 0.0, atol=2e-6)
     steps = np.arange(1, 6)
     line = value[:, row + steps * STEPS[side, 1], column + steps * STEPS[side, 0]]
@@ -79,17 +80,20 @@ def test_from_the_right_side_it_is_the_straight_distance_and_else_also_the_way_a
     assert (np.diff(extra[:, 0]) > 0.05).all()
 
 
-def pushes(d: int, slant: float) -> list[tuple[int, int, float]]:
-    """Columns, rows and price of the pushes from one side: straight away from it, and one direction aside."""
-    ways = [(STEPS[d], 1.0), (STEPS[(d + 1) % 16], slant), (STEPS[(d - 1) % 16], slant)]
-    return [(-x, -y, price) for (x, y), price in ways]
+def pushes(d: int, r: PushRequest) -> list[tuple[int, int, float]]:
+    """Columns, rows and price of the pushes from one side; a box has four, and may be pushed a little aslant."""
+    if not r.faces:
+        ways = [(d, 1.0)]
+    else:
+        ways = [] if d % 4 else [(d, 1.0), ((d + 1) % 16, r.slant), ((d - 1) % 16, r.slant)]
+    return [(-STEPS[way][0], -STEPS[way][1], price) for way, price in ways]
 
 
-def value_iteration(grid: Grid, r: PushRequest, goal: tuple[int, int], yaw: float) -> np.ndarray:
+def value_iteration(grid: Grid, r: PushRequest, goal: tuple[int, int]) -> np.ndarray:
     """Least work ``[16, rows, columns]`` by relaxing every state until none changes; infinite where there is no way."""
     rows, columns = grid.clearance.shape
     heading = [math.atan2(y, x) % math.tau for x, y in STEPS]
-    outline = edge(r, np.array(heading) - yaw)
+    outline = edge(r, np.array(heading))
 
     def clear(row: int, column: int, away: float, d: int) -> bool:
         u = round(column + away * math.cos(heading[d]) / grid.cell)
@@ -105,9 +109,7 @@ def value_iteration(grid: Grid, r: PushRequest, goal: tuple[int, int], yaw: floa
 
     moves = []  # (side, its step, cost)
     for d in range(16):
-        aslant = min((heading[d] - yaw - k * math.pi / 2) % math.tau for k in range(4))
-        square = not r.faces or min(aslant, math.pi / 2 - aslant) <= 0.5 * math.atan(0.5) + 1e-6
-        for dx, dy, price in pushes(d, r.slant) if square else ():
+        for dx, dy, price in pushes(d, r):
             moves.append((d, dx, dy, price * grid.cell * math.hypot(dx, dy)))
 
     value = np.full((16, rows, columns), np.inf)
@@ -148,9 +150,9 @@ def test_it_agrees_with_value_iteration(seed):
     grid = make_grid(block(), cell=0.2)
     goal, yaw = rng.uniform([-0.2, -0.6], [0.2, 0.6]), rng.uniform(-3.0, 3.0)
     value, origin = push_value(grid, r, goal, yaw)
-    moved, cell = grid.through(goal)
+    moved, cell = grid.turned(goal, yaw)
     np.testing.assert_array_equal(origin, moved.origin)
-    expected = value_iteration(moved, r, cell, yaw)
+    expected = value_iteration(moved, r, cell)
     straight = np.linalg.norm(moved.points - goal, axis=-1)
     expected = np.where(np.isfinite(expected), expected, 3.0 * straight)
     free = moved.clearance >= r.inflation
@@ -164,22 +166,46 @@ def test_it_agrees_with_value_iteration(seed):
         assert np.abs(nearest - value[:, row, column, None]).max(axis=0).min() < 1e-5
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.2, math.atan(0.5), 0.6, np.pi / 4, 2.0])
-def test_in_the_open_every_cell_has_a_way_whatever_the_goals_heading(yaw):
-    grid = make_grid()
-    value, _ = push_value(grid, request(), np.zeros(2), yaw)
-    straight = np.linalg.norm(grid.through(np.zeros(2))[0].points, axis=-1)
-    assert (value >= straight - 1e-9).all()
+def around_goal(grid: Grid, r: PushRequest, goal: np.ndarray, yaw: float, reach: int = 10) -> np.ndarray:
+    """Values of the places up to some cells from the goal, along its axes."""
+    value, origin = push_value(grid, r, goal, yaw)
+    column, row = np.round(-origin / grid.cell).astype(int)
+    assert reach <= min(column, row) <= max(column, row) < value.shape[1] - reach
+    return value[:, row - reach : row + reach + 1, column - reach : column + reach + 1]
+
+
+@pytest.mark.parametrize("yaw", [*YAWS, -2.0])
+@pytest.mark.parametrize("make", [request, round_request])
+def test_in_the_open_the_goals_heading_changes_nothing_in_its_frame(make, yaw):
+    grid, goal = make_grid(), np.array([0.13, -0.27])
+    value = around_goal(grid, make(), goal, yaw)
+    np.testing.assert_allclose(value, around_goal(grid, make(), goal, 0.0), atol=1e-6)
+    axis = 0.1 * np.arange(-10, 11)
+    straight = np.hypot(axis, axis[:, None])
+    assert (value >= straight - 1e-6).all()
     # two sides and a way around between them; without a way it would be three times as far
-    assert (value.min(axis=0) < 1.5 * straight + 1.5).all()
+    assert (value.min(axis=0) < 1.5 * straight + 0.8).all()
+
+
+@pytest.mark.parametrize("yaw", [*YAWS[1:], np.pi / 2, -2.0])
+def test_a_turn_of_the_whole_scene_changes_nothing_in_the_goals_frame(yaw):
+    r = request(inflation=0.2345, half_size=(0.16, 0.27), width=0.19, length=0.31)  # nothing halfway between two cells
+    found = []
+    for turn in (0.0, yaw):
+        c, s = math.cos(turn), math.sin(turn)
+        wall = block(yaw=0.3 + turn, size=(0.3, 0.7, 0.4), position=(0.5 * c - 0.3 * s, 0.5 * s + 0.3 * c))
+        goal = np.array([-0.32 * c - 0.14 * s, -0.32 * s + 0.14 * c])
+        found.append(around_goal(make_grid(wall), r, goal, 0.1 + turn))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-4)
+    assert np.abs(found[0] - around_goal(make_grid(), r, goal, 0.0)).max() > 1.0
 
 
 def test_where_no_push_leads_to_the_goal_it_stays_finite():
     sides = [block(n, size=(0.1, 1.0, 0.4), position=(x, 0.0)) for n, x in (("left", -0.4), ("right", 0.4))]
     ends = [block(n, size=(0.9, 0.1, 0.4), position=(0.0, y)) for n, y in (("top", 0.45), ("bottom", -0.45))]
     grid = make_grid(*sides, *ends)
-    value, _ = push_value(grid, request(inflation=0.15), np.zeros(2), 0.0)
-    moved, _ = grid.through(np.zeros(2))
+    value, _ = push_value(grid, request(inflation=0.15), np.zeros(2), 0.3)
+    moved, _ = grid.turned(np.zeros(2), 0.3)
     free = moved.clearance >= 0.15
     straight = np.linalg.norm(moved.points, axis=-1)
     outside = free & (straight > 0.5)
@@ -192,7 +218,7 @@ def test_a_box_that_overshot_towards_a_wall_is_much_dearer_than_one_that_stopped
     for obstacles, trapped in (((block(size=(1.4, 0.2, 0.4), position=(0.0, 0.6)),), True), ((), False)):
         grid = make_grid(*obstacles, cell=0.05)
         value, _ = push_value(grid, request(), goal, 0.0)
-        _, (column, row) = grid.through(goal)
+        _, (column, row) = grid.turned(goal, 0.0)
         short, over = (value[:, row + k, column].min() for k in (-1, 1))
         assert short == pytest.approx(0.05, abs=1e-5)
         if trapped:
@@ -204,7 +230,7 @@ def test_a_box_that_overshot_towards_a_wall_is_much_dearer_than_one_that_stopped
 def test_a_round_object_may_be_pushed_along_a_diagonal_and_a_box_needs_two_sides():
     goal = np.array([0.02, -0.13])
     grid = make_grid()
-    _, (column, row) = grid.through(goal)
+    _, (column, row) = grid.turned(goal, 0.0)
     cases = {"round": round_request(), "box": request(slant=100.0), "slant": request()}
     value = {name: push_value(grid, r, goal, 0.0)[0] for name, r in cases.items()}
     for d, (dx, dy) in enumerate(STEPS):
@@ -224,59 +250,50 @@ def test_a_round_object_may_be_pushed_along_a_diagonal_and_a_box_needs_two_sides
         assert value["box"][:, *place].min() == pytest.approx(0.2 * (abs(dx) + abs(dy)) + quarter, abs=1e-5)
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.4])
-def test_a_quarter_turn_of_everything_turns_the_values(yaw):
-    goal = np.array([-0.32, 0.14])
-    plain = make_grid(block(yaw=0.3, size=(0.3, 0.7, 0.4)))
-    turned = make_grid(block(yaw=0.3 + np.pi / 2, size=(0.3, 0.7, 0.4), position=(-0.3, 0.5)))
-    # no sizes that put the pusher halfway between two cells
-    r = request(half_size=(0.16, 0.27), width=0.19, length=0.31)
-    value, origin = push_value(plain, r, goal, yaw)
-    found, at = push_value(turned, r, np.array([-goal[1], goal[0]]), yaw + np.pi / 2)
-    np.testing.assert_allclose(at[1], origin[0], atol=1e-5)
-    free = plain.through(goal)[0].clearance >= r.inflation
-    assert (~free).sum() > 10
-    for d in range(16):
-        # cells in the grown obstacle may be as near to one free cell as to another
-        again = np.rot90(found[(d + 4) % 16])
-        np.testing.assert_allclose(again[free], value[d, free], atol=1e-4)
+# the grid in the goal's frame
 
 
-# the grid through a goal
-
-
-@pytest.mark.parametrize("point", [(0.137, -0.61), (0.0, 0.0), (-0.971, 0.33), (0.449, 1.249)])
-def test_a_grid_through_a_point_keeps_its_distances(point):
-    obstacles = [block(yaw=0.5), {"name": "can", "shape": "cylinder", "size": (0.2, 0.4), "position": (-0.4, 0, 0.2)}]
-    grid = make_grid(*obstacles)
+@pytest.mark.parametrize("yaw", [*YAWS, 3.0])
+@pytest.mark.parametrize("point", [(0.137, -0.61), (0.0, 0.0), (-0.971, 0.33)])
+def test_a_turned_grid_stands_in_the_frame_of_a_point_over_the_same_area(point, yaw):
+    blocks = [block(yaw=0.5, size=(0.4, 0.8, 2.0)), block("post", size=(0.2, 0.2, 2.0), position=(-2.4, 0.2))]
+    grid = make_grid(*blocks)
     before = grid.origin.copy(), grid.points.copy(), grid.clearance.copy()
-    moved, (column, row) = grid.through(np.array(point))
+    moved, (column, row) = grid.turned(np.array(point), yaw)
+    rows, columns = moved.clearance.shape
+    assert rows == columns == Grid.size(grid.clearance.shape)
     np.testing.assert_allclose(moved.points[row, column], point, atol=1e-12)
-    np.testing.assert_allclose(moved.origin, moved.points[0, 0], atol=1e-12)
-    assert np.abs(moved.origin - grid.origin).max() <= 0.5 * grid.cell + 1e-12
-    shapes = make_scene(obstacle=obstacles).obstacle
-    exact = [[min(signed_distance(o, tuple(p)) for o in shapes) for p in line] for line in moved.points]
-    error = np.abs(moved.clearance - exact)
-    assert error[1:-1, 1:-1].max() < 0.5 * grid.cell
-    # beyond the old border there is only the nearest value
-    assert error.max() < np.linalg.norm(moved.origin - grid.origin) + 0.1 * grid.cell
+    np.testing.assert_allclose(moved.origin + moved.cell * np.array([column, row]), 0.0, atol=1e-12)
+
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])  # world → the point's frame
+    index = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+    local = (moved.points - point) @ turn.T
+    np.testing.assert_allclose(local, moved.origin + moved.cell * index, atol=1e-12)
+    area = (grid.points - point) @ turn.T  # rounded to whole cells on either side
+    assert (np.abs(area - local.mean(axis=(0, 1))) <= 0.5 * grid.cell * (columns - 1) + 0.5 * grid.cell).all()
+
+    shapes = make_scene(obstacle=blocks).obstacle
+    exact = [[min(signed_distance(o, tuple(p)) for o in shapes) for p in line] for line in moved.points[::4, ::4]]
+    np.testing.assert_allclose(moved.clearance[::4, ::4], exact, atol=1e-6)
     for old, kept in zip(before, (grid.origin, grid.points, grid.clearance), strict=True):
         np.testing.assert_array_equal(old, kept)
 
 
-@pytest.mark.parametrize(("point", "cell"), [((9.0, 0.0), (40, 20)), ((-9.0, 9.0), (0, 40)), ((0.0, -2.3), (20, 0))])
-def test_a_goal_outside_the_grid_counts_as_the_nearest_cell(point, cell):
-    grid = make_grid(block())
-    moved, found = grid.through(np.array(point))
-    assert found == cell
-    assert np.abs(moved.origin - grid.origin).max() <= 0.5 * grid.cell + 1e-9
-    value, _ = push_value(grid, request(), np.array(point), 0.0)
+@pytest.mark.parametrize(
+    ("point", "yaw", "part"), [((9, 0), 0.0, (1, 0.5)), ((-9, 9), 0.0, (0, 1)), ((9, 0), np.pi / 2, (0.5, 0))]
+)
+def test_a_goal_outside_the_area_is_on_the_border_of_the_grid(point, yaw, part):
+    moved, found = make_grid(block()).turned(np.array(point), yaw)
+    np.testing.assert_allclose(found, np.array(part) * (len(moved.points) - 1), atol=1.0)
+    np.testing.assert_allclose(moved.points[found[::-1]], point, atol=1e-12)
+    value, origin = push_value(make_grid(block()), request(), np.array(point), yaw)
     assert np.isfinite(value).all()
-    assert (value[:, cell[1], cell[0]] <= 2e-6).all()
+    np.testing.assert_allclose(origin, -moved.cell * np.array(found), atol=1e-12)
+    assert (value[:, found[1], found[0]] <= 2e-6).all()
 
 
 def test_without_obstacles_there_is_nothing_near_anywhere():
-    moved, _ = make_grid().through(np.array([0.123, 0.456]))
+    moved, _ = make_grid().turned(np.array([0.123, 0.456]), 0.3)
     assert np.isinf(moved.clearance).all()
 
 
@@ -434,6 +451,35 @@ def around(centre, radius, angle: np.ndarray) -> np.ndarray:
     return np.array(centre) + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
+@pytest.mark.parametrize("yaw", YAWS)
+@pytest.mark.parametrize("side", range(4))
+def test_a_box_pushed_along_the_normal_of_its_side_has_no_hump_on_its_way(side, yaw, device):
+    goal = np.array([0.231, -0.117])
+    pushing = Pushing({"steer": 0.5}, goals=[(*goal, yaw)], device=device)
+    normal = yaw + side * np.pi / 2
+    left = np.linspace(0.9, 0.0, SAMPLES)
+    box = around(goal, left, np.full(SAMPLES, normal))
+    pusher = around(goal, left + 0.3, np.full(SAMPLES, normal))
+    found = pushing.cost(np.column_stack([box, np.full(SAMPLES, yaw)]), pusher)[0]
+    assert (np.diff(found, axis=1) < 0.0).all()
+    np.testing.assert_allclose(found, [left, left], atol=1e-4)
+
+
+def test_a_tilted_goal_counts_by_the_heading_of_its_x_axis(device):
+    turns = Rotation.random(2, rng=np.random.default_rng(3))
+    x = turns.apply([1.0, 0.0, 0.0])
+    headings = np.arctan2(x[:, 1], x[:, 0])
+    upright = Pushing({"steer": 0.5}, goals=[(0.2, 0.1, h) for h in headings], device=device)
+    tilted = Pushing({"steer": 0.5}, device=device)
+    poses = np.column_stack([np.tile([0.2, 0.1, 0.4], (2, 1)), turns.as_quat()])
+    tilted.stack.set_goal(poses)
+    tilted.stack.aim(poses)
+    rng = np.random.default_rng(0)
+    box = rng.uniform([-0.8, -0.8, -3.0], [0.8, 0.8, 3.0], size=(SAMPLES, 3))
+    places = box, box[:, :2] + rng.uniform(-1.0, 1.0, size=(SAMPLES, 2))
+    np.testing.assert_allclose(tilted.cost(*places), upright.cost(*places), atol=1e-3)
+
+
 @pytest.mark.parametrize("turn", [1.0, 0.4])
 def test_a_pusher_farther_away_costs_its_way(turn, device):
     pushing = Pushing({"turn": turn, "behind": 0.05}, device=device)
@@ -488,25 +534,26 @@ def cheapest_angle(pushing: Pushing, box: tuple[float, float], yaw: float) -> fl
     return float(angle[pushing.cost((*box, yaw), around(box, 0.3, angle))[0, 0].argmin()])
 
 
-@pytest.mark.parametrize(
-    ("steer", "goal_yaw", "yaw", "error"),
-    [(0.0, 0.0, 0.2, 0.2), (0.5, 0.0, 0.3, 0.3), (0.5, 0.0, -0.4, -0.4), (0.5, 3.0, -3.0, 2.0 * np.pi - 6.0)],
-)
-def test_steering_moves_the_cheapest_side_so_that_a_push_turns_the_object_back(steer, goal_yaw, yaw, error, device):
+@pytest.mark.parametrize(("goal_yaw", "error"), [(0.0, 0.12), (0.7, -0.15), (3.0, 0.18)])
+@pytest.mark.parametrize("steer", [0.0, 0.6])
+def test_steering_moves_the_cheapest_side_so_that_a_push_turns_the_object_back(steer, goal_yaw, error, device):
     pushing = Pushing({"steer": steer}, goals=[(0.0, 0.0, goal_yaw)], device=device)
-    for side, box in ((0.0, (0.6, 0.0)), (np.pi / 2, (0.0, 0.6))):
-        cheapest = cheapest_angle(pushing, box, yaw)
-        assert cheapest == pytest.approx(side - steer * error, abs=0.011)
-        # torque of a force towards the goal at the pusher's place
-        torque = math.cos(cheapest) * -math.sin(side) - math.sin(cheapest) * -math.cos(side)
-        assert torque * error < -0.01 or steer == 0.0
+    for side in (goal_yaw, goal_yaw + np.pi / 2):
+        box = 0.6 * math.cos(side), 0.6 * math.sin(side)
+        beside = cheapest_angle(pushing, box, math.remainder(goal_yaw + error, math.tau)) - side
+        assert math.remainder(beside + steer * error, math.tau) == pytest.approx(0.0, abs=0.011)
+        # torque about the object of a force towards the goal at the pusher's place
+        assert math.sin(beside) * error < 0.0 or steer == 0.0
 
 
-@pytest.mark.parametrize("yaw", [0.5, -0.5, 2.9])
-def test_steering_stays_near_the_middle_of_a_side(yaw, device):
-    pushing = Pushing({"steer": 2.0}, device=device)
+@pytest.mark.parametrize("error", [0.5, -0.5, 2.9])
+@pytest.mark.parametrize("steer", [0.0, 2.0])
+def test_a_pusher_stays_near_the_middle_of_a_side_of_the_turned_object(steer, error, device):
+    pushing = Pushing({"steer": steer}, device=device)
     for side, box in ((0.0, (0.6, 0.0)), (np.pi / 2, (0.0, 0.6))):
-        assert cheapest_angle(pushing, box, yaw) == pytest.approx(side - math.copysign(0.4, yaw), abs=0.011)
+        middle = side + error  # of that side, turned with the object
+        beside = math.remainder(cheapest_angle(pushing, box, error) - middle, math.tau)
+        assert beside == pytest.approx(-math.copysign(0.3, error), abs=0.011)
 
 
 def test_a_goal_moves_in_its_own_environment_alone(device):
@@ -522,8 +569,10 @@ def test_a_goal_moves_in_its_own_environment_alone(device):
     pushing.aim((0.1, 0.0), (-0.313, 0.0))
     np.testing.assert_array_equal(pushing.values()[1], after[1])
     np.testing.assert_allclose(pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0], [0.5, 0.913], atol=1e-4)
-    pushing.aim((0.1, 0.0, np.pi / 2), (-0.313, 0.0))  # a turn alone is a move
-    assert np.abs(pushing.values()[0] - before[0]).max() > 0.1
+    pushing.aim((0.1, 0.0, np.pi / 4), (-0.313, 0.0))  # a turn alone is a move: now it takes two sides
+    new = pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0]
+    assert new[0] > 0.7
+    np.testing.assert_allclose(new[1], 0.913, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, DISC, WALL, compiled, make_scene
 
@@ -21,7 +22,7 @@ OBSTACLES = [
     {**WALL, "rotation": TURN},
     {"name": "ball", "shape": "sphere", "size": (0.3,), "position": (-1.0, 0.5, 0.1)},
     {"name": "can", "shape": "cylinder", "size": (0.2, 0.6), "position": (0.0, -1.0, 0.3), "rotation": TURN},
-    {"name": "pill", "shape": "capsule", "size": (0.1, 0.5), "position": (0.5, 1.0, 0.2), "rotation": TURN},
+    {"name": "pill", "shape": "capsule", "size": (0.1, 0.5), "position": (0.5, 1.0, 0.2), "rotation": (0, 0.6, 0, 0.8)},
     {"name": "slope", "shape": "plane", "position": (0.0, 0.0, -2.0), "rotation": TURN},
 ]
 SHAPE = Shape(2, 3, 2, 5)
@@ -30,10 +31,10 @@ SHAPE = Shape(2, 3, 2, 5)
 class Rollouts:
     """Random rollouts of a small scene, judged by its cost terms."""
 
-    def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0):
+    def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES):
         robot = {**DISC, "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
         self.scene = make_scene(
-            robot=[robot], object=[BOX], obstacle=OBSTACLES, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
+            robot=[robot], object=[BOX], obstacle=obstacles, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
         )
         self.layout = compiled(self.scene).layout
         self.stack = CostStack(self.scene, self.layout, terms=terms)
@@ -116,13 +117,12 @@ def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
 
 
 def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float) -> np.ndarray:
-    """The least over seven ways to a circle about the box; the box is moved towards the goal within the tolerance."""
+    """The least over seven ways to a circle about the box, in the goal's frame; within the tolerance it is nearer."""
     (pusher, _), (box, box_turn), (goal, goal_turn) = (r.pose(name) for name in ("base/tip", "box", "goal"))
-    off = goal_turn.inv().apply((box - goal).reshape(-1, 3))
-    size = np.abs(off[:, :2])
-    shrunk = np.interp(size, [0.0, tolerance, 2.5 * tolerance, 100.0], [0.0, 0.0, 2.5 * tolerance, 100.0])
-    off[:, :2] = np.sign(off[:, :2]) * shrunk
-    at = (goal.reshape(-1, 3) + goal_turn.apply(off))[:, :2]
+    back = np.exp(-1j * heading(goal_turn))
+    off, to = (back * ((a - b).reshape(-1, 3) @ [1.0, 1j, 0.0]) for a, b in ((box, goal), (pusher, box)))
+    at = np.column_stack([off.real, off.imag])
+    at = np.sign(at) * np.interp(np.abs(at), [0.0, tolerance, 2.5 * tolerance, 100.0], [0.0, 0.0, 2.5 * tolerance, 100])
 
     params, _ = r.stack._push_paths[0]
     table, cell = params.value.numpy().astype(np.float64), params.cell
@@ -139,9 +139,9 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         index = np.column_stack([side, ((inside - origin) / cell)[:, ::-1]])
         return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
 
-    to = (pusher - box).reshape(-1, 3)[:, :2]
-    apart, error = np.linalg.norm(to, axis=1), heading(box_turn) - heading(goal_turn)
-    side = np.arctan2(to[:, 1], to[:, 0]) + np.clip(steer * np.angle(np.exp(1j * error)), -0.4, 0.4)
+    apart, error = np.abs(to), np.angle(np.exp(1j * (heading(box_turn) - heading(goal_turn))))
+    # from the middle of the box's own side, or beside it
+    side = np.angle(to) - error + np.clip((1.0 + steer) * error, -0.3, 0.3)
     least = value(side) + turn * np.maximum(apart - radius, 0.0)
     for part in np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0]):
         angle = part * np.arccos(np.minimum(radius / apart, 1.0))
@@ -164,6 +164,48 @@ def outline_distance(r: Rollouts, inside: float) -> np.ndarray:
     beyond = local - 0.5 * np.array(r.scene.object[0].size[:2])
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
     return r.each(np.where(outside > 0.0, outside, -inside * beyond.max(axis=1)))
+
+
+RING = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)])
+CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def seen_from_above(obstacle) -> np.ndarray:
+    """Corners of an obstacle's outline, counter-clockwise, 32 or more for a round one, ``[n, 2]``."""
+    turn, size = Rotation.from_quat(obstacle.rotation), obstacle.size
+    if obstacle.shape == "box":
+        points = turn.apply(CORNERS * size)
+    elif obstacle.shape == "cylinder":
+        points = turn.apply(np.concatenate([size[0] * RING + [0, 0, z * size[1]] for z in (-0.5, 0.5)]))
+    else:
+        half = size[1] / 2 if obstacle.shape == "capsule" else 0.0
+        points = np.concatenate([size[0] * RING + turn.apply([0, 0, z]) for z in (-half, half)])
+    points = points[:, :2] + obstacle.position[:2]
+    return points[ConvexHull(points).vertices]
+
+
+def gap(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance between two convex outlines, negative by their depth: of the origin from their Minkowski difference."""
+    points = (b[:, None] - a).reshape(-1, 2)
+    hull = ConvexHull(points)
+    if (hull.equations[:, 2] < 0.0).all():
+        return hull.equations[:, 2].max()
+    corners = points[hull.vertices]
+    edge = np.roll(corners, -1, axis=0) - corners
+    part = np.clip(-(corners * edge).sum(-1) / (edge**2).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(corners + part[:, None] * edge, axis=1).min()
+
+
+def outline_clearance(r: Rollouts, of: str, own: np.ndarray, within: float) -> np.ndarray:
+    """Nearness of a body with its own corners ``[n, 2]`` to every obstacle but a plane."""
+    position, turn = r.pose(of)
+    obstacles = [seen_from_above(o) for o in r.scene.obstacle if o.shape != "plane"]
+    total = []
+    for at, yaw in zip(position.reshape(-1, 3)[:, :2], heading(turn), strict=True):
+        c, s = np.cos(yaw), np.sin(yaw)
+        body = at + own @ [[c, s], [-s, c]]
+        total.append(sum(max(0.0, 1.0 - gap(body, obstacle) / within) for obstacle in obstacles))
+    return r.each(total)
 
 
 def joint_limit(r: Rollouts, margin: float) -> np.ndarray:
@@ -218,6 +260,11 @@ CASES = {
         {"term": "distance", "between": ["box", "base/tip"], "lead": 0.7},
         lambda r: leading_distance(r, 0.7),
     ),
+    # wide: the ends of a lying capsule have corners of their own, some millimetres off
+    "outline_clearance": (
+        {"of": "base/tip", "within": 8.0},
+        lambda r: outline_clearance(r, "base/tip", 0.2 * RING[:, :2] - [0.2, 0.0], 8.0),
+    ),
     "outline_distance": (
         {"of": "base/tip", "object": "box", "inside": 3.0},
         lambda r: outline_distance(r, 3.0),
@@ -254,6 +301,70 @@ def test_every_built_in_term_is_covered():
     assert {keys.get("term", name) for name, (keys, _) in CASES.items()} == set(BUILTIN)
 
 
+def put(r: Rollouts, frame: str, places: np.ndarray) -> None:
+    """Put a frame's body upright at places (x, y, yaw), one for every step and world."""
+    body_q = r.trajectory.body_q.numpy()
+    turns = Rotation.from_euler("z", places[:, 2:]).as_quat()
+    poses = np.column_stack([places[:, :2], np.full(len(places), 0.1), turns])
+    body_q[1:, :, int(r.layout.frame_body[r.layout.frame(frame)])] = poses.reshape(r.t, r.w, 7)
+    r.trajectory.body_q.assign(body_q)
+
+
+def solid(name: str, shape: str, size: tuple, at: tuple, yaw: float = 0.0) -> dict:
+    rotation = (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
+    return {"name": name, "shape": shape, "size": size, "position": (*at, 0.2), "rotation": rotation}
+
+
+SLAB = solid("slab", "box", (0.8, 1.0, 0.4), (0.0, 0.0))
+SLANT = solid("slant", "box", (0.8, 0.8, 0.4), (0.0, 0.0), np.pi / 4)
+CAN = solid("can", "cylinder", (0.2, 0.4), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("of", "obstacles", "place", "gaps"),
+    [
+        ("box", [SLAB], (0.55, 0.0, 0.0), [0.0]),
+        ("box", [SLAB], (0.65, 0.1, 0.0), [0.1]),
+        ("box", [SLAB], (0.6, 0.85, 0.0), [np.hypot(0.05, 0.1)]),
+        ("box", [SLAB], (0.52, 0.73, 0.0), [-0.02]),  # a corner 3 cm and 2 cm within
+        ("box", [SLAB], (0.75, 0.0, np.pi / 4), [0.35 - 0.4 * np.sqrt(0.5)]),
+        ("box", [SLAB], (0.0, 0.7, np.pi / 2), [0.05]),
+        ("box", [SLANT], (0.4 * np.sqrt(2.0) + 0.25, 0.0, 0.0), [0.1]),  # its corner to the middle of a side
+        ("box", [SLANT], (0.4 * np.sqrt(2.0) + 0.11, 0.0, 0.0), [-0.04]),
+        ("box", [SLAB], (0.95, 0.0, 0.0), [0.4]),
+        ("box", [SLAB], (3.0, 2.0, 0.3), [9.0]),
+        ("box", [CAN], (0.4, 0.1, 0.0), [0.05]),
+        ("box", [CAN], (0.0, -0.44, 0.0), [-0.01]),
+        ("base/tip", [SLAB], (0.7, 0.2, 2.0), [0.1]),
+        ("base/centre", [SLAB], (0.7, 0.2, -1.0), [0.1]),
+        ("base/tip", [CAN], (0.0, -0.55, 1.0), [0.15]),
+        ("box", [SLAB, {**CAN, "position": (1.1, 0.0, 0.2)}], (0.65, 0.0, 0.0), [0.1, 0.1]),
+        ("box", [SLAB, {**CAN, "position": (1.5, 0.0, 0.2)}], (0.55, 0.0, 0.0), [0.0, 0.6]),
+        ("box", [], (0.0, 0.0, 0.0), []),
+    ],
+)
+def test_nearness_of_outlines_grows_evenly_from_where_it_begins(of, obstacles, place, gaps):
+    rollouts = Rollouts({"term": "outline_clearance", "of": of, "within": 0.4}, obstacles=obstacles)
+    put(rollouts, of, np.tile(place, (rollouts.t * rollouts.w, 1)))
+    expected = sum(max(0.0, 1.0 - d / 0.4) for d in gaps)
+    # round outlines have 32 corners, up to 1 mm within the circle
+    round_ones = of != "box" or CAN["size"] in [o["size"] for o in obstacles]
+    np.testing.assert_allclose(rollouts.cost(), expected, atol=6e-3 if round_ones else 2e-5)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nearness_of_boxes_matches_float64_wherever_they_are(seed):
+    obstacles = [SLAB, {**SLANT, "position": (1.2, 0.4, 0.3), "rotation": TURN}]
+    rollouts = Rollouts({"term": "outline_clearance", "of": "box", "within": 0.4}, obstacles=obstacles)
+    rng = np.random.default_rng(seed)
+    put(rollouts, "box", rng.uniform([-1.0, -1.0, -3.0], [2.2, 1.4, 3.0], size=(rollouts.t * rollouts.w, 3)))
+    own = np.array([(-0.15, -0.25), (0.15, -0.25), (0.15, 0.25), (-0.15, 0.25)])
+    expected = outline_clearance(rollouts, "box", own, 0.4)
+    assert (expected > 1.0).any()
+    assert (expected == 0.0).any()
+    np.testing.assert_allclose(rollouts.cost(), expected, atol=2e-5)
+
+
 def test_a_goal_without_a_height_is_compared_in_the_plane():
     cost = {"term": "distance", "between": ["box", "goal"]}
     rollouts = Rollouts(cost)
@@ -281,6 +392,17 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
         ({"term": "control_effort", "of": "bas"}, r"cost\.control_effort\.of.*Did you mean 'base'"),
         ({"term": "obstacle_clearance", "of": "box", "to": "edge"}, r"cost\.obstacle_clearance\.to.*surface"),
         ({"term": "height", "of": "box", "target": "high"}, r"cost\.height\.target"),
+        (
+            {"term": "outline_clearance", "of": "wall", "within": 0.1},
+            r"cost\.outline_clearance\.of: .*no colliding shape",
+        ),
+        (
+            {"term": "outline_clearance", "of": "goal", "within": 0.1},
+            r"cost\.outline_clearance\.of: .*no colliding shape",
+        ),
+        ({"term": "outline_clearance", "of": "base/x_link", "within": 0.1}, r"clearance\.of: .*no colliding shape"),
+        ({"term": "outline_clearance", "of": "boks", "within": 0.1}, r"outline_clearance\.of.*Did you mean 'box'"),
+        ({"term": "outline_clearance", "of": "box", "within": 0.0}, r"cost\.outline_clearance\.within"),
     ],
 )
 def test_mistakes_in_a_cost_table_name_the_key_and_a_way_out(cost, message):

@@ -99,9 +99,11 @@ class PushPath(Section):
     turn: Positive = 1.0
     """Cost of a metre around the object, relative to a metre of pushing."""
     steer: NonNegative = 0.0
-    """Push beside the middle by this angle per heading error of the object, to turn it back [rad/rad]; up to 0.4."""
-    slant: Annotated[float, Field(ge=1.0)] = 1.2
-    """How much dearer a push is at 18° to a side's normal than square to it."""
+    """Push a box beside the middle of its side by this angle per heading error, to turn it back [-]; up to 0.3 rad."""
+    lead: NonNegative = 0.0
+    """Look at where the object would coast to in this time [s]: for what rolls on by itself."""
+    slant: Annotated[float, Field(ge=1.0)] = 1.5
+    """How much dearer a push is at about 27° to a side's normal than square to it."""
 
 
 class ContactForce(Section):
@@ -219,7 +221,7 @@ def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
     x, y = shape.scale[0], shape.scale[1 if shape.kind == "box" else 0]
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
     p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
-    p.steer = v.steer
+    p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
     p.field = b.distance_field(p.object, 0.5 * math.hypot(v.width, v.length))
     p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn
     request = PushRequest(inflation, (x, y), shape.kind == "box", v.width, v.length, v.turn, v.slant)

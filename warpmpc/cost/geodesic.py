@@ -43,7 +43,7 @@ class Grid:
         """A square grid over the same area in a frame of its own, and the column and row of the frame's origin.
 
         Args:
-            point: Origin (x, y) of the frame [m]; on a cell of the new grid, the nearest one if it is not in the area.
+            point: Origin (x, y) of the frame [m]; it is on a cell of the new grid, which moves to hold it if it must.
             yaw: Heading of the frame [rad].
 
         Returns:
@@ -162,15 +162,17 @@ def outline(layout: Layout, shape: ShapeInfo, to_frame: wp.transform | None = No
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         points = signs * np.array(shape.scale)
     else:
-        angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
         radius, half = shape.scale[0], (0.0 if shape.kind == "sphere" else shape.scale[1])
+        points = np.array([[0.0, 0.0, half], [0.0, 0.0, -half]])
+        angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1) * radius
-        points = np.concatenate([ring + [0, 0, half], ring - [0, 0, half]])
-        if shape.kind in ("sphere", "capsule"):
-            caps = np.roll(ring, 1, axis=1)
-            points = np.concatenate([points, caps + [0, 0, half], caps - [0, 0, half]])
+        if shape.kind not in ("sphere", "capsule"):
+            points = (points[:, None] + ring).reshape(-1, 3)
     pose = wp.transform(*shape.pose) if to_frame is None else to_frame * wp.transform(*shape.pose)
-    return convex_outline(Rotation.from_quat([*pose.q]).apply(points)[:, :2] + np.array([*pose.p])[:2])
+    corners = Rotation.from_quat([*pose.q]).apply(points)[:, :2] + np.array([*pose.p])[:2]
+    if shape.kind in ("sphere", "capsule"):  # round ends look the same from everywhere
+        corners = (corners[:, None] + ring[:, :2]).reshape(-1, 2)
+    return convex_outline(corners)
 
 
 def convex_outline(points: np.ndarray) -> np.ndarray:
