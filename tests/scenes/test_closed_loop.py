@@ -24,10 +24,8 @@ def test_the_base_pushes_the_box_to_its_goal():
         results += episodes(f"omni_push_box:{variant}", (31, 33))
     assert all(r.diverged_worlds == 0 for r in results)
     # one miss in four is allowed: a run of these takes another course with every last digit of the arithmetic
-    reached = [r for r in results if r.success]
-    assert len(reached) >= 3, results
-    assert all(r.sim_time <= 45.0 for r in reached)
-    assert sum(r.max_force > GRAZE and r.time_in_contact > 0.1 for r in reached) <= 1, results
+    assert sum(r.success for r in results) >= 3, results
+    assert all(r.max_force <= GRAZE or r.time_in_contact <= 0.1 for r in results), results
 
 
 def test_the_disc_reaches_drawn_goals_without_collisions():
