@@ -144,8 +144,8 @@ def test_a_run_is_another_one_when_anything_that_matters_differs():
 
 def test_a_star_skips_entries_without_the_key():
     scene = warpmpc.load_scene("omni_push_box")
-    texts = spread(scene, ["cost.*.metric=straight", "planner.samples=9"])
-    assert {"cost.reach.metric=straight", "cost.bring.metric=straight", "planner.samples=9"} <= set(texts)
+    texts = spread(scene, ["cost.*.inflation=0.3", "planner.samples=9"])
+    assert {"cost.reach.inflation=0.3", "cost.push_path.inflation=0.3", "planner.samples=9"} <= set(texts)
     assert not any(text.startswith("cost.yaw") for text in texts)
     assert present(scene, "robot.base.joint_q.1") == {"robot.base.joint_q.1": 2.0}
     with pytest.raises(ValueError, match="no entry of omni_push_box has this key"):

@@ -83,13 +83,13 @@ def test_the_start_is_what_the_scenes_say():
     scenes = {name: warpmpc.load_scene(name) for name in ("omni_push_box:A", "omni_push_box:B")}
     texts = [
         "planner.noise.sigma[2]=0.01..9.0",
-        "planner.temperature.eta=false|[5.0, 10.0]",
+        "planner.temperature.eta=false|[2.5, 5.0]",
         "cost.yaw.weight=0.1..99.0",
     ]
     start = start_values(parse_space(texts), scenes, [])
     scene = scenes["omni_push_box:A"]
     assert start["planner.noise.sigma.2"] == scene.planner.noise.sigma[2]
-    assert start["planner.temperature.eta"] == "[5.0, 10.0]"
+    assert start["planner.temperature.eta"] == "[2.5, 5.0]"
     assert start["cost.yaw.weight"] == next(cost.weight for cost in scene.cost if cost.label == "yaw")
 
 

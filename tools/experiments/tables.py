@@ -62,7 +62,24 @@ def _pushes() -> tuple[Cell, ...]:
 PER_STEP = ("planner.knots=false", "planner.spline=linear", "planner.noise.shape=identity")
 """A noise of its own for every step of the horizon."""
 
-PAPER_PUSH = (
+
+def _paper_terms(metric: str) -> str:
+    """The paper's cost of the omnidirectional push, weights too, in place of the scene's terms."""
+    return (
+        f'cost=[{{term="distance", between=["base/tip", "box"], weight=0.2, {metric}}}, '
+        f'{{name="bring", term="distance", between=["box", "goal"], weight=2.0, {metric}}}, '
+        '{term="yaw", of="box", to="goal", weight=3.0}, '
+        f'{{term="push_alignment", pusher="base/tip", object="box", goal="goal", weight=0.6, {metric}}}, '
+        '{name="base_contact", term="contact_force", between=["base", "obstacles"], weight=10.0}, '
+        '{name="box_contact", term="contact_force", between=["box", "obstacles"], weight=10.0}]'
+    )
+
+
+STRAIGHT = 'metric="straight"'
+GEODESIC = 'metric="geodesic", inflation=0.36'
+"""Around the obstacles, grown by what keeps the box off them."""
+
+PAPER_PLANNER = (
     "planner.samples=300",
     "planner.horizon=8",
     "planner.dt=false",
@@ -73,9 +90,8 @@ PAPER_PUSH = (
     "planner.noise.sigma=[0.71, 0.71, 1.34]",
     "planner.noise.spread=[1.0, 1.0]",
     "planner.noise.constant=0.0",
-    "cost.*.metric=straight",
-    "cost.*.near=0.0",
-    "cost.finish.weight=0.0",
+    "planner.noise.redraw=false",
+    "planner.temperature.eta=[5.0, 10.0]",
 )
 """The paper's settings of the omnidirectional push: Σ = diag(.5, .5, 1.8), 300 samples, 8 steps of 0.04 s."""
 
@@ -89,8 +105,10 @@ def _ablations() -> tuple[Cell, ...]:
             ("planner.noise.source=random", *PER_STEP),
         ),
         "beta": ("β fixed", ("planner.temperature.eta=false",)),
-        "straight": ("straight distances", ("cost.*.metric=straight",)),
-        "paper": ("the paper's settings and weights", PAPER_PUSH),
+        "redraw": ("the same samples at every plan", ("planner.noise.redraw=false",)),
+        "geodesic": ("the paper's terms with geodesic distances", (_paper_terms(GEODESIC),)),
+        "terms": ("the paper's terms", (_paper_terms(STRAIGHT),)),
+        "paper": ("the paper's terms and planner", (_paper_terms(STRAIGHT), *PAPER_PLANNER)),
     }
     return tuple(
         _cell(f"{variant}_{name}", f"start {variant}, {title}", f"omni_push_box:{variant}", overrides=overrides)
