@@ -263,6 +263,12 @@ def shrink(d: float, tolerance: float) -> float:
 
 
 @wp.func
+def to_nearest_side(angle: float) -> float:
+    """Angle from the nearest multiple of π/2, in [-π/4, π/4] [rad]."""
+    return angle - wp.half_pi * wp.round(angle / wp.half_pi)
+
+
+@wp.func
 def push_path(s: StepView, p: PushPathParams) -> float:
     """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
 
@@ -287,7 +293,8 @@ def push_path(s: StepView, p: PushPathParams) -> float:
         # sides are where the object's heading puts them; a pusher that stands farther anticlockwise about the object
         # than the middle of its side turns it anticlockwise
         error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
-        angle += wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - error
+        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER)
+        angle += beside - to_nearest_side(error)
     origin = p.origin[s.e]
     best = sample_push(p.value, s.e, origin, p.cell, at, angle)
     apart = wp.length(to_pusher)
