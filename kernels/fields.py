@@ -103,11 +103,16 @@ def clear_way(
     steps = int((d - free) / cell) + 1
     # in cells; rounded to the nearest one, which may stand half a cell inside
     p = (a - origin) / cell + wp.vec2(0.5, 0.5)
-    step = (b - a) * ((d - free) / d / float(steps) / cell)
-    for _ in range(steps):
-        if clearance[0, int(p[1]), int(p[0])] < inflation - 0.5 * cell:
+    length = (d - free) / float(steps)
+    step = (b - a) * (length / d / cell)
+    i = int(0)
+    while i < steps:
+        q = p + float(i) * step
+        room = clearance[0, int(q[1]), int(q[0])] - inflation
+        if room < -0.5 * cell:
             return False
-        p += step
+        # nothing is nearer than this, so the steps within it need no look
+        i += 1 + int(wp.max(wp.min(room, d) - cell, 0.0) / length)
     return True
 
 
@@ -142,7 +147,7 @@ def guide_target_kernel(
     center: wp.array[wp.vec2],  # [E·R] where the target of each field is [m]
     stale: wp.array[int],  # [E·R] whether the field must follow
 ):
-    """One thread: where the target of one field is now; within half a cell the old field still tells the way."""
+    """One thread: where the target of one field is now; within a cell the old field still tells the way."""
     f = wp.tid()
     requests = table.inflation.shape[0]
     e = f // requests
@@ -161,7 +166,7 @@ def guide_target_kernel(
         wp.clamp(p[1], table.origin[1], table.origin[1] + table.cell * float(rows - 1)),
     )
     # written so that a center that was never set (infinite) counts as far
-    if wp.length(at - center[f]) <= 0.5 * table.cell:
+    if wp.length(at - center[f]) <= table.cell:
         stale[f] = 0
     else:
         stale[f] = 1

@@ -140,8 +140,9 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
 
     apart, error = np.abs(to), np.angle(np.exp(1j * (heading(box_turn) - heading(goal_turn))))
-    # from the middle of the box's own side, or beside it
-    side = np.angle(to) - error + np.clip((1.0 + steer) * error, -0.3, 0.3)
+    # from the middle of the box's own side, or beside it; another quarter turn makes another side the same
+    quarter = 0.5 * np.pi * np.round(error / (0.5 * np.pi))
+    side = np.angle(to) - (error - quarter) + np.clip((1.0 + steer) * error, -0.3, 0.3)
     least = value(side) + turn * np.maximum(apart - radius, 0.0)
     for part in np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0]):
         angle = part * np.arccos(np.minimum(radius / apart, 1.0))

@@ -222,7 +222,8 @@ def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
     p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
-    p.field = b.distance_field(p.object, 0.5 * math.hypot(v.width, v.length))
+    # to a centimetre, so that a distance term can share the field
+    p.field = b.distance_field(p.object, round(0.5 * math.hypot(v.width, v.length), 2))
     p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn
     request = PushRequest(inflation, (x, y), shape.kind == "box", v.width, v.length, v.turn, v.slant)
     b.push_paths.append((p, request))

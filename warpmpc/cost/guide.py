@@ -20,8 +20,8 @@ class Guide:
     """The distance fields that cost terms asked for, one per environment and request.
 
     The host prepares, once, waypoints on the borders of the grown obstacles: what they see and how far apart they are.
-    The field to a target is put together from those on the device, at every plan whose target moved by more than half
-    a cell; so nothing waits for the host while objects move.
+    The field to a target is put together from those on the device, at every plan whose target moved by more than a
+    cell; so nothing waits for the host while objects move.
 
     Args:
         grid: Grid over the scene.
