@@ -62,6 +62,8 @@ def test_only_the_axes_the_goal_names_count():
     [
         ({"position": 0.2}, True),
         ({"position": 0.19}, False),  # per axis, of either sign
+        ({"position": (0.1, 0.2)}, True),
+        ({"position": (0.2, 0.1)}, False),
         ({"distance": 0.23}, True),
         ({"distance": 0.22}, False),
         ({"position": 0.2, "yaw": 0.5}, True),

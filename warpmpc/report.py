@@ -202,7 +202,11 @@ def _goal(scene: Scene) -> str:
     turn = f", yaw {goal.yaw:g} rad" if goal.yaw is not None else ""
     turn = f", rotation {_number(goal.rotation)}" if goal.rotation is not None else turn
     success = scene.success.model_dump(exclude_none=True)
-    within = ", ".join(f"{name} {value:g}" for name, value in success.items() if name != "hold" or value)
+    within = ", ".join(
+        f"{name} {_number(value[0] if name == 'position' and len(value) == 1 else value)}"
+        for name, value in success.items()
+        if name != "hold" or value
+    )
     return f"{goal.target} at {_number(goal.position)} m{turn}; reached within {within}"
 
 

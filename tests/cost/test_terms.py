@@ -116,9 +116,17 @@ def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
     return r.each(total)
 
 
-def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float) -> np.ndarray:
+def coasting(r: Rollouts, lead: float) -> np.ndarray:
+    """Where the box would be after coasting for a time."""
+    body = int(r.layout.frame_body[r.layout.frame("box")])
+    velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
+    return r.pose("box")[0] + lead * velocity.reshape(r.pose("box")[0].shape)
+
+
+def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float, lead: float = 0.0) -> np.ndarray:
     """The least over seven ways to a circle about the box, in the goal's frame; within the tolerance it is nearer."""
-    (pusher, _), (box, box_turn), (goal, goal_turn) = (r.pose(name) for name in ("base/tip", "box", "goal"))
+    (pusher, _), (_, box_turn), (goal, goal_turn) = (r.pose(name) for name in ("base/tip", "box", "goal"))
+    box = coasting(r, lead)
     back = np.exp(-1j * heading(goal_turn))
     off, to = (back * ((a - b).reshape(-1, 3) @ [1.0, 1j, 0.0]) for a, b in ((box, goal), (pusher, box)))
     at = np.column_stack([off.real, off.imag])
@@ -153,9 +161,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
 
 
 def leading_distance(r: Rollouts, lead: float) -> np.ndarray:
-    body = int(r.layout.frame_body[r.layout.frame("box")])
-    velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
-    ahead = r.pose("box")[0] + lead * velocity.reshape(r.pose("box")[0].shape)
+    ahead = coasting(r, lead)
     return np.linalg.norm(ahead - r.pose("base/tip")[0], axis=-1)
 
 
@@ -237,6 +243,10 @@ CASES = {
         {"pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "behind": 0.6, "turn": 0.7}
         | {"tolerance": 0.3, "steer": 0.3},
         lambda r: push_path(r, 0.7, np.hypot(0.15, 0.25) + 0.7, 0.3, 0.3),
+    ),
+    "leading push_path": (
+        {"term": "push_path", "pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "lead": 0.6},
+        lambda r: push_path(r, 1.0, np.hypot(0.15, 0.25) + 0.1, 0.0, 0.0, 0.6),
     ),
     "contact_force": (
         {"between": ["box", "obstacles"]},

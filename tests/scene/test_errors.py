@@ -89,6 +89,7 @@ def set_to(tmp_path, override: str) -> SceneError:
         ('name = "ball"', 'name = "box"', "obstacle.box.name", ["taken by another object", "found 'box'"]),
         ('name = "ball"', 'name = "goal"', "obstacle.goal.name", ["reserved", "found 'goal'"]),
         ('term = "contact_force"', 'term = "distance"', "cost.distance", ["2 cost entries", "name of its own"]),
+        ("position = 0.05", "position = [1.0, 1.0, 1.0]", "success.position", ["each of the goal's 2 axes"]),
         ("position = 0.05", "yaw = 0.1", "success.yaw", ["goal has no orientation"]),
         ("[planner]", "[randomize.bix]\nmass.uniform = 0.1\n[planner]", "randomize.bix", ["'box'?"]),
         ("[planner]", "[randomize.wall]\nmass.uniform = 0.1\n[planner]", "randomize.wall.mass", ["has no mass"]),

@@ -31,7 +31,7 @@ def test_the_paper_task_has_the_paper_numbers():
     assert scene.robot[0].joint_q == (0.0, 2.0, 0.0)
     assert scene.robot[0].drive[0].limit == (0.8, 0.8, 1.0)
     assert (scene.object[0].mass, scene.object[0].friction) == (1.0, 0.3)
-    assert (scene.success.position, scene.success.yaw) == (0.05, 0.17)
+    assert (scene.success.position, scene.success.yaw) == ((0.05,), 0.17)
     assert load_scene("omni_push_box:B").robot[0].joint_q == (0.0, 0.0, 1.5708)
 
 

@@ -35,7 +35,7 @@ def score(run: dict, scene: Scene, *, contact_penalty: float) -> float:
     price = contact_penalty * hard
     if result["success"]:
         return result["time_to_goal_s"] + price
-    tolerance = scene.success.distance or scene.success.position or 0.0
+    tolerance = scene.success.distance or max(scene.success.position or (0.0,))
     left = _share(result["final"]["position_error_m"], max(measured["start_position_error_m"], tolerance, 1e-3))
     if scene.success.yaw is not None:
         left += _share(result["final"]["yaw_error_rad"], math.pi)

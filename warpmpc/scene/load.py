@@ -200,6 +200,12 @@ def _check_goal(scene: Scene) -> None:
         raise SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
     if goal.frame is not None:
         _check_frame(scene, goal.frame, "goal.frame")
+    if success.position is not None and len(success.position) not in (1, len(goal.position)):
+        raise SceneError(
+            f"give one number, or one for each of the goal's {len(goal.position)} axes",
+            key="success.position",
+            found=list(success.position),
+        )
     for name in ("yaw", "rotation"):
         if getattr(success, name) is not None and goal.yaw is None and goal.rotation is None:
             raise SceneError("the goal has no orientation: give goal.yaw or goal.rotation", key=f"success.{name}")

@@ -35,6 +35,7 @@ from .types import (
     NonNegative,
     Param,
     Positive,
+    Positives,
     Quat,
     Section,
     Vec2or3,
@@ -227,8 +228,8 @@ class RandomizeTask(Section):
 class Success(Section):
     """When the goal counts as reached."""
 
-    position: Positive | None = None
-    """Largest error along each axis [m]."""
+    position: Positives | None = None
+    """Largest error along each axis of the world [m]: one number, or one for every axis of the goal."""
     distance: Positive | None = None
     """Largest Euclidean error [m]."""
     yaw: Positive | None = None
