@@ -22,6 +22,8 @@ CAPSULE = wp.constant(3)
 PLANE = wp.constant(4)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
+SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: from there a push turns the object most
+SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal within which an object is turned rather than moved
 
 
 @wp.struct
@@ -249,6 +251,7 @@ class PushPathParams:
     radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
     turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
     faces: int  # whether the object has sides
+    broad: float  # [rad] direction of a broad side in the object's frame
     steer: float  # how far to push beside the middle, as an angle per heading error
     lead: float  # [s] look at where the object would coast to in this time
 
@@ -266,6 +269,16 @@ def shrink(d: float, tolerance: float) -> float:
 def to_nearest_side(angle: float) -> float:
     """Angle from the nearest multiple of π/2, in [-π/4, π/4] [rad]."""
     return angle - wp.half_pi * wp.round(angle / wp.half_pi)
+
+
+@wp.func
+def swivel(angle: float, error: float) -> float:
+    """How far the pusher is from where it would turn an object back by its heading error [rad].
+
+    That is beside the middle of a broad side. Small errors count less.
+    """
+    off = angle + wp.sign(error) * SWIVEL
+    return wp.abs(off - wp.pi * wp.round(off / wp.pi)) * wp.min(wp.abs(error) / LARGEST_STEER, 1.0)
 
 
 @wp.func
@@ -289,17 +302,21 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     at = wp.vec2(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance))
     to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
     angle = wp.atan2(to_pusher[1], to_pusher[0])
+    apart = wp.length(to_pusher)
+    turning = float(0.0)
     if p.faces != 0:
         # sides are where the object's heading puts them; a pusher that stands farther anticlockwise about the object
         # than the middle of its side turns it anticlockwise
         error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
+        if p.steer > 0.0:
+            near = wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
+            turning = p.turn * near * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
         beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER)
         angle += beside - to_nearest_side(error)
     origin = p.origin[s.e]
     best = sample_push(p.value, s.e, origin, p.cell, at, angle)
-    apart = wp.length(to_pusher)
     if apart <= p.radius:
-        return best
+        return best + turning
     best += p.turn * (apart - p.radius)
     seen = wp.acos(p.radius / apart)
     for i in range(1, 4):
@@ -308,7 +325,7 @@ def push_path(s: StepView, p: PushPathParams) -> float:
         left = sample_push(p.value, s.e, origin, p.cell, at, angle + part)
         right = sample_push(p.value, s.e, origin, p.cell, at, angle - part)
         best = wp.min(best, wp.min(left, right) + way)
-    return best + p.turn * (plane_distance(s, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1])) - apart)
+    return best + turning + p.turn * (plane_distance(s, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1])) - apart)
 
 
 @wp.struct

@@ -157,7 +157,11 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         way = np.linalg.norm(np.stack([apart - radius * np.cos(angle), radius * np.sin(angle)]), axis=0)
         other = value(side + angle) + turn * way
         least = np.where(apart > radius, np.minimum(least, other), least)
-    return r.each(least)
+    # near the goal the pusher goes to where it turns the box back: beside the middle of one of its broad sides (± x)
+    off = np.angle(to) - error + 0.4 * np.sign(error)
+    astray = np.abs(off - np.pi * np.round(off / np.pi)) * np.minimum(np.abs(error) / 0.3, 1.0)
+    near = np.maximum(1.0 - np.linalg.norm(at, axis=1) / 0.2, 0.0)
+    return r.each(least + (steer > 0.0) * turn * near * np.minimum(apart, radius) * astray)
 
 
 def leading_distance(r: Rollouts, lead: float) -> np.ndarray:

@@ -99,7 +99,7 @@ class PushPath(Section):
     turn: Positive = 1.0
     """Cost of a metre around the object, relative to a metre of pushing."""
     steer: NonNegative = 0.0
-    """Push a box beside the middle of its side by this angle per heading error, to turn it back [-]; up to 0.3 rad."""
+    """Turn a box back: push beside its side's middle by this angle per heading error, at the goal near a corner."""
     lead: NonNegative = 0.0
     """Look at where the object would coast to in this time [s]: for what rolls on by itself."""
     slant: Annotated[float, Field(ge=1.0)] = 1.5
@@ -221,6 +221,7 @@ def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
     x, y = shape.scale[0], shape.scale[1 if shape.kind == "box" else 0]
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
     p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
+    p.broad = 0.0 if y >= x else 0.5 * math.pi
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
     # to a centimetre, so that a distance term can share the field
     p.field = b.distance_field(p.object, round(0.5 * math.hypot(v.width, v.length), 2))
