@@ -23,6 +23,7 @@ PLANE = wp.constant(4)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
 SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: from there a push turns the object most
+SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal within which an object is turned rather than moved
 
 
@@ -299,20 +300,23 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     d = wp.sin(heading)
     to_goal = wp.mat22(c, d, -d, c)  # world → the goal's frame
     off = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
-    at = wp.vec2(shrink(off[0], p.tolerance), shrink(off[1], p.tolerance))
     to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
     angle = wp.atan2(to_pusher[1], to_pusher[0])
     apart = wp.length(to_pusher)
+    tolerance = p.tolerance
     turning = float(0.0)
+    beside = float(0.0)
     if p.faces != 0:
         # sides are where the object's heading puts them; a pusher that stands farther anticlockwise about the object
         # than the middle of its side turns it anticlockwise
         error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
         if p.steer > 0.0:
-            near = wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
-            turning = p.turn * near * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
-        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER)
-        angle += beside - to_nearest_side(error)
+            tolerance *= 1.0 + SWIVEL_PLAY * wp.abs(error)
+            turning = p.turn * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
+        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - to_nearest_side(error)
+    at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
+    turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
+    angle += beside
     origin = p.origin[s.e]
     best = sample_push(p.value, s.e, origin, p.cell, at, angle)
     if apart <= p.radius:

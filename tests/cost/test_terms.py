@@ -130,7 +130,11 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     back = np.exp(-1j * heading(goal_turn))
     off, to = (back * ((a - b).reshape(-1, 3) @ [1.0, 1j, 0.0]) for a, b in ((box, goal), (pusher, box)))
     at = np.column_stack([off.real, off.imag])
-    at = np.sign(at) * np.interp(np.abs(at), [0.0, tolerance, 2.5 * tolerance, 100.0], [0.0, 0.0, 2.5 * tolerance, 100])
+    apart, error = np.abs(to), np.angle(np.exp(1j * (heading(box_turn) - heading(goal_turn))))
+    # a box that is still turned may be farther away
+    play = (tolerance * (1.0 + 3.0 * np.abs(error) * (steer > 0.0)))[:, None]
+    far = np.abs(at) >= 2.5 * play
+    at = np.where(far, at, np.sign(at) * np.maximum(np.abs(at) - play, 0.0) * 2.5 / 1.5)
 
     params, _ = r.stack._push_paths[0]
     table, cell = params.value.numpy().astype(np.float64), params.cell
@@ -147,7 +151,6 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         index = np.column_stack([side, ((inside - origin) / cell)[:, ::-1]])
         return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
 
-    apart, error = np.abs(to), np.angle(np.exp(1j * (heading(box_turn) - heading(goal_turn))))
     # from the middle of the box's own side, or beside it; another quarter turn makes another side the same
     quarter = 0.5 * np.pi * np.round(error / (0.5 * np.pi))
     side = np.angle(to) - (error - quarter) + np.clip((1.0 + steer) * error, -0.3, 0.3)
