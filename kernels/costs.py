@@ -22,9 +22,10 @@ CAPSULE = wp.constant(3)
 PLANE = wp.constant(4)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
-SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: from there a push turns the object most
+SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
-SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal within which an object is turned rather than moved
+SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
+SWIVEL_PRICE = wp.constant(0.4)  # of a way around the object; more would keep turned objects away from the goal
 
 
 @wp.struct
@@ -311,8 +312,8 @@ def push_path(s: StepView, p: PushPathParams) -> float:
         # than the middle of its side turns it anticlockwise
         error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
         if p.steer > 0.0:
-            tolerance *= 1.0 + SWIVEL_PLAY * wp.abs(error)
-            turning = p.turn * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
+            tolerance *= 1.0 + SWIVEL_PLAY * wp.min(wp.abs(error), 1.0)
+            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
         beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - to_nearest_side(error)
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)

@@ -104,15 +104,15 @@ def test_every_environment_follows_its_own_targets():
         np.testing.assert_array_equal(fields[e], alone([boxes[e]], [goals[e]])[0])
 
 
-def test_a_field_waits_until_its_target_has_moved_by_half_a_cell():
+def test_a_field_waits_until_its_target_has_moved_by_a_cell():
     follower = Follower()
     first = follower([(1.6, 0.0)]).copy()
-    np.testing.assert_array_equal(follower([(1.6, 0.02)]), first)
-    moved = follower([(1.6, 0.1)])
+    np.testing.assert_array_equal(follower([(1.6, 0.045)]), first)
+    moved = follower([(1.6, 0.055)])
     assert not np.array_equal(moved[0, 0], first[0, 0])
     np.testing.assert_array_equal(moved[0, 1], first[0, 1])  # the goal stayed
     follower.guide.reset()
-    np.testing.assert_array_equal(follower([(1.6, 0.1)]), moved)
+    np.testing.assert_array_equal(follower([(1.6, 0.055)]), moved)
 
 
 def test_a_target_beyond_the_grid_is_moved_onto_it():

@@ -409,9 +409,9 @@ def pose(x: float, y: float, yaw: float = 0.0) -> list[float]:
 class Pushing:
     """Two environments of one step, with box and pusher put in place by hand."""
 
-    def __init__(self, *costs: dict, obstacles=(), goals=((0.0, 0.0),), device: str = "cpu"):
+    def __init__(self, *costs: dict, obstacles=(), goals=((0.0, 0.0),), device: str = "cpu", **box):
         self.scene = make_scene(
-            object=[{**BOX, "position": (0.8, 0.0, 0.1)}],
+            object=[{**BOX, "position": (0.8, 0.0, 0.1), **box}],
             obstacle=list(obstacles),
             goal={"object": "box", "position": (0.0, 0.0), "yaw": 0.0},
             cost=[{**KEYS, **cost} for cost in costs],
@@ -554,6 +554,25 @@ def test_a_pusher_stays_near_the_middle_of_a_side_of_the_turned_object(steer, er
         middle = side + error - 0.5 * np.pi * round(error / (0.5 * np.pi))  # of the side that faces there now
         beside = math.remainder(cheapest_angle(pushing, box, error) - middle, math.tau)
         assert beside == pytest.approx(-math.copysign(0.3, error), abs=0.011)
+
+
+@pytest.mark.parametrize("error", [0.25, -0.25, 0.8, -1.2])
+@pytest.mark.parametrize(("size", "broad"), [((0.3, 0.5, 0.2), 0.0), ((0.5, 0.3, 0.2), np.pi / 2)])
+def test_at_its_goal_a_turned_box_is_turned_back_from_a_broad_side(size, broad, error, device):
+    pushing = Pushing({"steer": 0.5, "tolerance": 0.03}, device=device, size=size)
+    angle = cheapest_angle(pushing, (0.0, 0.0), error) - error - broad  # in the box's frame, from a broad side
+    beside = angle - np.pi * round(angle / np.pi)
+    assert beside == pytest.approx(-math.copysign(0.4, error), abs=0.011)
+    straight = Pushing({"tolerance": 0.03}, device=device, size=size)
+    assert np.ptp(straight.cost((0.0, 0.0, error), around((0.0, 0.0), 0.3, np.linspace(-3, 3, SAMPLES)))) < 1e-5
+
+
+@pytest.mark.parametrize("error", [0.1, -0.2, 0.35, -0.35, 0.7, -1.2])
+def test_turning_a_box_back_is_no_reason_to_keep_it_from_its_goal(error, device):
+    pushing = Pushing({"steer": 0.5, "tolerance": 0.03, "turn": 0.5}, device=device)
+    angle = np.linspace(-np.pi, np.pi, SAMPLES)
+    least = [pushing.cost((x, 0.0, error), around((x, 0.0), 0.5, angle))[0, 0].min() for x in np.linspace(0.4, 0.0, 41)]
+    assert (np.diff(least) < 1e-4).all(), least
 
 
 def test_a_goal_moves_in_its_own_environment_alone(device):

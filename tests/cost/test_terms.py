@@ -132,7 +132,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     at = np.column_stack([off.real, off.imag])
     apart, error = np.abs(to), np.angle(np.exp(1j * (heading(box_turn) - heading(goal_turn))))
     # a box that is still turned may be farther away
-    play = (tolerance * (1.0 + 3.0 * np.abs(error) * (steer > 0.0)))[:, None]
+    play = (tolerance * (1.0 + 3.0 * np.minimum(np.abs(error), 1.0) * (steer > 0.0)))[:, None]
     far = np.abs(at) >= 2.5 * play
     at = np.where(far, at, np.sign(at) * np.maximum(np.abs(at) - play, 0.0) * 2.5 / 1.5)
 
@@ -164,7 +164,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     off = np.angle(to) - error + 0.4 * np.sign(error)
     astray = np.abs(off - np.pi * np.round(off / np.pi)) * np.minimum(np.abs(error) / 0.3, 1.0)
     near = np.maximum(1.0 - np.linalg.norm(at, axis=1) / 0.2, 0.0)
-    return r.each(least + (steer > 0.0) * turn * near * np.minimum(apart, radius) * astray)
+    return r.each(least + (steer > 0.0) * 0.4 * turn * near * np.minimum(apart, radius) * astray)
 
 
 def leading_distance(r: Rollouts, lead: float) -> np.ndarray:

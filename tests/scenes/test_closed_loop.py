@@ -88,7 +88,7 @@ def test_the_wheeled_base_pushes_the_box_to_its_goal():
 @pytest.mark.parametrize("variant", ["A", "B"])
 def test_the_base_pushes_the_ball_into_the_gap(variant):
     results = episodes(f"omni_push_sphere:{variant}", (520, 521))
-    assert all(r.success for r in results), results  # nothing stops a ball that got away
+    assert all(r.success for r in results), results
 
 
 @pytest.mark.slow

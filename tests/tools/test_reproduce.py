@@ -17,6 +17,8 @@ from scene_keys import present, spread
 from workers import Job
 
 import warpmpc
+from warpmpc.cost.stack import CostStack
+from warpmpc.engine.compiled import compile_scene
 
 TOOL = Path(__file__).parents[2] / "tools" / "reproduce.py"
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
@@ -166,6 +168,16 @@ def test_every_cell_fits_its_scenes(table, cell):
         pytest.skip(f"no scene {missing[0]}")
     assert len(runs_of(cell)) == 2 * len(cell.scenes)
     assert set(cell.paper) <= set(TABLES[table].metrics) <= set(METRICS)
+
+
+@pytest.mark.parametrize("name", ["A_geodesic", "A_terms", "A_paper"])
+def test_the_papers_own_terms_are_terms_with_known_keys(name):
+    (cell,) = (cell for cell in TABLES["ablations"].cells if cell.name == name)
+    scene = warpmpc.load_scene(
+        cell.scenes[0], overrides=list(spread(warpmpc.load_scene(cell.scenes[0]), cell.overrides))
+    )
+    stack = CostStack(scene, compile_scene(scene).layout)
+    assert list(stack.labels) == ["distance", "bring", "yaw", "push_alignment", "base_contact", "box_contact"]
 
 
 def test_kept_runs_survive_a_write_that_was_cut_off(tmp_path):

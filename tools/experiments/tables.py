@@ -77,7 +77,7 @@ def _paper_terms(metric: str) -> str:
 
 STRAIGHT = 'metric="straight"'
 GEODESIC = 'metric="geodesic", inflation=0.36'
-"""Around the obstacles, grown by what keeps the box off them."""
+"""Around the obstacles, grown for base and box alike."""
 
 PAPER_PLANNER = (
     "planner.samples=300",
@@ -97,7 +97,7 @@ PAPER_PLANNER = (
 
 
 def _ablations() -> tuple[Cell, ...]:
-    """The omnidirectional push with one thing less at a time."""
+    """The omnidirectional push with one thing less at a time, and with the paper's terms and planner."""
     less = {
         "full": ("as shipped", ()),
         "random": (

@@ -95,11 +95,11 @@ class PushPath(Section):
     behind: NonNegative = 0.0
     """How far the frame is behind the pusher's front [m]."""
     tolerance: NonNegative = 0.0
-    """How far from the goal along each of its axes counts as there [m]: leaves the last push some play."""
+    """How far from the goal along each axis counts as there [m], for the last push; up to 4 times with ``steer``."""
     turn: Positive = 1.0
     """Cost of a metre around the object, relative to a metre of pushing."""
     steer: NonNegative = 0.0
-    """Turn a box back: push beside its side's middle by this angle per heading error, at the goal near a corner."""
+    """Turn a box back: push beside its side's middle by this angle per heading error; at the goal, from there alone."""
     lead: NonNegative = 0.0
     """Look at where the object would coast to in this time [s]: for what rolls on by itself."""
     slant: Annotated[float, Field(ge=1.0)] = 1.5
