@@ -111,7 +111,7 @@ def clear_way(
         room = clearance[0, int(q[1]), int(q[0])] - inflation
         if room < -0.5 * cell:
             return False
-        # nothing is nearer than this, so the steps within it need no look
+        # nothing is nearer than this, so the steps within it need no look; a cell less, for rounding at both ends
         i += 1 + int(wp.max(wp.min(room, d) - cell, 0.0) / length)
     return True
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .controller import Controller
     from .cost.term import ArrayCost, CostTerm, array_cost, cost_term
     from .episode import EpisodeResult, run_episode
-    from .kernels.costs import (
+    from .kernels.view import (
         StepView,
         contact_force,
         control,
@@ -74,14 +74,14 @@ _HOME = {
     "run_episode": "episode",
     "shipped_scenes": "scene.load",
 }
-"""Module of each public name; names that are not here come from ``kernels.costs``."""
+"""Module of each public name; names that are not here come from ``kernels.view``."""
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used: physics and kernels take seconds, and a scene file needs neither."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.costs')}", __name__), name)
+    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.view')}", __name__), name)
     globals()[name] = value
     return value
 

@@ -6,13 +6,13 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from warpmpc.kernels.costs import (
+from warpmpc.kernels.clearance import shape_distance
+from warpmpc.kernels.view import (
     StepView,
     frame_pose,
     frame_velocity,
     plane_distance,
     rotation_angle,
-    shape_distance,
     wrap_angle,
     yaw,
 )

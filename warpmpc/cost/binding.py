@@ -12,13 +12,13 @@ from ..scene.errors import SceneError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..kernels.costs import PushPathParams
+    from ..kernels.pushing import PushPathParams
     from ..scene.layout import Layout, ShapeInfo
     from ..scene.schema import Scene
     from .push_path import PushRequest
 
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
-"""Numbers of the shapes whose distance ``kernels.costs.shape_distance`` knows."""
+"""Numbers of the shapes whose distance ``kernels.clearance.shape_distance`` knows."""
 
 
 @dataclass(frozen=True)

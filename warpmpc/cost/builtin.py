@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from pydantic import Field
 
-from ..kernels import costs as k
+from ..kernels import clearance, costs, pushing
 from ..scene.errors import SceneError
 from ..scene.types import Finite, NonNegative, Positive, Section
 from .binding import PRIMITIVES
@@ -184,9 +184,9 @@ class Orientation(Section):
     """Compare the directions of the z axes alone."""
 
 
-def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
+def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
     v = parse_keys(Distance, keys, b)
-    p = k.DistanceParams()
+    p = costs.DistanceParams()
     p.first, p.second = (b.frame(name, "between") for name in v.between)
     flat_goal = "goal" in v.between and len(b.scene.goal.position) == 2
     p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
@@ -196,16 +196,16 @@ def _distance(keys: dict[str, Any], b: Binding) -> k.DistanceParams:
     return p
 
 
-def _yaw(keys: dict[str, Any], b: Binding) -> k.YawParams:
+def _yaw(keys: dict[str, Any], b: Binding) -> costs.YawParams:
     v = parse_keys(Yaw, keys, b)
-    p = k.YawParams()
+    p = costs.YawParams()
     p.of, p.to, p.near, p.smooth = b.frame(v.of, "of"), b.frame(v.to, "to"), v.near, v.smooth
     return p
 
 
-def _push_alignment(keys: dict[str, Any], b: Binding) -> k.PushAlignmentParams:
+def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentParams:
     v = parse_keys(PushAlignment, keys, b)
-    p = k.PushAlignmentParams()
+    p = pushing.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
     p.near, p.slack, p.field = v.near, v.slack, -1
     if v.metric is Metric.GEODESIC:
@@ -213,10 +213,10 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> k.PushAlignmentParams:
     return p
 
 
-def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
+def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     v = parse_keys(PushPath, keys, b)
     shape = b.object_shape(v.object, "object")
-    p = k.PushPathParams()
+    p = pushing.PushPathParams()
     p.pusher, p.object = b.frame(v.pusher, "pusher"), b.frame(v.object, "object")
     x, y = shape.scale[0], shape.scale[1 if shape.kind == "box" else 0]
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
@@ -231,9 +231,9 @@ def _push_path(keys: dict[str, Any], b: Binding) -> k.PushPathParams:
     return p
 
 
-def _contact_force(keys: dict[str, Any], b: Binding) -> k.ContactForceParams:
+def _contact_force(keys: dict[str, Any], b: Binding) -> costs.ContactForceParams:
     v = parse_keys(ContactForce, keys, b)
-    p = k.ContactForceParams()
+    p = costs.ContactForceParams()
     p.first, p.count = b.watch(*v.between, "between")
     return p
 
@@ -249,8 +249,8 @@ def _range(v: Robots, names: list[str], b: Binding) -> tuple[int, int]:
     return own[0], len(own)
 
 
-def _controls(keys: dict[str, Any], b: Binding) -> k.ControlParams:
-    p = k.ControlParams()
+def _controls(keys: dict[str, Any], b: Binding) -> costs.ControlParams:
+    p = costs.ControlParams()
     p.first, p.count = _range(parse_keys(Robots, keys, b), list(b.layout.control_name), b)
     return p
 
@@ -260,35 +260,35 @@ def _dof_names(b: Binding) -> list[str]:
     return [name for name, count in zip(b.layout.joint_name, counts, strict=True) for _ in range(count)]
 
 
-def _joint_velocity(keys: dict[str, Any], b: Binding) -> k.JointVelocityParams:
-    p = k.JointVelocityParams()
+def _joint_velocity(keys: dict[str, Any], b: Binding) -> costs.JointVelocityParams:
+    p = costs.JointVelocityParams()
     v = parse_keys(Robots, keys, b)
     robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
     p.first, p.count = _range(Robots(of=robot), _dof_names(b), b)
     return p
 
 
-def _joint_limit(keys: dict[str, Any], b: Binding) -> k.JointLimitParams:
+def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
     v = parse_keys(JointLimit, keys, b)
     layout = b.layout
     first, count = _range(Robots(of=v.of), _dof_names(b), b)
     span = np.abs(layout.dof_upper - layout.dof_lower)
     dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
-    p = k.JointLimitParams()
+    p = costs.JointLimitParams()
     p.coord = wp.array(layout.dof_coord[dofs], dtype=int)
     p.lower = wp.array(layout.dof_lower[dofs] + v.margin, dtype=float)
     p.upper = wp.array(layout.dof_upper[dofs] - v.margin, dtype=float)
     return p
 
 
-def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearanceParams:
+def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> clearance.ObstacleClearanceParams:
     v = parse_keys(ObstacleClearance, keys, b)
     if v.to not in ("surface", "centre"):
         raise SceneError("wrong value", key=f"{b.key}.to", file=b.file, found=v.to, allowed=["surface", "centre"])
     shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
     if meshes := [s.name for s in shapes if s.kind not in PRIMITIVES]:
         raise SceneError("clearance needs primitive obstacles", key=b.key, file=b.file, found=meshes[0])
-    p = k.ObstacleClearanceParams()
+    p = clearance.ObstacleClearanceParams()
     p.of, p.radius, p.least, p.surface = b.frame(v.of, "of"), v.radius, v.least, int(v.to == "surface")
     inverse = [wp.transform_inverse(wp.transform(*s.pose)) for s in shapes]
     p.pose = wp.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
@@ -297,9 +297,9 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> k.ObstacleClearance
     return p
 
 
-def _outline_clearance(keys: dict[str, Any], b: Binding) -> k.OutlineClearanceParams:
+def _outline_clearance(keys: dict[str, Any], b: Binding) -> clearance.OutlineClearanceParams:
     v = parse_keys(OutlineClearance, keys, b)
-    p = k.OutlineClearanceParams()
+    p = clearance.OutlineClearanceParams()
     p.of, p.within = b.frame(v.of, "of"), v.within
     layout = b.layout
     body = int(layout.frame_body[p.of])
@@ -321,10 +321,10 @@ def _outline_clearance(keys: dict[str, Any], b: Binding) -> k.OutlineClearancePa
     return p
 
 
-def _outline_distance(keys: dict[str, Any], b: Binding) -> k.OutlineDistanceParams:
+def _outline_distance(keys: dict[str, Any], b: Binding) -> clearance.OutlineDistanceParams:
     v = parse_keys(OutlineDistance, keys, b)
     shape = b.object_shape(v.object, "object")
-    p = k.OutlineDistanceParams()
+    p = clearance.OutlineDistanceParams()
     p.of, p.object, p.inside = b.frame(v.of, "of"), b.frame(v.object, "object"), v.inside
     p.pose = wp.transform_inverse(wp.transform(*shape.pose))
     x, y, _ = shape.scale
@@ -333,16 +333,16 @@ def _outline_distance(keys: dict[str, Any], b: Binding) -> k.OutlineDistancePara
     return p
 
 
-def _height(keys: dict[str, Any], b: Binding) -> k.HeightParams:
+def _height(keys: dict[str, Any], b: Binding) -> costs.HeightParams:
     v = parse_keys(Height, keys, b)
-    p = k.HeightParams()
+    p = costs.HeightParams()
     p.of, p.target, p.slack = b.frame(v.of, "of"), v.target, v.slack
     return p
 
 
-def _orientation(keys: dict[str, Any], b: Binding) -> k.OrientationParams:
+def _orientation(keys: dict[str, Any], b: Binding) -> costs.OrientationParams:
     v = parse_keys(Orientation, keys, b)
-    p = k.OrientationParams()
+    p = costs.OrientationParams()
     p.of, p.to, p.tilt = b.frame(v.of, "of"), b.frame(v.to, "to"), int(v.tilt)
     return p
 
@@ -350,28 +350,38 @@ def _orientation(keys: dict[str, Any], b: Binding) -> k.OrientationParams:
 BUILTIN = {
     term.name: term
     for term in (
-        CostTerm("distance", k.distance, k.DistanceParams, _distance, Distance),
-        CostTerm("yaw", k.yaw_error, k.YawParams, _yaw, Yaw),
-        CostTerm("push_alignment", k.push_alignment, k.PushAlignmentParams, _push_alignment, PushAlignment),
-        CostTerm("push_path", k.push_path, k.PushPathParams, _push_path, PushPath),
-        CostTerm("contact_force", k.contact_cost, k.ContactForceParams, _contact_force, ContactForce),
-        CostTerm("control_effort", k.control_effort, k.ControlParams, _controls, Robots),
-        CostTerm("control_rate", k.control_rate, k.ControlParams, _controls, Robots),
-        CostTerm("joint_limit", k.joint_limit, k.JointLimitParams, _joint_limit, JointLimit),
-        CostTerm("joint_velocity", k.joint_velocity_cost, k.JointVelocityParams, _joint_velocity, Robots),
+        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance),
+        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw),
+        CostTerm("push_alignment", pushing.push_alignment, pushing.PushAlignmentParams, _push_alignment, PushAlignment),
+        CostTerm("push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath),
+        CostTerm("contact_force", costs.contact_cost, costs.ContactForceParams, _contact_force, ContactForce),
+        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots),
+        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots),
+        CostTerm("joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit),
+        CostTerm("joint_velocity", costs.joint_velocity_cost, costs.JointVelocityParams, _joint_velocity, Robots),
         CostTerm(
             "obstacle_clearance",
-            k.obstacle_clearance,
-            k.ObstacleClearanceParams,
+            clearance.obstacle_clearance,
+            clearance.ObstacleClearanceParams,
             _obstacle_clearance,
             ObstacleClearance,
         ),
         CostTerm(
-            "outline_clearance", k.outline_clearance, k.OutlineClearanceParams, _outline_clearance, OutlineClearance
+            "outline_clearance",
+            clearance.outline_clearance,
+            clearance.OutlineClearanceParams,
+            _outline_clearance,
+            OutlineClearance,
         ),
-        CostTerm("outline_distance", k.outline_distance, k.OutlineDistanceParams, _outline_distance, OutlineDistance),
-        CostTerm("height", k.height, k.HeightParams, _height, Height),
-        CostTerm("orientation", k.orientation, k.OrientationParams, _orientation, Orientation),
+        CostTerm(
+            "outline_distance",
+            clearance.outline_distance,
+            clearance.OutlineDistanceParams,
+            _outline_distance,
+            OutlineDistance,
+        ),
+        CostTerm("height", costs.height, costs.HeightParams, _height, Height),
+        CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
     )
 }
 """Built-in terms by name."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..kernels.costs import StepView
+from ..kernels.view import StepView
 from ..scene.errors import SceneError
 from .binding import Binding
 from .builtin import BUILTIN

@@ -209,9 +209,9 @@ def make_solver(
     kind = MujocoWarp if scene.engine.solver is Solver.MUJOCO else PipelineSolver
     try:
         return kind(model, scene, layout, shape, pairs)
-    except (TypeError, ValueError, NotImplementedError) as error:
-        if isinstance(error, SceneError):
-            raise
+    except SceneError:
+        raise
+    except (TypeError, ValueError, NotImplementedError) as error:  # what Newton's solvers refuse with
         raise SceneError(
             f"the solver refuses this scene or its options: {error}",
             key="engine.options",
