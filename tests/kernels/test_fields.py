@@ -4,11 +4,12 @@
 import numpy as np
 import pytest
 import warp as wp
+from field_samples import CELL, ORIGIN, sampled
 from scipy.interpolate import RegularGridInterpolator
 
 from warpmpc.kernels.fields import field_gradient, sample_field
 
-ORIGIN, CELL, SHAPE = (-1.5, 0.7), 0.25, (6, 9)  # rows along y, columns along x
+SHAPE = (6, 9)  # rows along y, columns along x
 
 
 @wp.kernel
@@ -30,12 +31,8 @@ def sample_kernel(
 
 def sample(field: np.ndarray, points: np.ndarray, device: str) -> tuple[np.ndarray, np.ndarray]:
     """Values [F, n] and gradients [F, n, 2] of fields [F, rows, columns] at points [n, 2]."""
-    value = wp.zeros((len(field), len(points)), dtype=float, device=device)
-    gradient = wp.zeros(value.shape, dtype=wp.vec2, device=device)
-    inputs = [wp.array(field, dtype=float, device=device), wp.vec2(*ORIGIN), CELL]
-    inputs.append(wp.array(points, dtype=wp.vec2, device=device))
-    wp.launch(sample_kernel, dim=value.shape, inputs=inputs, outputs=[value, gradient], device=device)
-    return value.numpy(), gradient.numpy()
+    value, gradient = sampled(sample_kernel, field, points, outputs=(float, wp.vec2), device=device)
+    return value, gradient
 
 
 def axes() -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost terms that users write: functions of a step, functions of whole batches, and mistakes in both."""
+
+import numpy as np
+import pytest
+import warp as wp
+from rollouts import Rollouts
+from scipy.spatial.transform import Rotation
+
+import warpmpc
+from warpmpc import SceneError
+
+
+@wp.struct
+class ReachParams:
+    frame: int
+    gain: float
+    target: wp.vec3
+    joint: int
+
+
+@warpmpc.cost_term("reach")
+def reach(s: warpmpc.StepView, p: ReachParams) -> float:
+    away = wp.length_sq(warpmpc.frame_position(s, p.frame) - p.target)
+    return p.gain * away + warpmpc.joint_velocity(s, 0) * warpmpc.control(s, 1) + warpmpc.joint_position(s, p.joint)
+
+
+@warpmpc.array_cost("reach_array")
+def reach_array(batch) -> np.ndarray:
+    p = batch["params"]
+    body_q = batch["body_q"][1:, :, p["body"]].astype(np.float64)
+    turn = Rotation.from_quat(body_q[..., 3:].reshape(-1, 4))
+    tip = body_q[..., :3] + turn.apply([0.2, 0.0, 0.0]).reshape(*body_q.shape[:2], 3)
+    away = ((tip - p["target"]) ** 2).sum(-1)
+    return p["gain"] * away + batch["joint_qd"][1:, :, 0] * batch["control"][..., 1] + batch["joint_q"][1:, :, 2]
+
+
+KEYS = {"frame": "base/tip", "gain": 1.5, "target": [0.3, -0.2, 0.7], "joint": "yaw"}
+
+
+def test_a_users_term_and_its_array_twin_agree():
+    layout = Rollouts({"term": "control_effort"}).layout
+    body = int(layout.frame_body[layout.frame("base/tip")])
+    twin = {"term": "reach_array", "weight": 3.0, "body": body, "gain": 1.5, "target": [0.3, -0.2, 0.7]}
+    for seed in range(2):
+        rollouts = Rollouts({"term": "reach", "weight": 3.0, **KEYS}, twin, seed=seed, terms=[reach, reach_array])
+        own, array = rollouts.cost(0), rollouts.cost(1)
+        assert np.ptp(own) > 1.0
+        np.testing.assert_allclose(own, array, rtol=1e-4, atol=1e-4)
+
+
+def test_terms_of_the_same_function_name_are_not_mixed_up():
+    def make(name: str, factor: float):
+        @wp.struct
+        class Params:
+            offset: float
+
+        @warpmpc.cost_term(name)
+        def term(s: warpmpc.StepView, p: Params) -> float:
+            return wp.static(factor) * warpmpc.joint_position(s, 0) + p.offset
+
+        return term
+
+    def other():
+        @wp.struct
+        class Params:
+            offset: float
+
+        @warpmpc.cost_term("third")
+        def term(s: warpmpc.StepView, p: Params) -> float:
+            return warpmpc.joint_position(s, 1) - p.offset
+
+        return term
+
+    terms = [make("first", 1.0), make("second", -2.0), other()]
+    costs = [{"term": term.name, "offset": 0.5} for term in terms]
+    rollouts = Rollouts(*costs, terms=terms)
+    q = rollouts.trajectory.joint_q.numpy()[1:]
+    for i, expected in enumerate((q[..., 0] + 0.5, -2.0 * q[..., 0] + 0.5, q[..., 1] - 0.5)):
+        np.testing.assert_allclose(rollouts.cost(i), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frame": "base/tpi"}, r"cost\.reach\.frame.*Did you mean 'base/tip'"),
+        ({"joint": "yow"}, r"cost\.reach\.joint"),
+        ({"gian": 1.0}, r"cost\.reach\.gian.*Did you mean 'gain'"),
+        ({"gain": True}, "needs finite numbers"),
+        ({"gain": {"p": 1.0}}, "needs finite numbers"),
+        ({"target": ["a", "b", "c"]}, "needs finite numbers"),
+        ({"target": [1.0, 2.0]}, "does not fit"),
+        ({"target": [1.0, 2.0, 3.0, 4.0]}, "does not fit"),
+        ({"gain": [1.0, 2.0]}, "does not fit"),
+    ],
+)
+def test_mistakes_in_a_users_table_name_the_key(change, message):
+    with pytest.raises(SceneError, match=message):
+        Rollouts({"term": "reach", **KEYS, **change}, terms=[reach])
+
+
+@pytest.mark.parametrize("missing", KEYS)
+def test_every_field_of_a_users_struct_must_be_given(missing):
+    keys = {key: value for key, value in KEYS.items() if key != missing}
+    with pytest.raises(SceneError, match=f"needs the key '{missing}'"):
+        Rollouts({"term": "reach", **keys}, terms=[reach])
+
+
+def test_a_term_without_its_annotations_is_refused_when_it_is_defined():
+    def bare(s, p):
+        return 0.0
+
+    def no_struct(s: warpmpc.StepView, p: float) -> float:
+        return 0.0
+
+    def no_view(s: ReachParams, p: ReachParams) -> float:
+        return 0.0
+
+    for function in (bare, no_struct, no_view):
+        with pytest.raises(TypeError, match=rf"cost term 'x': write def {function.__name__}\("):
+            warpmpc.cost_term("x")(function)
+
+
+def test_an_array_cost_of_the_wrong_shape_is_refused():
+    flat = warpmpc.array_cost("flat")(lambda batch: np.zeros(3))
+    with pytest.raises(SceneError, match=r"cost\.flat: .*wrong shape.*\[3\].*\(5, 12\)"):
+        Rollouts({"term": "flat"}, terms=[flat]).cost()
