@@ -7,13 +7,17 @@ On the CPU, kernels for one small scene are compiled once (about a minute with e
 
 import logging
 
+import mujoco
+import newton
 import numpy as np
 import pytest
 import warp as wp
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, observed, roll
 
-from warpmpc import Controller, Plant, SceneError, State
+from warpmpc import Controller, Plant, SceneError, State, load_scene
+from warpmpc.engine.compiled import compile_scene
 from warpmpc.engine.newton import NewtonEngine
+from warpmpc.engine.newton_model import build_model
 from warpmpc.engine.pairs import Pair
 from warpmpc.engine.properties import draw_properties
 from warpmpc.engine.trajectory import ObservedState, Shape
@@ -102,6 +106,15 @@ def test_it_agrees_with_the_mujoco_engine(scene, engine):
     np.testing.assert_allclose(found["contact_force"], force, atol=0.02 * np.abs(force).max())
     assert not found["diverged"].any()
     assert not found["overflow"].any()
+
+
+def test_joint_limits_are_as_soft_as_in_the_mujoco_engine():
+    """Newton's own gains of URDF joints made light fingers swing up, in this engine alone."""
+    arm = load_scene("panda_reach")
+    reference = mujoco.MjModel.from_xml_string(compile_scene(arm).mjcf)
+    solver = newton.solvers.SolverMuJoCo(build_model(arm, 1, "cpu"), use_mujoco_cpu=True)
+    assert reference.jnt_limited.sum() == 7
+    np.testing.assert_allclose(solver.mj_model.jnt_solref, reference.jnt_solref)
 
 
 def test_a_plan_leaves_nothing_behind(scene, engine):

@@ -74,10 +74,16 @@ def build_world(scene: Scene) -> World:
     return World(builder, _layout(builder, entities, frames, actuators, axes))
 
 
+_MUJOCO_LIMITS = 2
+"""Newton's mode for joint limits as soft as MuJoCo's own by default. With the gains that Newton gives joints of a URDF,
+limits of light links, such as fingers, swing up at the steps of rollouts; and MuJoCo's C engine does not get them."""
+
+
 def new_builder() -> newton.ModelBuilder:
     """An empty builder with the settings and custom attributes of every warpmpc model."""
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    builder.custom_attributes["mujoco:solreflimit_mode"].default = _MUJOCO_LIMITS
     builder.rigid_gap = 0.0  # every detected contact is an active one: no speculative pairs to pay for
     return builder
 

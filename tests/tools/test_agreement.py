@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every shipped scene rolls out alike on both engines: the same states, controls and randomized worlds.
+
+Compiling the newton engine's kernels takes a minute a scene with empty caches, so on the CPU these tests are slow ones:
+pytest -m slow tests/tools/test_agreement.py. On a CUDA device: pytest -m gpu tests/tools/test_agreement.py.
+"""
+
+import pytest
+import warp as wp
+from agreement import differences
+
+from warpmpc.scene.load import shipped_scenes
+
+ROUNDING = (2e-5, 2e-4)
+"""float32 against float64 over 24 to 60 physics steps: measured up to 4e-6 at p50 and 8e-6 at p90 [m, rad]."""
+
+TOLERANCE = {
+    # in a push a touch that one engine makes and the other just misses moves the box: measured 1e-6 and 7e-5
+    "omni_push_box": (2e-5, 2e-3),
+    # its wheels and casters touch the ground in every step, and slip: measured 1.3e-4 and 1e-3
+    "diff_push_box": (1e-3, 1e-2),
+    "omni_push_sphere": ROUNDING,
+    "panda_push": ROUNDING,
+    "panda_push_objects": ROUNDING,
+    "panda_reach": ROUNDING,
+    "panda_reach_pose": ROUNDING,
+    "point_reach": ROUNDING,
+}
+"""Scene → largest difference at the end of the horizon of half and of nine tenths of the worlds [m, rad]."""
+
+FORCE = 0.5
+"""Largest difference of a contact force in nine tenths of the worlds [N]: measured up to 0.024 N, of pushes of 5 N."""
+
+
+@pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda:0", marks=pytest.mark.gpu)])
+def where(request) -> str:
+    """Every device in turn."""
+    if request.param != "cpu" and not wp.is_cuda_available():
+        pytest.skip("needs a CUDA device")
+    return request.param
+
+
+def test_every_shipped_scene_has_its_tolerance():
+    assert set(TOLERANCE) == set(shipped_scenes())
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("scene", TOLERANCE)
+def test_both_engines_roll_a_scene_out_alike(scene, where):
+    found = differences(scene, "newton", device=where, samples=8, seconds=6.0, states=4)
+    half, most = TOLERANCE[scene]
+    for quantity in ("joint_q", "position"):
+        assert found[quantity]["p50"][-1] <= half, found
+        assert found[quantity]["p90"][-1] <= most, found
+    assert found["force"]["p90"][-1] <= FORCE, found
