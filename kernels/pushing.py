@@ -11,6 +11,7 @@ wp.set_module_options({"enable_backward": False})
 EPSILON = wp.constant(1.0e-6)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
+LARGEST_LEAN = wp.constant(1.0)  # [rad] from behind an object, for turning it on its way
 SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
@@ -27,6 +28,7 @@ class PushAlignmentParams:
     field: int
     near: float  # [m] the term fades as the object comes closer to the goal than about this
     slack: float  # subtracted, so that the pusher may choose its place on a side of the object
+    steer: float  # [m] how far to push beside the middle, as an angle per heading error and distance; 0 means not
 
 
 @wp.func
@@ -34,7 +36,10 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
 
     With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
-    term is max(cos α + 1 - slack, 0), zero over a range of directions.
+    term is max(cos α + 1 - slack, 0), zero over a range of directions. With ``steer`` the pusher's best place is turned
+    about the object by steer · Δψ / d, at most ``LARGEST_LEAN``: what is left of the heading is shared out over what is
+    left of the way, for a push beside the middle turns an object by (arm / c²) per metre, c² its friction's moment over
+    its force (Lynch and Mason, "Stable Pushing", IJRR 1996).
     """
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
@@ -48,6 +53,15 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
         path = sample_field(s.field, f, s.field_origin, s.field_cell, at)
         if path - wp.length(at - s.field_center[f]) > s.field_cell:
             to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
+    if p.steer > 0.0:
+        turn = wrap_angle(
+            yaw(wp.transform_get_rotation(frame_pose(s, p.goal)))
+            - yaw(wp.transform_get_rotation(frame_pose(s, p.object)))
+        )
+        lean = wp.clamp(p.steer * turn / wp.max(wp.length(straight), EPSILON), -LARGEST_LEAN, LARGEST_LEAN)
+        c = wp.cos(lean)
+        d = wp.sin(lean)
+        to_goal = wp.mat22(c, -d, d, c) * to_goal
     scale = wp.length(to_pusher) * wp.length(to_goal)
     value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
     if p.near > 0.0:
@@ -91,13 +105,18 @@ def to_nearest_side(angle: float) -> float:
 
 
 @wp.func
-def swivel(angle: float, error: float) -> float:
+def swivel(angle: float, error: float, aside: float) -> float:
     """How far the pusher is from where it would turn an object back by its heading error [rad].
 
-    That is beside the middle of a broad side. Small errors count less.
+    That is beside the middle of a broad side, ``angle`` away from the first one; small errors count less. There are two
+    such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther it lies to one
+    side, the more that side counts alone, because a push from there brings it back rather than away.
     """
     off = angle + wp.sign(error) * SWIVEL
-    return wp.abs(off - wp.pi * wp.round(off / wp.pi)) * wp.min(wp.abs(error) / LARGEST_STEER, 1.0)
+    nearest = wp.abs(off - wp.pi * wp.round(off / wp.pi))
+    outer = wp.abs(wrap_angle(off + wp.where(aside < 0.0, wp.pi, 0.0)))
+    share = wp.min(wp.abs(aside), 1.0)
+    return wp.lerp(nearest, outer, share) * wp.min(wp.abs(error) / LARGEST_STEER, 1.0)
 
 
 @wp.func
@@ -130,7 +149,9 @@ def push_path(s: StepView, p: PushPathParams) -> float:
         error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
         if p.steer > 0.0:
             tolerance *= 1.0 + SWIVEL_PLAY * wp.min(wp.abs(error), 1.0)
-            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - error - p.broad, error)
+            side = error + p.broad
+            aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
+            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside)
         beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - to_nearest_side(error)
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)

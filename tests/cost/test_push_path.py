@@ -186,6 +186,21 @@ def test_at_its_goal_a_turned_box_is_turned_back_from_a_broad_side(size, broad, 
     assert np.ptp(straight.cost((0.0, 0.0, error), around((0.0, 0.0), 0.3, np.linspace(-3, 3, SAMPLES)))) < 1e-5
 
 
+@pytest.mark.parametrize("error", [0.18, -0.3, 0.6])
+@pytest.mark.parametrize("aside", [0.035, -0.035])
+def test_a_turned_box_beside_its_goal_is_turned_back_from_the_side_to_which_it_lies(aside, error, device):
+    """A push from the other side would take it farther off: pushers used to wait there for good."""
+    pushing = Pushing({"steer": 0.5, "tolerance": 0.03}, device=device)
+    box = aside * math.cos(error), aside * math.sin(error)  # aside along the normal of its broad sides
+    angle = cheapest_angle(pushing, box, error) - error
+    towards = 0.0 if aside > 0.0 else np.pi
+    assert math.remainder(angle - towards + math.copysign(0.4, error), math.tau) == pytest.approx(0.0, abs=0.011)
+    # and the way there goes downhill, all around the box
+    way = np.linspace(np.pi, 0.0, SAMPLES) * math.copysign(1.0, error)
+    cost = pushing.cost((*box, error), around(box, 0.3, error + towards - math.copysign(0.4, error) + way))[0, 0]
+    assert (np.diff(cost) < 1e-4).all()
+
+
 @pytest.mark.parametrize("error", [0.1, -0.2, 0.35, -0.35, 0.7, -1.2])
 def test_turning_a_box_back_is_no_reason_to_keep_it_from_its_goal(error, device):
     pushing = Pushing({"steer": 0.5, "tolerance": 0.03, "turn": 0.5}, device=device)

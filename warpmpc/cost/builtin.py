@@ -77,6 +77,8 @@ class PushAlignment(Section):
     """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
     slack: NonNegative = 0.0
     """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
+    steer: NonNegative = 0.0
+    """Turn the object on its way: push beside its middle, by this times heading left over distance left [m]."""
 
 
 class PushPath(Section):
@@ -207,7 +209,7 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     v = parse_keys(PushAlignment, keys, b)
     p = pushing.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
-    p.near, p.slack, p.field = v.near, v.slack, -1
+    p.near, p.slack, p.steer, p.field = v.near, v.slack, v.steer, -1
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
     return p
