@@ -12,7 +12,7 @@ from agreement import differences
 from warpmpc.scene.load import shipped_scenes
 
 ROUNDING = (2e-5, 2e-4)
-"""float32 against float64 over 24 to 60 physics steps: measured up to 4e-6 at p50 and 8e-6 at p90 [m, rad]."""
+"""float32 against float64 over 24 to 60 physics steps: measured up to 2e-6 at p50 and 8e-6 at p90 [m, rad]."""
 
 TOLERANCE = {
     # in a push a touch that one engine makes and the other just misses moves the box: measured 1e-6 and 7e-5
@@ -20,7 +20,8 @@ TOLERANCE = {
     # its wheels and casters touch the ground in every step, and slip: measured 1.3e-4 and 1e-3
     "diff_push_box": (1e-3, 1e-2),
     "omni_push_sphere": ROUNDING,
-    "panda_push": ROUNDING,
+    # a cylinder lies along a box: the engines choose other points of the line: measured 1.4e-5 and 8.3e-2
+    "panda_push": (2e-4, 0.15),
     "panda_push_objects": ROUNDING,
     "panda_reach": ROUNDING,
     "panda_reach_pose": ROUNDING,
@@ -29,7 +30,7 @@ TOLERANCE = {
 """Scene → largest difference at the end of the horizon of half and of nine tenths of the worlds [m, rad]."""
 
 FORCE = 0.5
-"""Largest difference of a contact force in nine tenths of the worlds [N]: measured up to 0.024 N, of pushes of 5 N."""
+"""Largest difference of a contact force in nine tenths of the worlds [N]: measured up to 0.024 N, on either device."""
 
 
 @pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda:0", marks=pytest.mark.gpu)])
@@ -47,7 +48,7 @@ def test_every_shipped_scene_has_its_tolerance():
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("scene", TOLERANCE)
 def test_both_engines_roll_a_scene_out_alike(scene, where):
-    found = differences(scene, "newton", device=where, samples=8, seconds=6.0, states=4)
+    found = differences(scene, "newton", device=where, samples=32, seconds=8.0, states=6)
     half, most = TOLERANCE[scene]
     for quantity in ("joint_q", "position"):
         assert found[quantity]["p50"][-1] <= half, found
