@@ -12,6 +12,7 @@ EPSILON = wp.constant(1.0e-6)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
 LARGEST_LEAN = wp.constant(1.0)  # [rad] from behind an object, for turning it on its way
+WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from straight is pushed at its side's middle
 SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
@@ -99,9 +100,17 @@ def shrink(d: float, tolerance: float) -> float:
 
 
 @wp.func
-def to_nearest_side(angle: float) -> float:
-    """Angle from the nearest multiple of π/2, in [-π/4, π/4] [rad]."""
-    return angle - wp.half_pi * wp.round(angle / wp.half_pi)
+def side_shift(error: float) -> float:
+    """How far the sides of an object turned by ``error`` are from facing straight, as the pusher sees them [rad].
+
+    That is the angle from the nearest multiple of π/2. From ``WHOLE_SIDE`` on it goes back to zero at π/4, where a
+    corner faces straight and a push there brings the object round to lie flat: so the cost does not jump there.
+    """
+    near = error - wp.half_pi * wp.round(error / wp.half_pi)
+    corner = 0.5 * wp.half_pi
+    if wp.abs(near) < WHOLE_SIDE:
+        return near
+    return wp.sign(near) * (corner - wp.abs(near)) * WHOLE_SIDE / (corner - WHOLE_SIDE)
 
 
 @wp.func
@@ -152,7 +161,7 @@ def push_path(s: StepView, p: PushPathParams) -> float:
             side = error + p.broad
             aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
             turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside)
-        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - to_nearest_side(error)
+        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - side_shift(error)
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
     angle += beside

@@ -186,6 +186,17 @@ def test_at_its_goal_a_turned_box_is_turned_back_from_a_broad_side(size, broad, 
     assert np.ptp(straight.cost((0.0, 0.0, error), around((0.0, 0.0), 0.3, np.linspace(-3, 3, SAMPLES)))) < 1e-5
 
 
+@pytest.mark.parametrize("angle", np.linspace(-3.0, 3.0, 7))
+@pytest.mark.parametrize("apart", [0.35, 0.8])
+def test_the_cost_does_not_jump_as_the_object_turns(angle, apart, device):
+    """It used to jump by a walk around a quarter of the box at 45°, and pushers waited before that step."""
+    pushing = Pushing({"steer": 0.5, "tolerance": 0.03}, device=device)
+    error = np.linspace(0.3, 1.3, SAMPLES)
+    box = np.column_stack([np.full(SAMPLES, 0.8), np.full(SAMPLES, 0.3), error])
+    (pusher,) = around((0.8, 0.3), apart, np.array([angle]))
+    assert np.abs(np.diff(pushing.cost(box, pusher)[0, 0])).max() < 0.03
+
+
 @pytest.mark.parametrize("error", [0.18, -0.3, 0.6])
 @pytest.mark.parametrize("aside", [0.035, -0.035])
 def test_a_turned_box_beside_its_goal_is_turned_back_from_the_side_to_which_it_lies(aside, error, device):
