@@ -29,9 +29,14 @@ def yaw(r: Rollouts, near: float) -> np.ndarray:
     return error * (np.exp(-np.linalg.norm((p - q)[..., :2], axis=-1) / near) if near else 1.0)
 
 
-def alignment(r: Rollouts, near: float) -> np.ndarray:
+def alignment(r: Rollouts, near: float, steer: float = 0.0) -> np.ndarray:
     pusher, box, goal = (r.pose(f)[0][..., :2] for f in ("base/tip", "box", "goal"))
     u, v = pusher - box, goal - box
+    if steer:  # the best place is turned about the box by what is left to turn, shared out over the way
+        left = np.angle(np.exp(1j * (heading(r.pose("goal")[1]) - heading(r.pose("box")[1]))))
+        lean = np.exp(1j * np.clip(steer * left / np.linalg.norm(v, axis=-1).ravel(), -1.0, 1.0))
+        u = r.each((u @ [1.0, 1j]).ravel() / lean)
+        u = np.stack([u.real, u.imag], axis=-1)
     cos = (u * v).sum(-1) / np.linalg.norm(u, axis=-1) / np.linalg.norm(v, axis=-1)
     return (cos + 1.0) * (1.0 - np.exp(-np.linalg.norm(v, axis=-1) / near) if near else 1.0)
 
@@ -81,18 +86,25 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         index = np.column_stack([side, ((inside - origin) / cell)[:, ::-1]])
         return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
 
-    # from the middle of the box's own side, or beside it; another quarter turn makes another side the same
-    quarter = 0.5 * np.pi * np.round(error / (0.5 * np.pi))
-    side = np.angle(to) - (error - quarter) + np.clip((1.0 + steer) * error, -0.3, 0.3)
+    # from the middle of the box's own side, or beside it; another quarter turn makes another side the same. From 0.52
+    # on the side counts as turned by less again, and at 45° its corner faces straight
+    near, corner = error - 0.5 * np.pi * np.round(error / (0.5 * np.pi)), 0.25 * np.pi
+    shift = np.interp(np.abs(near), [0.0, 0.52, corner], [0.0, 0.52, 0.0]) * np.sign(near)
+    side = np.angle(to) - shift + np.clip((1.0 + steer) * error, -0.3, 0.3)
     least = value(side) + turn * np.maximum(apart - radius, 0.0)
     for part in np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0]):
         angle = part * np.arccos(np.minimum(radius / apart, 1.0))
         way = np.linalg.norm(np.stack([apart - radius * np.cos(angle), radius * np.sin(angle)]), axis=0)
         other = value(side + angle) + turn * way
         least = np.where(apart > radius, np.minimum(least, other), least)
-    # near the goal the pusher goes to where it turns the box back: beside the middle of one of its broad sides (± x)
-    off = np.angle(to) - error + 0.4 * np.sign(error)
-    astray = np.abs(off - np.pi * np.round(off / np.pi)) * np.minimum(np.abs(error) / 0.3, 1.0)
+    # near the goal the pusher goes to where it turns the box back: beside the middle of one of its broad sides (± x),
+    # of that to which the box lies when it lies aside by the tolerance
+    beside = np.angle(to) - error + 0.4 * np.sign(error)
+    either = np.abs(beside - np.pi * np.round(beside / np.pi))
+    aside = (off * np.exp(-1j * error)).real / max(tolerance, 1e-6)
+    outer = np.abs(np.angle(np.exp(1j * (beside + np.pi * (aside < 0.0)))))
+    share = np.minimum(np.abs(aside), 1.0)
+    astray = ((1.0 - share) * either + share * outer) * np.minimum(np.abs(error) / 0.3, 1.0)
     near = np.maximum(1.0 - np.linalg.norm(at, axis=1) / 0.2, 0.0)
     return r.each(least + (steer > 0.0) * 0.4 * turn * near * np.minimum(apart, radius) * astray)
 
@@ -133,6 +145,10 @@ CASES = {
     "near push_alignment": (
         {"term": "push_alignment", "pusher": "base/tip", "object": "box", "near": 0.4},
         lambda r: alignment(r, 0.4),
+    ),
+    "steering push_alignment": (
+        {"term": "push_alignment", "pusher": "base/tip", "object": "box", "steer": 0.5},
+        lambda r: alignment(r, 0.0, 0.5),
     ),
     "push_path": (
         {"pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "behind": 0.6, "turn": 0.7}
