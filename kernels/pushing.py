@@ -13,6 +13,7 @@ EPSILON = wp.constant(1.0e-6)
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
 LARGEST_LEAN = wp.constant(1.0)  # [rad] from behind an object, for turning it on its way
 WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from straight is pushed at its side's middle
+BESIDE_CORNER = wp.constant(0.12)  # [rad] from an object's corner: a push there turns it towards the side pushed at
 SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
@@ -100,17 +101,26 @@ def shrink(d: float, tolerance: float) -> float:
 
 
 @wp.func
-def side_shift(error: float) -> float:
-    """How far the sides of an object turned by ``error`` are from facing straight, as the pusher sees them [rad].
+def side_place(error: float, steer: float) -> float:
+    """Where to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
 
-    That is the angle from the nearest multiple of π/2. From ``WHOLE_SIDE`` on it goes back to zero at π/4, where a
-    corner faces straight and a push there brings the object round to lie flat: so the cost does not jump there.
+    Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error. Turned by 45° it is
+    on the same side, just beside the corner that now faces straight; on the other side of that corner a push would turn
+    the object on. Only beyond 60° the next side takes over, and without a jump: pushers wait where the cost jumps.
     """
-    near = error - wp.half_pi * wp.round(error / wp.half_pi)
-    corner = 0.5 * wp.half_pi
-    if wp.abs(near) < WHOLE_SIDE:
-        return near
-    return wp.sign(near) * (corner - wp.abs(near)) * WHOLE_SIDE / (corner - WHOLE_SIDE)
+    a = wp.abs(error)
+    turned = a - wp.half_pi * wp.floor((a + wp.pi / 12.0) / wp.half_pi)  # from the side in use, -15° to 75°
+    aim = wp.min((1.0 + steer) * a, LARGEST_STEER)
+    corner = wp.pi / 4.0
+    last = wp.pi / 3.0
+    place = turned - aim
+    if turned > last:
+        place = wp.lerp(last - corner + BESIDE_CORNER, -wp.pi / 12.0 - aim, (turned - last) / (wp.pi / 12.0))
+    elif turned > corner:
+        place = turned - corner + BESIDE_CORNER
+    elif turned > WHOLE_SIDE:
+        place = wp.lerp(WHOLE_SIDE - aim, BESIDE_CORNER, (turned - WHOLE_SIDE) / (corner - WHOLE_SIDE))
+    return wp.sign(error) * place
 
 
 @wp.func
@@ -161,7 +171,7 @@ def push_path(s: StepView, p: PushPathParams) -> float:
             side = error + p.broad
             aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
             turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside)
-        beside = wp.clamp((1.0 + p.steer) * error, -LARGEST_STEER, LARGEST_STEER) - side_shift(error)
+        beside = -side_place(error, p.steer)
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
     angle += beside

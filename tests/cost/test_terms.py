@@ -86,11 +86,15 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         index = np.column_stack([side, ((inside - origin) / cell)[:, ::-1]])
         return np.where(envs == 0, tables[0](index), tables[1](index)) + np.linalg.norm(at - inside, axis=1)
 
-    # from the middle of the box's own side, or beside it; another quarter turn makes another side the same. From 0.52
-    # on the side counts as turned by less again, and at 45° its corner faces straight
-    near, corner = error - 0.5 * np.pi * np.round(error / (0.5 * np.pi)), 0.25 * np.pi
-    shift = np.interp(np.abs(near), [0.0, 0.52, corner], [0.0, 0.52, 0.0]) * np.sign(near)
-    side = np.angle(to) - shift + np.clip((1.0 + steer) * error, -0.3, 0.3)
+    # beside the middle of the box's own side; from 0.52 on ever nearer to its corner, which faces straight at 45°, and
+    # from 60 to 75° over to the next side
+    size = np.abs(error)
+    turned = size - 0.5 * np.pi * np.floor((size + np.pi / 12) / (0.5 * np.pi))
+    aim = np.minimum((1.0 + steer) * size, 0.3)
+    knots = np.array([-np.pi / 12, 0.52, np.pi / 4, np.pi / 3, 5 * np.pi / 12])
+    places = [[knots[0] - m, knots[1] - m, 0.12, np.pi / 12 + 0.12, knots[0] - m] for m in aim]
+    place = np.array([np.interp(t, knots, row) for t, row in zip(turned, places, strict=True)])
+    side = np.angle(to) - np.sign(error) * place
     least = value(side) + turn * np.maximum(apart - radius, 0.0)
     for part in np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0]):
         angle = part * np.arccos(np.minimum(radius / apart, 1.0))

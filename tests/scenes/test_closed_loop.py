@@ -115,5 +115,6 @@ def test_the_stick_pushes_the_block_to_a_pose(variant):
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["B_right", "C_right"])
 def test_the_stick_pushes_objects_of_all_sorts(variant):
-    results = episodes(f"panda_push_objects:{variant}", (540, 541))
+    # the scene's 512 samples are for a GPU
+    results = episodes(f"panda_push_objects:{variant}", (540, 541), ["planner.samples=128"])
     assert sum(r.success for r in results) >= 1, results
