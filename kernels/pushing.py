@@ -40,8 +40,8 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
     term is max(cos α + 1 - slack, 0), zero over a range of directions. With ``steer`` the pusher's best place is turned
     about the object by steer · Δψ / d, at most ``LARGEST_LEAN``: what is left of the heading is shared out over what is
-    left of the way, for a push beside the middle turns an object by (arm / c²) per metre, c² its friction's moment over
-    its force (Lynch and Mason, "Stable Pushing", IJRR 1996).
+    left of the straight way, for a push beside the middle turns an object by (arm / c²) per metre, c its friction's
+    largest moment over its largest force (Lynch and Mason, "Stable Pushing", IJRR 1996).
     """
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
@@ -105,8 +105,10 @@ def side_place(error: float, steer: float) -> float:
     """Where to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
 
     Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error. Turned by 45° it is
-    on the same side, just beside the corner that now faces straight; on the other side of that corner a push would turn
-    the object on. Only beyond 60° the next side takes over, and without a jump: pushers wait where the cost jumps.
+    on the same side, just beside the corner that then faces straight; on the other side of that corner a push would
+    turn the object on. Only beyond 60° the next side takes over, and without a jump: pushers wait where the cost jumps.
+    The corners are those of a square: of a longer object's narrow sides they are nearer, so for these it is a rule of
+    thumb. At 180° both ways back are equally long, and there it does jump.
     """
     a = wp.abs(error)
     turned = a - wp.half_pi * wp.floor((a + wp.pi / 12.0) / wp.half_pi)  # from the side in use, -15° to 75°

@@ -12,7 +12,7 @@ from agreement import differences
 from warpmpc.scene.load import shipped_scenes
 
 ROUNDING = (2e-5, 2e-4)
-"""float32 against float64 over 24 to 60 physics steps: measured up to 2e-6 at p50 and 8e-6 at p90 [m, rad]."""
+"""float32 against float64 over 20 to 60 physics steps: measured up to 2e-6 at p50 and 8e-6 at p90 [m, rad]."""
 
 TOLERANCE = {
     # in a push a touch that one engine makes and the other just misses moves the box: measured 1e-6 and 7e-5

@@ -75,8 +75,9 @@ def build_world(scene: Scene) -> World:
 
 
 _MUJOCO_LIMITS = 2
-"""Newton's mode for joint limits as soft as MuJoCo's own by default. With the gains that Newton gives joints of a URDF,
-limits of light links, such as fingers, swing up at the steps of rollouts; and MuJoCo's C engine does not get them."""
+"""Newton's mode for joint limits as soft as MuJoCo's own, unless the asset says otherwise; for its solver ``mujoco``.
+With the gains that Newton gives joints by default, of a URDF for example, light links such as fingers swing up at the
+steps of rollouts; and MuJoCo's C engine does not get these gains."""
 
 
 def new_builder() -> newton.ModelBuilder:
