@@ -131,12 +131,12 @@ def swivel(angle: float, error: float, aside: float) -> float:
 
     That is beside the middle of a broad side, ``angle`` away from the first one; small errors count less. There are two
     such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther it lies to one
-    side, the more that side counts alone, because a push from there brings it back rather than away.
+    side, up to half a tolerance, the more that side counts alone. A push from there brings it back rather than away.
     """
     off = angle + wp.sign(error) * SWIVEL
     nearest = wp.abs(off - wp.pi * wp.round(off / wp.pi))
     outer = wp.abs(wrap_angle(off + wp.where(aside < 0.0, wp.pi, 0.0)))
-    share = wp.min(wp.abs(aside), 1.0)
+    share = wp.min(2.0 * wp.abs(aside), 1.0)
     return wp.lerp(nearest, outer, share) * wp.min(wp.abs(error) / LARGEST_STEER, 1.0)
 
 

@@ -102,12 +102,12 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         other = value(side + angle) + turn * way
         least = np.where(apart > radius, np.minimum(least, other), least)
     # near the goal the pusher goes to where it turns the box back: beside the middle of one of its broad sides (± x),
-    # of that to which the box lies when it lies aside by the tolerance
+    # of that to which the box lies when it lies aside by half the tolerance
     beside = np.angle(to) - error + 0.4 * np.sign(error)
     either = np.abs(beside - np.pi * np.round(beside / np.pi))
     aside = (off * np.exp(-1j * error)).real / max(tolerance, 1e-6)
     outer = np.abs(np.angle(np.exp(1j * (beside + np.pi * (aside < 0.0)))))
-    share = np.minimum(np.abs(aside), 1.0)
+    share = np.minimum(2.0 * np.abs(aside), 1.0)
     astray = ((1.0 - share) * either + share * outer) * np.minimum(np.abs(error) / 0.3, 1.0)
     near = np.maximum(1.0 - np.linalg.norm(at, axis=1) / 0.2, 0.0)
     return r.each(least + (steer > 0.0) * 0.4 * turn * near * np.minimum(apart, radius) * astray)
