@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
 import sys
 import tempfile
 from contextlib import closing, contextmanager
@@ -79,6 +80,36 @@ def start_warp() -> None:
         finally:
             os.dup2(real, 2)
             os.close(real)
+
+
+class Interrupts:
+    """Ctrl-C that cannot get lost.
+
+    Native code that calls back into Python may swallow a ``KeyboardInterrupt``: pydantic's serializer turns one into a
+    warning. So it is also written down, and raised again by :meth:`check`.
+    """
+
+    def __init__(self):
+        self._pressed = False
+
+    def __enter__(self) -> Interrupts:
+        self._before = signal.getsignal(signal.SIGINT)
+        if self._before is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._before is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _note(self, number: int, frame: object) -> None:
+        self._pressed = True
+        raise KeyboardInterrupt
+
+    def check(self) -> None:
+        """Raise ``KeyboardInterrupt`` if Ctrl-C was pressed."""
+        if self._pressed:
+            raise KeyboardInterrupt
 
 
 class Setup:
@@ -169,16 +200,17 @@ def run(
     """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
     interrupted = False
-    with results_only() as out, Messages(notices=not quiet and not json_lines, warnings=not quiet) as messages:
+    notices = not quiet and not json_lines
+    with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
                 _check_record(record, envs)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
             if envs > 1:
-                episodes = _run_batch(setup, seeds, envs, shown=not quiet)
+                episodes = _run_batch(setup, seeds, envs, interrupts, shown=not quiet)
             else:
-                episodes = _run_each(setup, seeds, record, messages, shown=not quiet)
+                episodes = _run_each(setup, seeds, record, messages, interrupts, shown=not quiet)
             with closing(episodes):
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
@@ -211,7 +243,13 @@ def _check_record(record: Path | None, envs: int) -> None:
 
 
 def _run_each(
-    setup: Setup, seeds: Sequence[int], record: Path | None, messages: Messages, *, shown: bool
+    setup: Setup,
+    seeds: Sequence[int],
+    record: Path | None,
+    messages: Messages,
+    interrupts: Interrupts,
+    *,
+    shown: bool,
 ) -> Iterator[EpisodeResult]:
     """Run one episode after the other, to the last or to Ctrl-C."""
     with EpisodeBar(setup.scene.timing.timeout, seeds, shown=shown) as bar:
@@ -219,13 +257,13 @@ def _run_each(
             messages.warned = False
             # of several recordings, each has its seed in its name
             path = record.with_stem(f"{record.stem}-{seed}") if record is not None and len(seeds) > 1 else record
-            result = _run_one(setup, seed, path, bar)
+            result = _run_one(setup, seed, path, bar, interrupts)
             yield result
             if result.reason == "interrupted":
                 return
 
 
-def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar) -> EpisodeResult:
+def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
     """Run the episode of one seed, to its end or to Ctrl-C."""
     from .episode import EpisodeInterrupted
 
@@ -237,17 +275,29 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar) -> Epi
 
             recorder = Recorder(path, episode.controller, episode.plant)
     bar.start(seed)
+
+    def on_step(*step) -> None:
+        bar.step(*step)
+        interrupts.check()
+
     try:
-        return episode.run(recorder=recorder, on_step=bar.step)
+        return episode.run(recorder=recorder, on_step=on_step)
     except EpisodeInterrupted as error:
         return error.result
 
 
-def _run_batch(setup: Setup, seeds: Sequence[int], envs: int, *, shown: bool) -> Iterator[EpisodeResult]:
+def _run_batch(
+    setup: Setup, seeds: Sequence[int], envs: int, interrupts: Interrupts, *, shown: bool
+) -> Iterator[EpisodeResult]:
     """Run up to ``envs`` episodes at once, to the last or to Ctrl-C."""
     with BatchBar(len(seeds), shown=shown) as bar:
         with user_errors():
             batch = setup.batch(seeds, envs)
-        for result in batch.run(on_step=bar.step):
+
+        def on_step(*step) -> None:
+            bar.step(*step)
+            interrupts.check()
+
+        for result in batch.run(on_step=on_step):
             bar.finish(result)
             yield result
