@@ -23,6 +23,7 @@ from .scene.schema import EngineName
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from types import FrameType
 
     from .batch import Batch
     from .cost.term import ArrayCost, CostTerm
@@ -86,7 +87,7 @@ class Interrupts:
     """Ctrl-C that cannot get lost.
 
     Native code that calls back into Python may swallow a ``KeyboardInterrupt``: pydantic's serializer turns one into a
-    warning. So it is also written down, and raised again by :meth:`check`.
+    warning. So it is also written down, and raised again by :meth:`check`; below pydantic it is only written down.
     """
 
     def __init__(self):
@@ -102,8 +103,12 @@ class Interrupts:
         if self._before is signal.default_int_handler:
             signal.signal(signal.SIGINT, self._before)
 
-    def _note(self, number: int, frame: object) -> None:
+    def _note(self, number: int, frame: FrameType | None) -> None:
         self._pressed = True
+        while frame is not None:
+            if frame.f_globals.get("__name__", "").startswith("pydantic."):
+                return
+            frame = frame.f_back
         raise KeyboardInterrupt
 
     def check(self) -> None:
@@ -269,6 +274,7 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interr
 
     with user_errors():
         episode = setup.episode(seed)
+        interrupts.check()
         recorder = None
         if path is not None:
             from .record import Recorder  # slow to import
@@ -293,6 +299,7 @@ def _run_batch(
     with BatchBar(len(seeds), shown=shown) as bar:
         with user_errors():
             batch = setup.batch(seeds, envs)
+        interrupts.check()
 
         def on_step(*step) -> None:
             bar.step(*step)

@@ -2,22 +2,48 @@
 """A Ctrl-C that a library swallows still ends the run."""
 
 import signal
+import warnings
+from collections.abc import Iterator
+from typing import Annotated
 
 import pytest
+from pydantic import BaseModel, Discriminator, Tag
 
 from warpmpc.cli_run import Interrupts
 
 
-def test_a_swallowed_ctrl_c_is_raised_again():
+@pytest.fixture(autouse=True)
+def default_handler() -> Iterator[None]:
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with Interrupts() as interrupts:
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_swallowed_ctrl_c_is_raised_again():
+    with Interrupts() as interrupts:
+        interrupts.check()
+        with pytest.raises(KeyboardInterrupt):  # this is where a library may drop it
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
             interrupts.check()
-            with pytest.raises(KeyboardInterrupt):  # this is where a library may drop it
-                signal.raise_signal(signal.SIGINT)
-            with pytest.raises(KeyboardInterrupt):
-                interrupts.check()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
+
+
+def press_and_tag(value: object) -> str:
+    signal.raise_signal(signal.SIGINT)
+    return "whole" if isinstance(value, int) else "text"
+
+
+class Goal(BaseModel):
+    value: Annotated[Annotated[int, Tag("whole")] | Annotated[str, Tag("text")], Discriminator(press_and_tag)]
+
+
+def test_ctrl_c_inside_pydantic_is_kept_for_later_and_makes_no_warning():
+    goal = Goal.model_construct(value=3)
+    with Interrupts() as interrupts, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert goal.model_dump() == {"value": 3}
+        assert not said
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
