@@ -3,8 +3,8 @@
 
 Every term has the signature ``(s: StepView, p: Params) -> float``. ``s`` is one step of one rollout, read with the
 functions of ``view``; ``p`` holds the term's parameters. Weights are applied by the kernel that calls the term (see
-``warpmpc.cost.term``). Terms that push an object are in ``pushing``, those about obstacles and outlines in
-``clearance``.
+``warpmpc.cost.term``). Terms that push an object are in ``pushing``, those that pick one up in ``grasping``, those
+about obstacles and outlines in ``clearance``.
 """
 
 import warp as wp
@@ -153,18 +153,35 @@ def joint_limit(s: StepView, p: JointLimitParams) -> float:
 
 @wp.struct
 class JointVelocityParams:
-    """Parameters of ``joint_velocity``: a range of joint velocities."""
+    """Parameters of ``joint_velocity``."""
 
-    first: int
-    count: int
+    joint: wp.array[int]  # joint velocities
 
 
 @wp.func
 def joint_velocity_cost(s: StepView, p: JointVelocityParams) -> float:
     """Σ q̇²."""
     total = float(0.0)
-    for i in range(p.first, p.first + p.count):
-        total += joint_velocity(s, i) * joint_velocity(s, i)
+    for i in range(p.joint.shape[0]):
+        total += joint_velocity(s, p.joint[i]) * joint_velocity(s, p.joint[i])
+    return total
+
+
+@wp.struct
+class PostureParams:
+    """Parameters of ``posture``."""
+
+    coord: wp.array[int]  # joint coordinates
+    target: wp.array[float]  # [m or rad]
+
+
+@wp.func
+def posture(s: StepView, p: PostureParams) -> float:
+    """Σ (q - q₀)² with the scene's starting posture q₀ (STORM's null-space cost)."""
+    total = float(0.0)
+    for i in range(p.coord.shape[0]):
+        d = joint_position(s, p.coord[i]) - p.target[i]
+        total += d * d
     return total
 
 

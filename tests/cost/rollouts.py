@@ -24,7 +24,7 @@ class Rollouts:
     """Random rollouts of a small scene, judged by its cost terms."""
 
     def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES):
-        robot = {**DISC, "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
+        robot = {**DISC, "joint_q": (0.3, -0.2, 0.5), "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
         self.scene = make_scene(
             robot=[robot], object=[BOX], obstacle=obstacles, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
         )

@@ -131,6 +131,34 @@ def joint_limit(r: Rollouts, margin: float) -> np.ndarray:
     return (np.maximum(np.abs(q) - (100.0 - margin), 0.0) ** 2).sum(-1)
 
 
+def approach(r: Rollouts, width: float, rise: float) -> np.ndarray:
+    (hand, turn), (box, _) = r.pose("base/tip"), r.pose("box")
+    d = box - hand
+    beside = np.linalg.norm(turn.inv().apply(d.reshape(-1, 3))[:, :2], axis=1)
+    low = np.maximum(r.each(rise * (1.0 - np.exp(-((beside / width) ** 8)))) + d[..., 2], 0.0)
+    return np.sqrt((d**2).sum(-1) + 1e-4) - 0.01 + 2.0 * low
+
+
+def finger_alignment(r: Rollouts) -> np.ndarray:
+    """Against the nearest quarter turn, whichever that is."""
+    across = r.pose("box")[1].inv().apply(r.pose("base/tip")[1].apply([0.0, 1.0, 0.0]))
+    angle = np.arctan2(across[:, 1], across[:, 0]) / (0.5 * np.pi)
+    return r.each(np.sin(np.pi * (angle - np.round(angle))) ** 2)
+
+
+def gripper(r: Rollouts, near: float) -> np.ndarray:
+    u = r.control.numpy().astype(np.float64)
+    mean = 0.5 * (u[..., 0] / 1.0 + u[..., 2] / 0.5)
+    closing = distance(r, False) < near
+    assert 0.1 < closing.mean() < 0.9
+    return np.where(closing, 0.5 * (1.0 + mean), 1.0 + 0.5 * (1.0 - mean))
+
+
+def posture(r: Rollouts) -> np.ndarray:
+    q = r.trajectory.joint_q.numpy()[1:, :, [2, 0]].astype(np.float64)
+    return ((q - [0.5, 0.3]) ** 2).sum(-1)
+
+
 def rate(r: Rollouts) -> np.ndarray:
     u = r.control.numpy().astype(np.float64)
     before = np.concatenate([np.repeat(r.stack.last_control.numpy(), SHAPE.rollouts, axis=0)[None], u[:-1]])
@@ -174,6 +202,20 @@ CASES = {
     "control_rate": ({}, rate),
     "joint_limit": ({"margin": 99.5}, lambda r: joint_limit(r, 99.5)),
     "joint_velocity": ({}, lambda r: (r.trajectory.joint_qd.numpy()[1:, :, :3].astype(np.float64) ** 2).sum(-1)),
+    "joint_velocity of some": (
+        {"term": "joint_velocity", "joints": ["yaw", "base/x"]},
+        lambda r: (r.trajectory.joint_qd.numpy()[1:, :, [2, 0]].astype(np.float64) ** 2).sum(-1),
+    ),
+    "posture": ({"joints": ["base/yaw", "x"]}, posture),
+    "approach": (
+        {"hand": "base/tip", "object": "box", "width": 1.2, "rise": 0.8},
+        lambda r: approach(r, 1.2, 0.8),
+    ),
+    "finger_alignment": ({"hand": "base/tip", "object": "box"}, finger_alignment),
+    "gripper": (
+        {"hand": "base/tip", "object": "box", "near": 1.8, "fingers": ["base/x", "base/yaw"]},
+        lambda r: gripper(r, 1.8),
+    ),
     "obstacle_clearance": (
         {"of": "base/tip", "radius": 0.1, "least": 0.03},
         lambda r: clearance(r, "surface", 0.1, 0.03),
@@ -254,6 +296,12 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
         ({"term": "control_effort", "of": "bas"}, r"cost\.control_effort\.of.*Did you mean 'base'"),
         ({"term": "obstacle_clearance", "of": "box", "to": "edge"}, r"cost\.obstacle_clearance\.to.*surface"),
         ({"term": "height", "of": "box", "target": "high"}, r"cost\.height\.target"),
+        ({"term": "joint_velocity", "joints": ["base/yav"]}, r"velocity\.joints.*Did you mean 'base/yaw'"),
+        ({"term": "posture", "joints": []}, r"cost\.posture\.joints"),
+        (
+            {"term": "gripper", "hand": "base/tip", "object": "box", "near": 0.1, "fingers": ["base/jaw"]},
+            r"cost\.gripper\.fingers: no such control.*base/x",
+        ),
         (
             {"term": "outline_clearance", "of": "wall", "within": 0.1},
             r"cost\.outline_clearance\.of: .*no colliding shape",

@@ -53,6 +53,13 @@ def test_a_strangers_arm_reaches_a_pose(engine):
         assert result.success, result
 
 
+def test_the_mobile_arm_picks_the_cube_up_and_carries_it_off(engine):
+    (result,) = episodes("mobile_pick", (40,), engine=engine)
+    assert result.diverged_worlds == 0
+    assert result.success, result
+    assert result.sim_time <= 25.0
+
+
 @pytest.mark.parametrize("method", ["predictive_sampling", "cem"])
 def test_other_weightings_reach_drawn_goals_too(method):
     results = episodes("point_reach", range(210, 214), [f"planner.method={method}"])

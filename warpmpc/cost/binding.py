@@ -61,6 +61,30 @@ class Binding:
                 error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
             ) from None
 
+    def joint(self, name: str, key: str) -> int:
+        """Joint coordinate of a joint.
+
+        Raises:
+            SceneError: If there is none, or several.
+        """
+        try:
+            return self.layout.joint(name)
+        except SceneError as error:
+            raise SceneError(
+                error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
+            ) from None
+
+    def control(self, name: str, key: str) -> int:
+        """Index of a control.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        names = self.layout.control_name
+        if name not in names:
+            raise SceneError("no such control", key=f"{self.key}.{key}", file=self.file, found=name, allowed=names)
+        return names.index(name)
+
     def watch(self, first: str, second: str, key: str) -> tuple[int, int]:
         """Watch the contact forces between two entities or groups; returns (first pair, count).
 

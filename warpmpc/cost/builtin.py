@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from pydantic import Field
 
-from ..kernels import clearance, costs, pushing
+from ..kernels import clearance, costs, grasping, pushing
 from ..scene.errors import SceneError
 from ..scene.types import Finite, NonNegative, Positive, Section
 from .binding import PRIMITIVES
@@ -122,6 +122,15 @@ class Robots(Section):
     """Robot; all when left out."""
 
 
+class Joints(Section):
+    """Joints of one robot."""
+
+    of: str | None = None
+    """Robot; the first when left out."""
+    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Joints, ``robot/joint`` or the joint's own name; all of the robot's when left out."""
+
+
 class JointLimit(Section):
     """Squared distance outside the joint limits."""
 
@@ -184,6 +193,41 @@ class Orientation(Section):
     """Frame it is compared with."""
     tilt: bool = Field(default=False)
     """Compare the directions of the z axes alone."""
+
+
+class Approach(Section):
+    """Distance of a grasp point to an object [m]."""
+
+    hand: str
+    """Frame between the fingertips; its z axis points back to the hand."""
+    object: str
+    """Object to be gripped at its centre."""
+    width: Positive
+    """How far beside the object the hand may be to come down on it [m]: half of what open fingers leave free."""
+    rise: NonNegative
+    """How far above the object the hand stays farther out [m]: clears the object's top."""
+
+
+class FingerAlignment(Section):
+    """How far the fingers are from meeting a box's faces, 0 to 1."""
+
+    hand: str
+    """Frame whose y axis is the line along which the fingers close."""
+    object: str
+    """Upright box."""
+
+
+class Gripper(Section):
+    """Fingers close at an object and open away from it, 0 to 2."""
+
+    hand: str
+    """Frame between the fingertips."""
+    object: str
+    """Object to be gripped."""
+    near: Positive
+    """Distance from the hand to the object's centre within which the fingers close [m]."""
+    fingers: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Controls of the fingers, ``robot/joint``; positive ones open."""
 
 
 def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
@@ -262,11 +306,28 @@ def _dof_names(b: Binding) -> list[str]:
     return [name for name, count in zip(b.layout.joint_name, counts, strict=True) for _ in range(count)]
 
 
+def _dofs(v: Joints, b: Binding) -> list[int]:
+    """Degrees of freedom of the named joints, or of a robot."""
+    if v.joints is None:
+        robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
+        first, count = _range(Robots(of=robot), _dof_names(b), b)
+        return list(range(first, first + count))
+    coords = [b.joint(name, "joints") for name in v.joints]
+    return [int(np.flatnonzero(b.layout.dof_coord == coord)[0]) for coord in coords]
+
+
 def _joint_velocity(keys: dict[str, Any], b: Binding) -> costs.JointVelocityParams:
     p = costs.JointVelocityParams()
-    v = parse_keys(Robots, keys, b)
-    robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
-    p.first, p.count = _range(Robots(of=robot), _dof_names(b), b)
+    p.joint = wp.array(_dofs(parse_keys(Joints, keys, b), b), dtype=int)
+    return p
+
+
+def _posture(keys: dict[str, Any], b: Binding) -> costs.PostureParams:
+    coords = b.layout.dof_coord[_dofs(parse_keys(Joints, keys, b), b)]
+    coords = coords[coords >= 0]
+    p = costs.PostureParams()
+    p.coord = wp.array(coords, dtype=int)
+    p.target = wp.array(b.layout.joint_q[coords], dtype=float)
     return p
 
 
@@ -349,6 +410,28 @@ def _orientation(keys: dict[str, Any], b: Binding) -> costs.OrientationParams:
     return p
 
 
+def _approach(keys: dict[str, Any], b: Binding) -> grasping.ApproachParams:
+    v = parse_keys(Approach, keys, b)
+    p = grasping.ApproachParams()
+    p.hand, p.object, p.width, p.rise = b.frame(v.hand, "hand"), b.frame(v.object, "object"), v.width, v.rise
+    return p
+
+
+def _finger_alignment(keys: dict[str, Any], b: Binding) -> grasping.FingerAlignmentParams:
+    v = parse_keys(FingerAlignment, keys, b)
+    p = grasping.FingerAlignmentParams()
+    p.hand, p.object = b.frame(v.hand, "hand"), b.frame(v.object, "object")
+    return p
+
+
+def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
+    v = parse_keys(Gripper, keys, b)
+    p = grasping.GripperParams()
+    p.hand, p.object, p.near = b.frame(v.hand, "hand"), b.frame(v.object, "object"), v.near
+    p.finger = wp.array([b.control(name, "fingers") for name in v.fingers], dtype=int)
+    return p
+
+
 BUILTIN = {
     term.name: term
     for term in (
@@ -360,7 +443,8 @@ BUILTIN = {
         CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots),
         CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots),
         CostTerm("joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit),
-        CostTerm("joint_velocity", costs.joint_velocity_cost, costs.JointVelocityParams, _joint_velocity, Robots),
+        CostTerm("joint_velocity", costs.joint_velocity_cost, costs.JointVelocityParams, _joint_velocity, Joints),
+        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints),
         CostTerm(
             "obstacle_clearance",
             clearance.obstacle_clearance,
@@ -382,6 +466,15 @@ BUILTIN = {
             _outline_distance,
             OutlineDistance,
         ),
+        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach),
+        CostTerm(
+            "finger_alignment",
+            grasping.finger_alignment,
+            grasping.FingerAlignmentParams,
+            _finger_alignment,
+            FingerAlignment,
+        ),
+        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
         CostTerm("height", costs.height, costs.HeightParams, _height, Height),
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
     )
