@@ -73,6 +73,7 @@ class Controller:
         self.shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
         self.costs = CostStack(scene, self.layout, terms=terms, device=device)
         draws = planner.domains if planner.domains > 1 else planner.samples
+        properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
         self.engine = make_engine(
             name,
             scene,
@@ -81,7 +82,7 @@ class Controller:
             control_dt=step_dt(scene),
             device=device,
             pairs=self.costs.pairs,
-            properties=draw_properties(scene, self.layout, draws, seed=2 * seed),
+            properties=properties,
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
         self.graph = PlanGraph(self.plan)

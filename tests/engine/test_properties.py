@@ -133,3 +133,12 @@ def test_the_plant_is_another_world_than_the_planners():
     assert not set(np.round(masses, 5)) & set(np.round(plants, 5))
     nominal = make_scene(object=[BOX], randomize=RANDOM, plant={"randomize": False})
     assert Plant(nominal, compiled=compiled(nominal))._engine.model.body("box").mass[0] == pytest.approx(1.0)
+
+
+def test_a_planner_that_randomizes_nothing_meets_a_randomized_plant():
+    planner = {"samples": 4, "horizon": 2, "randomize": False}
+    scene = make_scene(object=[BOX], randomize=RANDOM, planner=planner)
+    controller = Controller(scene, compiled=compiled(scene))
+    masses = [model.body("box").mass[0] for model in controller.engine.models]
+    assert masses == pytest.approx([1.0] * len(masses))
+    assert Plant(scene, compiled=compiled(scene))._engine.model.body("box").mass[0] != pytest.approx(1.0, abs=1e-3)

@@ -124,6 +124,8 @@ class Planner(Section):
     same price; they need a spline other than zero."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
+    randomize: Flag = True
+    """Whether the rollouts' worlds have the randomized properties of ``[randomize]``; when false all are nominal."""
     risk: Risk = Risk.MEAN
     cvar: Share = 0.25
     """Share of worst domains that ``risk = "cvar"`` averages."""
