@@ -141,4 +141,4 @@ def test_a_planner_that_randomizes_nothing_meets_a_randomized_plant():
     controller = Controller(scene, compiled=compiled(scene))
     masses = [model.body("box").mass[0] for model in controller.engine.models]
     assert masses == pytest.approx([1.0] * len(masses))
-    assert Plant(scene, compiled=compiled(scene))._engine.model.body("box").mass[0] != pytest.approx(1.0, abs=1e-3)
+    assert Plant(scene, compiled=compiled(scene)).properties.mass[0, 0] != pytest.approx(1.0, abs=1e-3)
