@@ -41,6 +41,21 @@ def alignment(r: Rollouts, near: float, steer: float = 0.0) -> np.ndarray:
     return (cos + 1.0) * (1.0 - np.exp(-np.linalg.norm(v, axis=-1) / near) if near else 1.0)
 
 
+def sides(r: Rollouts, price: float, steer: float) -> np.ndarray:
+    """The best of the box's four sides: the pusher beside its middle, and it square to the way."""
+    pusher, box, goal = (r.pose(f)[0][..., :2].reshape(-1, 2) @ [1.0, 1j] for f in ("base/tip", "box", "goal"))
+    turn = heading(r.pose("box")[1])
+    left = np.angle(np.exp(1j * (heading(r.pose("goal")[1]) - turn)))
+    lean = np.clip(steer * left / np.abs(goal - box), -1.0, 1.0)
+    found = []
+    for quarter, corner in enumerate(np.arctan([5 / 3, 3 / 5] * 2)):
+        side = np.exp(1j * (turn + 0.5 * np.pi * quarter))
+        place = side * np.exp(1j * np.clip(lean, -0.7 * corner, 0.7 * corner))
+        cosine = [((a - box) / np.abs(a - box) * np.conj(b)).real for a, b in ((pusher, place), (goal, side))]
+        found.append(1.0 - cosine[0] + price * (1.0 + cosine[1]))
+    return r.each(np.min(found, axis=0))
+
+
 def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
     position = r.pose("base/tip")[0].reshape(-1, 3)
     total = np.zeros(len(position))
@@ -126,8 +141,8 @@ def outline_distance(r: Rollouts, inside: float) -> np.ndarray:
     return r.each(np.where(outside > 0.0, outside, -inside * beyond.max(axis=1)))
 
 
-def joint_limit(r: Rollouts, margin: float) -> np.ndarray:
-    q = r.trajectory.joint_q.numpy()[1:, :, :2].astype(np.float64)  # yaw has no limits
+def joint_limit(r: Rollouts, margin: float, joints: tuple[int, ...] = (0, 1)) -> np.ndarray:
+    q = r.trajectory.joint_q.numpy()[1:, :, joints].astype(np.float64)  # yaw has no limits
     return (np.maximum(np.abs(q) - (100.0 - margin), 0.0) ** 2).sum(-1)
 
 
@@ -182,6 +197,10 @@ CASES = {
         {"term": "push_alignment", "pusher": "base/tip", "object": "box", "steer": 0.5},
         lambda r: alignment(r, 0.0, 0.5),
     ),
+    "push_alignment at a side": (
+        {"term": "push_alignment", "pusher": "base/tip", "object": "box", "sides": 0.5, "steer": 0.4},
+        lambda r: sides(r, 0.5, 0.4),
+    ),
     "push_path": (
         {"pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "behind": 0.6, "turn": 0.7}
         | {"tolerance": 0.3, "steer": 0.3},
@@ -201,6 +220,10 @@ CASES = {
     ),
     "control_rate": ({}, rate),
     "joint_limit": ({"margin": 99.5}, lambda r: joint_limit(r, 99.5)),
+    "joint_limit of some": (
+        {"term": "joint_limit", "joints": ["base/y", "yaw"], "margin": 99.5},
+        lambda r: joint_limit(r, 99.5, (1,)),
+    ),
     "joint_velocity": ({}, lambda r: (r.trajectory.joint_qd.numpy()[1:, :, :3].astype(np.float64) ** 2).sum(-1)),
     "joint_velocity of some": (
         {"term": "joint_velocity", "joints": ["yaw", "base/x"]},

@@ -79,6 +79,9 @@ class PushAlignment(Section):
     """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
     steer: NonNegative = 0.0
     """Turn the object on its way: push beside its middle, by this times heading left over distance left [m]."""
+    sides: NonNegative = 0.0
+    """Push a box at the middle of one of its sides rather than straight behind it: price of a side that faces
+    sideways; 0 means straight behind it."""
 
 
 class PushPath(Section):
@@ -136,6 +139,8 @@ class JointLimit(Section):
 
     of: str | None = None
     """Robot; all when left out."""
+    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Joints, ``robot/joint`` or the joint's own name; all when left out."""
     margin: NonNegative = 0.05
     """Limits are moved inwards by this [m or rad]."""
 
@@ -253,7 +258,12 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     v = parse_keys(PushAlignment, keys, b)
     p = pushing.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
-    p.near, p.slack, p.steer, p.field = v.near, v.slack, v.steer, -1
+    p.near, p.slack, p.steer, p.sides, p.field = v.near, v.slack, v.steer, v.sides, -1
+    if v.sides:
+        shape = b.object_shape(v.object, "object")
+        if shape.kind != "box":
+            raise SceneError("only a box has sides", key=f"{b.key}.sides", file=b.file, found=shape.kind)
+        p.size = wp.vec2(shape.scale[0], shape.scale[1])
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
     return p
@@ -335,8 +345,9 @@ def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
     v = parse_keys(JointLimit, keys, b)
     layout = b.layout
     first, count = _range(Robots(of=v.of), _dof_names(b), b)
+    chosen = _dofs(Joints(joints=v.joints), b) if v.joints else range(first, first + count)
     span = np.abs(layout.dof_upper - layout.dof_lower)
-    dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
+    dofs = [i for i in chosen if layout.dof_coord[i] >= 0 and span[i] < 1e6]
     p = costs.JointLimitParams()
     p.coord = wp.array(layout.dof_coord[dofs], dtype=int)
     p.lower = wp.array(layout.dof_lower[dofs] + v.margin, dtype=float)
