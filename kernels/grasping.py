@@ -44,10 +44,14 @@ class FingerAlignmentParams:
 
 @wp.func
 def finger_alignment(s: StepView, p: FingerAlignmentParams) -> float:
-    """(1 - cos 4ψ)/2 with ψ the heading of the hand's y axis in an upright box's frame: zero if fingers meet faces."""
-    across = wp.quat_rotate(frame_rotation(s, p.hand), wp.vec3(0.0, 1.0, 0.0))
-    across = wp.quat_rotate_inv(frame_rotation(s, p.object), across)
-    return 0.5 * (1.0 - wp.cos(4.0 * wp.atan2(across[1], across[0])))
+    """2 (1 - Σ aᵢ⁴) with a the hand's y axis in a box's frame: zero if fingers meet faces, whichever side is up.
+
+    For an upright box and a level axis at an angle ψ to its face that is (1 - cos 4ψ)/2.
+    """
+    a = wp.quat_rotate(frame_rotation(s, p.hand), wp.vec3(0.0, 1.0, 0.0))
+    a = wp.quat_rotate_inv(frame_rotation(s, p.object), a)
+    a = wp.cw_mul(a, a)
+    return 2.0 * (1.0 - wp.dot(a, a))
 
 
 @wp.struct
@@ -58,18 +62,19 @@ class GripperParams:
     object: int
     near: float  # [m]
     finger: wp.array[int]  # controls of the fingers
+    middle: wp.array[float]  # of each control's range
 
 
 @wp.func
 def gripper(s: StepView, p: GripperParams) -> float:
-    """(1 + ū)/2 within a distance of the object, else 1 + (1 - ū)/2, with ū the fingers' mean control over its range.
+    """(1 + ū)/2 within a distance of the object, else 1 + (1 - ū)/2, with ū the fingers' mean control, -1 to 1.
 
-    It wants the fingers to close with all they have at the object and to open away from it. Away always costs more:
+    It wants the fingers to close with all they have at the object and to open away from it. Away never costs less:
     were it not so, a hand with open fingers would stop short of the object.
     """
     mean = float(0.0)
     for i in range(p.finger.shape[0]):
-        mean += control(s, p.finger[i]) / s.control_scale[p.finger[i]]
+        mean += (control(s, p.finger[i]) - p.middle[i]) / s.control_scale[p.finger[i]]
     mean /= float(p.finger.shape[0])
     if wp.length(frame_position(s, p.object) - frame_position(s, p.hand)) < p.near:
         return 0.5 * (1.0 + mean)

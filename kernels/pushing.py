@@ -12,7 +12,6 @@ EPSILON = wp.constant(1.0e-6)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
 LARGEST_LEAN = wp.constant(1.0)  # [rad] from behind an object, for turning it on its way
-SIDE_SHARE = wp.constant(0.7)  # of the angle from a side's middle to its corner, at most, for turning an object
 WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from straight is pushed at its side's middle
 BESIDE_CORNER = wp.constant(0.12)  # [rad] from an object's corner: a push there turns it towards the side pushed at
 SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
@@ -32,24 +31,6 @@ class PushAlignmentParams:
     near: float  # [m] the term fades as the object comes closer to the goal than about this
     slack: float  # subtracted, so that the pusher may choose its place on a side of the object
     steer: float  # [m] how far to push beside the middle, as an angle per heading error and distance; 0 means not
-    sides: float  # price of a side that faces sideways; 0 means straight behind
-    size: wp.vec2  # [m] half extents of a box
-
-
-@wp.func
-def best_side(to_pusher: float, to_goal: float, heading: float, lean: float, size: wp.vec2, price: float) -> float:
-    """1 - cos from a place at a box's side, and what the side costs, of the best of its four sides.
-
-    The place is turned by ``lean`` from the side's middle, which turns the box that way. A side that is pushed along
-    its normal at an angle φ to the way costs price (1 - cos φ). All directions are headings in the plane [rad].
-    """
-    best = float(1.0e6)
-    for i in range(4):
-        normal = heading + 0.5 * wp.pi * float(i)
-        corner = wp.atan2(size[(i + 1) % 2], size[i % 2])
-        place = normal + wp.clamp(lean, -SIDE_SHARE * corner, SIDE_SHARE * corner)
-        best = wp.min(best, 1.0 - wp.cos(to_pusher - place) + price * (1.0 + wp.cos(to_goal - normal)))
-    return best
 
 
 @wp.func
@@ -60,8 +41,7 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     term is max(cos α + 1 - slack, 0), zero over a range of directions. With ``steer`` the pusher's best place is turned
     about the object by steer · Δψ / d, at most ``LARGEST_LEAN``: what is left of the heading is shared out over what is
     left of the straight way, for a push beside the middle turns an object by (arm / c²) per metre, c its friction's
-    largest moment over its largest force (Lynch and Mason, "Stable Pushing", IJRR 1996). With ``sides`` the place is
-    beside the middle of a box's side instead: behind a box that lies askew a push may turn it the wrong way.
+    largest moment over its largest force (Lynch and Mason, "Stable Pushing", IJRR 1996).
     """
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
@@ -75,23 +55,17 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
         path = sample_field(s.field, f, s.field_origin, s.field_cell, at)
         if path - wp.length(at - s.field_center[f]) > s.field_cell:
             to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
-    lean = float(0.0)
-    heading = yaw(wp.transform_get_rotation(frame_pose(s, p.object)))
     if p.steer > 0.0:
-        turn = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.goal))) - heading)
+        turn = wrap_angle(
+            yaw(wp.transform_get_rotation(frame_pose(s, p.goal)))
+            - yaw(wp.transform_get_rotation(frame_pose(s, p.object)))
+        )
         lean = wp.clamp(p.steer * turn / wp.max(wp.length(straight), EPSILON), -LARGEST_LEAN, LARGEST_LEAN)
-    value = float(0.0)
-    if p.sides > 0.0:
-        place = wp.atan2(to_pusher[1], to_pusher[0])
-        way = wp.atan2(to_goal[1], to_goal[0])
-        value = best_side(place, way, heading, lean, p.size, p.sides)
-    else:
         c = wp.cos(lean)
         d = wp.sin(lean)
-        to_place = wp.mat22(c, -d, d, c) * to_goal
-        scale = wp.length(to_pusher) * wp.length(to_place)
-        value = wp.dot(to_pusher, to_place) / wp.max(scale, EPSILON) + 1.0
-    value = wp.max(value - p.slack, 0.0)
+        to_goal = wp.mat22(c, -d, d, c) * to_goal
+    scale = wp.length(to_pusher) * wp.length(to_goal)
+    value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
     if p.near > 0.0:
         value *= 1.0 - wp.exp(-wp.length(straight) / p.near)
     return value

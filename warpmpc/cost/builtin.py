@@ -79,9 +79,6 @@ class PushAlignment(Section):
     """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
     steer: NonNegative = 0.0
     """Turn the object on its way: push beside its middle, by this times heading left over distance left [m]."""
-    sides: NonNegative = 0.0
-    """Push a box at the middle of one of its sides rather than straight behind it: price of a side that faces
-    sideways; 0 means straight behind it."""
 
 
 class PushPath(Section):
@@ -126,12 +123,12 @@ class Robots(Section):
 
 
 class Joints(Section):
-    """Joints of one robot."""
+    """All joints of one robot, or joints by name."""
 
     of: str | None = None
     """Robot; the first when left out."""
     joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Joints, ``robot/joint`` or the joint's own name; all of the robot's when left out."""
+    """Joints, ``robot/joint`` or the joint's own name, in place of ``of``."""
 
 
 class JointLimit(Section):
@@ -140,7 +137,7 @@ class JointLimit(Section):
     of: str | None = None
     """Robot; all when left out."""
     joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Joints, ``robot/joint`` or the joint's own name; all when left out."""
+    """Joints with limits, ``robot/joint`` or the joint's own name, in place of ``of``."""
     margin: NonNegative = 0.05
     """Limits are moved inwards by this [m or rad]."""
 
@@ -208,18 +205,18 @@ class Approach(Section):
     object: str
     """Object to be gripped at its centre."""
     width: Positive
-    """How far beside the object the hand may be to come down on it [m]: half of what open fingers leave free."""
+    """How far beside the object the hand may be to come down on it [m]: about half of what open fingers leave free."""
     rise: NonNegative
     """How far above the object the hand stays farther out [m]: clears the object's top."""
 
 
 class FingerAlignment(Section):
-    """How far the fingers are from meeting a box's faces, 0 to 1."""
+    """How far the fingers are from meeting a box's faces, 0 to 4/3."""
 
     hand: str
     """Frame whose y axis is the line along which the fingers close."""
     object: str
-    """Upright box."""
+    """Box."""
 
 
 class Gripper(Section):
@@ -232,7 +229,7 @@ class Gripper(Section):
     near: Positive
     """Distance from the hand to the object's centre within which the fingers close [m]."""
     fingers: Annotated[tuple[str, ...], Field(min_length=1)]
-    """Controls of the fingers, ``robot/joint``; positive ones open."""
+    """Controls of the fingers, ``robot/joint``; the upper end of their range opens."""
 
 
 def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
@@ -258,12 +255,7 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     v = parse_keys(PushAlignment, keys, b)
     p = pushing.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
-    p.near, p.slack, p.steer, p.sides, p.field = v.near, v.slack, v.steer, v.sides, -1
-    if v.sides:
-        shape = b.object_shape(v.object, "object")
-        if shape.kind != "box":
-            raise SceneError("only a box has sides", key=f"{b.key}.sides", file=b.file, found=shape.kind)
-        p.size = wp.vec2(shape.scale[0], shape.scale[1])
+    p.near, p.slack, p.steer, p.field = v.near, v.slack, v.steer, -1
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
     return p
@@ -316,14 +308,24 @@ def _dof_names(b: Binding) -> list[str]:
     return [name for name, count in zip(b.layout.joint_name, counts, strict=True) for _ in range(count)]
 
 
+def _named_dofs(v: Joints | JointLimit, b: Binding) -> list[int]:
+    """Degrees of freedom of joints by name."""
+    where = f"{b.key}.joints"
+    if v.of is not None:
+        raise SceneError("name joints or their robot, not both: leave out 'of'", key=where, file=b.file, found=v.of)
+    coords = [b.joint(name, "joints") for name in v.joints]
+    if len(set(coords)) < len(coords):
+        raise SceneError("a joint is named twice", key=where, file=b.file, found=list(v.joints))
+    return [int(np.flatnonzero(b.layout.dof_coord == coord)[0]) for coord in coords]
+
+
 def _dofs(v: Joints, b: Binding) -> list[int]:
     """Degrees of freedom of the named joints, or of a robot."""
-    if v.joints is None:
-        robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
-        first, count = _range(Robots(of=robot), _dof_names(b), b)
-        return list(range(first, first + count))
-    coords = [b.joint(name, "joints") for name in v.joints]
-    return [int(np.flatnonzero(b.layout.dof_coord == coord)[0]) for coord in coords]
+    if v.joints is not None:
+        return _named_dofs(v, b)
+    robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
+    first, count = _range(Robots(of=robot), _dof_names(b), b)
+    return list(range(first, first + count))
 
 
 def _joint_velocity(keys: dict[str, Any], b: Binding) -> costs.JointVelocityParams:
@@ -344,10 +346,14 @@ def _posture(keys: dict[str, Any], b: Binding) -> costs.PostureParams:
 def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
     v = parse_keys(JointLimit, keys, b)
     layout = b.layout
-    first, count = _range(Robots(of=v.of), _dof_names(b), b)
-    chosen = _dofs(Joints(joints=v.joints), b) if v.joints else range(first, first + count)
     span = np.abs(layout.dof_upper - layout.dof_lower)
-    dofs = [i for i in chosen if layout.dof_coord[i] >= 0 and span[i] < 1e6]
+    if v.joints is not None:
+        dofs = _named_dofs(v, b)
+        if free := [layout.dof_name[i] for i in dofs if span[i] >= 1e6]:
+            raise SceneError("this joint has no limits", key=f"{b.key}.joints", file=b.file, found=free[0])
+    else:
+        first, count = _range(Robots(of=v.of), _dof_names(b), b)
+        dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
     p = costs.JointLimitParams()
     p.coord = wp.array(layout.dof_coord[dofs], dtype=int)
     p.lower = wp.array(layout.dof_lower[dofs] + v.margin, dtype=float)
@@ -430,6 +436,8 @@ def _approach(keys: dict[str, Any], b: Binding) -> grasping.ApproachParams:
 
 def _finger_alignment(keys: dict[str, Any], b: Binding) -> grasping.FingerAlignmentParams:
     v = parse_keys(FingerAlignment, keys, b)
+    if (kind := b.object_shape(v.object, "object").kind) != "box":
+        raise SceneError("fingers meet the faces of a box", key=f"{b.key}.object", file=b.file, found=kind)
     p = grasping.FingerAlignmentParams()
     p.hand, p.object = b.frame(v.hand, "hand"), b.frame(v.object, "object")
     return p
@@ -439,7 +447,9 @@ def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
     v = parse_keys(Gripper, keys, b)
     p = grasping.GripperParams()
     p.hand, p.object, p.near = b.frame(v.hand, "hand"), b.frame(v.object, "object"), v.near
-    p.finger = wp.array([b.control(name, "fingers") for name in v.fingers], dtype=int)
+    controls = [b.control(name, "fingers") for name in v.fingers]
+    p.finger = wp.array(controls, dtype=int)
+    p.middle = wp.array(0.5 * (b.layout.control_lower + b.layout.control_upper)[controls], dtype=float)
     return p
 
 

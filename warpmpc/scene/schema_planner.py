@@ -145,6 +145,12 @@ class Planner(Section):
     sigma_min: NonNegatives = (0.01,)
     """``cem``: floor of the adapted standard deviation."""
 
+    @model_validator(mode="after")
+    def _domains_differ(self) -> Planner:
+        if self.domains > 1 and not self.randomize:
+            raise ValueError("domains > 1 tries samples in different worlds: set randomize = true or domains = 1")
+        return self
+
 
 class EngineName(StrEnum):
     """What rolls controls out."""
