@@ -10,6 +10,7 @@ from ..engine.pairs import Pair
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from ..kernels.pushing import PushPathParams
@@ -54,12 +55,7 @@ class Binding:
         Raises:
             SceneError: If there is none.
         """
-        try:
-            return self.layout.frame(name)
-        except SceneError as error:
-            raise SceneError(
-                error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
-            ) from None
+        return self._found(self.layout.frame, name, key)
 
     def joint(self, name: str, key: str) -> int:
         """Joint coordinate of a joint.
@@ -67,8 +63,11 @@ class Binding:
         Raises:
             SceneError: If there is none, or several.
         """
+        return self._found(self.layout.joint, name, key)
+
+    def _found(self, look_up: Callable[[str], int], name: str, key: str) -> int:
         try:
-            return self.layout.joint(name)
+            return look_up(name)
         except SceneError as error:
             raise SceneError(
                 error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
