@@ -11,10 +11,8 @@ wp.set_module_options({"enable_backward": False})
 EPSILON = wp.constant(1.0e-6)
 
 LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
-LARGEST_LEAN = wp.constant(1.0)  # [rad] from behind an object, for turning it on its way
 WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from straight is pushed at its side's middle
 BESIDE_CORNER = wp.constant(0.12)  # [rad] from an object's corner: a push there turns it towards the side pushed at
-SWIVEL = wp.constant(0.4)  # [rad] beside the middle of a broad side: a place to turn an object from
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
 SWIVEL_PRICE = wp.constant(0.4)  # of a way around the object; more would keep turned objects away from the goal
@@ -30,7 +28,6 @@ class PushAlignmentParams:
     field: int
     near: float  # [m] the term fades as the object comes closer to the goal than about this
     slack: float  # subtracted, so that the pusher may choose its place on a side of the object
-    steer: float  # [m] how far to push beside the middle, as an angle per heading error and distance; 0 means not
 
 
 @wp.func
@@ -38,10 +35,7 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
 
     With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
-    term is max(cos α + 1 - slack, 0), zero over a range of directions. With ``steer`` the pusher's best place is turned
-    about the object by steer · Δψ / d, at most ``LARGEST_LEAN``: what is left of the heading is shared out over what is
-    left of the straight way, for a push beside the middle turns an object by (arm / c²) per metre, c its friction's
-    largest moment over its largest force (Lynch and Mason, "Stable Pushing", IJRR 1996).
+    term is max(cos α + 1 - slack, 0), zero over a range of directions.
     """
     r = frame_position(s, p.pusher)
     o = frame_position(s, p.object)
@@ -55,15 +49,6 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
         path = sample_field(s.field, f, s.field_origin, s.field_cell, at)
         if path - wp.length(at - s.field_center[f]) > s.field_cell:
             to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
-    if p.steer > 0.0:
-        turn = wrap_angle(
-            yaw(wp.transform_get_rotation(frame_pose(s, p.goal)))
-            - yaw(wp.transform_get_rotation(frame_pose(s, p.object)))
-        )
-        lean = wp.clamp(p.steer * turn / wp.max(wp.length(straight), EPSILON), -LARGEST_LEAN, LARGEST_LEAN)
-        c = wp.cos(lean)
-        d = wp.sin(lean)
-        to_goal = wp.mat22(c, -d, d, c) * to_goal
     scale = wp.length(to_pusher) * wp.length(to_goal)
     value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
     if p.near > 0.0:
@@ -87,6 +72,7 @@ class PushPathParams:
     turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
     faces: int  # whether the object has sides
     broad: float  # [rad] direction of a broad side in the object's frame
+    swivel: float  # [rad] beside the middle of a broad side: a place to turn the object from
     steer: float  # how far to push beside the middle, as an angle per heading error
     lead: float  # [s] look at where the object would coast to in this time
 
@@ -101,7 +87,7 @@ def shrink(d: float, tolerance: float) -> float:
 
 
 @wp.func
-def side_place(error: float, steer: float) -> float:
+def side_place(error: float, steer: float, largest: float) -> float:
     """Where to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
 
     Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error. Turned by 45° it is
@@ -112,7 +98,7 @@ def side_place(error: float, steer: float) -> float:
     """
     a = wp.abs(error)
     turned = a - wp.half_pi * wp.floor((a + wp.pi / 12.0) / wp.half_pi)  # from the side in use, -15° to 75°
-    aim = wp.min((1.0 + steer) * a, LARGEST_STEER)
+    aim = wp.min((1.0 + steer) * a, largest)
     corner = wp.pi / 4.0
     last = wp.pi / 3.0
     place = turned - aim
@@ -126,14 +112,14 @@ def side_place(error: float, steer: float) -> float:
 
 
 @wp.func
-def swivel(angle: float, error: float, aside: float) -> float:
+def swivel(angle: float, error: float, aside: float, beside: float) -> float:
     """How far the pusher is from where it would turn an object back by its heading error [rad].
 
-    That is beside the middle of a broad side, ``angle`` away from the first one; small errors count less. There are two
-    such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther it lies to one
+    That is ``beside`` the middle of a broad side, ``angle`` away from the first one; small errors count less. There are
+    two such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther it lies to one
     side, up to half a tolerance, the more that side counts alone. A push from there brings it back rather than away.
     """
-    off = angle + wp.sign(error) * SWIVEL
+    off = angle + wp.sign(error) * beside
     nearest = wp.abs(off - wp.pi * wp.round(off / wp.pi))
     outer = wp.abs(wrap_angle(off + wp.where(aside < 0.0, wp.pi, 0.0)))
     share = wp.min(2.0 * wp.abs(aside), 1.0)
@@ -172,8 +158,8 @@ def push_path(s: StepView, p: PushPathParams) -> float:
             tolerance *= 1.0 + SWIVEL_PLAY * wp.min(wp.abs(error), 1.0)
             side = error + p.broad
             aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
-            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside)
-        beside = -side_place(error, p.steer)
+            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside, p.swivel)
+        beside = -side_place(error, p.steer, 0.75 * p.swivel)
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
     angle += beside

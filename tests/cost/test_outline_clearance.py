@@ -111,3 +111,14 @@ def test_nearness_of_boxes_matches_float64_wherever_they_are(seed):
     assert (expected > 1.0).any()
     assert (expected == 0.0).any()
     np.testing.assert_allclose(rollouts.cost(), expected, atol=2e-5)
+
+
+def test_what_the_box_lies_on_is_not_in_its_way():
+    far = {**CAN, "position": (1.5, 0.0, 0.2)}
+    found = []
+    for obstacles in ([far], [far, {**SLAB, "support": True}], [far, SLAB]):
+        rollouts = Rollouts({"term": "outline_clearance", "of": "box", "within": 0.4}, obstacles=obstacles)
+        put(rollouts, "box", np.tile((0.9, 0.0, 0.0), (rollouts.t * rollouts.w, 1)))
+        found.append(rollouts.cost())
+    np.testing.assert_array_equal(found[1], found[0])
+    assert (found[2] > found[0] + 0.1).all()

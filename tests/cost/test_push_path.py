@@ -17,6 +17,7 @@ from warpmpc.cost.stack import CostStack
 from warpmpc.engine.trajectory import Shape, Trajectory
 
 KEYS = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
+SWIVEL = math.atan2(0.75 * 0.25 - 0.1, 0.15)  # [rad] beside the middle of a broad side, to turn the box
 RADIUS = math.hypot(0.15, 0.25) + 0.1  # [m] within which the pusher is at the box
 SAMPLES = 315
 
@@ -114,7 +115,9 @@ def test_a_pusher_farther_away_costs_its_way(turn, device):
 
 def test_obstacles_between_pusher_and_object_make_the_way_longer(device):
     wall = block(size=(0.2, 1.2, 0.4), position=(0.9, 0.0))
-    found = [Pushing({}, obstacles=o, device=device).cost((0.0, 0.0), (1.5, 0.1))[0, 0, 0] for o in ((), (wall,))]
+    walls = (), (wall,)
+    pushing = [Pushing({}, obstacles=o, position=(0.0, 0.0, 0.1), device=device) for o in walls]
+    found = [p.cost((0.0, 0.0), (1.5, 0.1))[0, 0, 0] for p in pushing]
     exact = around_corners((0.0, 0.0), (1.5, 0.1), [(0.8, 0.6), (1.0, 0.6)], 0.5 * math.hypot(0.2, 0.3))
     assert exact > 2.0
     assert found[1] - found[0] == pytest.approx(exact - math.hypot(1.5, 0.1), abs=0.08)
@@ -172,7 +175,7 @@ def test_a_pusher_stays_near_the_middle_of_a_side_of_the_turned_object(steer, er
     for side, box in ((0.0, (0.6, 0.0)), (np.pi / 2, (0.0, 0.6))):
         middle = side + error - 0.5 * np.pi * round(error / (0.5 * np.pi))  # of the side that faces there now
         beside = math.remainder(cheapest_angle(pushing, box, error) - middle, math.tau)
-        assert beside == pytest.approx(-math.copysign(0.3, error), abs=0.011)
+        assert beside == pytest.approx(-math.copysign(0.75 * SWIVEL, error), abs=0.011)
 
 
 @pytest.mark.parametrize("error", [0.25, -0.25, 0.8, -1.2])
@@ -181,9 +184,22 @@ def test_at_its_goal_a_turned_box_is_turned_back_from_a_broad_side(size, broad, 
     pushing = Pushing({"steer": 0.5, "tolerance": 0.03}, device=device, size=size)
     angle = cheapest_angle(pushing, (0.0, 0.0), error) - error - broad  # in the box's frame, from a broad side
     beside = angle - np.pi * round(angle / np.pi)
-    assert beside == pytest.approx(-math.copysign(0.4, error), abs=0.011)
+    assert beside == pytest.approx(-math.copysign(SWIVEL, error), abs=0.011)
     straight = Pushing({"tolerance": 0.03}, device=device, size=size)
     assert np.ptp(straight.cost((0.0, 0.0, error), around((0.0, 0.0), 0.3, np.linspace(-3, 3, SAMPLES)))) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("size", "width", "beside"),
+    [
+        ((0.15, 0.46, 0.1), 0.02, math.atan2(0.75 * 0.23 - 0.01, 0.075)),  # a stick needs the whole arm
+        ((0.3, 0.5, 0.2), 0.39, 0.4),  # the corner of a broad front reaches far from its middle
+    ],
+)
+def test_the_narrower_the_pusher_the_farther_out_it_turns_a_long_box(size, width, beside, device):
+    pushing = Pushing({"steer": 0.5, "tolerance": 0.03, "width": width}, device=device, size=size)
+    angle = cheapest_angle(pushing, (0.0, 0.0), -0.25) + 0.25
+    assert angle - np.pi * round(angle / np.pi) == pytest.approx(beside, abs=0.011)
 
 
 @pytest.mark.parametrize(("angle", "apart"), [(-2.5, 0.35), (-0.6, 0.8), (0.4, 0.35), (2.0, 0.8)])
@@ -205,10 +221,10 @@ def test_a_turned_box_beside_its_goal_is_turned_back_from_the_side_to_which_it_l
     box = aside * math.cos(error), aside * math.sin(error)  # aside along the normal of its broad sides
     angle = cheapest_angle(pushing, box, error) - error
     towards = 0.0 if aside > 0.0 else np.pi
-    assert math.remainder(angle - towards + math.copysign(0.4, error), math.tau) == pytest.approx(0.0, abs=0.011)
+    assert math.remainder(angle - towards + math.copysign(SWIVEL, error), math.tau) == pytest.approx(0.0, abs=0.011)
     # and the way there goes downhill, all around the box
     way = np.linspace(np.pi, 0.0, SAMPLES) * math.copysign(1.0, error)
-    cost = pushing.cost((*box, error), around(box, 0.3, error + towards - math.copysign(0.4, error) + way))[0, 0]
+    cost = pushing.cost((*box, error), around(box, 0.3, error + towards - math.copysign(SWIVEL, error) + way))[0, 0]
     assert (np.diff(cost) < 1e-4).all()
 
 
@@ -237,6 +253,34 @@ def test_a_goal_moves_in_its_own_environment_alone(device):
     new = pushing.cost((0.6, 0.0), (0.9, 0.0))[0, :, 0]
     assert new[0] > 0.7
     np.testing.assert_allclose(new[1], 0.913, atol=1e-4)
+
+
+def test_a_table_under_the_object_is_a_support_and_not_in_the_way(device):
+    table = {"name": "table", "shape": "box", "size": (3.0, 3.0, 0.2), "position": (0.5, 0.0, -0.1), "support": True}
+    wall = block(size=(0.2, 1.2, 0.4), position=(0.9, 0.0))
+    rng = np.random.default_rng(0)
+    box = rng.uniform([-0.5, -0.5, -3.0], [0.5, 0.5, 3.0], size=(SAMPLES, 3))
+    pusher = box[:, :2] + rng.uniform(-1.0, 1.0, size=(SAMPLES, 2))
+    start = {"position": (0.0, 0.0, 0.1), "device": device}
+    without = Pushing({"steer": 0.5}, obstacles=[wall], **start).cost(box, pusher)
+    with_table = Pushing({"steer": 0.5}, obstacles=[wall, table], **start).cost(box, pusher)
+    np.testing.assert_allclose(with_table, without, atol=0.06)  # a larger grid, its cells elsewhere
+    with pytest.raises(SceneError, match="'box' starts within obstacle 'table'.*support = true") as caught:
+        Pushing({}, obstacles=[wall, {**table, "support": False}], **start)
+    assert caught.value.key == "obstacle.table.support"
+
+
+def test_a_small_object_has_a_finer_grid(device):
+    """A fifth as large, everything costs a fifth, close to the goal too: cells shrink with the object."""
+    box = np.array([(0.61, 0.0), (0.0, 0.43), (-0.3, 0.2), (0.09, 0.07), (0.1, -0.06)])
+    pusher = box + np.array([(0.2, 0.0), (-0.1, 0.3), (0.25, 0.1), (0.3, 0.0), (0.0, -0.3)])
+    found = []
+    for scale in (1.0, 0.2):
+        size = tuple(scale * s for s in BOX["size"])
+        keys = {"width": 0.2 * scale, "length": 0.3 * scale, "inflation": 0.0}
+        pushing = Pushing(keys, size=size, position=(0.8 * scale, 0.0, 0.1 * scale), device=device)
+        found.append([pushing.cost(b, p)[0, 0, 0] / scale for b, p in zip(scale * box, scale * pusher, strict=True)])
+    np.testing.assert_allclose(found[1], found[0], atol=0.05)
 
 
 @pytest.mark.parametrize(

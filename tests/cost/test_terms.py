@@ -29,14 +29,9 @@ def yaw(r: Rollouts, near: float) -> np.ndarray:
     return error * (np.exp(-np.linalg.norm((p - q)[..., :2], axis=-1) / near) if near else 1.0)
 
 
-def alignment(r: Rollouts, near: float, steer: float = 0.0) -> np.ndarray:
+def alignment(r: Rollouts, near: float) -> np.ndarray:
     pusher, box, goal = (r.pose(f)[0][..., :2] for f in ("base/tip", "box", "goal"))
     u, v = pusher - box, goal - box
-    if steer:  # the best place is turned about the box by what is left to turn, shared out over the way
-        left = np.angle(np.exp(1j * (heading(r.pose("goal")[1]) - heading(r.pose("box")[1]))))
-        lean = np.exp(1j * np.clip(steer * left / np.linalg.norm(v, axis=-1).ravel(), -1.0, 1.0))
-        u = r.each((u @ [1.0, 1j]).ravel() / lean)
-        u = np.stack([u.real, u.imag], axis=-1)
     cos = (u * v).sum(-1) / np.linalg.norm(u, axis=-1) / np.linalg.norm(v, axis=-1)
     return (cos + 1.0) * (1.0 - np.exp(-np.linalg.norm(v, axis=-1) / near) if near else 1.0)
 
@@ -56,6 +51,10 @@ def coasting(r: Rollouts, lead: float) -> np.ndarray:
     body = int(r.layout.frame_body[r.layout.frame("box")])
     velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
     return r.pose("box")[0] + lead * velocity.reshape(r.pose("box")[0].shape)
+
+
+SWIVEL = np.arctan2(0.75 * 0.25 - 0.5 * 0.2, 0.15)
+"""From where a pusher 0.2 m wide turns the box [rad]: its side reaches three quarters of the way to the corner."""
 
 
 def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float, lead: float = 0.0) -> np.ndarray:
@@ -90,7 +89,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     # from 60 to 75° over to the next side
     size = np.abs(error)
     turned = size - 0.5 * np.pi * np.floor((size + np.pi / 12) / (0.5 * np.pi))
-    aim = np.minimum((1.0 + steer) * size, 0.3)
+    aim = np.minimum((1.0 + steer) * size, 0.75 * SWIVEL)
     knots = np.array([-np.pi / 12, 0.52, np.pi / 4, np.pi / 3, 5 * np.pi / 12])
     places = [[knots[0] - m, knots[1] - m, 0.12, np.pi / 12 + 0.12, knots[0] - m] for m in aim]
     place = np.array([np.interp(t, knots, row) for t, row in zip(turned, places, strict=True)])
@@ -103,7 +102,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
         least = np.where(apart > radius, np.minimum(least, other), least)
     # near the goal the pusher goes to where it turns the box back: beside the middle of one of its broad sides (± x),
     # of that to which the box lies when it lies aside by half the tolerance
-    beside = np.angle(to) - error + 0.4 * np.sign(error)
+    beside = np.angle(to) - error + SWIVEL * np.sign(error)
     either = np.abs(beside - np.pi * np.round(beside / np.pi))
     aside = (off * np.exp(-1j * error)).real / max(tolerance, 1e-6)
     outer = np.abs(np.angle(np.exp(1j * (beside + np.pi * (aside < 0.0)))))
@@ -175,10 +174,6 @@ CASES = {
     "near push_alignment": (
         {"term": "push_alignment", "pusher": "base/tip", "object": "box", "near": 0.4},
         lambda r: alignment(r, 0.4),
-    ),
-    "steering push_alignment": (
-        {"term": "push_alignment", "pusher": "base/tip", "object": "box", "steer": 0.5},
-        lambda r: alignment(r, 0.0, 0.5),
     ),
     "push_path": (
         {"pusher": "base/tip", "object": "box", "width": 0.2, "length": 0.3, "behind": 0.6, "turn": 0.7}

@@ -6,8 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..engine.pairs import Pair
 from ..scene.errors import SceneError
+from .geodesic import outlines, polygon_distance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,6 +122,27 @@ class Binding:
         if shape.kind not in PRIMITIVES:
             raise SceneError("an outline needs a primitive shape", key=where, file=self.file, found=shape.kind)
         return shape
+
+    @property
+    def supports(self) -> set[str]:
+        """Obstacles that objects lie on."""
+        return {obstacle.name for obstacle in self.scene.obstacle if obstacle.support}
+
+    def require_way(self, name: str) -> None:
+        """Nothing but supports may be where an object starts.
+
+        Raises:
+            SceneError: If its centre is within an obstacle's outline.
+        """
+        start = np.array(next(o.position for o in self.scene.object if o.name == name)[:2])
+        for obstacle, corners in outlines(self.layout, self.supports):
+            if polygon_distance(start, corners) < 0.0:
+                raise SceneError(
+                    f"seen from above, '{name}' starts within obstacle '{obstacle}', from where no way leads to the "
+                    f"goal; if it lies on it, give that obstacle support = true",
+                    key=f"obstacle.{obstacle}.support",
+                    file=self.file,
+                )
 
     def distance_field(self, target: int, inflation: float) -> int:
         """Index of the distance field to a frame; terms that ask for the same field share it."""

@@ -12,7 +12,7 @@ import warp as wp
 from ..kernels import clearance, costs, grasping, pushing
 from ..scene.errors import SceneError
 from .binding import PRIMITIVES
-from .geodesic import convex_outline, outline
+from .geodesic import convex_outline, outline, outlines
 from .keys import (
     Approach,
     ContactForce,
@@ -62,7 +62,7 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     v = parse_keys(PushAlignment, keys, b)
     p = pushing.PushAlignmentParams()
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
-    p.near, p.slack, p.steer, p.field = v.near, v.slack, v.steer, -1
+    p.near, p.slack, p.field = v.near, v.slack, -1
     if v.metric is Metric.GEODESIC:
         p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
     return p
@@ -77,10 +77,13 @@ def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
     p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
     p.broad = 0.0 if y >= x else 0.5 * math.pi
+    # so far that the pusher's side reaches three quarters of the way to the corner
+    p.swivel = max(0.4, math.atan2(0.75 * max(x, y) - 0.5 * v.width, min(x, y)))
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
     # to a centimetre, so that a distance term can share the field
     p.field = b.distance_field(p.object, round(0.5 * math.hypot(v.width, v.length), 2))
     p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn
+    b.require_way(v.object)
     request = PushRequest(inflation, (x, y), shape.kind == "box", v.width, v.length, v.turn, v.slant)
     b.push_paths.append((p, request))
     return p
@@ -193,17 +196,16 @@ def _outline_clearance(keys: dict[str, Any], b: Binding) -> clearance.OutlineCle
     own = [s for s in layout.shapes if s.body == body and s.collides and s.kind != "plane"]
     if body < 0 or not own:
         raise SceneError("this frame's body has no colliding shape", key=f"{b.key}.of", file=b.file, found=v.of)
-    obstacles = [layout.shapes[i] for e in layout.group("obstacles") for i in e.shapes]
     to_frame = wp.transform_inverse(wp.transform(*layout.frame_pose[p.of]))
-    outlines = [convex_outline(np.concatenate([outline(layout, s, to_frame) for s in own]))]
-    outlines += [outline(layout, s) for s in obstacles if s.kind != "plane"]
-    counts = [len(o) for o in outlines]
-    centres = [o.mean(axis=0) for o in outlines]
-    p.corner = wp.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
+    all_outlines = [convex_outline(np.concatenate([outline(layout, s, to_frame) for s in own]))]
+    all_outlines += [corners for _, corners in outlines(layout, b.supports)]
+    counts = [len(o) for o in all_outlines]
+    centres = [o.mean(axis=0) for o in all_outlines]
+    p.corner = wp.array(np.concatenate(all_outlines).astype(np.float32), dtype=wp.vec2)
     p.first = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int)
     p.count = wp.array(counts, dtype=int)
     p.centre = wp.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
-    radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(outlines, centres, strict=True)]
+    radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(all_outlines, centres, strict=True)]
     p.radius = wp.array(radii, dtype=float)
     return p
 

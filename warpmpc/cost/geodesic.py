@@ -12,6 +12,8 @@ import warp as wp
 from ..kernels.fields import sight_kernel
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from ..scene.layout import Layout, ShapeInfo
 
 
@@ -21,14 +23,21 @@ class Grid:
     Args:
         layout: The scene's layout.
         points: Further places the grid must cover, ``[n, 2]``, such as starts and goals.
+        supports: Obstacles that things lie on, which are not in the way.
         cell: Cell size [m].
         margin: Space left around everything [m].
     """
 
-    def __init__(self, layout: Layout, points: np.ndarray, *, cell: float = 0.05, margin: float = 1.0):
-        obstacles = [layout.shapes[i] for e in layout.group("obstacles") for i in e.shapes]
-        obstacles = [shape for shape in obstacles if shape.kind != "plane"]
-        self.outlines = [outline(layout, shape) for shape in obstacles]
+    def __init__(
+        self,
+        layout: Layout,
+        points: np.ndarray,
+        *,
+        supports: Collection[str] = (),
+        cell: float = 0.05,
+        margin: float = 1.0,
+    ):
+        self.outlines = [corners for _, corners in outlines(layout, supports)]
         covered = np.concatenate([points, *self.outlines])
         low, high = covered.min(axis=0), covered.max(axis=0)
         self.cell = cell
@@ -69,7 +78,7 @@ class Grid:
         """Distance of points ``[..., 2]`` from the nearest obstacle [m], negative inside, infinite without any."""
         clearance = np.full(points.shape[:-1], np.inf)
         for corners in self.outlines:
-            clearance = np.minimum(clearance, _polygon_distance(points, corners))
+            clearance = np.minimum(clearance, polygon_distance(points, corners))
         return clearance
 
     def nearest_free(self, inflation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -146,6 +155,17 @@ class Grid:
         return self.sight(inflation, self.points.reshape(-1, 2), border[kept]), between
 
 
+def outlines(layout: Layout, supports: Collection[str]) -> list[tuple[str, np.ndarray]]:
+    """Obstacles in the way of what moves in the plane, by name, and their convex outlines ``[n, 2]`` [m].
+
+    Args:
+        layout: Layout of the scene.
+        supports: Obstacles that things lie on, which are not in the way.
+    """
+    shapes = [(e.name, layout.shapes[i]) for e in layout.group("obstacles") if e.name not in supports for i in e.shapes]
+    return [(name, outline(layout, shape)) for name, shape in shapes if shape.kind != "plane"]
+
+
 def outline(layout: Layout, shape: ShapeInfo, to_frame: wp.transform | None = None) -> np.ndarray:
     """Convex outline of a shape seen from above, counter-clockwise, ``[n, 2]`` [m].
 
@@ -182,7 +202,7 @@ def convex_outline(points: np.ndarray) -> np.ndarray:
     return points[ConvexHull(points).vertices]
 
 
-def _polygon_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def polygon_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Signed distance of points [..., 2] to a convex counter-clockwise polygon [n, 2], negative inside."""
     outside = np.full(points.shape[:-1], np.inf)
     inside = np.ones(points.shape[:-1], dtype=bool)

@@ -65,8 +65,6 @@ class PushAlignment(Section):
     """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
     slack: NonNegative = 0.0
     """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
-    steer: NonNegative = 0.0
-    """Turn the object on its way: push beside its middle, by this times heading left over distance left [m]."""
 
 
 class PushPath(Section):

@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
 
 
-_PUSH_MARGIN = 1.5
-"""Room around everything in the scene in which ways to push are searched [m]."""
+_CELL = 0.05
+"""Cell of distance fields and of the search for ways to push [m]; a fifth of a pushed object if that is less."""
+_PUSH_MARGIN = 30
+"""Cells around everything in the scene in which ways to push are searched."""
 
 
 class CostStack:
@@ -69,13 +71,22 @@ class CostStack:
         self._weights = [cost.weight for cost in scene.cost]
         self._fields = binding.fields
         self._push_paths = binding.push_paths
-        self._grid = self._make_grid(scene) if self._fields or self._push_paths else None
+        self._grid = self._make_grid(scene, binding.supports) if self._fields or self._push_paths else None
 
-    def _make_grid(self, scene: Scene) -> Grid:
+    def _make_grid(self, scene: Scene, supports: set[str]) -> Grid:
         starts = [item.position[:2] for item in (*scene.object, *scene.robot)]
-        bodies = [r.joint_q[:2] for r in scene.robot if isinstance(r.joint_q, tuple) and len(r.joint_q) >= 2]
-        points = np.array([scene.goal.position[:2], *starts, *bodies], dtype=float)
-        return Grid(self.layout, points, margin=_PUSH_MARGIN if self._push_paths else 1.0)
+        layout = self.layout
+        for robot in layout.group("robots"):
+            moving = [j for j in robot.joints if layout.joint_dof_dim[j].any()]
+            axes = "".join("xr"[i] * n for j in moving for i, n in enumerate(layout.joint_dof_dim[j]))
+            if axes.startswith("xx"):  # a base that moves in the plane
+                q = layout.joint_q_start[moving[0]]
+                starts.append(layout.joint_q[q : q + 2])
+        points = np.array([scene.goal.position[:2], *starts], dtype=float)
+        if not self._push_paths:
+            return Grid(layout, points, supports=supports, cell=_CELL)
+        cell = min(_CELL, *(0.4 * min(request.half_size) for _, request in self._push_paths))
+        return Grid(layout, points, supports=supports, cell=cell, margin=_PUSH_MARGIN * cell)
 
     @property
     def capturable(self) -> bool:

@@ -178,6 +178,9 @@ class Object(_Shape):
 class Obstacle(_Shape):
     """A thing that stays where it is."""
 
+    support: Flag = False
+    """Whether objects lie and move on it, as on a table: paths and outlines seen from above leave it out."""
+
 
 class Ground(Section):
     """The floor z = height."""
