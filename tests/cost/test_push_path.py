@@ -265,7 +265,7 @@ def test_a_table_under_the_object_is_a_support_and_not_in_the_way(device):
     without = Pushing({"steer": 0.5}, obstacles=[wall], **start).cost(box, pusher)
     with_table = Pushing({"steer": 0.5}, obstacles=[wall, table], **start).cost(box, pusher)
     np.testing.assert_allclose(with_table, without, atol=0.06)  # a larger grid, its cells elsewhere
-    with pytest.raises(SceneError, match="'box' starts within obstacle 'table'.*support = true") as caught:
+    with pytest.raises(SceneError, match=r"'box' starts within obstacle 'table'.*support = true") as caught:
         Pushing({}, obstacles=[wall, {**table, "support": False}], **start)
     assert caught.value.key == "obstacle.table.support"
 
