@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 EPSILON = wp.constant(1.0e-6)
 
-LARGEST_STEER = wp.constant(0.3)  # [rad] beside the middle of an object's side, for turning it
+WHOLE_TURN = wp.constant(0.3)  # [rad] a heading error from which on the place to turn an object from counts in full
 WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from straight is pushed at its side's middle
 BESIDE_CORNER = wp.constant(0.12)  # [rad] from an object's corner: a push there turns it towards the side pushed at
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
@@ -72,7 +72,8 @@ class PushPathParams:
     turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
     faces: int  # whether the object has sides
     broad: float  # [rad] direction of a broad side in the object's frame
-    swivel: float  # [rad] beside the middle of a broad side: a place to turn the object from
+    arm: float  # [rad] beside the middle of a broad side: a place to turn the object from
+    aim: wp.vec2  # [rad] at most this far beside the middle of a narrow and of a broad side on the way
     steer: float  # how far to push beside the middle, as an angle per heading error
     lead: float  # [s] look at where the object would coast to in this time
 
@@ -90,11 +91,12 @@ def shrink(d: float, tolerance: float) -> float:
 def side_place(error: float, steer: float, largest: float) -> float:
     """Where to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
 
-    Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error. Turned by 45° it is
-    on the same side, just beside the corner that then faces straight; on the other side of that corner a push would
-    turn the object on. Only beyond 60° the next side takes over, and without a jump: pushers wait where the cost jumps.
-    The corners are those of a square: of a longer object's narrow sides they are nearer, so for these it is a rule of
-    thumb. At 180° both ways back are equally long, and there it does jump.
+    Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error, at most
+    ``largest``. Turned by 45° it is on the same side, just beside the corner that then faces straight; on the other
+    side of that corner a push would turn the object on. Only beyond 60° the next side takes over, and without a
+    jump: pushers wait where the cost jumps. The corners are those of a square: of a longer object's narrow sides
+    they are nearer, so for these it is a rule of thumb. At 180° both ways back are equally long, and there it does
+    jump.
     """
     a = wp.abs(error)
     turned = a - wp.half_pi * wp.floor((a + wp.pi / 12.0) / wp.half_pi)  # from the side in use, -15° to 75°
@@ -112,18 +114,19 @@ def side_place(error: float, steer: float, largest: float) -> float:
 
 
 @wp.func
-def swivel(angle: float, error: float, aside: float, beside: float) -> float:
+def swivel(angle: float, error: float, aside: float, arm: float) -> float:
     """How far the pusher is from where it would turn an object back by its heading error [rad].
 
-    That is ``beside`` the middle of a broad side, ``angle`` away from the first one; small errors count less. There are
-    two such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther it lies to one
-    side, up to half a tolerance, the more that side counts alone. A push from there brings it back rather than away.
+    That is ``arm`` beside the middle of a broad side, ``angle`` away from the first one; small errors count less.
+    There are two such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther
+    it lies to one side, up to half a tolerance, the more that side counts alone. A push from there brings it back
+    rather than away.
     """
-    off = angle + wp.sign(error) * beside
+    off = angle + wp.sign(error) * arm
     nearest = wp.abs(off - wp.pi * wp.round(off / wp.pi))
     outer = wp.abs(wrap_angle(off + wp.where(aside < 0.0, wp.pi, 0.0)))
     share = wp.min(2.0 * wp.abs(aside), 1.0)
-    return wp.lerp(nearest, outer, share) * wp.min(wp.abs(error) / LARGEST_STEER, 1.0)
+    return wp.lerp(nearest, outer, share) * wp.min(wp.abs(error) / WHOLE_TURN, 1.0)
 
 
 @wp.func
@@ -158,8 +161,9 @@ def push_path(s: StepView, p: PushPathParams) -> float:
             tolerance *= 1.0 + SWIVEL_PLAY * wp.min(wp.abs(error), 1.0)
             side = error + p.broad
             aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
-            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside, p.swivel)
-        beside = -side_place(error, p.steer, 0.75 * p.swivel)
+            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside, p.arm)
+        across = wp.cos(angle - error - p.broad)  # ± 1 at the middle of a broad side, 0 of a narrow one
+        beside = -side_place(error, p.steer, wp.lerp(p.aim[0], p.aim[1], across * across))
     at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
     turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
     angle += beside

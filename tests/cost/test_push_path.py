@@ -113,10 +113,12 @@ def test_a_pusher_farther_away_costs_its_way(turn, device):
     assert (np.diff(wrong) >= -1e-5).all()
 
 
-def test_obstacles_between_pusher_and_object_make_the_way_longer(device):
+@pytest.mark.parametrize("size", [BOX["size"], (0.04, 0.04, 0.2)])
+def test_obstacles_between_pusher_and_object_make_the_way_longer(size, device):
+    """A small object too, whose grid is finer: its pusher is not smaller."""
     wall = block(size=(0.2, 1.2, 0.4), position=(0.9, 0.0))
     walls = (), (wall,)
-    pushing = [Pushing({}, obstacles=o, position=(0.0, 0.0, 0.1), device=device) for o in walls]
+    pushing = [Pushing({}, obstacles=o, position=(0.0, 0.0, 0.1), size=size, device=device) for o in walls]
     found = [p.cost((0.0, 0.0), (1.5, 0.1))[0, 0, 0] for p in pushing]
     exact = around_corners((0.0, 0.0), (1.5, 0.1), [(0.8, 0.6), (1.0, 0.6)], 0.5 * math.hypot(0.2, 0.3))
     assert exact > 2.0
@@ -202,6 +204,18 @@ def test_the_narrower_the_pusher_the_farther_out_it_turns_a_long_box(size, width
     assert angle - np.pi * round(angle / np.pi) == pytest.approx(beside, abs=0.011)
 
 
+@pytest.mark.parametrize("error", [0.12, -0.3, 0.42])
+@pytest.mark.parametrize("size", [(0.15, 0.46, 0.1), (0.46, 0.15, 0.1), (0.2, 0.2, 0.1)])
+def test_on_its_way_a_box_is_pushed_between_its_middle_and_its_corner(size, error, device):
+    """On every side, where the push turns it back; beyond the corner lies another side."""
+    pushing = Pushing({"steer": 1.0, "width": 0.02, "length": 0.02}, device=device, size=size)
+    for side, box in ((0.0, (1.0, 0.0)), (np.pi / 2, (0.0, 1.0)), (np.pi, (-1.0, 0.0))):
+        across, along = size[:2] if side != np.pi / 2 else size[1::-1]
+        place = math.remainder(cheapest_angle(pushing, box, error) - side - error, math.tau)  # from the side's middle
+        assert place * error < 0.0, (side, place)
+        assert abs(place) < math.atan2(along, across), (side, place)
+
+
 @pytest.mark.parametrize(("angle", "apart"), [(-2.5, 0.35), (-0.6, 0.8), (0.4, 0.35), (2.0, 0.8)])
 @pytest.mark.parametrize(("direction", "low"), [(1.0, 0.1), (-1.0, 0.9), (1.0, 2.0)])
 def test_the_cost_does_not_jump_as_the_object_turns(angle, apart, direction, low, device):
@@ -268,6 +282,12 @@ def test_a_table_under_the_object_is_a_support_and_not_in_the_way(device):
     with pytest.raises(SceneError, match=r"'box' starts within obstacle 'table'.*support = true") as caught:
         Pushing({}, obstacles=[wall, {**table, "support": False}], **start)
     assert caught.value.key == "obstacle.table.support"
+    post = block("post", size=(0.2, 0.2, 0.4), position=(0.0, 0.0))
+    with pytest.raises(SceneError, match="the goal of 'box' lies within obstacle 'post'"):
+        Pushing({}, obstacles=[post], device=device)
+    with pytest.raises(SceneError, match="stands upright") as caught:
+        Pushing({}, rotation=(0.7071, 0.0, 0.0, 0.7071), device=device)
+    assert caught.value.key == "object.box.rotation"
 
 
 def test_a_small_object_has_a_finer_grid(device):

@@ -89,7 +89,9 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     # from 60 to 75° over to the next side
     size = np.abs(error)
     turned = size - 0.5 * np.pi * np.floor((size + np.pi / 12) / (0.5 * np.pi))
-    aim = np.minimum((1.0 + steer) * size, 0.75 * SWIVEL)
+    across = np.cos(np.angle(to) - error) ** 2  # how squarely the pusher stands before a broad side
+    narrow = min(SWIVEL, np.arctan2(0.15, 0.25))
+    aim = np.minimum((1.0 + steer) * size, 0.75 * (narrow + across * (SWIVEL - narrow)))
     knots = np.array([-np.pi / 12, 0.52, np.pi / 4, np.pi / 3, 5 * np.pi / 12])
     places = [[knots[0] - m, knots[1] - m, 0.12, np.pi / 12 + 0.12, knots[0] - m] for m in aim]
     place = np.array([np.interp(t, knots, row) for t, row in zip(turned, places, strict=True)])

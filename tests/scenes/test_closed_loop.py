@@ -111,17 +111,29 @@ def test_the_base_pushes_the_ball_into_the_gap(variant):
     assert all(r.success for r in results), results
 
 
+def test_the_stick_pushes_a_long_object_and_turns_it_on_its_way():
+    (result,) = episodes("panda_push_objects:E_left", (540,), ["planner.samples=64"])
+    assert result.success, result
+    assert result.sim_time < 8.0, result
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["pose_1", "pose_2"])
 def test_the_stick_pushes_the_block_to_a_pose(variant):
     for r in episodes(f"panda_push:{variant}", (530, 531)):
         # at most √2 of the distance is the sum of both axes: 1.5 (|x| + |y|) + 0.01 |yaw| (Table II)
-        assert 1.5 * 2.0**0.5 * r.position_error + 0.01 * r.yaw_error <= 0.06, r
+        assert 1.5 * 2.0**0.5 * r.position_error + 0.01 * r.yaw_error <= 0.03, r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", ["B_right", "C_right"])
+@pytest.mark.parametrize("variant", ["B_right", "C_right", "D_centre", "E_centre"])
 def test_the_stick_pushes_objects_of_all_sorts(variant):
     # the scene's 512 samples are for a GPU
     results = episodes(f"panda_push_objects:{variant}", (540, 541), ["planner.samples=128"])
-    assert sum(r.success for r in results) >= 1, results
+    assert all(r.success for r in results), results
+
+
+@pytest.mark.slow
+def test_a_cube_that_is_knocked_away_is_picked_up_again():
+    results = episodes("mobile_pick:knocked", (550, 551, 552))
+    assert sum(r.success for r in results) >= 2, results

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..engine.pairs import Pair
 from ..scene.errors import SceneError
-from .geodesic import outlines, polygon_distance
+from .geodesic import obstacle_outlines, polygon_distance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,20 +130,31 @@ class Binding:
         return {obstacle.name for obstacle in self.scene.obstacle if obstacle.support}
 
     def require_way(self, name: str) -> None:
-        """Nothing but supports may be where an object starts.
+        """An object to be pushed starts upright, and nothing but supports may be where it starts or where its goal is.
 
         Raises:
-            SceneError: If its centre is within an obstacle's outline.
+            SceneError: If it is tilted, or its centre or goal is within an obstacle's outline.
         """
-        start = np.array(next(o.position for o in self.scene.object if o.name == name)[:2])
-        for obstacle, corners in outlines(self.layout, self.supports):
-            if polygon_distance(start, corners) < 0.0:
-                raise SceneError(
-                    f"seen from above, '{name}' starts within obstacle '{obstacle}', from where no way leads to the "
-                    f"goal; if it lies on it, give that obstacle support = true",
-                    key=f"obstacle.{obstacle}.support",
-                    file=self.file,
-                )
+        pushed = next(o for o in self.scene.object if o.name == name)
+        if Rotation.from_quat(pushed.rotation).apply([0.0, 0.0, 1.0])[2] < 0.99:
+            raise SceneError(
+                "push_path takes an object that stands upright: give its size for that",
+                key=f"object.{name}.rotation",
+                file=self.file,
+                found=pushed.rotation,
+            )
+        places = {f"'{name}' starts": pushed.position[:2]}
+        if self.scene.goal.object == name:
+            places[f"the goal of '{name}' lies"] = self.scene.goal.position[:2]
+        for obstacle, corners in obstacle_outlines(self.layout, self.supports):
+            for what, place in places.items():
+                if polygon_distance(np.array(place), corners) < 0.0:
+                    raise SceneError(
+                        f"seen from above, {what} within obstacle '{obstacle}', so that push_path finds no way; if it "
+                        "is what the object lies on, give that obstacle support = true",
+                        key=f"obstacle.{obstacle}.support",
+                        file=self.file,
+                    )
 
     def distance_field(self, target: int, inflation: float) -> int:
         """Index of the distance field to a frame; terms that ask for the same field share it."""

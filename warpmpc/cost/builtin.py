@@ -12,7 +12,7 @@ import warp as wp
 from ..kernels import clearance, costs, grasping, pushing
 from ..scene.errors import SceneError
 from .binding import PRIMITIVES
-from .geodesic import convex_outline, outline, outlines
+from .geodesic import convex_outline, obstacle_outlines, outline
 from .keys import (
     Approach,
     ContactForce,
@@ -68,6 +68,10 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     return p
 
 
+_LEAST_ARM = 0.4
+"""A place to turn a box from is at least this far beside the middle of a broad side [rad], for broad pushers."""
+
+
 def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     v = parse_keys(PushPath, keys, b)
     shape = b.object_shape(v.object, "object")
@@ -77,8 +81,9 @@ def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     inflation = b.footprint(v.object) if v.inflation is None else v.inflation
     p.goal, p.tolerance = b.frame("goal", "goal"), v.tolerance
     p.broad = 0.0 if y >= x else 0.5 * math.pi
-    # so far that the pusher's side reaches three quarters of the way to the corner
-    p.swivel = max(0.4, math.atan2(0.75 * max(x, y) - 0.5 * v.width, min(x, y)))
+    # so far out that the pusher's side reaches three quarters of the way to the corner
+    p.arm = max(_LEAST_ARM, math.atan2(0.75 * max(x, y) - 0.5 * v.width, min(x, y)))
+    p.aim = wp.vec2(0.75 * min(p.arm, math.atan2(min(x, y), max(x, y))), 0.75 * p.arm)
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
     # to a centimetre, so that a distance term can share the field
     p.field = b.distance_field(p.object, round(0.5 * math.hypot(v.width, v.length), 2))
@@ -197,15 +202,17 @@ def _outline_clearance(keys: dict[str, Any], b: Binding) -> clearance.OutlineCle
     if body < 0 or not own:
         raise SceneError("this frame's body has no colliding shape", key=f"{b.key}.of", file=b.file, found=v.of)
     to_frame = wp.transform_inverse(wp.transform(*layout.frame_pose[p.of]))
-    all_outlines = [convex_outline(np.concatenate([outline(layout, s, to_frame) for s in own]))]
-    all_outlines += [corners for _, corners in outlines(layout, b.supports)]
-    counts = [len(o) for o in all_outlines]
-    centres = [o.mean(axis=0) for o in all_outlines]
-    p.corner = wp.array(np.concatenate(all_outlines).astype(np.float32), dtype=wp.vec2)
+    lying = {e.name for e in layout.group("objects")}
+    supports = b.supports if v.of.split("/")[0] in lying else ()
+    outlines = [convex_outline(np.concatenate([outline(layout, s, to_frame) for s in own]))]
+    outlines += [corners for _, corners in obstacle_outlines(layout, supports)]
+    counts = [len(o) for o in outlines]
+    centres = [o.mean(axis=0) for o in outlines]
+    p.corner = wp.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
     p.first = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int)
     p.count = wp.array(counts, dtype=int)
     p.centre = wp.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
-    radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(all_outlines, centres, strict=True)]
+    radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(outlines, centres, strict=True)]
     p.radius = wp.array(radii, dtype=float)
     return p
 

@@ -37,7 +37,7 @@ class Grid:
         cell: float = 0.05,
         margin: float = 1.0,
     ):
-        self.outlines = [corners for _, corners in outlines(layout, supports)]
+        self.outlines = [corners for _, corners in obstacle_outlines(layout, supports)]
         covered = np.concatenate([points, *self.outlines])
         low, high = covered.min(axis=0), covered.max(axis=0)
         self.cell = cell
@@ -155,7 +155,7 @@ class Grid:
         return self.sight(inflation, self.points.reshape(-1, 2), border[kept]), between
 
 
-def outlines(layout: Layout, supports: Collection[str]) -> list[tuple[str, np.ndarray]]:
+def obstacle_outlines(layout: Layout, supports: Collection[str]) -> list[tuple[str, np.ndarray]]:
     """Obstacles in the way of what moves in the plane, by name, and their convex outlines ``[n, 2]`` [m].
 
     Args:

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 
 _CELL = 0.05
-"""Cell of distance fields and of the search for ways to push [m]; a fifth of a pushed object if that is less."""
+"""Cell of distance fields and of the search for ways to push [m]; a fifth of a pushed object if that is less, ..."""
+_LEAST_CELL = 0.01
+"""... down to this: memory and time of the search grow with its square."""
 _PUSH_MARGIN = 30
 """Cells around everything in the scene in which ways to push are searched."""
 
@@ -76,17 +78,20 @@ class CostStack:
     def _make_grid(self, scene: Scene, supports: set[str]) -> Grid:
         starts = [item.position[:2] for item in (*scene.object, *scene.robot)]
         layout = self.layout
-        for robot in layout.group("robots"):
-            moving = [j for j in robot.joints if layout.joint_dof_dim[j].any()]
+        for robot in scene.robot:
+            moving = [j for j in layout.entity(robot.name).joints if layout.joint_dof_dim[j].any()]
             axes = "".join("xr"[i] * n for j in moving for i, n in enumerate(layout.joint_dof_dim[j]))
             if axes.startswith("xx"):  # a base that moves in the plane
                 q = layout.joint_q_start[moving[0]]
-                starts.append(layout.joint_q[q : q + 2])
+                starts.append(np.add(robot.position[:2], layout.joint_q[q : q + 2]))
         points = np.array([scene.goal.position[:2], *starts], dtype=float)
         if not self._push_paths:
             return Grid(layout, points, supports=supports, cell=_CELL)
-        cell = min(_CELL, *(0.4 * min(request.half_size) for _, request in self._push_paths))
-        return Grid(layout, points, supports=supports, cell=cell, margin=_PUSH_MARGIN * cell)
+        requests = [request for _, request in self._push_paths]
+        cell = max(min(_CELL, *(0.4 * min(r.half_size) for r in requests)), _LEAST_CELL)
+        room = max([f.inflation for f in self._fields] + [r.inflation + r.length for r in requests])
+        margin = max(_PUSH_MARGIN * cell, room + 5 * cell)
+        return Grid(layout, points, supports=supports, cell=cell, margin=margin)
 
     @property
     def capturable(self) -> bool:
@@ -153,7 +158,7 @@ class CostStack:
         self.goal.assign(np.asarray(pose, dtype=np.float32).reshape(-1, 7))
 
     def aim(self, goal: np.ndarray) -> None:
-        """Search the ways to push to new goals, on the host: a tenth of a second for each goal that moved.
+        """Search the ways to push to new goals, on the host: some tenths of a second for each goal that moved.
 
         Args:
             goal: Goal poses ``[E, 7]``.

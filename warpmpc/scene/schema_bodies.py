@@ -179,7 +179,8 @@ class Obstacle(_Shape):
     """A thing that stays where it is."""
 
     support: Flag = False
-    """Whether objects lie and move on it, as on a table: paths and outlines seen from above leave it out."""
+    """Whether what moves is on top of it, as on a table: paths seen from above and objects' clearance leave it out.
+    Not for one that a mobile base has to go around."""
 
 
 class Ground(Section):
