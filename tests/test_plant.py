@@ -217,3 +217,16 @@ def test_a_plant_that_blows_up_says_so():
     assert plant.reason == "the plant's physics diverged"
     plant.reset()
     assert not plant.diverged
+
+
+@pytest.mark.parametrize("support", [True, False])
+def test_what_an_object_lies_on_is_no_collision_of_its_own(support):
+    table = {"name": "table", "shape": "box", "size": (1.0, 1.0, 0.2), "position": (2.5, 0.0, 0.1), "support": support}
+    scene = make_scene(object=[{**BOX, "position": (2.5, 0.0, 0.3)}], obstacle=[WALL, table])
+    plant = Plant(scene, compiled=compiled(scene))
+    for _ in range(5):
+        plant.apply(np.zeros(3))
+    weight = plant.contact.forces.get("box-table", 0.0)
+    assert (weight == 0.0) if support else (weight > 5.0)  # [N] of 9.8
+    assert (plant.contact.time == 0.0) == support
+    assert "base-table" in plant.contact.forces

@@ -58,7 +58,7 @@ def plant_worlds(scene: Scene, compiled: CompiledScene, seeds: Sequence[int]) ->
         Shape(len(seeds), 1, 1, 1),
         control_dt=scene.timing.control_dt,
         substeps=scene.plant.substeps,
-        pairs=collision_pairs(layout),
+        pairs=collision_pairs(layout, {obstacle.name for obstacle in scene.obstacle if obstacle.support}),
         properties=_stacked(draws) if draws else None,
         threads=1 if len(seeds) == 1 else 0,
         iterations=100,

@@ -133,10 +133,11 @@ class Binding:
         """An object to be pushed starts upright, and nothing but supports may be where it starts or where its goal is.
 
         Raises:
-            SceneError: If it is tilted, or its centre or goal is within an obstacle's outline.
+            SceneError: If it is tilted and no sphere, or its centre or goal is within an obstacle's outline.
         """
         pushed = next(o for o in self.scene.object if o.name == name)
-        if Rotation.from_quat(pushed.rotation).apply([0.0, 0.0, 1.0])[2] < 0.99:
+        height = Rotation.from_quat(pushed.rotation).apply([0.0, 0.0, 1.0])[2]
+        if pushed.shape != "sphere" and height < 0.99:
             raise SceneError(
                 "push_path takes an object that stands upright: give its size for that",
                 key=f"object.{name}.rotation",

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from ..scene.layout import Layout
 
 
@@ -18,7 +20,14 @@ class Pair:
     second: str
 
 
-def collision_pairs(layout: Layout) -> tuple[Pair, ...]:
-    """Every robot and object against every obstacle: the contacts that count as collisions in reports."""
-    movers = layout.group("robots") + layout.group("objects")
-    return tuple(Pair(m.name, o.name) for m in movers for o in layout.group("obstacles"))
+def collision_pairs(layout: Layout, supports: Collection[str] = ()) -> tuple[Pair, ...]:
+    """Every robot and object against every obstacle: the contacts that count as collisions in reports.
+
+    Args:
+        layout: Layout of the scene.
+        supports: Obstacles that objects lie on; against these, robots alone count.
+    """
+    robots, objects, obstacles = (layout.group(name) for name in ("robots", "objects", "obstacles"))
+    return tuple(
+        Pair(m.name, o.name) for m in robots + objects for o in obstacles if m in robots or o.name not in supports
+    )
