@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every Warp kernel of warpmpc, one file per stage of a plan."""
+"""Every Warp kernel of warpmpc; nothing here imports anything else of it."""

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
-from warpmpc.engine.compiled import compile_scene
+from warpmpc.model.compiled import compile_scene
 
 QUANTITIES = {"joint_q": "joints [m, rad]", "position": "bodies [m]", "force": "contact force [N]"}
 

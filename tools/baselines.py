@@ -164,8 +164,8 @@ def run_geometric(scene: Scene, *, seed: int) -> dict:
     from measure import Meter
 
     from warpmpc import EpisodeResult, Plant
-    from warpmpc.engine.compiled import compile_scene
-    from warpmpc.episode import draws_bodies
+    from warpmpc.model.compiled import compile_scene
+    from warpmpc.run.episode import draws_bodies
     from warpmpc.scene.draw import draw_task
 
     scene, drawn = draw_task(scene, seed)
@@ -215,7 +215,7 @@ def main() -> None:
     args = parser.parse_args()
 
     from warpmpc import load_scene
-    from warpmpc.cli_run import results_only, start_warp
+    from warpmpc.cli.run import results_only, start_warp
 
     with results_only() as out:
         try:

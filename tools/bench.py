@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
-from warpmpc.episode import Episode
+from warpmpc.run.episode import Episode
 
 STAGES = ("clone", "sample", "rollout", "cost", "weigh")
 

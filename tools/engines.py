@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
-from warpmpc.engine.compiled import compile_scene
+from warpmpc.model.compiled import compile_scene
 from warpmpc.planner.plan import STAGES
 
 STATES = 12

@@ -75,7 +75,7 @@ def play(case: tuple[str, tuple[str, ...], int]) -> np.ndarray:
     try:
         from warpmpc.run.episode import Episode
     except ImportError:
-        from warpmpc.episode import Episode
+        from warpmpc.run.episode import Episode
     name, overrides, seed = case
     episode = Episode(warpmpc.load_scene(name, overrides=overrides), seed=seed, engine="mujoco")
     rows = []

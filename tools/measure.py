@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from warpmpc import Controller, Plant
-    from warpmpc.engine.compiled import CompiledScene
+    from warpmpc.model.compiled import CompiledScene
 
 FAR = 1e3
 """Distances beyond this count as this [m]."""
@@ -59,7 +59,7 @@ class Clearance:
 
 
 class Meter:
-    """Measures an episode; hand it to :meth:`warpmpc.episode.Episode.run` as ``on_step``.
+    """Measures an episode; hand it to :meth:`warpmpc.run.episode.Episode.run` as ``on_step``.
 
     Args:
         plant: The episode's plant, before its first step.

@@ -19,7 +19,7 @@ from matplotlib.patches import Circle, Polygon
 from scipy.spatial.transform import Rotation
 
 import warpmpc
-from warpmpc.episode import Episode
+from warpmpc.run.episode import Episode
 
 COLORS = {"robot": "tab:orange", "object": "tab:blue", "obstacle": "0.4"}
 

@@ -6,7 +6,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpmpc.scene.errors import entry_label, join_key
-from warpmpc.scene.overrides import expand, parse_override, select, split_key
+from warpmpc.scene.overrides import (
+    expand,
+    parse_override,
+    select,
+    split_key,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -56,7 +56,7 @@ def run_job(job: Job) -> dict:
     from measure import Meter
 
     import warpmpc
-    from warpmpc.episode import Episode
+    from warpmpc.run.episode import Episode
 
     scene = warpmpc.load_scene(job.scene, overrides=job.overrides)
     if job.method == OMPL:
@@ -112,7 +112,7 @@ def _start() -> None:
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
     logging.getLogger("warpmpc").setLevel(logging.ERROR)  # results count what is warned of
-    from warpmpc.cli_run import start_warp
+    from warpmpc.cli.run import start_warp
 
     start_warp()
 

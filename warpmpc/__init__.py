@@ -7,11 +7,14 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .batch import run_batch
-    from .controller import Controller
-    from .cost.term import ArrayCost, CostTerm, array_cost, cost_term
-    from .episode import EpisodeResult, run_episode
-    from .kernels.view import (
+    from .control.controller import Controller
+    from .cost.term import (
+        ArrayCost,
+        CostTerm,
+        array_cost,
+        cost_term,
+    )
+    from .kernels.terms.view import (
         StepView,
         contact_force,
         control,
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
         joint_position,
         joint_velocity,
     )
-    from .plant import Plant
+    from .model.state import Info, State
+    from .plant.simulated import Plant
+    from .run.batch import run_batch
+    from .run.episode import EpisodeResult, run_episode
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.schema import Scene
-    from .state import Info, State
 
 __version__ = "0.1.0"
 
@@ -58,30 +63,30 @@ __all__ = [
 ]
 
 _HOME = {
-    "Controller": "controller",
-    "EpisodeResult": "episode",
-    "Info": "state",
-    "Plant": "plant",
+    "Controller": "control.controller",
+    "EpisodeResult": "run.episode",
+    "Info": "model.state",
+    "Plant": "plant.simulated",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",
-    "State": "state",
+    "State": "model.state",
     "ArrayCost": "cost.term",
     "CostTerm": "cost.term",
     "array_cost": "cost.term",
     "cost_term": "cost.term",
     "load_scene": "scene.load",
-    "run_batch": "batch",
-    "run_episode": "episode",
+    "run_batch": "run.batch",
+    "run_episode": "run.episode",
     "shipped_scenes": "scene.load",
 }
-"""Module of each public name; names that are not here come from ``kernels.view``."""
+"""Module of each public name; names that are not here come from ``kernels.terms.view``."""
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used: physics and kernels take seconds, and a scene file needs neither."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.view')}", __name__), name)
+    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.terms.view')}", __name__), name)
     globals()[name] = value
     return value
 

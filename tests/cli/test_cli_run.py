@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from program import PROGRAM, SCENE, TINY, results, untimed, warpmpc
 
-from warpmpc.cli_progress import Messages
+from warpmpc.cli.progress import Messages
 
 KEYS = [
     "scene",

@@ -9,7 +9,7 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
 
-from warpmpc.cli_run import Interrupts
+from warpmpc.cli.run import Interrupts
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,8 @@ from test_geodesic import INFLATION, around_corners
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.pairs import Pair
 from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.model.pairs import Pair
 
 SIDE = {"name": "wall", "shape": "box", "size": (0.4, 2.0, 0.5), "position": (0.0, 0.0, 0.25)}
 GEODESIC = {"metric": "geodesic", "inflation": INFLATION}

@@ -9,7 +9,7 @@ from test_outline_clearance import RING, outline_clearance
 
 from warpmpc import SceneError
 from warpmpc.cost.builtin import BUILTIN
-from warpmpc.cost.push_path import ANGLES
+from warpmpc.cost.resources.push_path import ANGLES
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.draw import signed_distance
 

@@ -9,8 +9,8 @@ import pytest
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, roll
 
 from warpmpc.engine import mujoco as engine_module
-from warpmpc.engine.pairs import Pair, collision_pairs
-from warpmpc.engine.properties import draw_properties
+from warpmpc.model.pairs import Pair, collision_pairs
+from warpmpc.model.properties import draw_properties
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"), Pair("box", "wall"))
 RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}}}

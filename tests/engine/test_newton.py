@@ -14,13 +14,19 @@ import pytest
 import warp as wp
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, observed, roll
 
-from warpmpc import Controller, Plant, SceneError, State, load_scene
-from warpmpc.engine.compiled import compile_scene
+from warpmpc import (
+    Controller,
+    Plant,
+    SceneError,
+    State,
+    load_scene,
+)
 from warpmpc.engine.newton import NewtonEngine
-from warpmpc.engine.newton_model import build_model
-from warpmpc.engine.pairs import Pair
-from warpmpc.engine.properties import draw_properties
 from warpmpc.engine.trajectory import ObservedState, Shape
+from warpmpc.model.compiled import compile_scene
+from warpmpc.model.newton_model import build_model
+from warpmpc.model.pairs import Pair
+from warpmpc.model.properties import draw_properties
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"), Pair("box", "wall"))
 RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}}}

@@ -8,10 +8,10 @@ from small_scenes import BOX, compiled, make_scene, observed
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
 from warpmpc.engine.mujoco import MujocoEngine
-from warpmpc.engine.properties import draw_properties
 from warpmpc.engine.trajectory import Shape
-from warpmpc.goal import goal_pose
+from warpmpc.model.properties import draw_properties
 from warpmpc.planner.plan import PlanStep, step_dt
+from warpmpc.task.goal import goal_pose
 
 METHODS = {
     "mppi": {"method": "mppi", "temperature": {"initial": 0.05}},

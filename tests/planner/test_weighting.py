@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.planner.weighting import Adaptation, CrossEntropy, Mppi, PredictiveSampling, WeightingState
+from warpmpc.planner.weighting import (
+    Adaptation,
+    CrossEntropy,
+    Mppi,
+    PredictiveSampling,
+    WeightingState,
+)
 
 WEIGHTINGS = [
     Mppi(),

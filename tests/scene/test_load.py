@@ -7,10 +7,15 @@ import sys
 import pytest
 from scene_text import SMALL, write
 
-from warpmpc.scene.assets import resolve_asset
+from warpmpc.model.assets import resolve_asset
 from warpmpc.scene.errors import SceneError
 from warpmpc.scene.load import load_scene, shipped_scenes, variants
-from warpmpc.scene.overrides import expand, parse_override, split_key, with_values
+from warpmpc.scene.overrides import (
+    expand,
+    parse_override,
+    split_key,
+    with_values,
+)
 from warpmpc.scene.schema import Scene
 
 SHIPPED = [name + suffix for name in shipped_scenes() for suffix in ("", *(f":{v}" for v in variants(name)))]

@@ -18,7 +18,7 @@ from workers import Job
 
 import warpmpc
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.compiled import compile_scene
+from warpmpc.model.compiled import compile_scene
 
 TOOL = Path(__file__).parents[2] / "tools" / "reproduce.py"
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..engine.pairs import Pair
+from ..model.pairs import Pair
 from ..scene.errors import SceneError
-from .geodesic import obstacle_outlines, polygon_distance
+from .resources.geodesic import obstacle_outlines, polygon_distance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from ..kernels.pushing import PushPathParams
-    from ..scene.layout import Layout, ShapeInfo
+    from ..kernels.terms.pushing import PushPathParams
+    from ..model.layout import Layout, ShapeInfo
     from ..scene.schema import Scene
-    from .push_path import PushRequest
+    from .resources.push_path import PushRequest
 
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
 """Numbers of the shapes whose distance ``kernels.clearance.shape_distance`` knows."""

@@ -9,10 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..kernels import clearance, costs, grasping, pushing
+from ..kernels.terms import (
+    clearance,
+    grasping,
+    pushing,
+)
+from ..kernels.terms import (
+    general as costs,
+)
 from ..scene.errors import SceneError
 from .binding import PRIMITIVES
-from .geodesic import convex_outline, obstacle_outlines, outline
 from .keys import (
     Approach,
     ContactForce,
@@ -32,7 +38,8 @@ from .keys import (
     Robots,
     Yaw,
 )
-from .push_path import PushRequest
+from .resources.geodesic import convex_outline, obstacle_outlines, outline
+from .resources.push_path import PushRequest
 from .term import CostTerm, parse_keys
 
 if TYPE_CHECKING:

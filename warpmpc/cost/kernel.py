@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from ..kernels.view import StepView
+from ..kernels.terms.view import StepView
 
 
 def stage_cost_kernel(function: wp.Function, params: Any) -> wp.Kernel:

@@ -8,7 +8,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..scene.types import Finite, NonNegative, Positive, Section
+from ..scene.types import (
+    Finite,
+    NonNegative,
+    Positive,
+    Section,
+)
 
 
 class Metric(StrEnum):

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..kernels.view import StepView
+from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
 from .binding import Binding
 from .builtin import BUILTIN
-from .geodesic import Grid
-from .guide import Guide
-from .push_path import STEPS, push_value
+from .resources.geodesic import Grid
+from .resources.guide import Guide
+from .resources.push_path import STEPS, push_value
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
     from ..engine.trajectory import Shape, Trajectory
-    from ..scene.layout import Layout
+    from ..model.layout import Layout
     from ..scene.schema import Scene
 
 

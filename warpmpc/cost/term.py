@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from pydantic import ValidationError
 
-from ..kernels.view import StepView
+from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
 from .kernel import stage_cost_kernel
 

@@ -11,22 +11,22 @@ import mujoco.rollout
 import numpy as np
 import warp as wp
 
-from ..kernels.contacts import mujoco_contact_force_kernel
-from ..kernels.worlds import (
+from ..kernels.worlds.clone import (
     clone_state_kernel,
     divergence_kernel,
     mujoco_control_kernel,
     mujoco_state_kernel,
     record_mujoco_kernel,
 )
-from .joints import joint_table
-from .mujoco_model import make_world, randomize_model
-from .pairs import Pair
+from ..kernels.worlds.contacts import mujoco_contact_force_kernel
+from ..model.joints import joint_table
+from ..model.mujoco_model import make_world, randomize_model
+from ..model.pairs import Pair
 from .trajectory import ObservedState, Shape, Trajectory
 
 if TYPE_CHECKING:
-    from .compiled import CompiledScene
-    from .properties import Properties
+    from ..model.compiled import CompiledScene
+    from ..model.properties import Properties
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)

@@ -10,17 +10,17 @@ import newton
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds import clone_state_kernel, finite_state_kernel, newton_control_kernel
-from .joints import joint_table
-from .newton_model import build_model, randomize
+from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
+from ..model.joints import joint_table
+from ..model.newton_model import build_model, randomize
 from .newton_solver import make_solver
 from .trajectory import ObservedState, Shape, Trajectory
 
 if TYPE_CHECKING:
-    from ..scene.layout import Layout
+    from ..model.layout import Layout
+    from ..model.pairs import Pair
+    from ..model.properties import Properties
     from ..scene.schema import Scene
-    from .pairs import Pair
-    from .properties import Properties
 
 _MODES = {"velocity": 0, "position": 1, "effort": 2}
 LARGEST_SPEED = 1.0e10

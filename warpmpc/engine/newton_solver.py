@@ -10,16 +10,16 @@ import mujoco_warp
 import newton
 import warp as wp
 
-from ..kernels.contacts import mujoco_warp_contact_force_kernel, newton_contact_force_kernel
+from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel, newton_contact_force_kernel
+from ..model.newton_model import contact_bound, pair_table
 from ..scene.errors import SceneError
 from ..scene.schema import Scene, Solver
-from .newton_model import contact_bound, pair_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..scene.layout import Layout
-    from .pairs import Pair
+    from ..model.layout import Layout
+    from ..model.pairs import Pair
     from .trajectory import Shape
 
 PIPELINE_OVERFLOW = 1 << 30

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import warp as wp
 
 if TYPE_CHECKING:
-    from ..scene.layout import Layout
+    from ..model.layout import Layout
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..engine.trajectory import ObservedState
-from ..kernels.exchange import REPORT, report_kernel, unpack_observation_kernel
+from ..kernels.worlds.exchange import REPORT, report_kernel, unpack_observation_kernel
 from .weighting import BLOCK_DIM
 
 if TYPE_CHECKING:

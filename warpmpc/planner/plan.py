@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.sampling import perturb_knots_kernel
-from ..kernels.splines import command_kernel, shift_knots_kernel, spline_control_kernel
-from ..kernels.weights import (
+from ..kernels.planning.sampling import perturb_knots_kernel
+from ..kernels.planning.splines import command_kernel, shift_knots_kernel, spline_control_kernel
+from ..kernels.planning.weights import (
     CVAR,
     MEAN,
     WORST,
@@ -24,17 +24,33 @@ from ..kernels.weights import (
     update_mean_kernel,
     update_sigma_kernel,
 )
-from ..sampling import NoiseKind, NoiseSource, SplineKind, shaping
+from ..planner import shaping
 from ..scene.errors import SceneError
-from ..scene.schema import Method, Noise, NoiseShape, Planner, Risk
-from .weighting import BLOCK_DIM, Adaptation, CrossEntropy, Mppi, PredictiveSampling, Weighting, WeightingState
+from ..scene.schema import (
+    Method,
+    Noise,
+    NoiseShape,
+    Planner,
+    Risk,
+)
+from .noise import NoiseKind, NoiseSource
+from .splines import SplineKind
+from .weighting import (
+    BLOCK_DIM,
+    Adaptation,
+    CrossEntropy,
+    Mppi,
+    PredictiveSampling,
+    Weighting,
+    WeightingState,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from ..cost.stack import CostStack
     from ..engine.trajectory import Engine, ObservedState, Shape
-    from ..scene.layout import Layout
+    from ..model.layout import Layout
     from ..scene.schema import Scene
 
 STAGES = ("clone", "sample", "rollout", "cost", "weigh")

@@ -7,7 +7,7 @@ from typing import ClassVar, Protocol
 
 import warp as wp
 
-from warpmpc.kernels.weights import (
+from warpmpc.kernels.planning.weights import (
     best_weight_kernel,
     bisect_temperature_kernel,
     elite_weight_kernel,

@@ -8,9 +8,17 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .assets import shipped_folder
 from .errors import SceneError, file_keys, join_key
-from .overrides import expand, leaves, merge, nest, parse_override, split_key, validated, with_values
+from .overrides import (
+    expand,
+    leaves,
+    merge,
+    nest,
+    parse_override,
+    split_key,
+    validated,
+    with_values,
+)
 from .schema import DriveMode, Method, Scene
 
 if TYPE_CHECKING:
@@ -64,6 +72,13 @@ def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
         error.file = next((origin for key, origin in reversed(origins) if _touches(error.key, key)), path)
         raise
     return scene
+
+
+def shipped_folder() -> Path:
+    """Folder of the shipped scenes: inside an installed package, beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    installed = package / "scenes"
+    return installed if installed.is_dir() else package.parent / "scenes"
 
 
 def shipped_scenes() -> dict[str, Path]:

@@ -11,7 +11,16 @@ from typing import Any
 
 from pydantic import ConfigDict, Field, model_validator
 
-from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
+from .schema_bodies import (
+    Drive,
+    DriveMode,
+    Frame,
+    Ground,
+    Object,
+    Obstacle,
+    Robot,
+    ShapeKind,
+)
 from .schema_planner import (
     Engine,
     EngineName,

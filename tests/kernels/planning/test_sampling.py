@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standard normals from tables and counters, and knots that stay within their limits."""
+
+import numpy as np
+import pytest
+import scipy.stats
+import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpmpc.kernels.planning.sampling import (
+    advance_counter_kernel,
+    perturb_knots_kernel,
+    random_normal_kernel,
+    random_shift_kernel,
+    table_normal_kernel,
+)
+
+
+def table_normals(table: np.ndarray, shift: np.ndarray, *, knots: int, device: str) -> np.ndarray:
+    """Run the kernel on a table [S, P·nu] and shifts [E, P·nu]; returns z [E, S, P, nu]."""
+    z = wp.empty((len(shift), len(table), knots, table.shape[1] // knots), dtype=float, device=device)
+    inputs = [wp.array(table, dtype=float, device=device), wp.array(shift, dtype=float, device=device)]
+    wp.launch(table_normal_kernel, dim=z.shape, inputs=inputs, outputs=[z], device=device)
+    return z.numpy()
+
+
+def random_normals(shape: tuple[int, ...], *, seed: int, count: int = 0, device: str) -> np.ndarray:
+    """Pseudo-random z of this shape [E, S, P, nu] at this count of draws."""
+    z = wp.empty(shape, dtype=float, device=device)
+    counter = wp.array([count], dtype=int, device=device)
+    wp.launch(random_normal_kernel, dim=shape, inputs=[counter, seed], outputs=[z], device=device)
+    return z.numpy()
+
+
+def random_shifts(shape: tuple[int, int], *, seed: int, count: int, device: str) -> np.ndarray:
+    """Rotations of this shape [E, P·nu] at this count of draws."""
+    shift = wp.empty(shape, dtype=float, device=device)
+    counter = wp.array([count], dtype=int, device=device)
+    wp.launch(random_shift_kernel, dim=shape, inputs=[counter, seed], outputs=[shift], device=device)
+    return shift.numpy()
+
+
+def perturb(
+    mean, sigma, shaping, z, *, lower, upper, null_sample: bool, constant: float = 0.0, device: str
+) -> np.ndarray:
+    """Run the kernel on mean and σ [E, P, nu], B [P, P] and z [E, S, P, nu]; returns knots [E, S, P, nu]."""
+    knots = wp.empty(z.shape, dtype=float, device=device)
+    inputs = [wp.array(a, dtype=float, device=device) for a in (mean, sigma, shaping, z, lower, upper)]
+    wp.launch(
+        perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample), constant], outputs=[knots], device=device
+    )
+    return knots.numpy()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_table_normals_match_the_inverse_distribution(seed, device):
+    rng = np.random.default_rng(seed)
+    table = rng.uniform(size=(33, 6)).astype(np.float32)
+    shift = rng.uniform(size=(2, 6)).astype(np.float32)
+    u = np.modf(table[None].astype(np.float64) + shift[:, None])[0]
+    z = table_normals(table, shift, knots=3, device=device)
+    # columns are knot by knot; the rotation itself is rounded to 6e-8, which the tails magnify
+    np.testing.assert_allclose(z, scipy.stats.norm.ppf(u).reshape(2, 33, 3, 2), rtol=1e-5, atol=1e-4)
+
+
+def test_table_normals_are_accurate_in_both_tails(device):
+    u = np.array([1e-7, 1e-6, 1e-4, 0.02, 0.49, 0.5, 0.51, 0.98, 0.9999, 1.0 - 2.0**-20], dtype=np.float32)
+    z = table_normals(u[:, None], np.zeros((1, 1)), knots=1, device=device)[0, :, 0, 0]
+    np.testing.assert_allclose(z, scipy.stats.norm.ppf(u.astype(np.float64)), rtol=2e-5, atol=1e-6)
+
+
+def test_table_normals_are_finite_at_the_ends_of_the_interval(device):
+    table = np.array([[0.0], [1.0], [np.nextafter(np.float32(1.0), np.float32(0.0))], [1e-30]])
+    z = table_normals(table, np.zeros((1, 1)), knots=1, device=device)
+    assert np.all(np.isfinite(z))
+    assert np.all(np.abs(z) > 5.0)
+
+
+@pytest.mark.parametrize("seed", [0, 7, -1])
+def test_random_normals_are_standard_and_uncorrelated(seed, device):
+    z = random_normals((2, 4096, 3, 2), seed=seed, device=device).astype(np.float64)
+    assert scipy.stats.kstest(z.ravel(), "norm").pvalue > 1e-3
+    columns = z.transpose(1, 0, 2, 3).reshape(4096, -1)
+    np.testing.assert_allclose(np.cov(columns.T), np.eye(12), atol=5.0 / np.sqrt(4096))
+    along = np.corrcoef(z[:, :-1].ravel(), z[:, 1:].ravel())[0, 1]
+    assert abs(along) < 5.0 / np.sqrt(z.size)
+
+
+def test_random_normals_differ_between_all_indices_draws_and_seeds(device):
+    draws = [random_normals((2, 64, 3, 2), seed=s, count=c, device=device) for s, c in [(0, 0), (0, 1), (1, 0), (1, 1)]]
+    values = np.concatenate([d.ravel() for d in draws])
+    assert len(np.unique(values)) > 0.999 * len(values)
+    for i, a in enumerate(draws):
+        for b in draws[i + 1 :]:
+            assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 0.15
+
+
+def test_random_normals_repeat_for_the_same_seed_and_count(device):
+    a, b = (random_normals((1, 32, 4, 2), seed=5, count=3, device=device) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_shifts_are_uniform_and_differ_between_environments_and_draws(device):
+    first, second = (random_shifts((64, 32), seed=2, count=c, device=device) for c in (1, 2))
+    for shift in (first, second):
+        assert np.all((shift >= 0.0) & (shift < 1.0))
+        assert scipy.stats.kstest(shift.ravel(), "uniform").pvalue > 1e-3
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.1
+    assert abs(np.corrcoef(first[:-1].ravel(), first[1:].ravel())[0, 1]) < 0.1
+
+
+def test_counter_advances_by_one(device):
+    counter = wp.array([41], dtype=int, device=device)
+    wp.launch(advance_counter_kernel, dim=1, outputs=[counter], device=device)
+    assert counter.numpy()[0] == 42
+
+
+@pytest.mark.parametrize("null_sample", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_knots_match_the_reference(seed, null_sample, device):
+    rng = np.random.default_rng(seed)
+    mean, sigma = rng.normal(size=(2, 5, 3)), rng.uniform(0.1, 1.0, size=(2, 5, 3))
+    shaping, z = rng.normal(size=(5, 5)), rng.normal(size=(2, 9, 5, 3))
+    lower, upper = -np.array([0.5, 1.0, 9.0]), np.array([1.0, 0.7, 9.0])
+    knots = perturb(mean, sigma, shaping, z, lower=lower, upper=upper, null_sample=null_sample, device=device)
+
+    expected = mean[:, None] + sigma[:, None] * np.einsum("pq,esqu->espu", shaping, z)
+    expected[:, 0] = mean
+    if null_sample:
+        expected[:, 1] = 0.0
+    np.testing.assert_allclose(knots, np.clip(expected, lower, upper), rtol=1e-5, atol=1e-5)
+
+
+def random_knots(seed: int, *, samples: int = 200) -> dict[str, np.ndarray]:
+    """Arguments of ``perturb`` with limits that no knot reaches."""
+    rng = np.random.default_rng(seed)
+    return {
+        "mean": rng.normal(size=(2, 5, 3)),
+        "sigma": rng.uniform(0.1, 1.0, size=(2, 5, 3)),
+        "shaping": rng.normal(size=(5, 5)),
+        "z": rng.normal(size=(2, samples, 5, 3)),
+        "lower": np.full(3, -99.0),
+        "upper": np.full(3, 99.0),
+    }
+
+
+@pytest.mark.parametrize("null_sample", [False, True])
+@pytest.mark.parametrize("constant", [0.01, 0.25, 0.3, 0.5, 0.77])
+def test_a_share_of_the_samples_is_perturbed_alike_at_every_knot(constant, null_sample, device):
+    case = random_knots(0)
+    knots = perturb(**case, null_sample=null_sample, constant=constant, device=device)
+    shaped = perturb(**case, null_sample=null_sample, device=device)
+    noise = (knots - case["mean"][:, None]) / case["sigma"][:, None]
+    alike = np.ptp(noise, axis=2).max(axis=2) < 1e-4  # [E, S]
+    np.testing.assert_array_equal(alike[0], alike[1])
+    first = 2 if null_sample else 1
+    np.testing.assert_array_equal(knots[:, :first], shaped[:, :first])
+    chosen = np.flatnonzero(alike[0, first:]) + first
+    assert abs(len(chosen) - constant * 200) <= first
+    # evenly: however many samples are looked at, the share is right
+    share = np.cumsum(np.isin(np.arange(200), chosen)) - constant * np.arange(1, 201)
+    assert np.abs(share).max() < first + 1.0
+
+    others = np.setdiff1d(np.arange(200), chosen)
+    np.testing.assert_array_equal(knots[:, others], shaped[:, others])
+    expected = case["mean"][:, None] + case["sigma"][:, None] * case["z"][:, chosen, :1]
+    np.testing.assert_allclose(knots[:, chosen], expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("null_sample", [False, True])
+def test_all_samples_or_none_are_constant_at_the_limits_of_the_share(null_sample, device):
+    case = random_knots(1, samples=50)
+    none, every = (perturb(**case, null_sample=null_sample, constant=c, device=device) for c in (0.0, 1.0))
+    mean, sigma = case["mean"][:, None], case["sigma"][:, None]
+    shaped = mean + sigma * np.einsum("pq,esqu->espu", case["shaping"], case["z"])
+    alike = mean + sigma * case["z"][:, :, :1]
+    for found, expected in ((none, shaped), (every, alike)):
+        expected[:, 0] = case["mean"]
+        if null_sample:
+            expected[:, 1] = 0.0
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_constant_samples_stay_within_the_limits(device):
+    case = {**random_knots(2, samples=50), "lower": [-0.5, -0.1, 0.0], "upper": [0.2, 0.4, 0.3]}
+    knots = perturb(**case, null_sample=True, constant=0.5, device=device)
+    wanted = case["mean"][:, None] + case["sigma"][:, None] * case["z"][:, 3::2, :1]
+    np.testing.assert_allclose(knots[:, 3::2], np.clip(wanted, case["lower"], case["upper"]), rtol=1e-5, atol=1e-5)
+
+
+def test_null_sample_respects_limits_that_exclude_zero(device):
+    ones = np.ones((1, 2, 1))
+    knots = perturb(
+        3.0 * ones, ones, np.eye(2), np.zeros((1, 2, 2, 1)), lower=[2.0], upper=[4.0], null_sample=True, device=device
+    )
+    np.testing.assert_array_equal(knots[0, :, :, 0], [[3.0, 3.0], [2.0, 2.0]])
+
+
+def test_a_single_sample_is_the_mean(device):
+    mean = np.full((1, 2, 1), 0.25)
+    z = np.ones((1, 1, 2, 1))
+    knots = perturb(mean, mean, np.eye(2), z, lower=[-1.0], upper=[1.0], null_sample=True, device=device)
+    np.testing.assert_array_equal(knots[0, 0], mean[0])
+
+
+@given(seed=st.integers(0, 2**31 - 1), scale=st.floats(0.0, 1e4))
+def test_no_knot_leaves_its_limits(seed, scale, device):
+    rng = np.random.default_rng(seed)
+    lower = rng.uniform(-2.0, 0.0, size=2).astype(np.float32)
+    upper = (lower + rng.uniform(0.0, 3.0, size=2)).astype(np.float32)
+    mean, sigma = scale * rng.normal(size=(1, 4, 2)), scale * rng.uniform(size=(1, 4, 2))
+    z = rng.normal(size=(1, 8, 4, 2))
+    knots = perturb(mean, sigma, np.eye(4), z, lower=lower, upper=upper, null_sample=False, device=device)
+    assert np.all((knots >= lower) & (knots <= upper))
+
+
+def test_shaped_noise_has_the_covariance_of_its_matrix(device):
+    shaping = np.tril(np.random.default_rng(0).uniform(size=(4, 4)))
+    shaping /= np.linalg.norm(shaping, axis=1, keepdims=True)
+    z = random_normals((1, 8192, 4, 1), seed=3, device=device)
+    sigma = np.full((1, 4, 1), 2.0)
+    free = {"lower": [-100.0], "upper": [100.0], "null_sample": False}
+    knots = perturb(0.0 * sigma, sigma, shaping, z, **free, device=device)[0, 1:, :, 0]
+    np.testing.assert_allclose(np.cov(knots.T), 4.0 * shaping @ shaping.T, atol=4.0 * 6.0 / np.sqrt(8192))
+    np.testing.assert_allclose(knots.mean(axis=0), 0.0, atol=2.0 * 5.0 / np.sqrt(8192))

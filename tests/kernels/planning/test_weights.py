@@ -1,0 +1,444 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Costs to weights to a new plan against float64 references, and what a diverged world may not do."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpmpc.kernels.planning.weights import (
+    CVAR,
+    MEAN,
+    WORST,
+    best_weight_kernel,
+    bisect_temperature_kernel,
+    discount_cost_kernel,
+    elite_weight_kernel,
+    importance_weight_kernel,
+    risk_kernel,
+    update_mean_kernel,
+    update_sigma_kernel,
+)
+
+INF = np.inf
+
+
+def on(device: str, array, dtype=float) -> wp.array:
+    """Copy of an array-like on the device."""
+    return wp.array(np.asarray(array), dtype=dtype, device=device)
+
+
+def discounted(stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, device: str) -> np.ndarray:
+    """Rollout costs [W] of stage costs [term, T, W]."""
+    out = wp.empty(stage_cost.shape[2], dtype=float, device=device)
+    inputs = [on(device, stage_cost), on(device, diverged, int), discount]
+    wp.launch(discount_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+def risk(cost: np.ndarray, *, mode: int, alpha: float = 1.0, device: str) -> np.ndarray:
+    """Sample costs [E, S] of rollout costs [E, S, D]."""
+    out = wp.empty(cost.shape[:2], dtype=float, device=device)
+    inputs = [on(device, cost.ravel()), cost.shape[2], mode, alpha]
+    wp.launch(risk_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+def weigh(cost, *, beta=1.0, adapt=True, eta_bounds=(5.0, 10.0), beta_bounds=(1e-4, 1e6), device: str):
+    """Importance weights [E, S], η [E] and the adapted β [E] of costs [E, S]."""
+    cost = np.asarray(cost, dtype=np.float32)
+    weight = wp.empty(cost.shape, dtype=float, device=device)
+    eta = wp.empty(len(cost), dtype=float, device=device)
+    beta = wp.full(len(cost), beta, dtype=float, device=device)
+    wp.launch_tiled(
+        importance_weight_kernel,
+        dim=[len(cost)],
+        inputs=[on(device, cost), wp.vec2(*eta_bounds), wp.vec2(*beta_bounds), int(adapt)],
+        outputs=[beta, eta, weight],
+        block_dim=256,
+        device=device,
+    )
+    return weight.numpy(), eta.numpy(), beta.numpy()
+
+
+def bisected(cost, *, target: float, beta=1.0, beta_bounds=(1e-4, 1e6), device: str) -> np.ndarray:
+    """Temperatures β [E] that give costs [E, S] this effective sample size."""
+    cost = np.asarray(cost, dtype=np.float32)
+    out = wp.full(len(cost), beta, dtype=float, device=device)
+    wp.launch_tiled(
+        bisect_temperature_kernel,
+        dim=[len(cost)],
+        inputs=[on(device, cost), target, wp.vec2(*beta_bounds)],
+        outputs=[out],
+        block_dim=256,
+        device=device,
+    )
+    return out.numpy()
+
+
+def best(cost, *, device: str):
+    """Predictive sampling's weights [E, S] and η [E]."""
+    cost = np.asarray(cost, dtype=np.float32)
+    weight = wp.empty(cost.shape, dtype=float, device=device)
+    eta = wp.empty(len(cost), dtype=float, device=device)
+    wp.launch_tiled(
+        best_weight_kernel,
+        dim=[len(cost)],
+        inputs=[on(device, cost)],
+        outputs=[eta, weight],
+        block_dim=256,
+        device=device,
+    )
+    return weight.numpy(), eta.numpy()
+
+
+def elite(cost, *, elites: int, device: str):
+    """Elite weights [E, S] and η [E]."""
+    cost = np.asarray(cost, dtype=np.float32)
+    weight = wp.empty(cost.shape, dtype=float, device=device)
+    eta = wp.empty(len(cost), dtype=float, device=device)
+    wp.launch(
+        elite_weight_kernel, dim=cost.shape, inputs=[on(device, cost), elites], outputs=[eta, weight], device=device
+    )
+    return weight.numpy(), eta.numpy()
+
+
+def updated_mean(knots, weight, mean, *, alpha: float, device: str) -> np.ndarray:
+    """The mean [E, P, nu] after one update from knots [E, S, P, nu]."""
+    out = on(device, mean)
+    wp.launch_tiled(
+        update_mean_kernel,
+        dim=list(mean.shape),
+        inputs=[on(device, knots), on(device, weight), alpha],
+        outputs=[out],
+        block_dim=256,
+        device=device,
+    )
+    return out.numpy()
+
+
+def updated_sigma(knots, weight, mean, sigma, *, alpha: float, floor, device: str) -> np.ndarray:
+    """σ [E, P, nu] after one update around this mean."""
+    out = on(device, sigma)
+    wp.launch_tiled(
+        update_sigma_kernel,
+        dim=list(mean.shape),
+        inputs=[on(device, knots), on(device, weight), on(device, mean), on(device, floor), alpha],
+        outputs=[out],
+        block_dim=256,
+        device=device,
+    )
+    return out.numpy()
+
+
+def reference_weights(cost: np.ndarray, beta: float) -> np.ndarray:
+    """Importance weights [S] of float64 costs [S]."""
+    finite = np.isfinite(cost)
+    w = np.zeros(len(cost))
+    w[finite] = np.exp(-(cost[finite] - cost[finite].min()) / beta)
+    return w / w.sum()
+
+
+def effective_samples(cost: np.ndarray, beta: float) -> float:
+    """(Σw)²/Σw² of float64 costs [S]."""
+    w = reference_weights(cost, beta)
+    return 1.0 / np.sum(w**2)
+
+
+def some_costs(seed: int, envs: int, samples: int, *, diverged: float = 0.1) -> np.ndarray:
+    """Random costs [E, S], a share of them +inf, the first never."""
+    rng = np.random.default_rng(seed)
+    cost = rng.gamma(2.0, 3.0, size=(envs, samples)).astype(np.float32)
+    cost[:, 1:][rng.uniform(size=(envs, samples - 1)) < diverged] = INF
+    return cost
+
+
+ALL_WEIGHTINGS = pytest.mark.parametrize(
+    "weighting",
+    [
+        lambda cost, device: weigh(cost, device=device)[0],
+        lambda cost, device: best(cost, device=device)[0],
+        lambda cost, device: elite(cost, elites=4, device=device)[0],
+    ],
+    ids=["importance", "best", "elite"],
+)
+
+
+# discounted sums
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.95, 0.0])
+def test_discounted_sum_matches_the_reference(discount, device):
+    stage = np.random.default_rng(0).uniform(size=(3, 12, 17))
+    total = np.einsum("itw,t->w", stage, discount ** np.arange(12))
+    np.testing.assert_allclose(discounted(stage, np.zeros(17), discount=discount, device=device), total, rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [np.nan, INF, -INF])
+def test_a_non_finite_stage_cost_makes_its_world_infinite_and_no_other(bad, device):
+    stage = np.ones((2, 4, 3))
+    stage[1, 2, 1] = bad
+    np.testing.assert_array_equal(discounted(stage, np.zeros(3), discount=1.0, device=device), [8.0, INF, 8.0])
+
+
+def test_a_world_flagged_as_diverged_is_infinite_though_it_looks_cheap(device):
+    cost = discounted(np.zeros((1, 4, 3)), np.array([0, 1, 0]), discount=1.0, device=device)
+    np.testing.assert_array_equal(cost, [0.0, INF, 0.0])
+
+
+# risk over domains
+
+
+def reference_cvar(cost: np.ndarray, alpha: float) -> float:
+    """CVaR of costs [D] as the minimum of Rockafellar and Uryasev, reached at one of the costs."""
+    return min(v + np.maximum(cost - v, 0.0).mean() / alpha for v in cost)
+
+
+@pytest.mark.parametrize("domains", [1, 2, 5, 8])
+@pytest.mark.parametrize("alpha", [0.01, 0.2, 0.3, 0.5, 1.0])
+def test_risk_matches_the_reference(domains, alpha, device):
+    cost = np.random.default_rng(domains).normal(size=(2, 7, domains)).astype(np.float32)
+    wide = cost.astype(np.float64)
+    np.testing.assert_allclose(risk(cost, mode=MEAN, device=device), wide.mean(axis=2), rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(risk(cost, mode=WORST, device=device), cost.max(axis=2))
+    expected = np.apply_along_axis(reference_cvar, 2, wide, alpha)
+    np.testing.assert_allclose(risk(cost, mode=CVAR, alpha=alpha, device=device), expected, rtol=1e-5, atol=1e-5)
+
+
+@given(seed=st.integers(0, 2**31 - 1), alpha=st.floats(0.01, 1.0), domains=st.integers(1, 6), ties=st.booleans())
+def test_cvar_lies_between_mean_and_worst_whatever_the_order_of_domains(seed, alpha, domains, ties, device):
+    rng = np.random.default_rng(seed)
+    cost = rng.normal(size=(1, 3, domains)).astype(np.float32)
+    cost = np.round(cost) if ties else cost
+    cvar = risk(cost, mode=CVAR, alpha=alpha, device=device)
+    assert np.all(cvar >= risk(cost, mode=MEAN, device=device) - 1e-5)
+    assert np.all(cvar <= risk(cost, mode=WORST, device=device) + 1e-5)
+    mixed = rng.permuted(cost, axis=2)
+    np.testing.assert_allclose(risk(mixed, mode=CVAR, alpha=alpha, device=device), cvar, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", [MEAN, WORST, CVAR])
+def test_one_domain_is_a_plain_copy(mode, device):
+    cost = np.random.default_rng(1).normal(size=(2, 50, 1)).astype(np.float32)
+    cost[0, 3] = INF
+    np.testing.assert_array_equal(risk(cost, mode=mode, alpha=0.37, device=device), cost[:, :, 0])
+
+
+@pytest.mark.parametrize("mode", [MEAN, WORST, CVAR])
+def test_any_diverged_domain_condemns_its_sample_only(mode, device):
+    cost = np.ones((2, 3, 4))
+    cost[1, 0, 2] = INF
+    cost[0, 2, :3] = INF
+    expected = np.ones((2, 3))
+    expected[[1, 0], [0, 2]] = INF
+    np.testing.assert_array_equal(risk(cost, mode=mode, alpha=0.5, device=device), expected)
+
+
+# importance weights
+
+
+@pytest.mark.parametrize("beta", [0.05, 0.7, 30.0])
+@pytest.mark.parametrize("samples", [1, 3, 257, 1000])
+def test_importance_weights_match_the_reference(beta, samples, device):
+    cost = some_costs(samples, 3, samples)
+    weight, eta, _ = weigh(cost, beta=beta, device=device)
+    for e, row in enumerate(cost.astype(np.float64)):
+        expected = reference_weights(row, beta)
+        np.testing.assert_allclose(weight[e], expected, rtol=1e-4, atol=1e-8)
+        assert eta[e] == pytest.approx(1.0 / expected.max(), rel=1e-4)  # the best has w = 1 before normalization
+
+
+@ALL_WEIGHTINGS
+@given(seed=st.integers(0, 2**31 - 1), samples=st.integers(1, 40))
+def test_weights_sum_to_one_and_never_fall_on_a_diverged_sample(weighting, seed, samples, device):
+    cost = some_costs(seed, 2, samples, diverged=0.5)
+    weight = weighting(cost, device)
+    np.testing.assert_allclose(weight.sum(axis=1), 1.0, rtol=1e-5)
+    assert np.all(weight >= 0.0)
+    assert np.all(weight[~np.isfinite(cost)] == 0.0)
+
+
+@ALL_WEIGHTINGS
+@given(seed=st.integers(0, 2**31 - 1), samples=st.integers(2, 40))
+def test_permuted_samples_have_permuted_weights(weighting, seed, samples, device):
+    cost = some_costs(seed, 1, samples)
+    order = np.random.default_rng(seed).permutation(samples)
+    np.testing.assert_allclose(weighting(cost[:, order], device), weighting(cost, device)[:, order], rtol=1e-5)
+
+
+@ALL_WEIGHTINGS
+@given(seed=st.integers(0, 2**31 - 1), offset=st.integers(-1000, 1000))
+def test_a_constant_added_to_all_costs_changes_no_weight(weighting, seed, offset, device):
+    # costs on a grid of 1/64, so that the sum is exact in float32
+    cost = np.round(64.0 * some_costs(seed, 1, 20)) / 64.0
+    np.testing.assert_array_equal(weighting(cost + offset, device), weighting(cost, device))
+
+
+@ALL_WEIGHTINGS
+def test_a_diverged_sample_moves_no_other(weighting, device):
+    cost = some_costs(3, 1, 30, diverged=0.0)
+    poisoned = np.concatenate([cost, [[INF, np.nan, -INF]]], axis=1)
+    weight = weighting(poisoned, device)
+    np.testing.assert_array_equal(weight[:, 30:], 0.0)
+    np.testing.assert_allclose(weight[:, :30], weighting(cost, device), rtol=1e-6)
+
+
+@ALL_WEIGHTINGS
+def test_an_environment_whose_samples_all_diverged_has_no_weights_and_disturbs_no_neighbour(weighting, device):
+    cost = some_costs(4, 3, 20)
+    clean = weighting(cost, device)
+    cost[1] = INF
+    weight = weighting(cost, device)
+    np.testing.assert_array_equal(weight[1], 0.0)
+    np.testing.assert_array_equal(weight[[0, 2]], clean[[0, 2]])
+
+
+@ALL_WEIGHTINGS
+def test_weights_are_the_same_bits_every_time(weighting, device):
+    cost = some_costs(5, 2, 777)
+    np.testing.assert_array_equal(weighting(cost, device), weighting(cost, device))
+
+
+def test_extreme_costs_and_temperatures_stay_finite(device):
+    cost = [[-3.0e38, 3.0e38, 0.0, -3.0e38], [1e30, 1e30, 1e30, 1e30]]
+    for beta in (1e-4, 1e6):
+        weight, _, _ = weigh(cost, beta=beta, device=device)
+        np.testing.assert_array_equal(weight, [[0.5, 0.0, 0.0, 0.5], [0.25] * 4])
+
+
+# temperature
+
+
+@pytest.mark.parametrize(("spread", "factor"), [(0.0, 0.9), (100.0, 1.2)])
+def test_temperature_moves_towards_the_eta_bounds(spread, factor, device):
+    cost = spread * np.arange(50)[None]
+    assert weigh(cost, device=device)[2][0] == pytest.approx(factor)
+    assert weigh(cost, adapt=False, device=device)[2][0] == 1.0
+
+
+def test_temperature_rests_within_the_eta_bounds(device):
+    cost = np.where(np.arange(50) < 7, 0.0, 1000.0)[None]
+    _, eta, beta = weigh(cost, device=device)
+    assert eta[0] == pytest.approx(7.0)
+    assert beta[0] == 1.0
+
+
+@pytest.mark.parametrize(("spread", "bound"), [(0.0, 0.95), (100.0, 1.1)])
+def test_temperature_stays_within_its_bounds(spread, bound, device):
+    cost = spread * np.arange(50)[None]
+    assert weigh(cost, beta_bounds=(0.95, 1.1), device=device)[2][0] == pytest.approx(bound)
+
+
+def test_an_environment_whose_samples_all_diverged_keeps_its_temperature(device):
+    cost = np.full((1, 9), INF)
+    _, eta, beta = weigh(cost, beta=3.0, device=device)
+    assert (eta[0], beta[0]) == (0.0, 3.0)
+    assert bisected(cost, target=5.0, beta=3.0, device=device)[0] == 3.0
+
+
+@pytest.mark.parametrize("target", [1.5, 10.0, 100.0])
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e3])
+def test_bisection_meets_the_effective_sample_size(target, scale, device):
+    cost = (scale * some_costs(6, 2, 300)).astype(np.float32)
+    beta = bisected(cost, target=target, device=device)
+    for e, row in enumerate(cost.astype(np.float64)):
+        root = scipy.optimize.brentq(lambda x, row=row: effective_samples(row, np.exp(x)) - target, -9.0, 13.0)
+        assert effective_samples(row, beta[e]) == pytest.approx(target, rel=1e-3)
+        assert beta[e] == pytest.approx(np.exp(root), rel=1e-3)
+
+
+@pytest.mark.parametrize(("cost", "bound"), [([0.0, 1.0, 2.0], 50.0), ([0.0] * 9, 0.1)])
+def test_an_unreachable_sample_size_ends_at_a_bound(cost, bound, device):
+    beta = bisected([cost], target=5.0, beta_bounds=(0.1, 50.0), device=device)
+    assert beta[0] == pytest.approx(bound, rel=1e-4)
+
+
+# best and elites
+
+
+@pytest.mark.parametrize("samples", [1, 5, 256, 1000])
+def test_the_best_sample_takes_all(samples, device):
+    cost = some_costs(7, 3, samples)
+    weight, eta = best(cost, device=device)
+    np.testing.assert_array_equal(weight, np.eye(samples)[cost.argmin(axis=1)])
+    np.testing.assert_array_equal(eta, 1.0)
+
+
+def test_the_first_of_equally_good_samples_wins(device):
+    cost = np.ones((1, 600))
+    cost[0, [300, 40, 599]] = 0.0
+    assert best(cost, device=device)[0][0].nonzero()[0].tolist() == [40]
+    assert elite(cost, elites=2, device=device)[0][0].nonzero()[0].tolist() == [40, 300]
+    assert elite(cost, elites=5, device=device)[0][0].nonzero()[0].tolist() == [0, 1, 40, 300, 599]
+
+
+def test_no_best_among_diverged_samples(device):
+    weight, eta = best(np.full((1, 4), INF), device=device)
+    assert (weight.sum(), eta[0]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("elites", [1, 8, 300])
+def test_elites_match_a_stable_sort(elites, device):
+    cost = np.round(some_costs(8, 3, 300))  # many ties
+    weight, eta = elite(cost, elites=elites, device=device)
+    for e, row in enumerate(cost):
+        count = min(elites, np.isfinite(row).sum())
+        expected = np.zeros(300, dtype=np.float32)
+        expected[np.argsort(row, kind="stable")[:count]] = np.float32(1.0) / np.float32(count)
+        np.testing.assert_array_equal(weight[e], expected)
+        assert eta[e] == count
+
+
+# the new plan
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("samples", [1, 300])
+def test_mean_and_sigma_match_the_reference(alpha, samples, device):
+    rng = np.random.default_rng(samples)
+    knots, mean = rng.normal(size=(2, samples, 5, 3)), rng.normal(size=(2, 5, 3))
+    sigma, floor = rng.uniform(0.5, 2.0, size=(2, 5, 3)), np.array([0.0, 1.0, 0.01])
+    weight = rng.uniform(size=(2, samples))
+    weight /= weight.sum(axis=1, keepdims=True)
+
+    expected = (1.0 - alpha) * mean + alpha * np.einsum("es,espu->epu", weight, knots)
+    new_mean = updated_mean(knots, weight, mean, alpha=alpha, device=device)
+    np.testing.assert_allclose(new_mean, expected, rtol=1e-4, atol=1e-5)
+
+    spread = np.einsum("es,espu->epu", weight, (knots - expected[:, None]) ** 2)
+    new_sigma = updated_sigma(knots, weight, expected, sigma, alpha=alpha, floor=floor, device=device)
+    expected_sigma = np.maximum(np.sqrt((1.0 - alpha) * sigma**2 + alpha * spread), floor)
+    np.testing.assert_allclose(new_sigma, expected_sigma, rtol=1e-4, atol=1e-5)
+
+
+def test_the_plan_stays_where_it_is_without_weights(device):
+    mean, sigma = np.full((2, 3, 1), 5.0), np.full((2, 3, 1), 0.5)
+    knots, weight = np.ones((2, 4, 3, 1)), np.zeros((2, 4))
+    weight[1] = 0.25
+    np.testing.assert_array_equal(updated_mean(knots, weight, mean, alpha=1.0, device=device)[:, 0, 0], [5.0, 1.0])
+    around = np.ones((2, 3, 1))
+    new_sigma = updated_sigma(knots, weight, around, sigma, alpha=1.0, floor=[0.1], device=device)
+    np.testing.assert_allclose(new_sigma[:, 0, 0], [0.5, 0.1])
+
+
+def test_weights_need_not_be_normalized(device):
+    knots = np.random.default_rng(2).normal(size=(1, 6, 2, 2))
+    weight = np.random.default_rng(3).uniform(size=(1, 6))
+    mean = np.zeros((1, 2, 2))
+    np.testing.assert_allclose(
+        updated_mean(knots, 7.0 * weight, mean, alpha=1.0, device=device),
+        np.average(knots[0], axis=0, weights=weight[0])[None],
+        rtol=1e-4,
+        atol=1e-6,
+    )
+
+
+@given(seed=st.integers(0, 2**31 - 1), alpha=st.floats(0.0, 1.0))
+def test_the_new_mean_is_within_the_samples_it_came_from(seed, alpha, device):
+    rng = np.random.default_rng(seed)
+    knots, mean = rng.normal(size=(1, 10, 3, 2)), rng.normal(size=(1, 3, 2))
+    new = updated_mean(knots, rng.uniform(size=(1, 10)), mean, alpha=alpha, device=device)
+    assert np.all(new <= np.maximum(knots.max(axis=1), mean) + 1e-5)
+    assert np.all(new >= np.minimum(knots.min(axis=1), mean) - 1e-5)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Randomized models against MuJoCo's compiler, and what a draw depends on."""
+
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+from small_scenes import BOX, WALL, compiled, make_scene
+
+from warpmpc import Controller, Plant, SceneError
+from warpmpc.model.mujoco_model import make_world, randomize_model
+from warpmpc.model.properties import Properties, draw_properties
+
+SHAPES = {
+    "box": (0.3, 0.5, 0.2),
+    "sphere": (0.15,),
+    "cylinder": (0.2, 0.3),
+    "capsule": (0.12, 0.4),
+}
+RANDOM = {
+    "box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.2}, "size": {"normal": 0.01}},
+    "base": {"mass": {"uniform": 0.1}},
+}
+
+
+def one(name: str, *, mass=1.0, friction=1.0, size=(0.0, 0.0, 0.0)) -> Properties:
+    """One draw of one entity."""
+    return Properties((name,), np.array([[mass]]), np.array([[friction]]), np.array([[size]]))
+
+
+def floats(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """All arrays of numbers of a model."""
+    arrays = {name: getattr(model, name) for name in dir(model) if not name.startswith("_")}
+    return {k: v.copy() for k, v in arrays.items() if isinstance(v, np.ndarray) and v.dtype.kind == "f"}
+
+
+def settings(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """The options that make_world sets besides."""
+    spec.option.timestep, spec.option.iterations, spec.option.tolerance = 0.01, 20, 1e-6
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    return spec
+
+
+@pytest.mark.parametrize("offset", [(0.04, -0.06, 0.02), (-0.02, 0.03, 0.05)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_changed_object_is_what_the_compiler_makes_of_it(shape, offset):
+    """Every number of the model: inertia, invweights, bounding boxes, ..."""
+    item = {**BOX, "shape": shape, "size": SHAPES[shape], "friction": 0.4, "mass": 2.0}
+    scene = make_scene(object=[item], obstacle=[WALL])
+    world = make_world(compiled(scene), timestep=0.01)
+    drawn = randomize_model(world, one("box", mass=1.3, friction=0.8, size=offset), 0)
+
+    size = np.array(SHAPES[shape]) + np.array(offset)[: len(SHAPES[shape])]
+    half = size / 2 if shape == "box" else size * [1.0, 0.5][: len(size)]
+    xml = ElementTree.fromstring(compiled(scene).mjcf)
+    body = xml.find(".//body[@name='box']")
+    body.remove(body.find("inertial"))  # the compiler derives it from the geometry
+    body.find("geom").attrib.update(size=" ".join(map(str, half)), mass="2.6", friction="0.32 0.005 0.0001")
+    expected = floats(settings(mujoco.MjSpec.from_string(ElementTree.tostring(xml, encoding="unicode"))).compile())
+    found = floats(drawn)
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=2e-5, atol=2e-6, err_msg=name)
+    nominal = floats(world.model)
+    changed = {name for name in nominal if not np.array_equal(nominal[name], found[name])}
+    assert {"body_mass", "body_inertia", "geom_size", "geom_friction", "geom_rbound", "geom_aabb"} <= changed
+
+
+def test_an_obstacle_can_change_its_size_and_friction():
+    scene = make_scene(obstacle=[WALL, {**WALL, "name": "other", "position": (-2.0, 0.0, 0.2)}])
+    world = make_world(compiled(scene), timestep=0.01)
+    drawn = randomize_model(world, one("other", friction=0.5, size=(0.1, 0.2, -0.1)), 0)
+    spec = settings(mujoco.MjSpec.from_string(compiled(scene).mjcf))
+    geom = next(g for g in spec.worldbody.geoms if g.name.startswith("other"))
+    geom.size, geom.friction[0] = [0.15, 1.1, 0.15], 0.5
+    for name, value in floats(spec.compile()).items():
+        np.testing.assert_allclose(floats(drawn)[name], value, rtol=2e-5, atol=2e-6, err_msg=name)
+
+
+def test_a_robots_mass_and_friction_change_on_all_its_links():
+    scene = make_scene(obstacle=[WALL])
+    world = make_world(compiled(scene), timestep=0.01)
+    drawn = randomize_model(world, one("base", mass=1.5, friction=0.5), 0)
+    ratio = floats(drawn)["body_mass"][1:] / np.maximum(floats(world.model)["body_mass"][1:], 1e-9)
+    moving = world.model.body_mass[1:] > 0
+    assert moving.sum() == 3
+    np.testing.assert_allclose(ratio[moving], 1.5)
+    own = list(world.geoms["base"])
+    others = [g for g in range(world.model.ngeom) if g not in own]
+    np.testing.assert_allclose(drawn.geom_friction[own, 0], 0.5 * world.model.geom_friction[own, 0])
+    np.testing.assert_array_equal(drawn.geom_friction[others], world.model.geom_friction[others])
+
+
+def test_a_shape_never_shrinks_to_nothing():
+    scene = make_scene(object=[BOX])
+    drawn = randomize_model(make_world(compiled(scene), timestep=0.01), one("box", size=(-1.0, -1.0, -1.0)), 0)
+    np.testing.assert_allclose(drawn.geom("box_2").size, [0.015, 0.025, 0.01], rtol=1e-6)
+
+
+def test_draws_do_not_depend_on_how_many_there_are():
+    scene = make_scene(object=[BOX], randomize=RANDOM)
+    layout = compiled(scene).layout
+    few, many = (draw_properties(scene, layout, count, seed=5) for count in (3, 40))
+    other = draw_properties(scene, layout, 40, seed=6)
+    for name in ("mass", "friction", "size"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(many, name)[:3])
+    assert few.draws == 3
+    assert many.names == ("box", "base")
+    assert np.all(np.abs(many.mass - 1.0) <= [0.3, 0.1])
+    assert np.abs(many.mass - 1.0).max(axis=0) == pytest.approx([0.3, 0.1], rel=0.2)
+    assert np.all(many.friction[:, 1] == 1.0)
+    assert np.all(many.size[:, 1] == 0.0)
+    assert 0.005 < many.size[:, 0].std() < 0.015
+    # mass, friction and seeds vary independently
+    assert abs(np.corrcoef(many.mass[:, 0], many.friction[:, 0])[0, 1]) < 0.5
+    assert not np.any(many.mass == other.mass)
+
+
+def test_unknown_entities_are_named():
+    scene = make_scene(object=[BOX], randomize={"bx": {"mass": {"uniform": 0.1}}})
+    with pytest.raises(SceneError, match=r"randomize.*Did you mean 'box'"):
+        draw_properties(scene, compiled(scene).layout, 2, seed=0)
+
+
+def test_the_plant_is_another_world_than_the_planners():
+    scene = make_scene(object=[BOX], randomize=RANDOM, planner={"samples": 4, "horizon": 2})
+    controller = Controller(scene, seed=0, compiled=compiled(scene))
+    masses = [model.body("box").mass[0] for model in controller.engine.models]
+    assert len(set(masses)) == 4
+    plants = [Plant(scene, seed=seed, compiled=compiled(scene)).properties.mass[0, 0] for seed in (0, 0, 1)]
+    assert plants[0] == plants[1] != plants[2]
+    assert not set(np.round(masses, 5)) & set(np.round(plants, 5))
+    nominal = make_scene(object=[BOX], randomize=RANDOM, plant={"randomize": False})
+    assert Plant(nominal, compiled=compiled(nominal))._engine.model.body("box").mass[0] == pytest.approx(1.0)
+
+
+def test_a_planner_that_randomizes_nothing_meets_a_randomized_plant():
+    planner = {"samples": 4, "horizon": 2, "randomize": False}
+    scene = make_scene(object=[BOX], randomize=RANDOM, planner=planner)
+    controller = Controller(scene, compiled=compiled(scene))
+    masses = [model.body("box").mass[0] for model in controller.engine.models]
+    assert masses == pytest.approx([1.0] * len(masses))
+    assert Plant(scene, compiled=compiled(scene)).properties.mass[0, 0] != pytest.approx(1.0, abs=1e-3)

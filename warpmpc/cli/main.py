@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: list scenes and cost terms, check a scene, run episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# physics, kernels and tables take seconds to import: every command imports what it needs, when it needs it
+
+app = typer.Typer(
+    name="warpmpc",
+    help="Real-time model-predictive control that uses a parallel physics simulator as its model.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE", help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:VARIANT for a variant of it."
+    ),
+]
+SetOption = Annotated[
+    list[str],
+    typer.Option("--set", metavar="KEY=VALUE", help="Change the scene, such as planner.samples=500; repeatable."),
+]
+TermsOption = Annotated[
+    list[Path],
+    typer.Option("--terms", metavar="FILE.py", help="Python file with cost terms of your own; it is executed."),
+]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        "--engine",
+        metavar="ENGINE",
+        help="Engine of the rollouts: mujoco (on the CPU), newton (best on a GPU), or auto: the scene's choice, else "
+        "with a GPU the faster of the two, measured once.",
+    ),
+]
+DeviceOption = Annotated[
+    str, typer.Option("--device", metavar="DEVICE", help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto.")
+]
+LAST_SEED = 2**28
+"""Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
+
+
+def main() -> None:
+    """Entry point of the program ``warpmpc``."""
+    app(prog_name="warpmpc")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from ...warpmpc import __version__
+
+        typer.echo(f"warpmpc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def scenes() -> None:
+    """List the scenes that come with warpmpc."""
+    from ..cli import report
+    from .run import user_errors
+
+    with user_errors():
+        report.print_scenes()
+
+
+@app.command()
+def terms() -> None:
+    """List the built-in cost terms and their keys."""
+    from ..cli import report
+    from .run import start_warp
+
+    start_warp()
+    report.print_terms()
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of a scene that draws its tasks.")] = 0,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+) -> None:
+    """Build everything a run would, make one plan, and show what was built."""
+    from ..cli import run as cli_run
+
+    raise typer.Exit(
+        cli_run.check(scene, overrides=overrides, term_files=terms, seed=seed, engine=engine, device=device)
+    )
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the first episode.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, with seeds SEED, SEED + 1, ...")] = 1,
+    envs: Annotated[
+        int,
+        typer.Option(min=1, help="Episodes that run at once, planned for together; not for scenes that draw bodies."),
+    ] = 1,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Record for rerun; several episodes put their seed into the name."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,
+) -> None:
+    """Run episodes: control the simulated plant until it reaches its goal or runs out of time.
+
+    Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C.
+    """
+    from ..cli import run as cli_run
+
+    raise typer.Exit(
+        cli_run.run(
+            scene,
+            seeds=range(seed, seed + episodes),
+            envs=envs,
+            overrides=overrides,
+            term_files=terms,
+            engine=engine,
+            device=device,
+            record=record,
+            json_lines=json,
+            quiet=quiet,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

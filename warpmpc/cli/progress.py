@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a running ``warpmpc`` shows on stderr: a progress bar, the engine it chose, and the first warning."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from rich.console import Console
+
+    from ..control.controller import Controller
+    from ..plant.batch import PlantBatch
+    from ..plant.simulated import Plant
+    from ..run.episode import EpisodeResult
+
+PERIOD = 0.1
+"""Time between updates of a bar [s]; it is drawn between plans, never during one."""
+
+logger = logging.getLogger("warpmpc")
+
+
+class Messages(logging.Handler):
+    """Shows what warpmpc logs: every notice once, and the first warning of an episode; the results count the rest.
+
+    Args:
+        notices: Whether to show notices, such as which engine ``auto`` took.
+        warnings: Whether to show warnings.
+    """
+
+    def __init__(self, *, notices: bool, warnings: bool):
+        super().__init__(logging.INFO)
+        self.warnings = warnings
+        self.warned = False
+        """Whether there was a warning; set it back when an episode starts."""
+        self._notices, self._noticed = notices, set()
+
+    def __enter__(self) -> Messages:
+        self._level_before = logger.level
+        logger.setLevel(logging.INFO)
+        logger.addHandler(self)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        logger.removeHandler(self)
+        logger.setLevel(self._level_before)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a record, or not."""
+        text = record.getMessage()
+        if record.levelno < logging.WARNING:
+            if self._notices and text not in self._noticed:
+                print(text, file=sys.stderr)
+            self._noticed.add(text)
+            return
+        if self.warnings and not self.warned:
+            print(f"warning: {text}", file=sys.stderr)
+        self.warned = True
+
+
+class Bar:
+    """A bar on stderr, if that is a terminal.
+
+    Args:
+        total: What the bar counts up to.
+        shown: Whether to show anything.
+    """
+
+    def __init__(self, total: float, *, shown: bool):
+        self.total, self.shown = total, shown
+        self.console: Console | None = None
+        self._next = 0.0
+
+    def __enter__(self) -> Bar:
+        if not self.shown or not sys.stderr.isatty():
+            return self
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        self.console = Console(stderr=True)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=10 if self.console.width < 100 else 24),
+            TextColumn("{task.fields[numbers]}"),
+            console=self.console,
+            auto_refresh=False,
+            transient=True,
+        )
+        self._bar.start()
+        self._task = self._bar.add_task("", total=self.total, numbers="building")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.console:
+            self._bar.stop()
+
+    def due(self) -> bool:
+        """Whether there is a bar and it is time to draw it again."""
+        return self.console is not None and time.perf_counter() >= self._next
+
+    def draw(self, description: str, completed: float, numbers: str) -> None:
+        """Draw the bar."""
+        if self.console:
+            self._bar.update(self._task, description=description, completed=completed, numbers=numbers, refresh=True)
+            self._next = time.perf_counter() + PERIOD
+
+
+class EpisodeBar(Bar):
+    """Simulated time of one episode after the other, with the numbers of the last plan.
+
+    Args:
+        timeout: Longest simulated time of an episode [s].
+        seeds: Seeds of the episodes.
+        shown: Whether to show anything.
+    """
+
+    def __init__(self, timeout: float, seeds: Sequence[int], *, shown: bool):
+        super().__init__(timeout, shown=shown)
+        self._seeds, self._name = seeds, ""
+
+    def start(self, seed: int) -> None:
+        """A new episode begins."""
+        count = f" ({seed - self._seeds[0] + 1}/{len(self._seeds)})" if len(self._seeds) > 1 else ""
+        self._name = f"seed {seed}{count}"
+        self.draw(self._name, 0.0, "first plan")
+
+    def step(self, controller: Controller, plant: Plant, control: np.ndarray) -> None:
+        """An episode's ``on_step``."""
+        if not (self.due() or plant.done):
+            return
+        info = controller.info
+        numbers = (
+            f"{plant.time:4.1f} s  cost {info.cost:<6.4g} η {info.eta:<4.0f} β {info.beta:<7.2g} "
+            f"goal {plant.error.position:.3f} m  plan {info.plan_ms:.0f} ms"
+        )
+        self.draw(self._name, plant.time, numbers)
+
+
+class BatchBar(Bar):
+    """Finished episodes of a batch.
+
+    Args:
+        episodes: Number of episodes.
+        shown: Whether to show anything.
+    """
+
+    def __init__(self, episodes: int, *, shown: bool):
+        super().__init__(episodes, shown=shown)
+        self._finished = self._reached = 0
+
+    def finish(self, result: EpisodeResult) -> None:
+        """An episode is over."""
+        self._finished += 1
+        self._reached += result.success
+
+    def step(self, controller: Controller, plants: PlantBatch, control: np.ndarray) -> None:
+        """A batch's ``on_step``."""
+        if not self.due():
+            return
+        numbers = f"{self._reached} reached the goal  {plants.time:4.1f} s  plan {controller.info[0].plan_ms:.0f} ms"
+        self.draw(f"{self._finished}/{int(self.total)} episodes", self._finished, numbers)

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables on the terminal: scenes, cost terms, what a check built, results of episodes."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import statistics
+from enum import StrEnum
+from types import NoneType
+from typing import TYPE_CHECKING, Any, TextIO, get_args, get_origin
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ..scene.load import load_scene, shipped_scenes, variants
+from ..scene.schema import Method
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pydantic.fields import FieldInfo
+
+    from ..model.layout import Layout
+    from ..run.episode import Episode, EpisodeResult
+    from ..scene.schema import (
+        Object,
+        Obstacle,
+        Planner,
+        Scene,
+    )
+
+PIPE_WIDTH = 160
+"""Width of tables that go into a pipe or file."""
+
+_UNITS = {"velocity": ("m/s", "rad/s"), "position": ("m", "rad"), "effort": ("N", "N·m")}
+"""Unit of a control by drive mode, along a linear and an angular axis."""
+
+
+def _console(out: TextIO | None = None) -> Console:
+    console = Console(file=out, highlight=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    return console
+
+
+def _table(*columns: str, right: Sequence[str] = (), title: str | None = None) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
+    for name in columns:
+        table.add_column(Text(name), justify="right" if name in right else "left", no_wrap=name in right)
+    return table
+
+
+def print_scenes() -> None:
+    """Print the scenes that come with warpmpc.
+
+    Raises:
+        SceneError: If one of them is broken.
+    """
+    table = _table("scene", "variants", "robots", "samples × horizon", "plans/s", "title", right=["plans/s"])
+    for name in shipped_scenes():
+        scene = load_scene(name)
+        planner = scene.planner
+        table.add_row(
+            Text(name, style="bold"),
+            Text(", ".join(variants(name)) or "-"),
+            Text(", ".join(robot.name for robot in scene.robot)),
+            f"{planner.samples} × {planner.horizon}",
+            f"{1.0 / scene.timing.control_dt:g}",
+            Text(scene.title),
+        )
+    _console().print(table)
+
+
+def print_terms() -> None:
+    """Print the built-in cost terms with their keys."""
+    from ..cost.builtin import BUILTIN
+
+    table = _table("term", "key", "value", "default", "meaning")
+    for term in BUILTIN.values():
+        summary = (inspect.getdoc(term.function.func) or "").split("\n\n")[0].replace("\n", " ")
+        table.add_section()
+        table.add_row(Text(term.name, style="bold"), "", "", "", Text(summary, style="bold"))
+        for name, field in term.keys.model_fields.items():
+            table.add_row("", name, Text(_kind(field)), Text(_default(field)), Text(field.description or ""))
+    console = _console()
+    console.print(table)
+    console.print(
+        "Every [[cost]] table has a weight besides (1.0 when left out), and a name where one term is used twice.\n"
+        "A frame is robot/frame, robot/link, an object, an obstacle or goal.",
+        markup=False,
+    )
+
+
+def _kind(field: FieldInfo) -> str:
+    """What a key takes, in words."""
+    kinds = [kind for kind in get_args(field.annotation) if kind is not NoneType] or [field.annotation]
+    if get_origin(field.annotation) is tuple:
+        return f"[{', '.join('text' if kind is str else 'number' for kind in kinds)}]"
+    kind, metadata = kinds[0], list(field.metadata)
+    for inner in getattr(kind, "__metadata__", ()):
+        metadata += getattr(inner, "metadata", [])
+    kind = getattr(kind, "__origin__", kind)
+    if issubclass(kind, StrEnum):
+        return " | ".join(kind)
+    bounds = {name: f" {sign} {getattr(m, name):g}" for m in metadata for name, sign in _SIGNS if hasattr(m, name)}
+    return {bool: "true | false", str: "text"}.get(kind, "number") + "".join(bounds.values())
+
+
+_SIGNS = (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤"))
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    if field.default is None:
+        return "-"
+    return str(field.default).lower() if isinstance(field.default, bool) else str(field.default)
+
+
+def print_check(episode: Episode, out: TextIO) -> None:
+    """Print what an episode is built of; its controller has made a plan."""
+    scene, controller = episode.scene, episode.controller
+    layout = controller.layout
+    console = _console(out)
+    facts = Table.grid(padding=(0, 2))
+    facts.add_column(style="bold", no_wrap=True)
+    facts.add_column()
+
+    def fact(name: str, text: str) -> None:
+        facts.add_row(name, Text(text))
+
+    fact("scene", scene.name + (f", variant {scene.variant}" if scene.variant else ""))
+    if scene.title:
+        fact("", scene.title)
+    if scene.path:
+        fact("file", str(scene.path))
+    if episode.drawn:
+        drawn = ", ".join(f"{key} = {_number(value)}" for key, value in episode.drawn.items())
+        fact(f"drawn, seed {episode.seed}", drawn)
+    for robot in scene.robot:
+        entity = layout.entity(robot.name)
+        dofs = sum(int(layout.joint_dof_dim[j].sum()) for j in entity.joints)
+        fact("robot", f"{robot.name}: {dofs} DoF, {len(entity.bodies)} links, from {robot.asset}")
+    for item in scene.object:
+        fact("object", f"{item.name}: {_shape(item)}, {item.mass:g} kg")
+    for item in scene.obstacle:
+        fact("obstacle", f"{item.name}: {_shape(item)} at {_number(item.position)}")
+    fact("frames", ", ".join(layout.frame_name))
+    fact("goal", _goal(scene))
+    fact("planner", _planner(scene))
+    shape, substeps = controller.shape, scene.engine.substeps
+    steps = shape.worlds * shape.horizon * substeps
+    fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
+    fact(
+        "rollouts",
+        f"{shape.worlds} worlds × {shape.horizon} controls × {substeps} substeps = {steps} physics steps a plan",
+    )
+    ahead = shape.horizon * (scene.planner.dt or scene.timing.control_dt)
+    fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
+    fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
+    console.print(facts)
+    console.print(_controls(layout))
+    console.print(_costs(episode))
+
+
+def _controls(layout: Layout) -> Table:
+    table = _table(
+        "control", "drive", "lower", "upper", "unit", "effort limit", right=["lower", "upper", "effort limit"]
+    )
+    for i, name in enumerate(layout.control_name):
+        rows = np.flatnonzero(layout.actuator_matrix[:, i])
+        mode, linear = layout.actuator_mode[rows[0]], _is_linear(layout, int(layout.actuator_dof[rows[0]]))
+        effort = f"{layout.actuator_effort[rows[0]]:g} {_UNITS['effort'][not linear]}"
+        if len(rows) > 1:  # speeds of a base with two wheels
+            mode, linear = "diff_drive", name.endswith("/v")
+        unit = _UNITS["velocity" if mode == "diff_drive" else mode][not linear]
+        table.add_row(name, mode, f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}", unit, effort)
+    return table
+
+
+def _is_linear(layout: Layout, dof: int) -> bool:
+    """Whether a velocity coordinate belongs to a linear axis."""
+    joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])
+    return dof - int(layout.joint_qd_start[joint]) < int(layout.joint_dof_dim[joint, 0])
+
+
+def _costs(episode: Episode) -> Table:
+    table = _table("cost", "term", "weight", "best sample", "keys", right=["weight", "best sample"])
+    costs = episode.controller.costs
+    for label, cost in zip(costs.labels, episode.scene.cost, strict=True):
+        keys = ", ".join(f"{key} = {_number(value)}" for key, value in cost.params.items())
+        best = episode.controller.info.terms[label]
+        table.add_row(Text(label), Text(cost.term), f"{cost.weight:g}", f"{best:.4g}", Text(keys))
+    return table
+
+
+def _shape(item: Object | Obstacle) -> str:
+    return f"{item.shape} {_number(item.size)} m" if item.size else f"{item.shape} {item.mesh or ''}".strip()
+
+
+def _goal(scene: Scene) -> str:
+    goal = scene.goal
+    turn = f", yaw {goal.yaw:g} rad" if goal.yaw is not None else ""
+    turn = f", rotation {_number(goal.rotation)}" if goal.rotation is not None else turn
+    success = scene.success.model_dump(exclude_none=True)
+    within = ", ".join(
+        f"{name} {_number(value[0] if name == 'position' and len(value) == 1 else value)}"
+        for name, value in success.items()
+        if name != "hold" or value
+    )
+    return f"{goal.target} at {_number(goal.position)} m{turn}; reached within {within}"
+
+
+def _planner(scene: Scene) -> str:
+    planner, noise = scene.planner, scene.planner.noise
+    knots = f"{planner.knots} {planner.spline} knots" if planner.knots else f"{planner.horizon} knots"
+    domains = f" × {planner.domains} domains ({planner.risk})" if planner.domains > 1 else ""
+    return (
+        f"{planner.method}: {planner.samples} samples{domains}, horizon {planner.horizon}, {knots}, "
+        f"{noise.source} {noise.shape} noise, σ {_number(noise.sigma)}, discount {planner.discount:g}"
+        + _temperature(planner)
+        + (f", {planner.iterations} iterations" if planner.iterations > 1 else "")
+    )
+
+
+def _temperature(planner: Planner) -> str:
+    if planner.method is not Method.MPPI:
+        return ""
+    t = planner.temperature
+    aim = f" for an ESS of {t.ess:g}" if t.ess else f" for η in {_number(t.eta)}" if t.eta else ", fixed"
+    return f", β {t.initial:g}{aim}"
+
+
+def _number(value: Any) -> str:
+    """A value as a scene file would write it, numbers short."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_number(item) for item in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
+    """Print one row per episode and a line that sums them up."""
+    numbers = ["seed", "time\n[s]", "position\n[m]", "yaw\n[rad]", "contact\n[N]", "contact\n[s]"]
+    numbers += ["plan p50\n[ms]", "p99\n[ms]"]
+    safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
+    table = _table(
+        "seed",
+        "result",
+        *numbers[1:],
+        *safe,
+        right=[*numbers, *safe],
+        title=_title(results[0]),
+    )
+    for r in results:
+        table.add_row(
+            str(r.seed),
+            Text(r.reason, style="green" if r.success else "red"),
+            f"{r.sim_time:.2f}",
+            f"{r.position_error:.3f}",
+            "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
+            f"{r.max_force:.1f}",
+            f"{r.time_in_contact:.2f}",
+            _ms(r.plan_ms["p50"]),
+            _ms(r.plan_ms["p99"]),
+            *([str(r.fallbacks)] if safe else []),
+        )
+    console = _console(out)
+    console.print(table)
+    console.print(summary(results), markup=False)
+
+
+def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
+    """Print what became of many episodes that ran at once: one row per way they ended, plan times, and a sum."""
+    envs, plans = results[0].envs, [r.plan_ms for r in results if not math.isnan(r.plan_ms["p50"])]
+    p50 = statistics.median(plan["p50"] for plan in plans) if plans else math.nan
+    longest = max((plan["max"] for plan in plans), default=math.nan)
+    table = _table(
+        "result",
+        "episodes",
+        "mean time\n[s]",
+        "position\n[m]",
+        "contact\n[s]",
+        "seeds",
+        right=["episodes", "mean time\n[s]", "position\n[m]", "contact\n[s]"],
+        title=_title(results[0]),
+    )
+    for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
+        group = sorted((r for r in results if r.reason == reason), key=lambda r: r.seed)
+        table.add_row(
+            Text(reason, style="green" if group[0].success else "red"),
+            str(len(group)),
+            f"{statistics.mean(r.sim_time for r in group):.2f}",
+            f"{statistics.mean(r.position_error for r in group):.3f}",
+            f"{statistics.mean(r.time_in_contact for r in group):.2f}",
+            "" if group[0].success else _some([str(r.seed) for r in group]),
+        )
+    console = _console(out)
+    console.print(table)
+    safe = sum(r.fallbacks for r in results)
+    console.print(
+        f"plan of {envs} environments: p50 {_ms(p50)} ms, {_ms(p50 / envs)} ms each; longest {_ms(longest)} ms"
+        + (f"\n{safe} safe commands" if safe else ""),
+        markup=False,
+    )
+    console.print(f"{100.0 * sum(r.success for r in results) / len(results):.1f} %: {summary(results)}", markup=False)
+
+
+def _title(result: EpisodeResult) -> str:
+    name = result.scene + (f":{result.variant}" if result.variant else "")
+    return f"{name}, {result.engine} on {result.device}"
+
+
+def _ms(value: float) -> str:
+    """A wall time [ms]; a dash without a plan."""
+    return "-" if math.isnan(value) else f"{value:.1f}"
+
+
+def _some(names: Sequence[str], *, most: int = 12) -> str:
+    """The first of many names."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def summary(results: Sequence[EpisodeResult]) -> str:
+    """How many episodes reached the goal, and the mean ± standard deviation of their times."""
+    times = [result.time_to_goal for result in results if result.time_to_goal is not None]
+    text = f"{len(times)} of {len(results)} reached the goal"
+    if not times:
+        return text
+    spread = f" ± {statistics.stdev(times):.2f}" if len(times) > 1 else ""
+    return f"{text}; time to goal {statistics.mean(times):.2f}{spread} s"

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost terms from a user's Python file."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import traceback
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from ..cost.term import ArrayCost, CostTerm
+
+
+class TermsError(ValueError):
+    """A file of cost terms that cannot be used."""
+
+
+def load_terms(files: Sequence[Path]) -> list[CostTerm | ArrayCost]:
+    """Execute Python files and collect the cost terms they define at module level.
+
+    Args:
+        files: Python files.
+
+    Returns:
+        The terms, in the order of the files and of the names in them.
+
+    Raises:
+        TermsError: If a file cannot be read or executed or defines no term, or two terms share a name.
+    """
+    found: dict[str, CostTerm | ArrayCost] = {}
+    for number, path in enumerate(files):
+        terms = _execute(path, f"warpmpc_terms_{number}")
+        if not terms:
+            raise TermsError(f'{path}: defines no cost term; write one with @warpmpc.cost_term("name")')
+        for term in terms:
+            if term.name in found:
+                raise TermsError(f"{path}: there are two cost terms called '{term.name}'")
+            found[term.name] = term
+    return list(found.values())
+
+
+def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:
+    from ..cost.term import ArrayCost, CostTerm
+
+    try:
+        path.read_bytes()
+    except OSError as error:
+        raise TermsError(f"{path}: cannot be read: {error.strerror}") from error
+    spec = importlib.util.spec_from_file_location(name, path.absolute())
+    if spec is None:
+        raise TermsError(f"{path}: is not a Python file; its name must end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # Warp looks the globals of functions and structs up there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise TermsError(f"{path}{_line(error, path)}: {type(error).__name__}: {_message(error)}") from error
+    unique = {id(value): value for value in vars(module).values() if isinstance(value, CostTerm | ArrayCost)}
+    return list(unique.values())
+
+
+def _line(error: Exception, path: Path) -> str:
+    """The line of a user's file that an error comes from, as ``:LINE``."""
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    lines = [
+        frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path.absolute())
+    ]
+    return f":{lines[-1]}" if lines else ""
+
+
+def _message(error: Exception) -> str:
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return " ".join(text.split())

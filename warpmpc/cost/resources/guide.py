@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Path-length fields that follow their targets, on the device of the rollouts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ...kernels.geometry.fields import (
+    GuideTable,
+    guide_field_kernel,
+    guide_target_kernel,
+    guide_waypoint_kernel,
+)
+
+if TYPE_CHECKING:
+    from ...model.layout import Layout
+    from ..binding import FieldRequest
+    from .geodesic import Grid
+
+
+class Guide:
+    """The distance fields that cost terms asked for, one per environment and request.
+
+    The host prepares, once, waypoints on the borders of the grown obstacles: what they see and how far apart they are.
+    The field to a target is put together from those on the device, at every plan whose target moved by more than a
+    cell; so nothing waits for the host while objects move.
+
+    Args:
+        grid: Grid over the scene.
+        requests: What the cost terms asked for, R of them.
+        layout: Layout of the scene.
+        envs: Number of environments E.
+        device: Warp device.
+    """
+
+    field: wp.array3d[float]
+    """Path length from every cell to the target of field e·R + r, ``[E·R, rows, columns]`` [m]."""
+    center: wp.array[wp.vec2]
+    """Where those targets were, ``[E·R]`` [m]."""
+
+    def __init__(self, grid: Grid, requests: list[FieldRequest], layout: Layout, *, envs: int, device: str):
+        self.device = device
+        known = {i: (*grid.ways(i), *grid.nearest_free(i)) for i in {r.inflation for r in requests}}
+        sights, betweens, nearests, depths = zip(*(known[r.inflation] for r in requests), strict=True)
+        counts = [len(b) for b in betweens]
+        rows, columns = grid.clearance.shape
+        most, count = max(counts), envs * len(requests)
+        sight = np.full((len(requests), rows * columns, most), np.inf, dtype=np.float32)
+        between = np.full((len(requests), most, most), np.inf, dtype=np.float32)
+        for r, m in enumerate(counts):
+            sight[r, :, :m], between[r, :m, :m] = sights[r], betweens[r]
+
+        def upload(values: object, dtype: type = float) -> wp.array:
+            return wp.array(values, dtype=dtype, device=device)
+
+        table = GuideTable()
+        table.clearance = upload(np.minimum(grid.clearance, 1e6)[None])
+        table.inflation = upload([r.inflation for r in requests])
+        table.count = upload(counts, int)
+        table.sight, table.between = upload(sight), upload(between)
+        table.nearest, table.depth = upload(np.array(nearests), int), upload(np.array(depths))
+        table.origin, table.cell = wp.vec2(*grid.origin), grid.cell
+        table.body = upload([int(layout.frame_body[r.target]) for r in requests], int)
+        table.pose = upload([layout.frame_pose[r.target] for r in requests], wp.transform)
+        self._table = table
+        self.field = wp.zeros((count, rows, columns), dtype=float, device=device)
+        self.center = wp.empty(count, dtype=wp.vec2, device=device)
+        self._stale = wp.zeros(count, dtype=int, device=device)
+        self._remaining = wp.zeros((count, most), dtype=float, device=device)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where the targets were; capture-safe."""
+        self.center.fill_(wp.vec2(wp.inf, wp.inf))
+
+    def launch(self, body_q: wp.array, goal: wp.array, rollouts: int) -> None:
+        """Bring the fields up to date; capture-safe.
+
+        Args:
+            body_q: Recorded body poses ``[T+1, W, nb]``, of which the observed state in slice 0 is read.
+            goal: Goal poses ``[E]``.
+            rollouts: Worlds per environment.
+        """
+        targets = [self.center, self._stale]
+        for kernel, dim, inputs, outputs in (
+            (guide_target_kernel, self.center.shape, [body_q, goal, rollouts], targets),
+            (guide_waypoint_kernel, self._remaining.shape, targets, [self._remaining]),
+            (guide_field_kernel, self.field.shape, [*targets, self._remaining], [self.field]),
+        ):
+            wp.launch(kernel, dim=dim, inputs=[self._table, *inputs], outputs=outputs, device=self.device)

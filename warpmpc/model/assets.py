@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the files a scene names are found: beside the scene, in robot packages, or shipped with warpmpc and Newton."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import re
+import sys
+import warnings
+from enum import StrEnum
+from pathlib import Path
+from xml.etree import ElementTree
+
+from ..scene.errors import SceneError
+from ..scene.load import shipped_folder
+
+_XML_ROOTS = {"robot": "urdf", "mujoco": "mjcf"}
+_MESHES = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")
+
+
+class AssetKind(StrEnum):
+    """What a robot's asset file is written in."""
+
+    URDF = "urdf"
+    MJCF = "mjcf"
+    USD = "usd"
+
+
+def package_dirs(path: Path | None = None) -> tuple[Path, ...]:
+    """Folders in which ``package://`` URIs are looked up, besides those that ROS's environment variables name.
+
+    Args:
+        path: File that contains the URIs; the folders it lies in count too, so that a URDF finds its own package.
+
+    Returns:
+        Existing folders. Robot packages from PyPI (``cmeel.prefix/share`` of every ``sys.path`` entry) come first.
+    """
+    share = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path if entry]
+    above = list(path.absolute().parents)[:-1] if path is not None else []
+    return tuple(dict.fromkeys(folder for folder in share + above if folder.is_dir()))
+
+
+def resolve_asset(uri: str, *, base: Path | None, key: str, file: Path | str | None = None) -> Path:
+    """Find a file that a scene names.
+
+    Args:
+        uri: Path relative to ``base``, absolute path, ``package://``, ``model://`` or ``file:`` URI, or the name of an
+            asset shipped with warpmpc or Newton.
+        base: Folder of the scene file; the working directory for a scene without a file.
+        key: Key of the scene that names the file, for messages.
+        file: Scene file, for messages.
+
+    Returns:
+        Absolute path of an existing file.
+
+    Raises:
+        SceneError: If there is no such file.
+    """
+    if re.match(r"[a-z]+://|file:", uri):
+        return _resolve_uri(uri, key=key, file=file)
+    candidates = [folder / uri for folder in (base or Path.cwd(), *_shipped())]
+    if Path(uri).expanduser().is_absolute():
+        candidates = [Path(uri).expanduser()]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate.absolute()
+    raise _missing(uri, candidates, key=key, file=file)
+
+
+def asset_kind(path: Path, *, key: str | None = None, file: Path | str | None = None) -> AssetKind:
+    """Tell what a robot's asset is written in, from its ending and, for XML, its root element.
+
+    Raises:
+        SceneError: If it is none of URDF, MJCF and USD, or is a xacro file that needs expanding.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+        return AssetKind.USD
+    if suffix == ".xacro" or (suffix == ".urdf" and b"<xacro:" in path.read_bytes()):
+        raise SceneError(
+            f"a xacro file must be expanded first: xacro {path.name} > {path.name.split('.')[0]}.urdf",
+            key=key,
+            file=file,
+            found=str(path),
+        )
+    if suffix not in (".urdf", ".xml", ".mjcf"):
+        raise SceneError(
+            "no such kind of robot asset",
+            key=key,
+            file=file,
+            found=path.name,
+            allowed="URDF (.urdf, .xml), MJCF (.xml, .mjcf) and USD (.usd, .usda, .usdc, .usdz)",
+        )
+    try:
+        _, root = next(ElementTree.iterparse(path, events=("start",)))
+    except (ElementTree.ParseError, StopIteration) as error:
+        raise SceneError(f"is not valid XML: {error}", key=key, file=file, found=str(path)) from error
+    if root.tag not in _XML_ROOTS:
+        raise SceneError(
+            "is neither URDF nor MJCF",
+            key=key,
+            file=file,
+            found=f"<{root.tag}>",
+            allowed="a root element <robot> (URDF) or <mujoco> (MJCF)",
+        )
+    return AssetKind(_XML_ROOTS[root.tag])
+
+
+def mesh_file(uri: str, *, base: Path | None, key: str, file: Path | str | None = None) -> Path:
+    """Find a mesh file like :func:`resolve_asset`.
+
+    Raises:
+        SceneError: If there is no such file, or its format is not read.
+    """
+    if Path(uri).suffix.lower() not in _MESHES:
+        raise SceneError("no such kind of mesh", key=key, file=file, found=uri, allowed=", ".join(_MESHES))
+    return resolve_asset(uri, base=base, key=key, file=file)
+
+
+def _shipped() -> list[Path]:
+    """Folders of shipped assets; Newton's are found without importing it, which takes seconds."""
+    newton = importlib.util.find_spec("newton")
+    folders = [Path(place) / "examples" / "assets" for place in newton.submodule_search_locations] if newton else []
+    return [shipped_folder() / "assets", *folders]
+
+
+def _resolve_uri(uri: str, *, key: str, file: Path | str | None) -> Path:
+    # slow to import and needed for URIs alone
+    from resolve_robotics_uri_py import resolve_robotics_uri
+    from resolve_robotics_uri_py.resolve_robotics_uri_py import get_default_search_paths
+
+    scheme = uri.partition(":")[0]
+    if scheme not in ("package", "model", "file"):
+        raise SceneError(
+            "this kind of address is not read",
+            key=key,
+            file=file,
+            found=uri,
+            allowed="a path, package://, model://, file:",
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about search paths that do not exist, and packages found twice
+        try:
+            found = resolve_robotics_uri(uri, package_dirs=[str(folder) for folder in package_dirs()])
+        except (FileNotFoundError, ValueError):
+            found = None
+        folders = [*get_default_search_paths(), *package_dirs()]
+    if found is not None and found.is_file():
+        return found
+    rest = uri.partition("://" if "://" in uri else ":")[2]
+    candidates = [Path(rest)] if scheme == "file" else [folder / rest for folder in dict.fromkeys(folders)]
+    raise _missing(uri, candidates, key=key, file=file)
+
+
+def _missing(uri: str, candidates: list[Path], *, key: str, file: Path | str | None) -> SceneError:
+    """The error for a file that is nowhere: the places searched, and what lies there under a similar name."""
+    near = [name for candidate in candidates for name in _near(candidate)]
+    hint = f". Similar files: {', '.join(dict.fromkeys(near))}" if near else ""
+    places = ", ".join(str(candidate.parent) for candidate in candidates) or "no folder: no robot package is installed"
+    return SceneError(f"no such file (searched {places}){hint}", key=key, file=file, found=uri)
+
+
+def _near(path: Path) -> list[str]:
+    """What the deepest existing folder above a missing file holds under a similar name."""
+    folder = next((parent for parent in path.parents if parent.is_dir()), None)
+    if folder is None or folder == folder.parent:
+        return []
+    wanted = path.relative_to(folder).parts[0]
+    near = difflib.get_close_matches(wanted, [entry.name for entry in folder.iterdir()], n=3, cutoff=0.5)
+    return [str(folder / name) for name in near]

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a validated scene to one Newton world: a ``newton.ModelBuilder`` and the layout of its state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import newton
+import numpy as np
+import warp as wp
+from newton import GeoType, ShapeFlags
+
+from ..scene.errors import SceneError
+from ..scene.schema import (
+    Object,
+    Obstacle,
+    Robot,
+    Scene,
+    ShapeKind,
+)
+from .assets import (
+    AssetKind,
+    asset_kind,
+    package_dirs,
+    resolve_asset,
+)
+from .axes import axis_names
+from .controls import Actuators, drive_robot
+from .layout import (
+    GOAL,
+    IDENTITY,
+    WORLD,
+    Entity,
+    Layout,
+    ShapeInfo,
+)
+
+_KINDS = {
+    GeoType.BOX: "box",
+    GeoType.SPHERE: "sphere",
+    GeoType.CYLINDER: "cylinder",
+    GeoType.CAPSULE: "capsule",
+    GeoType.PLANE: "plane",
+    GeoType.ELLIPSOID: "ellipsoid",
+    GeoType.CONE: "cone",
+    GeoType.MESH: "mesh",
+    GeoType.CONVEX_MESH: "mesh",
+}
+
+
+@dataclass(frozen=True)
+class World:
+    """One Newton world of a scene."""
+
+    builder: newton.ModelBuilder
+    layout: Layout
+
+
+def build_world(scene: Scene) -> World:
+    """Build one world of a scene.
+
+    Raises:
+        SceneError: If an asset is missing or broken, or the scene names links or joints that its asset lacks.
+    """
+    builder = new_builder()
+    entities: list[Entity] = []
+    axes: list[str] = []
+    frames: dict[str, tuple[int, tuple[float, ...]]] = {}
+    actuators = Actuators()
+
+    for robot in scene.robot:
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes))
+    for item in scene.object:
+        entities.append(_add_object(builder, item, scene))
+        frames[item.name] = (entities[-1].bodies[0], IDENTITY)
+    for item in scene.obstacle:
+        entities.append(_add_obstacle(builder, item, scene))
+        frames[item.name] = (WORLD, (*item.position, *item.rotation))
+    frames["goal"] = (GOAL, IDENTITY)
+    if scene.ground is not None:
+        plane = builder.add_shape_plane(
+            plane=(0.0, 0.0, 1.0, -float(scene.ground.height)),
+            width=0.0,
+            length=0.0,
+            cfg=newton.ModelBuilder.ShapeConfig(mu=scene.ground.friction),
+            label="ground",
+        )
+        entities.append(Entity("ground", "ground", shapes=(plane,)))
+    _filter_ground(builder, scene, entities)
+    return World(builder, _layout(builder, entities, frames, actuators, axes))
+
+
+_MUJOCO_LIMITS = 2
+"""Newton's mode for joint limits as soft as MuJoCo's own, unless the asset says otherwise; for its solver ``mujoco``.
+With the gains that Newton gives joints by default, of a URDF for example, light links such as fingers swing up at the
+steps of rollouts; and MuJoCo's C engine does not get these gains."""
+
+
+def new_builder() -> newton.ModelBuilder:
+    """An empty builder with the settings and custom attributes of every warpmpc model."""
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    builder.custom_attributes["mujoco:solreflimit_mode"].default = _MUJOCO_LIMITS
+    builder.rigid_gap = 0.0  # every detected contact is an active one: no speculative pairs to pay for
+    return builder
+
+
+def _transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.transform:
+    return wp.transform(wp.vec3(*position), wp.quat(*rotation))
+
+
+def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Actuators, axes: list[str]) -> Entity:
+    key = f"robot.{robot.name}"
+    base = scene.path.parent if scene.path else None
+    path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
+    part = new_builder()
+    options = {
+        "xform": _transform(robot.position, robot.rotation),
+        "floating": robot.floating,
+        "enable_self_collisions": robot.self_collision,
+    }
+    try:
+        match asset_kind(path):
+            case AssetKind.URDF:
+                part.add_urdf(str(path), package_dirs=[str(p) for p in package_dirs(path)], **options)
+            case AssetKind.MJCF:
+                # False would weld root bodies to the world that slide or turn on joints of their own
+                options["floating"] = robot.floating or (False if _has_free_root(path) else None)
+                part.add_mjcf(str(path), **options)
+            case AssetKind.USD:
+                part.add_usd(str(path), **options)
+    except SceneError:
+        raise
+    except Exception as error:  # importers raise whatever their parser raises: one clear message for all of them
+        raise SceneError(
+            f"this asset cannot be read: {error}", key=f"{key}.asset", file=scene.path, found=str(path)
+        ) from error
+    if not part.body_count:
+        raise SceneError("this asset has no links", key=f"{key}.asset", file=scene.path, found=str(path))
+
+    links = [label.rsplit("/", 1)[-1] for label in part.body_label]
+    joints = [label.rsplit("/", 1)[-1] for label in part.joint_label]
+    part.body_label[:] = [f"{robot.name}/{link}" for link in links]
+    part.joint_label[:] = [f"{robot.name}/{joint}" for joint in joints]
+    if robot.friction is not None:
+        part.shape_material_mu[:] = [robot.friction] * part.shape_count
+    if robot.gravity_compensation:
+        part.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(range(part.body_count), 1.0)
+    own = axis_names(part, joints, path)
+    axes += [f"{robot.name}/{name}" if name else "" for name in own]
+    drive_robot(
+        part, robot, own, scene, actuators, first_coord=builder.joint_coord_count, first_dof=builder.joint_dof_count
+    )
+
+    first_body, first_shape, first_joint = builder.body_count, builder.shape_count, builder.joint_count
+    builder.add_builder(part)
+    for i, link in enumerate(links):
+        frames[f"{robot.name}/{link}"] = (first_body + i, IDENTITY)
+    frames[robot.name] = (first_body + _root(part), IDENTITY)
+    for name, frame in robot.frames.items():
+        if frame.link not in links:
+            raise SceneError(
+                "no such link", key=f"{key}.frames.{name}.link", file=scene.path, found=frame.link, allowed=links
+            )
+        frames[f"{robot.name}/{name}"] = (first_body + links.index(frame.link), (*frame.offset, *frame.rotation))
+    return Entity(
+        robot.name,
+        "robot",
+        bodies=tuple(range(first_body, builder.body_count)),
+        shapes=tuple(range(first_shape, builder.shape_count)),
+        joints=tuple(range(first_joint, builder.joint_count)),
+    )
+
+
+def _has_free_root(path: Path) -> bool:
+    """Whether a body of an MJCF file moves freely by itself."""
+    bodies = ElementTree.parse(path).iterfind("worldbody/body")
+    return any(b.find("freejoint") is not None or b.find("joint[@type='free']") is not None for b in bodies)
+
+
+def _root(part: newton.ModelBuilder) -> int:
+    """The last link before the robot branches or grows arms of its own: what moves when a base moves."""
+    body = 0
+    while part.body_mass[body] == 0.0 or part.body_shapes.get(body, []) == []:
+        children = [c for p, c in zip(part.joint_parent, part.joint_child, strict=True) if p == body]
+        if len(children) != 1:
+            break
+        body = children[0]
+    return body
+
+
+def _add_object(builder, item: Object, scene: Scene) -> Entity:
+    body = builder.add_body(xform=_transform(item.position, item.rotation), label=item.name)
+    shape = _add_shape(builder, body, item, scene, wp.transform_identity(), mass=item.mass)
+    return Entity(item.name, "object", bodies=(body,), shapes=(shape,), joints=(builder.joint_count - 1,))
+
+
+def _add_obstacle(builder, item: Obstacle, scene: Scene) -> Entity:
+    pose = _transform(item.position, item.rotation)
+    return Entity(item.name, "obstacle", shapes=(_add_shape(builder, WORLD, item, scene, pose, mass=0.0),))
+
+
+def _add_shape(builder, body: int, item: Object | Obstacle, scene: Scene, pose: wp.transform, *, mass: float) -> int:
+    size = item.size or ()
+    mesh = _load_mesh(item, scene) if item.shape is ShapeKind.MESH else None
+    volume = {
+        "box": lambda: size[0] * size[1] * size[2],
+        "sphere": lambda: 4.0 / 3.0 * np.pi * size[0] ** 3,
+        "cylinder": lambda: np.pi * size[0] ** 2 * size[1],
+        "capsule": lambda: np.pi * size[0] ** 2 * size[1] + 4.0 / 3.0 * np.pi * size[0] ** 3,
+        "plane": lambda: 1.0,
+        "mesh": lambda: mesh.mass,
+    }[item.shape]()
+    cfg = newton.ModelBuilder.ShapeConfig(density=mass / volume, mu=item.friction)
+    common = {"xform": pose, "cfg": cfg, "label": item.name, "color": item.color}
+    if isinstance(item, Object):  # an object's friction holds against everything it touches
+        common["custom_attributes"] = {"mujoco:geom_priority": 1}
+    match item.shape:
+        case ShapeKind.BOX:
+            return builder.add_shape_box(body, hx=size[0] / 2, hy=size[1] / 2, hz=size[2] / 2, **common)
+        case ShapeKind.SPHERE:
+            return builder.add_shape_sphere(body, radius=size[0], **common)
+        case ShapeKind.CYLINDER:
+            return builder.add_shape_cylinder(body, radius=size[0], half_height=size[1] / 2, **common)
+        case ShapeKind.CAPSULE:
+            return builder.add_shape_capsule(body, radius=size[0], half_height=size[1] / 2, **common)
+        case ShapeKind.PLANE:
+            return builder.add_shape_plane(body=body, width=0.0, length=0.0, **common)
+        case ShapeKind.MESH:
+            return builder.add_shape_convex_hull(body, mesh=mesh, **common)
+
+
+def _load_mesh(item: Object | Obstacle, scene: Scene) -> newton.Mesh:
+    import trimesh
+
+    kind = "object" if isinstance(item, Object) else "obstacle"
+    key = f"{kind}.{item.name}.mesh"
+    path = resolve_asset(item.mesh, base=scene.path.parent if scene.path else None, key=key, file=scene.path)
+    try:
+        mesh = trimesh.load(path, force="mesh")
+        hull = mesh.convex_hull
+    except Exception as error:  # trimesh raises what its format readers raise
+        raise SceneError(f"this mesh cannot be read: {error}", key=key, file=scene.path, found=str(path)) from error
+    vertices = np.asarray(hull.vertices, dtype=np.float32) * item.scale
+    return newton.Mesh(vertices, np.asarray(hull.faces, dtype=np.int32).ravel())
+
+
+def _filter_ground(builder, scene: Scene, entities: list[Entity]) -> None:
+    """Robots that glide on their joints do not touch planes."""
+    planes = [i for i in range(builder.shape_count) if builder.shape_type[i] == GeoType.PLANE]
+    for robot, entity in zip(scene.robot, entities, strict=False):
+        if not robot.ground_contact:
+            for shape in entity.shapes:
+                for plane in planes:
+                    builder.add_shape_collision_filter_pair(shape, plane)
+
+
+def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators, robot_axes: list[str]) -> Layout:
+    axes = np.array(builder.joint_axis, dtype=np.float32).reshape(-1, 3)
+    dims = np.array(builder.joint_dof_dim, dtype=np.int32).reshape(-1, 2)
+    q_start, qd_start = np.array(builder.joint_q_start), np.array(builder.joint_qd_start)
+    dof_coord = np.full(builder.joint_dof_count, -1, dtype=np.int32)
+    one_to_one = (newton.JointType.PRISMATIC, newton.JointType.REVOLUTE, newton.JointType.D6)
+    for joint, kind in enumerate(builder.joint_type):
+        if kind in one_to_one:
+            count = dims[joint].sum()
+            dof_coord[qd_start[joint] : qd_start[joint] + count] = q_start[joint] + np.arange(count)
+    meshes: list[tuple[np.ndarray, np.ndarray]] = []
+    owner = {shape: entity.name for entity in entities for shape in entity.shapes}
+    shapes = tuple(_shape_info(builder, i, owner.get(i, ""), meshes) for i in range(builder.shape_count))
+    poses = [np.array(x, dtype=np.float32) for x in (builder.joint_X_p, builder.joint_X_c)]
+    return Layout(
+        joint_name=tuple(builder.joint_label),
+        joint_type=np.array(builder.joint_type, dtype=np.int32),
+        joint_parent=np.array(builder.joint_parent, dtype=np.int32),
+        joint_child=np.array(builder.joint_child, dtype=np.int32),
+        joint_q_start=q_start.astype(np.int32),
+        joint_qd_start=qd_start.astype(np.int32),
+        joint_dof_dim=dims,
+        joint_pose_parent=poses[0].reshape(-1, 7),
+        joint_pose_child=poses[1].reshape(-1, 7),
+        dof_axis=axes,
+        dof_lower=np.array(builder.joint_limit_lower, dtype=np.float32),
+        dof_upper=np.array(builder.joint_limit_upper, dtype=np.float32),
+        dof_coord=dof_coord,
+        dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
+        body_name=tuple(builder.body_label),
+        body_com=np.array(builder.body_com, dtype=np.float32).reshape(-1, 3),
+        joint_q=np.array(builder.joint_q, dtype=np.float32),
+        joint_qd=np.array(builder.joint_qd, dtype=np.float32),
+        entities=tuple(entities),
+        shapes=shapes,
+        frame_name=tuple(frames),
+        frame_body=np.array([body for body, _ in frames.values()], dtype=np.int32),
+        frame_pose=np.array([pose for _, pose in frames.values()], dtype=np.float32),
+        meshes=tuple(meshes),
+        **actuators.arrays(),
+    )
+
+
+def _shape_info(builder, i: int, entity: str, meshes: list) -> ShapeInfo:
+    kind = _KINDS.get(builder.shape_type[i], "mesh")
+    flags = builder.shape_flags[i]
+    mesh = None
+    if kind == "mesh" and builder.shape_source[i] is not None:
+        source = builder.shape_source[i]
+        meshes.append(
+            (
+                np.asarray(source.vertices, dtype=np.float32).reshape(-1, 3),
+                np.asarray(source.indices, dtype=np.int32).reshape(-1, 3),
+            )
+        )
+        mesh = len(meshes) - 1
+    color = builder.shape_color[i]
+    return ShapeInfo(
+        name=builder.shape_label[i],
+        entity=entity,
+        body=builder.shape_body[i],
+        kind=kind,
+        pose=tuple(float(x) for x in builder.shape_transform[i]),
+        scale=tuple(float(x) for x in builder.shape_scale[i]),
+        collides=bool(flags & ShapeFlags.COLLIDE_SHAPES),
+        visible=bool(flags & ShapeFlags.VISIBLE),
+        color=None if color is None else tuple(float(c) for c in color),
+        mesh=mesh,
+    )

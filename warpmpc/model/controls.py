@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a robot's drives to joint servos of the physics model and the map from controls to their targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from newton import JointTargetMode
+
+from ..scene.errors import SceneError
+from ..scene.schema import (
+    Drive,
+    DriveMode,
+    Robot,
+    Scene,
+)
+
+if TYPE_CHECKING:
+    import newton
+
+_TARGET = {
+    DriveMode.VELOCITY: JointTargetMode.VELOCITY,
+    DriveMode.DIFF_DRIVE: JointTargetMode.VELOCITY,
+    DriveMode.POSITION: JointTargetMode.POSITION,
+    DriveMode.EFFORT: JointTargetMode.EFFORT,
+}
+
+
+@dataclass
+class Actuators:
+    """Controls and actuators of all robots, gathered drive by drive."""
+
+    control: list[dict] = field(default_factory=list)
+    actuator: list[dict] = field(default_factory=list)
+
+    def arrays(self) -> dict[str, object]:
+        """The fields of a :class:`~warpmpc.model.layout.Layout` that describe controls."""
+        matrix = np.zeros((len(self.actuator), len(self.control)), dtype=np.float32)
+        for row, actuator in zip(matrix, self.actuator, strict=True):
+            for column, factor in actuator["row"].items():
+                row[column] = factor
+        return {
+            "control_name": tuple(c["name"] for c in self.control),
+            "control_lower": np.array([c["lower"] for c in self.control], dtype=np.float32),
+            "control_upper": np.array([c["upper"] for c in self.control], dtype=np.float32),
+            "control_safe": np.array([c["safe"] for c in self.control], dtype=np.int32),
+            "actuator_dof": np.array([a["dof"] for a in self.actuator], dtype=np.int32),
+            "actuator_mode": tuple(a["mode"] for a in self.actuator),
+            "actuator_matrix": matrix,
+            "actuator_offset": np.zeros(len(self.actuator), dtype=np.float32),
+            "actuator_effort": np.array([a["effort"] for a in self.actuator], dtype=np.float32),
+        }
+
+
+def drive_robot(
+    part: newton.ModelBuilder,
+    robot: Robot,
+    axes: list[str | None],
+    scene: Scene,
+    actuators: Actuators,
+    *,
+    first_coord: int,
+    first_dof: int,
+) -> None:
+    """Set a robot's start joints and servos in its builder and append its controls to ``actuators``.
+
+    Args:
+        part: The robot's builder.
+        robot: The robot.
+        axes: Name of every joint velocity, None for those of free and ball joints.
+        scene: The scene, for errors.
+        actuators: Takes the controls and actuators.
+        first_coord: Joint coordinates of the robots before.
+        first_dof: Joint velocities of the robots before.
+
+    Raises:
+        SceneError: If a joint name is unknown or driven twice, or a list has the wrong length.
+    """
+    key = f"robot.{robot.name}"
+    movable = {
+        name: (coord, dof) for dof, (name, coord) in enumerate(zip(axes, _coordinates(part), strict=True)) if name
+    }
+    _start(part, robot, movable, scene, key)
+    for dof in range(part.joint_dof_count):
+        part.joint_target_mode[dof] = int(JointTargetMode.NONE)
+        part.joint_target_ke[dof] = part.joint_target_kd[dof] = 0.0
+    driven: dict[str, None] = {}  # in control order
+    for number, drive in enumerate(robot.drive):
+        where = f"{key}.drive" + (f"[{number}]" if len(robot.drive) > 1 else "")
+        names = list(movable) if drive.joints is None else list(drive.joints)
+        for name in names:
+            if name not in movable:
+                raise SceneError(
+                    "no such joint with one axis", key=f"{where}.joints", file=scene.path, found=name, allowed=movable
+                )
+            if name in driven:
+                raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
+            driven[name] = None
+        _add_drive(part, robot, drive, names, movable, scene, where, actuators, first_coord, first_dof)
+    if robot.armature is not None:
+        if len(robot.armature) not in (1, len(driven)):
+            raise SceneError(
+                f"needs 1 or {len(driven)} values, one per driven joint",
+                key=f"{key}.armature",
+                file=scene.path,
+                found=list(robot.armature),
+            )
+        values = robot.armature * (len(driven) if len(robot.armature) == 1 else 1)
+        for name, value in zip(driven, values, strict=True):
+            part.joint_armature[movable[name][1]] = value
+
+
+def _coordinates(part: newton.ModelBuilder) -> list[int]:
+    """Joint coordinate of every joint velocity, in order; those of free and ball joints are not their own."""
+    coords: list[int] = []
+    for start, dims in zip(part.joint_q_start, part.joint_dof_dim, strict=True):
+        coords += [int(start) + k for k in range(sum(dims))]
+    return coords
+
+
+def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene, key: str) -> None:
+    if isinstance(robot.joint_q, dict):
+        for name, value in robot.joint_q.items():
+            if name not in movable:
+                raise SceneError(
+                    "no such joint with one axis", key=f"{key}.joint_q", file=scene.path, found=name, allowed=movable
+                )
+            part.joint_q[movable[name][0]] = value
+    elif robot.joint_q is not None:
+        if len(robot.joint_q) != len(movable):
+            raise SceneError(
+                f"needs one value per joint, {len(movable)} in all ({', '.join(movable)})",
+                key=f"{key}.joint_q",
+                file=scene.path,
+                found=list(robot.joint_q),
+            )
+        for (coord, _), value in zip(movable.values(), robot.joint_q, strict=True):
+            part.joint_q[coord] = value
+
+
+def _add_drive(
+    part, robot: Robot, drive: Drive, names, movable, scene, where, actuators: Actuators, first_coord, first_dof
+) -> None:
+    def spread(attribute: str, count: int, values: tuple[float, ...]) -> list[float]:
+        if len(values) not in (1, count):
+            raise SceneError(
+                f"needs 1 or {count} values", key=f"{where}.{attribute}", file=scene.path, found=list(values)
+            )
+        return list(values) * (count if len(values) == 1 else 1)
+
+    count = len(names)
+    controls = 2 if drive.mode is DriveMode.DIFF_DRIVE else count
+    if drive.limit is not None:
+        upper = spread("limit", controls, drive.limit)
+        lower = [-value for value in upper]
+    else:
+        lower, upper = spread("lower", controls, drive.lower), spread("upper", controls, drive.upper)
+        if any(lo >= hi for lo, hi in zip(lower, upper, strict=True)):
+            raise SceneError("lower must stay below upper", key=f"{where}.lower", file=scene.path, found=lower)
+    ke = spread("stiffness", count, drive.stiffness)
+    kd = spread("damping", count, drive.damping)
+    effort = None if drive.effort_limit is None else spread("effort_limit", count, drive.effort_limit)
+
+    first_control = len(actuators.control)
+    labels = ["v", "ω"] if drive.mode is DriveMode.DIFF_DRIVE else names
+    for i in range(controls):
+        hold = drive.mode is DriveMode.POSITION
+        actuators.control.append(
+            {
+                "name": f"{robot.name}/{labels[i]}",
+                "lower": lower[i],
+                "upper": upper[i],
+                "safe": first_coord + movable[names[i]][0] if hold else -1,
+            }
+        )
+    for i, name in enumerate(names):
+        dof = movable[name][1]
+        part.joint_target_mode[dof] = int(_TARGET[drive.mode])
+        part.joint_target_ke[dof] = ke[i] if drive.mode is DriveMode.POSITION else 0.0
+        part.joint_target_kd[dof] = 0.0 if drive.mode is DriveMode.EFFORT else kd[i]
+        if effort is not None:
+            part.joint_effort_limit[dof] = effort[i]
+        if drive.mode is DriveMode.DIFF_DRIVE:
+            sign = -1.0 if i == 0 else 1.0
+            row = {
+                first_control: 1.0 / drive.wheel_radius,
+                first_control + 1: sign * drive.track / (2.0 * drive.wheel_radius),
+            }
+        else:
+            row = {first_control + i: 1.0}
+        mode = "velocity" if drive.mode is DriveMode.DIFF_DRIVE else str(drive.mode)
+        actuators.actuator.append(
+            {"dof": first_dof + dof, "mode": mode, "row": row, "effort": part.joint_effort_limit[dof]}
+        )

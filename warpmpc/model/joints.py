@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint table of a layout on a device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..kernels.geometry.kinematics import JointTable
+
+if TYPE_CHECKING:
+    from .layout import Layout
+
+
+def joint_table(
+    layout: Layout,
+    device: str,
+    *,
+    mujoco_q: np.ndarray | None = None,
+    mujoco_qd: np.ndarray | None = None,
+) -> JointTable:
+    """Upload a layout's joints.
+
+    Args:
+        layout: State layout.
+        device: Warp device.
+        mujoco_q: First qpos of each joint [nj], -1 where MuJoCo has none.
+        mujoco_qd: First qvel of each joint [nj].
+    """
+    missing = np.full(len(layout.joint_type), -1, dtype=np.int32)
+
+    def ints(values: np.ndarray | None) -> wp.array:
+        return wp.array(missing if values is None else values, dtype=int, device=device)
+
+    table = JointTable()
+    table.type = ints(layout.joint_type)
+    table.parent = ints(layout.joint_parent)
+    table.child = ints(layout.joint_child)
+    table.q_start = ints(layout.joint_q_start)
+    table.qd_start = ints(layout.joint_qd_start)
+    table.linear_axes = ints(np.ascontiguousarray(layout.joint_dof_dim[:, 0]))
+    table.angular_axes = ints(np.ascontiguousarray(layout.joint_dof_dim[:, 1]))
+    table.pose_parent = wp.array(layout.joint_pose_parent, dtype=wp.transform, device=device)
+    table.pose_child = wp.array(layout.joint_pose_child, dtype=wp.transform, device=device)
+    table.axis = wp.array(layout.dof_axis, dtype=wp.vec3, device=device)
+    table.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
+    table.mujoco_q = ints(mujoco_q)
+    table.mujoco_qd = ints(mujoco_qd)
+    return table

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The layout of a scene's state: which number belongs to which joint, body, shape and control of one world."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WORLD = -1
+"""Body index of everything that is fixed to the world."""
+GOAL = -2
+"""Body index of the frame ``goal``, whose pose is an input of every plan."""
+
+IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Entity:
+    """A robot, object, obstacle or the ground: a name and what belongs to it."""
+
+    name: str
+    kind: str
+    """``robot``, ``object``, ``obstacle`` or ``ground``."""
+    bodies: tuple[int, ...] = ()
+    """Its bodies, root first; empty when it is fixed to the world."""
+    shapes: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class ShapeInfo:
+    """One shape as recordings and distance fields need it."""
+
+    name: str
+    entity: str
+    body: int
+    kind: str
+    """``box``, ``sphere``, ``cylinder``, ``capsule``, ``plane``, ``ellipsoid``, ``cone`` or ``mesh``."""
+    pose: tuple[float, ...]
+    """Pose in its body's frame (x, y, z, qx, qy, qz, qw)."""
+    scale: tuple[float, float, float]
+    """Half extents, or (radius, half length), or a mesh's scale."""
+    collides: bool = True
+    visible: bool = True
+    color: tuple[float, float, float] | None = None
+    mesh: int | None = None
+    """Index into :attr:`Layout.meshes`."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """State layout of one world; index arrays are int32, poses ``(x, y, z, qx, qy, qz, qw)``, in Newton's conventions.
+
+    ``nq`` joint coordinates, ``nv`` joint velocities, ``nb`` bodies, ``nj`` joints, ``nu`` controls, ``na`` actuators.
+    """
+
+    # joints, in the order forward kinematics visits them
+    joint_name: tuple[str, ...]
+    joint_type: np.ndarray  # [nj] newton.JointType
+    joint_parent: np.ndarray  # [nj] body or -1
+    joint_child: np.ndarray  # [nj] body
+    joint_q_start: np.ndarray  # [nj]
+    joint_qd_start: np.ndarray  # [nj]
+    joint_dof_dim: np.ndarray  # [nj, 2] linear, angular axes
+    joint_pose_parent: np.ndarray  # [nj, 7]
+    joint_pose_child: np.ndarray  # [nj, 7]
+    dof_axis: np.ndarray  # [nv, 3]
+    dof_lower: np.ndarray  # [nv]
+    dof_upper: np.ndarray  # [nv]
+    dof_coord: np.ndarray  # [nv] joint coordinate of a dof, -1 for those of free and ball joints
+    dof_name: tuple[str, ...]  # [nv] robot/axis, empty for those of free and ball joints
+    body_name: tuple[str, ...]
+    body_com: np.ndarray  # [nb, 3]
+    joint_q: np.ndarray  # [nq] start
+    joint_qd: np.ndarray  # [nv] start
+    # controls
+    control_name: tuple[str, ...]
+    control_lower: np.ndarray  # [nu]
+    control_upper: np.ndarray  # [nu]
+    control_safe: np.ndarray  # [nu] joint coordinate to hold, or -1: the safe command is zero
+    actuator_dof: np.ndarray  # [na]
+    actuator_mode: tuple[str, ...]  # [na] velocity, position or effort
+    actuator_matrix: np.ndarray  # [na, nu] actuator target = matrix · control + offset
+    actuator_offset: np.ndarray  # [na]
+    actuator_effort: np.ndarray  # [na] effort limit
+    # names
+    entities: tuple[Entity, ...]
+    shapes: tuple[ShapeInfo, ...]
+    frame_name: tuple[str, ...]
+    frame_body: np.ndarray  # [nf] body, WORLD or GOAL
+    frame_pose: np.ndarray  # [nf, 7] in the body's frame
+    meshes: tuple[tuple[np.ndarray, np.ndarray], ...] = field(default=(), repr=False)
+    """Vertices [n, 3] and triangles [m, 3] of each distinct mesh."""
+
+    @property
+    def nq(self) -> int:
+        """Number of joint coordinates."""
+        return len(self.joint_q)
+
+    @property
+    def nv(self) -> int:
+        """Number of joint velocities."""
+        return len(self.joint_qd)
+
+    @property
+    def nb(self) -> int:
+        """Number of bodies."""
+        return len(self.body_name)
+
+    @property
+    def nu(self) -> int:
+        """Number of controls."""
+        return len(self.control_name)
+
+    def entity(self, name: str, *, key: str = "") -> Entity:
+        """The robot, object, obstacle or ground of this name.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        for entity in self.entities:
+            if entity.name == name:
+                return entity
+        raise SceneError("no such entity", key=key, found=name, allowed=[e.name for e in self.entities])
+
+    def group(self, name: str, *, key: str = "") -> tuple[Entity, ...]:
+        """The entity of this name, or all ``obstacles``, ``objects`` or ``robots``.
+
+        Raises:
+            SceneError: If there is no such entity or group.
+        """
+        groups = {"obstacles": "obstacle", "objects": "object", "robots": "robot"}
+        if name in groups:
+            return tuple(e for e in self.entities if e.kind == groups[name])
+        try:
+            return (self.entity(name),)
+        except SceneError:
+            allowed = [e.name for e in self.entities] + list(groups)
+            raise SceneError("no such entity", key=key, found=name, allowed=allowed) from None
+
+    def frame(self, name: str, *, key: str = "") -> int:
+        """Index of a frame: ``robot/frame``, ``robot/link``, an object, an obstacle or ``goal``.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        if name in self.frame_name:
+            return self.frame_name.index(name)
+        raise SceneError("no such frame", key=key, found=name, allowed=self.frame_name)
+
+    def joint(self, name: str, *, key: str = "") -> int:
+        """Joint coordinate index of a joint axis, ``robot/joint`` or the joint's own name where unique.
+
+        Raises:
+            SceneError: If there is none, or several.
+        """
+        axes = [i for i, axis in enumerate(self.dof_name) if axis]
+        found = [i for i in axes if name in (self.dof_name[i], self.dof_name[i].split("/")[-1])]
+        if len(found) != 1:
+            what = "several joints have this name" if found else "no such joint"
+            raise SceneError(what, key=key, found=name, allowed=[self.dof_name[i] for i in axes])
+        return int(self.dof_coord[found[0]])
+
+    def save(self, path: Path) -> None:
+        """Write the layout to an ``.npz`` file."""
+        arrays, meta = {}, {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                arrays[item.name] = value
+            elif item.name == "meshes":
+                for i, (points, triangles) in enumerate(value):
+                    arrays[f"mesh{i}_points"], arrays[f"mesh{i}_triangles"] = points, triangles
+            elif item.name in ("entities", "shapes"):
+                meta[item.name] = [asdict(entry) for entry in value]
+            else:
+                meta[item.name] = value
+        np.savez(path, meta=json.dumps(meta), **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Layout:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as data:
+            meta = json.loads(str(data["meta"]))
+            values = {name: data[name] for name in data.files if name != "meta" and not name.startswith("mesh")}
+            count = sum(name.endswith("_points") for name in data.files)
+            values["meshes"] = tuple((data[f"mesh{i}_points"], data[f"mesh{i}_triangles"]) for i in range(count))
+        values["entities"] = tuple(Entity(**{k: _tuple(v) for k, v in e.items()}) for e in meta.pop("entities"))
+        values["shapes"] = tuple(ShapeInfo(**{k: _tuple(v) for k, v in s.items()}) for s in meta.pop("shapes"))
+        return cls(**values, **{k: _tuple(v) for k, v in meta.items()})
+
+    def replace(self, **changes: object) -> Layout:
+        """A copy with some fields changed."""
+        return replace(self, **changes)
+
+
+def _tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plant shows and a controller reports, as plain host values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .layout import Layout
+
+
+@dataclass(frozen=True)
+class State:
+    """An observed state in Newton's conventions (quaternions x, y, z, w; free-joint twists of the centre of mass)."""
+
+    joint_q: np.ndarray
+    """Joint coordinates ``[nq]``, or ``[E, nq]`` for several environments [m, rad]."""
+    joint_qd: np.ndarray
+    """Joint velocities ``[nv]``, or ``[E, nv]`` [m/s, rad/s]."""
+    time: float = 0.0
+    """When it was observed [s]."""
+
+    @classmethod
+    def start(cls, layout: Layout) -> State:
+        """The start state of a scene."""
+        return cls(layout.joint_q.copy(), layout.joint_qd.copy())
+
+
+@dataclass(frozen=True)
+class Info:
+    """What happened in one plan; plain floats."""
+
+    time: float
+    """Time of the observation [s]."""
+    beta: float
+    """Temperature β that weighed the samples next time."""
+    eta: float
+    """Effective number of samples η."""
+    cost: float
+    """Cost of the best sample; infinite when every sample diverged."""
+    terms: dict[str, float]
+    """Discounted cost of the best sample by term."""
+    best: int
+    """World of the best sample."""
+    plan_ms: float
+    """Wall time of the plan [ms]."""
+    stages_ms: dict[str, float]
+    """Wall time by stage [ms]."""
+    diverged_worlds: int
+    """Worlds whose physics blew up."""
+    fallback: bool
+    """Whether the safe command was sent because no sample survived."""
+
+
+@dataclass
+class Contact:
+    """Contacts of robots and objects with obstacles over an episode."""
+
+    max_force: float = 0.0
+    """Largest net force [N]."""
+    time: float = 0.0
+    """Time in contact [s]."""
+    forces: dict[str, float] = field(default_factory=dict)
+    """Largest net force by pair [N]."""

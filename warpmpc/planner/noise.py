@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sources of standard normals for the knots of all samples."""
+
+from enum import StrEnum
+
+import numpy as np
+import warp as wp
+
+from warpmpc.kernels.planning.sampling import (
+    advance_counter_kernel,
+    random_normal_kernel,
+    random_shift_kernel,
+    scale_samples_kernel,
+    table_normal_kernel,
+)
+
+
+class NoiseKind(StrEnum):
+    """Where the standard normals come from; the values are the words of scene files."""
+
+    HALTON = "halton"
+    SOBOL = "sobol"
+    RANDOM = "random"
+
+
+def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: int) -> np.ndarray:
+    """Scrambled Halton or Sobol points in [0, 1), ``[samples, columns]``, one independent table per seed."""
+    from scipy.stats import qmc  # slow to import
+
+    rng = np.random.default_rng(seed)
+    if kind is NoiseKind.HALTON:
+        points = qmc.Halton(columns, scramble=True, rng=rng).random(samples)
+    elif kind is NoiseKind.SOBOL:
+        # a whole net of 2^m points, of which the first are taken
+        points = qmc.Sobol(columns, scramble=True, rng=rng).random_base2(max(samples - 1, 0).bit_length())[:samples]
+    else:
+        raise ValueError(f"{kind} has no table")
+    return points.astype(np.float32)
+
+
+class NoiseSource:
+    """Standard normals ``z [E, S, P, nu]``, drawn once or at every :meth:`launch`.
+
+    Drawn once, the same Halton or Sobol table serves every environment and the plan step is deterministic;
+    pseudo-random numbers differ between environments. Redrawn, a table is rotated at random per environment and
+    launch (Cranley and Patterson 1976), which keeps its low discrepancy; a counter on the device makes a replayed CUDA
+    graph draw anew.
+
+    Args:
+        source: Halton or Sobol points through the inverse normal distribution, or pseudo-random normals.
+        redraw: Draw anew at every launch, else keep the first draw.
+        seed: Seed of table, rotations and pseudo-random numbers.
+        envs: Number of environments E.
+        samples: Number of samples S.
+        knots: Number of knots P.
+        nu: Number of controls.
+        spread: Factors (low, high) between which the samples' scale runs geometrically.
+        device: Warp device, the current one if None.
+    """
+
+    z: wp.array4d[float]
+    """Standard normals of the last draw, scaled by ``spread``, ``[E, S, P, nu]``; the array stays the same one."""
+
+    def __init__(
+        self,
+        *,
+        source: NoiseKind,
+        redraw: bool = False,
+        seed: int = 0,
+        envs: int = 1,
+        samples: int,
+        knots: int,
+        nu: int,
+        spread: tuple[float, float] = (1.0, 1.0),
+        device: wp.DeviceLike = None,
+    ):
+        self.source = NoiseKind(source)
+        self.redraw = redraw
+        self.seed = seed
+        self.spread = spread
+        self.device = wp.get_device(device)
+        self.z = wp.empty((envs, samples, knots, nu), dtype=float, device=self.device)
+        self._counter = wp.zeros(1, dtype=int, device=self.device)
+        self._table = None
+        if self.source is not NoiseKind.RANDOM:
+            columns = knots * nu
+            table = low_discrepancy_table(self.source, samples=samples, columns=columns, seed=seed)
+            self._table = wp.array(table, dtype=float, device=self.device)
+            self._shift = wp.zeros((envs, columns), dtype=float, device=self.device)
+        self._draw()
+
+    def launch(self) -> None:
+        """Draw ``z`` anew if the source redraws; capture-safe."""
+        if not self.redraw:
+            return
+        wp.launch(advance_counter_kernel, dim=1, outputs=[self._counter], device=self.device)
+        if self._table is not None:
+            wp.launch(
+                random_shift_kernel,
+                dim=self._shift.shape,
+                inputs=[self._counter, self.seed],
+                outputs=[self._shift],
+                device=self.device,
+            )
+        self._draw()
+
+    def reset(self) -> None:
+        """Start the draws over, as if just constructed; capture-safe."""
+        self._counter.zero_()
+        if self._table is not None:
+            self._shift.zero_()
+        self._draw()
+
+    def _draw(self) -> None:
+        if self._table is None:
+            kernel, inputs = random_normal_kernel, [self._counter, self.seed]
+        else:
+            kernel, inputs = table_normal_kernel, [self._table, self._shift]
+        wp.launch(kernel, dim=self.z.shape, inputs=inputs, outputs=[self.z], device=self.device)
+        if self.spread != (1.0, 1.0):
+            wp.launch(
+                scale_samples_kernel, dim=self.z.shape, inputs=[*self.spread], outputs=[self.z], device=self.device
+            )

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several independent plants, stepped as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.compiled import CompiledScene, compile_scene
+from ..model.state import State
+from .simulated import Plant, plant_worlds
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
+
+
+class PlantBatch:
+    """E plants that are observed and commanded together, made by ``Plant(scene, envs=E)``.
+
+    Plant e is bit for bit the one that ``Plant(scene, seed=seeds[e])`` makes, with properties, noise, delay and kicks
+    of its own. One that is done stays where it is and takes no more steps. All of them live in the worlds of one
+    engine, so that a step is one call into MuJoCo's thread pool.
+
+    Args:
+        scenes: Scene of every plant; they differ in nothing but their goals.
+        seeds: Seed of every plant's properties and noise.
+        compiled: The scene compiled earlier, to save doing it again.
+
+    Raises:
+        SceneError: If a kick has the wrong number of values.
+    """
+
+    plants: tuple[Plant, ...]
+    """The plants, each with ``state``, ``error``, ``contact``, ``reason`` and so on of its own."""
+
+    def __init__(self, scenes: Sequence[Scene], *, seeds: Sequence[int], compiled: CompiledScene | None = None):
+        self.scene, self.seeds = scenes[0], tuple(seeds)
+        self.compiled = compiled or compile_scene(self.scene)
+        self.layout = self.compiled.layout
+        worlds = plant_worlds(self.scene, self.compiled, self.seeds)
+        self.plants = tuple(
+            Plant(scene, seed=seed, compiled=self.compiled, world=world)
+            for scene, seed, world in zip(scenes, self.seeds, worlds, strict=True)
+        )
+        self._engine, self._control = worlds[0].engine, worlds[0].control
+
+    def reset(self) -> None:
+        """Go back to the start states."""
+        for plant in self.plants:
+            plant.reset()
+
+    @property
+    def envs(self) -> int:
+        """Number of plants E."""
+        return len(self.plants)
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the plants that took every step [s]."""
+        return max(plant.time for plant in self.plants)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Goal poses ``[E, 7]``, as :meth:`warpmpc.Controller.set_goal` takes them."""
+        return np.stack([plant.goal for plant in self.plants])
+
+    @property
+    def state(self) -> State:
+        """The true states, ``[E, nq]`` and ``[E, nv]``."""
+        return _stacked([plant.state for plant in self.plants])
+
+    def observe(self) -> State:
+        """The states ``[E, nq]`` and ``[E, nv]`` as sensors show them: with noise, and ``delay`` old."""
+        return _stacked([plant.observe() for plant in self.plants])
+
+    def apply(self, control: np.ndarray) -> None:
+        """Hold controls ``[E, nu]`` for one control step; rows of plants that are done do not matter.
+
+        Raises:
+            ValueError: If the controls have the wrong shape, or that of a running plant is not finite.
+        """
+        control = np.asarray(control, dtype=np.float32)
+        running = self.running
+        if control.shape != (self.envs, self.layout.nu) or not np.isfinite(control[running]).all():
+            raise ValueError(f"controls of these plants are [{self.envs}, {self.layout.nu}] finite numbers")
+        for e in np.flatnonzero(running):
+            self.plants[e].begin(control[e])
+        # the engine steps every world; what the worlds of finished plants showed is put back
+        out = self._engine.trajectory
+        shown = (out.joint_q.numpy(), out.joint_qd.numpy(), out.body_q.numpy(), self._engine.sensor.swapaxes(0, 1))
+        kept = [array[:, ~running] for array in shown]
+        self._engine.rollout(self._control)
+        for array, old in zip(shown, kept, strict=True):
+            array[:, ~running] = old
+        for e in np.flatnonzero(running):
+            self.plants[e].end()
+
+    @property
+    def running(self) -> np.ndarray:
+        """Whether each plant is not done yet, ``[E]`` bool."""
+        return np.array([not plant.done for plant in self.plants])
+
+    @property
+    def success(self) -> np.ndarray:
+        """Whether each plant reached its goal and held it long enough, ``[E]`` bool."""
+        return np.array([plant.success for plant in self.plants])
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each plant's episode is over."""
+        return tuple(plant.reason for plant in self.plants)
+
+    @property
+    def done(self) -> bool:
+        """Whether every plant is done."""
+        return all(plant.done for plant in self.plants)
+
+
+def _stacked(states: Sequence[State]) -> State:
+    """States of several plants as one with a leading axis."""
+    return State(
+        np.stack([state.joint_q for state in states]),
+        np.stack([state.joint_qd for state in states]),
+        max(state.time for state in states),
+    )

@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of a closed loop for the rerun viewer: ``rerun FILE.rrd``.
+
+This module alone needs rerun; import it where a recording is wanted.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from ..model.layout import WORLD
+from ..plant.simulated import CONTACT_FORCE
+from .blueprint import blueprint
+from .shapes import (
+    GHOST,
+    ContactPoints,
+    body_path,
+    draw_shape,
+    entity_path,
+    resized,
+    rotate,
+    scene_bounds,
+    shown_shapes,
+)
+
+if TYPE_CHECKING:
+    from ..control.controller import Controller
+    from ..plant.simulated import Plant
+
+logger = logging.getLogger("warpmpc")
+
+ROWS = 20
+"""Steps that are written to the file together: as much as a killed run can lose."""
+FORCE_LENGTH = 0.005
+"""Length of a force's arrow [m/N]."""
+FORCE_LENGTH_MAX = 1.0
+"""Longest arrow [m]; its label tells the force."""
+BEST_COLOR = (255, 60, 60)
+FORCE_COLOR = (255, 140, 0)
+LINE_RADIUS = {"samples": -0.75, "best": -2.5}
+"""Half the width of the rollouts' lines; rerun takes negative numbers as points on the screen."""
+
+_VIRIDIS = (0x440154, 0x472C7A, 0x3B518B, 0x2C718E, 0x21908D, 0x27AD81, 0x5CC863, 0xAADC32, 0xFDE725)
+"""The colour map viridis (matplotlib, CC0) at nine equal steps, from costly to cheap."""
+
+
+def _color_table(size: int = 256) -> np.ndarray:
+    """Packed colours ``[size]`` (red, green, blue, alpha from the highest byte)."""
+    anchors = np.array(_VIRIDIS)
+    at = np.linspace(0.0, len(anchors) - 1.0, size)
+    channel = [np.interp(at, np.arange(len(anchors)), (anchors >> shift) & 0xFF) for shift in (16, 8, 0)]
+    red, green, blue = (c.astype(np.uint32) for c in channel)
+    return (red << 24) | (green << 16) | (blue << 8) | 0xFF
+
+
+_COLORS = _color_table()
+
+
+class Recorder:
+    """Writes what plant and planner do to a ``.rrd`` file.
+
+    The state of the plant is stamped with the plant's time; what the planner thought and sent is stamped with the
+    time at which it did, one control earlier, so that rollouts start where the plant is seen. Timelines: ``time``
+    (simulated) and ``step``. Infinite and NaN values are left out of the curves.
+
+    Entities: ``/scene/...`` bodies with their shapes, ``/goal``, ``/rollouts/{best,samples}`` the ways of the goal's
+    target and of the robots' frames, ``/contact`` forces on the robots, and the curves ``/cost``, ``/temperature``,
+    ``/control``, ``/plan_ms``, ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and
+    ``/diverged_worlds``.
+
+    Rows are kept in memory and written every :data:`ROWS` steps, so that a call costs little and a run that is
+    killed leaves a file that opens. Such a file has no footer: read it with ``RrdReader(file).stream()``, or give it
+    one with ``rerun rrd filter --continue-on-error FILE.rrd > WHOLE.rrd``, which also drops a torn last row. When a
+    file cannot be written any more (a full disk), an error is logged and the recording ends, not the run.
+
+    Args:
+        path: File to write, ``*.rrd``; an existing file is replaced.
+        controller: The controller.
+        plant: The plant, at the start of its episode.
+        fan: Number of sampled rollouts to draw, spread evenly over the costs' ranking.
+
+    Raises:
+        OSError: If the file cannot be written.
+        ValueError: If the file's name does not end in ``.rrd``, or ``fan`` is negative.
+    """
+
+    def __init__(self, path: str | Path, controller: Controller, plant: Plant, *, fan: int = 24):
+        if fan < 0:
+            raise ValueError(f"fan is a number of rollouts, not {fan}")
+        self.path = _writable(path)
+        self._controller, self._plant, self._fan = controller, plant, fan
+        self._layout, scene = plant.layout, plant.scene
+        self._dt = scene.timing.control_dt
+        self._goal = np.full(7, np.nan)
+        self._frames = _acting_frames(controller)
+        self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
+        self._turning = [
+            name
+            for name in ("yaw", "rotation")
+            if getattr(scene.goal, name) is not None or getattr(scene.success, name) is not None
+        ]
+        self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]
+        self._curves = self._name_curves()
+        self._scalar = rr.Scalars.descriptor_scalars()
+        self._states: list[tuple] = []
+        self._plans: list[tuple] = []
+
+        centre, radius = scene_bounds(self._layout, plant.body_q, self._goal_pose)
+        self._recording = rr.RecordingStream(f"warpmpc_{scene.name}")
+        self._recording.set_log_tick_enabled(False)
+        self._recording.set_log_time_enabled(False)
+        ground = None if scene.ground is None else scene.ground.height
+        views = blueprint(centre, radius, ground=ground, contacts=bool(plant.pairs))
+        try:
+            self._recording.save(self.path, default_blueprint=views)
+        except RuntimeError as error:
+            raise OSError(f"cannot write the recording '{self.path}': {error}") from None
+        self._failed = False
+        self._recording.send_recording_name(scene.title or scene.name)
+        self._draw_scene(2.0 * radius)
+        self._draw_goal()
+        self._take_state()
+        self._send()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def log(self, control: np.ndarray) -> None:
+        """Record one control step; call it after ``plant.apply(control)``.
+
+        Args:
+            control: The control ``[nu]`` that was applied.
+
+        Raises:
+            ValueError: If the recording is closed, or the controller or the plant has not made a step.
+        """
+        if self._recording is None:
+            raise ValueError(f"the recording {self.path} is closed")
+        if self._controller.info is None or self._plant.steps < 1:
+            raise ValueError("log comes after controller.step and plant.apply")
+        if self._failed:
+            return
+        self._draw_goal()
+        self._take_plan(np.asarray(control, dtype=np.float64))
+        self._take_state()
+        if len(self._plans) >= ROWS:
+            self._send()
+
+    def close(self) -> None:
+        """Write what is left and finish the file; closing twice does no harm."""
+        if self._recording is None:
+            return
+        self._send()
+        self._recording.disconnect()
+        self._recording = None
+
+    # ---- what stays
+
+    def _draw_scene(self, reach: float) -> None:
+        recording, layout, properties = self._recording, self._layout, self._plant.properties
+        recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for entity in layout.entities:
+            for shape in shown_shapes(layout, entity):
+                parent = entity_path("scene", entity.name) if shape.body == WORLD else self._bodies[shape.body]
+                if entity.kind != "robot":
+                    shape = resized(shape, properties)
+                draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
+        goal = self._plant.scene.goal
+        if goal.object is not None:
+            for shape in shown_shapes(layout, layout.entity(goal.object)):
+                draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)
+        else:
+            length = 0.15 * np.eye(3)
+            colors = [(230, 50, 50), (50, 200, 50), (70, 90, 255)]
+            recording.log("/goal/axes", rr.Arrows3D(vectors=length, colors=colors, radii=0.006), static=True)
+        for at, name in self._curves:
+            recording.log(at, rr.SeriesLines(names=name, widths=2.5 if at == "/cost/total" else 1.25), static=True)
+        for name, radius in LINE_RADIUS.items():
+            recording.log(f"/rollouts/{name}", rr.LineStrips3D.from_fields(radii=radius), static=True)
+        recording.log("/rollouts/best", rr.LineStrips3D.from_fields(colors=BEST_COLOR), static=True)
+        recording.log("/contact", rr.Arrows3D.from_fields(colors=FORCE_COLOR, radii=0.012), static=True)
+
+    def _name_curves(self) -> list[tuple[str, str]]:
+        """Entity path and legend of every curve: first those of a plan, then those of a state."""
+        controller, layout = self._controller, self._layout
+        plan = [(entity_path("cost", label), label) for label in (*controller.costs.labels, "total")]
+        plan += [(f"/temperature/{name}", symbol) for name, symbol in (("beta", "β"), ("eta", "η"))]
+        plan += [(entity_path("control", *name.split("/")), name) for name in layout.control_name]
+        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", *controller.plan.stages)]
+        plan += [("/diverged_worlds", "diverged worlds")]
+        self._plan_curves = len(plan)
+        state = [(f"/goal_error/{name}", name) for name in ("position", *self._turning)]
+        names = [f"{pair.first}-{pair.second}" for pair in self._plant.pairs]
+        return plan + state + [(entity_path("contact_force", name), name) for name in names]
+
+    # ---- what changes
+
+    @property
+    def _goal_pose(self) -> np.ndarray:
+        """The goal the controller plans for, ``[7]``."""
+        return self._controller.goal[0]
+
+    def _draw_goal(self) -> None:
+        pose = self._goal_pose
+        if np.array_equal(pose, self._goal):
+            return
+        self._goal = pose.copy()
+        # the plan that saw this goal was made one control before the state now reached
+        indexes = self._indexes([max(self._plant.steps - 1, 0)])
+        columns = rr.Transform3D.columns(translation=pose[None, :3], quaternion=pose[None, 3:])
+        self._recording.send_columns("/goal", indexes, columns)
+
+    def _take_state(self) -> None:
+        plant, body_q = self._plant, self._plant.body_q
+        error = plant.error
+        force = np.zeros((len(plant.pairs), 3))
+        if plant.pairs and plant.steps:
+            force[:] = plant.forces
+        size = np.linalg.norm(force, axis=1)
+        touching = np.flatnonzero(size > CONTACT_FORCE)
+        origins = np.array([self._points[i](body_q) for i in touching]).reshape(-1, 3)
+        length = np.minimum(FORCE_LENGTH * size[touching], FORCE_LENGTH_MAX)
+        vectors = force[touching] * (length / size[touching])[:, None]
+        labels = [f"{size[i]:.1f} N" for i in touching]
+        values = [error.position, *(getattr(error, name) for name in self._turning), *size]
+        self._states.append((plant.steps, body_q, values, origins, vectors, labels))
+
+    def _take_plan(self, control: np.ndarray) -> None:
+        info = self._controller.info
+        worlds, colors = self._choose()
+        poses = self._controller.engine.trajectory.body_q.numpy()[:, worlds[:, None], self._frames[0]]
+        values = [*info.terms.values(), info.cost, info.beta, info.eta, *control]
+        values += [info.plan_ms, *info.stages_ms.values(), info.diverged_worlds]
+        self._plans.append((self._plant.steps - 1, values, poses, colors))
+
+    def _choose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Worlds of the best rollout and of the fan ``[1+n]``, and colours of the fan ``[n]``.
+
+        None when the plan fell back to the safe command: then there is no rollout worth looking at.
+        """
+        controller = self._controller
+        cost = controller.plan.weights.cost.numpy()[0]
+        ranked = np.argsort(cost)
+        ranked = ranked[np.isfinite(cost[ranked])]
+        if controller.info.fallback or not len(ranked):
+            return np.zeros(0, dtype=int), np.zeros(0, dtype=np.uint32)
+        rows = np.linspace(0, len(ranked) - 1, min(self._fan, len(ranked))).astype(int)
+        chosen, high = ranked[rows], cost[ranked[int(0.9 * (len(ranked) - 1))]]
+        cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
+        worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
+        return worlds, _COLORS[(cheap * (len(_COLORS) - 1)).astype(int)]
+
+    # ---- to the file
+
+    def _indexes(self, steps: Sequence[int]) -> list[rr.TimeColumn]:
+        steps = np.asarray(steps, dtype=np.int64)
+        nanoseconds = np.round(1e9 * self._dt * steps).astype("timedelta64[ns]")
+        return [rr.TimeColumn("time", duration=nanoseconds), rr.TimeColumn("step", sequence=steps)]
+
+    def _send(self) -> None:
+        """Write all rows kept so far and wait until they are in the file."""
+        if self._states:
+            self._send_states()
+        if self._plans:
+            self._send_plans()
+        self._states, self._plans = [], []
+        try:
+            self._recording.flush()
+        except RuntimeError as error:
+            if not self._failed:
+                logger.error("t = %.2f s: the recording '%s' ends here: %s", self._plant.time, self.path, error)
+            self._failed = True
+
+    def _send_states(self) -> None:
+        send = self._recording.send_columns
+        steps, body_q, values, origins, vectors, labels = zip(*self._states, strict=True)
+        indexes, body_q = self._indexes(steps), np.stack(body_q)
+        for body, at in enumerate(self._bodies):
+            pose = body_q[:, body]
+            send(at, indexes, rr.Transform3D.columns(translation=pose[:, :3], quaternion=pose[:, 3:]))
+        self._send_curves(self._curves[self._plan_curves :], steps, values)
+        if self._points:
+            text = [label for row in labels for label in row]
+            arrows = rr.Arrows3D.columns(origins=np.concatenate(origins), vectors=np.concatenate(vectors), labels=text)
+            send("/contact", indexes, arrows.partition([len(row) for row in labels]))
+
+    def _send_plans(self) -> None:
+        send = self._recording.send_columns
+        steps, values, poses, colors = zip(*self._plans, strict=True)
+        indexes, frames = self._indexes(steps), len(self._frames[0])
+        self._send_curves(self._curves[: self._plan_curves], steps, values)
+        best = np.concatenate([np.arange(p.shape[1]) == 0 for p in poses])  # the first of each row
+        pose = np.concatenate(poses, axis=1)  # [T+1, rollouts of all rows, F, 7]
+        ways = pose[..., :3] + rotate(pose[..., 3:], self._frames[1])
+        ways = ways.transpose(1, 2, 0, 3).astype(np.float32)  # [rollouts, F, T+1, 3]
+        lengths = np.array([p.shape[1] for p in poses])
+        lines = rr.LineStrips3D.columns(strips=ways[best].reshape(-1, *ways.shape[2:]))
+        send("/rollouts/best", indexes, lines.partition(frames * np.minimum(lengths, 1)))
+        lines = rr.LineStrips3D.columns(
+            strips=ways[~best].reshape(-1, *ways.shape[2:]), colors=np.repeat(np.concatenate(colors), frames)
+        )
+        send("/rollouts/samples", indexes, lines.partition(frames * np.maximum(lengths - 1, 0)))
+
+    def _send_curves(self, curves: list[tuple[str, str]], steps: Sequence[int], values: Sequence[list[float]]) -> None:
+        table, indexes, descriptor = np.array(values, dtype=np.float64), self._indexes(steps), self._scalar
+        finite = np.isfinite(table)
+        for i, (at, _) in enumerate(curves):
+            keep = finite[:, i]
+            if not keep.any():
+                continue
+            rows = indexes if keep.all() else self._indexes(np.array(steps)[keep])
+            column = rr.ComponentColumn(descriptor, rr.components.ScalarBatch(table[keep, i]))
+            self._recording.send_columns(at, rows, [column])
+
+
+def _writable(name: str | Path) -> Path:
+    """The file's path, once it is known that it can be written."""
+    file = Path(name)
+    if file.suffix != ".rrd":
+        raise ValueError(f"a recording is a .rrd file, not '{file}'")
+    try:
+        file.open("ab").close()
+    except OSError as error:
+        raise type(error)(error.errno, f"cannot write the recording: {error.strerror}", str(file)) from None
+    return file
+
+
+def _acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
+    """Body ``[F]`` and place in it ``[F, 3]`` of the goal's target and of what the robots act with."""
+    layout, scene = controller.layout, controller.scene
+    names = [scene.goal.target]
+    for robot in scene.robot:
+        last = layout.body_name[layout.entity(robot.name).bodies[-1]]
+        names += [f"{robot.name}/{frame}" for frame in robot.frames] or [last]
+    frames = [layout.frame(name) for name in dict.fromkeys(names)]
+    frames = [frame for frame in frames if layout.frame_body[frame] >= 0]
+    return layout.frame_body[frames], layout.frame_pose[frames, :3]

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One closed-loop episode: controller and plant of a scene until the goal, the time-out or a divergence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ..model.compiled import CompiledScene, compile_scene
+from ..scene.draw import draw_task
+from ..scene.overrides import split_key
+
+if TYPE_CHECKING:
+    from ..control.controller import Controller
+    from ..cost.term import ArrayCost, CostTerm
+    from ..model.state import Info
+    from ..plant.simulated import Plant
+    from ..scene.schema import Scene
+
+BODIES = ("robot", "object", "obstacle", "ground")
+"""Sections of a scene that its compiled form depends on."""
+
+
+class Recorder(Protocol):
+    """What an episode hands its steps to, such as :class:`warpmpc.record.recorder.Recorder`."""
+
+    def log(self, control: np.ndarray) -> None:
+        """Take note of the step just made and the control ``[nu]`` that made it."""
+
+    def close(self) -> None:
+        """Finish the recording."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeResult:
+    """What became of one episode, as plain values; lengths in metres, angles in radians, times in seconds."""
+
+    scene: str
+    variant: str | None
+    seed: int
+    engine: str
+    device: str
+    success: bool
+    reason: str
+    """Why it ended: ``goal reached``, ``timeout``, ``the plant's physics diverged`` or ``interrupted``."""
+    sim_time: float
+    """Simulated time [s]."""
+    steps: int
+    """Controls applied."""
+    position_error: float
+    """Final distance to the goal [m]."""
+    yaw_error: float | None
+    """Final heading error [rad], None for a goal without orientation."""
+    cost: float
+    """Cost of the last plan's best sample; NaN without a plan."""
+    max_force: float
+    """Largest net force between robots or objects and obstacles [N]."""
+    time_in_contact: float
+    """Time of contact between robots or objects and obstacles [s]."""
+    plan_ms: dict[str, float]
+    """Wall time of a plan of all environments [ms]: ``p50``, ``p90``, ``p99``, ``max``; NaN without a plan."""
+    stages_ms: dict[str, float]
+    """Median wall time of each stage of a plan [ms]; NaN on a CUDA device, where one graph runs them all."""
+    diverged_worlds: int
+    """Rollouts whose physics blew up, summed over the episode."""
+    samples: int
+    horizon: int
+    fallbacks: int
+    """Safe commands sent because no rollout survived."""
+    envs: int = 1
+    """Environments that every plan planned for at once."""
+    drawn: dict[str, object] = field(default_factory=dict)
+    """Values drawn for this episode by scene key; empty when the scene draws nothing."""
+
+    @property
+    def time_to_goal(self) -> float | None:
+        """Simulated time at which the goal was reached [s], None when it was not."""
+        return self.sim_time if self.success else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as data for JSON: plain types, units in the keys, ``None`` for numbers that are not finite."""
+        data = {
+            "scene": self.scene,
+            "variant": self.variant,
+            "seed": self.seed,
+            "engine": self.engine,
+            "device": self.device,
+            "success": self.success,
+            "reason": self.reason,
+            "time_to_goal_s": self.time_to_goal,
+            "sim_time_s": self.sim_time,
+            "steps": self.steps,
+            "final": {"position_error_m": self.position_error, "yaw_error_rad": self.yaw_error, "cost": self.cost},
+            "collisions": {"max_force_N": self.max_force, "time_in_contact_s": self.time_in_contact},
+            "plan_ms": self.plan_ms,
+            "stages_ms": self.stages_ms,
+            "diverged_worlds": self.diverged_worlds,
+            "samples": self.samples,
+            "horizon": self.horizon,
+            "fallbacks": self.fallbacks,
+            "envs": self.envs,
+        }
+        if self.drawn:
+            data["drawn"] = self.drawn
+        return _plain(data)
+
+
+class EpisodeInterrupted(KeyboardInterrupt):
+    """Ctrl-C during an episode; ``result`` tells how far it came."""
+
+    def __init__(self, result: EpisodeResult):
+        super().__init__("the episode was interrupted")
+        self.result = result
+
+
+class Tally:
+    """Adds up the plans of one episode.
+
+    Args:
+        scene: The scene, its task drawn.
+        seed: Seed of the episode.
+        drawn: Values drawn for it by scene key.
+        controller: Makes the plans.
+        plant: The plant that follows them.
+    """
+
+    def __init__(self, scene: Scene, seed: int, drawn: dict[str, object], controller: Controller, plant: Plant):
+        self.scene, self.seed, self.drawn, self.controller, self.plant = scene, seed, drawn, controller, plant
+        self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
+        self._diverged = self._fallbacks = 0
+        self._cost = math.nan
+
+    def note(self, info: Info) -> None:
+        """Keep the numbers of the plan just made."""
+        self._plans.append((info.plan_ms, info.stages_ms))
+        self._diverged += info.diverged_worlds
+        self._fallbacks += info.fallback
+        self._cost = info.cost
+
+    def result(self, *, reason: str | None = None) -> EpisodeResult:
+        """The result as of now.
+
+        Args:
+            reason: Why the episode ended before its plant was done.
+        """
+        scene, controller, plant = self.scene, self.controller, self.plant
+        error, oriented = plant.error, scene.goal.yaw is not None or scene.goal.rotation is not None
+        plans = self._plans or [(math.nan, dict.fromkeys(controller.plan.stages, math.nan))]
+        p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
+        return EpisodeResult(
+            scene=scene.name,
+            variant=scene.variant,
+            seed=self.seed,
+            engine=controller.engine.name,
+            device=controller.device,
+            success=plant.success,
+            reason=plant.reason if plant.success else reason or plant.reason,
+            sim_time=plant.time,
+            steps=plant.steps,
+            position_error=error.position,
+            yaw_error=error.yaw if oriented else None,
+            cost=self._cost,
+            max_force=plant.contact.max_force,
+            time_in_contact=plant.contact.time,
+            plan_ms={"p50": p50, "p90": p90, "p99": p99, "max": longest},
+            stages_ms={name: float(np.median([stages[name] for _, stages in plans])) for name in plans[0][1]},
+            diverged_worlds=self._diverged,
+            samples=controller.shape.samples,
+            horizon=controller.shape.horizon,
+            fallbacks=self._fallbacks,
+            envs=controller.envs,
+            drawn=self.drawn,
+        )
+
+
+class Episode:
+    """An episode ready to run: the task drawn, the scene compiled, controller and plant built.
+
+    Args:
+        scene: The scene; what its ``randomize_task`` names is drawn from the seed.
+        seed: Seed of the task, of the controller's noise and of the plant's properties.
+        engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
+        device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
+        terms: Users' own cost terms that the scene names.
+        compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
+
+    Raises:
+        SceneError: If the scene names anything that does not exist, or no task can be drawn.
+        ValueError: If the engine or device is unknown or not to be had here.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        engine: str = "auto",
+        device: str = "auto",
+        terms: Sequence[CostTerm | ArrayCost] = (),
+        compiled: CompiledScene | None = None,
+    ):
+        from ..control.controller import Controller  # slow to import, and a scene may prove wrong without them
+        from ..plant.simulated import Plant
+
+        self.seed = seed
+        self.scene, self.drawn = draw_task(scene, seed)
+        if compiled is None or draws_bodies(scene):
+            compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
+        self.controller = Controller(
+            self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
+        )
+        self.plant = Plant(self.scene, seed=seed, compiled=compiled)
+        self._tally = Tally(self.scene, seed, self.drawn, self.controller, self.plant)
+
+    def run(
+        self,
+        *,
+        recorder: Recorder | None = None,
+        on_step: Callable[[Controller, Plant, np.ndarray], None] | None = None,
+    ) -> EpisodeResult:
+        """Observe, plan and apply until the plant is done.
+
+        One plan is made and forgotten beforehand, so that compiling kernels and first touching memory do not count
+        as planning time; it changes nothing else.
+
+        Args:
+            recorder: Logs every step; closed at the end, whatever ends the episode.
+            on_step: Called as ``on_step(controller, plant, control)`` after every step.
+
+        Raises:
+            EpisodeInterrupted: On Ctrl-C.
+        """
+        controller, plant = self.controller, self.plant
+        try:
+            observation = plant.observe()
+            if not plant.done:
+                controller.step(observation)
+                controller.reset()
+            while not plant.done:
+                control = controller.step(observation)
+                self._tally.note(controller.info)
+                plant.apply(control)
+                if recorder is not None:
+                    recorder.log(control)
+                if on_step is not None:
+                    on_step(controller, plant, control)
+                observation = plant.observe()
+        except KeyboardInterrupt:
+            raise EpisodeInterrupted(self._tally.result(reason="interrupted")) from None
+        finally:
+            if recorder is not None:
+                recorder.close()
+        return self._tally.result()
+
+
+def run_episode(
+    scene: Scene,
+    *,
+    seed: int = 0,
+    engine: str = "auto",
+    device: str = "auto",
+    terms: Sequence[CostTerm | ArrayCost] = (),
+    compiled: CompiledScene | None = None,
+    recorder: Callable[[Controller, Plant], Recorder] | None = None,
+    on_step: Callable[[Controller, Plant, np.ndarray], None] | None = None,
+) -> EpisodeResult:
+    """Run one episode of a scene.
+
+    Args:
+        scene: The scene; what its ``randomize_task`` names is drawn from the seed.
+        seed: Seed of the task, of the controller's noise and of the plant's properties.
+        engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
+        device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
+        terms: Users' own cost terms that the scene names.
+        compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
+        recorder: Makes the recorder of this episode from its controller and plant, such as
+            ``functools.partial(warpmpc.record.recorder.Recorder, "run.rrd")``.
+        on_step: Called as ``on_step(controller, plant, control)`` after every step.
+
+    Raises:
+        SceneError: If the scene names anything that does not exist, or no task can be drawn.
+        ValueError: If the engine or device is unknown or not to be had here.
+        EpisodeInterrupted: On Ctrl-C.
+    """
+    episode = Episode(scene, seed=seed, engine=engine, device=device, terms=terms, compiled=compiled)
+    made = recorder(episode.controller, episode.plant) if recorder else None
+    return episode.run(recorder=made, on_step=on_step)
+
+
+def draws_bodies(scene: Scene) -> bool:
+    """Whether the episodes of a scene differ in what is compiled, not just in their goals."""
+    return any(split_key(key)[0] in BODIES for key in scene.randomize_task.draw)
+
+
+def compile_shared(scene: Scene) -> CompiledScene | None:
+    """The compiled scene that all episodes of a scene can share; None when each has bodies of its own.
+
+    Raises:
+        SceneError: If an asset is missing or broken, or lacks a joint or link the scene names.
+    """
+    return None if draws_bodies(scene) else compile_scene(scene)
+
+
+def _plain(value: Any) -> Any:
+    """Data as JSON can say it."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

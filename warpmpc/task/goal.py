@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The goal of a scene: its pose, and how far a frame is from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..scene.schema import Goal, Scene, Success
+
+
+def goal_pose(scene: Scene) -> np.ndarray:
+    """Pose ``[7]`` of a scene's goal; without a height it lies at its target's start height."""
+    goal = scene.goal
+    position = list(goal.position)
+    if len(position) == 2:
+        heights = {item.name: item.position[2] for item in scene.object}
+        position.append(heights.get(goal.target, 0.0))
+    if goal.rotation is not None:
+        rotation = list(goal.rotation)
+    else:
+        half = 0.5 * (goal.yaw or 0.0)
+        rotation = [0.0, 0.0, math.sin(half), math.cos(half)]
+    return np.array(position + rotation, dtype=np.float32)
+
+
+def heading(q: np.ndarray) -> float:
+    """Heading about z of a quaternion (x, y, z, w) [rad]."""
+    x, y, z, w = (float(c) for c in q)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+@dataclass(frozen=True)
+class GoalError:
+    """How far a frame is from the goal."""
+
+    axes: np.ndarray
+    """Error along each compared axis, ``[2]`` or ``[3]`` [m]."""
+    yaw: float
+    """Heading error in [0, π] [rad]."""
+    rotation: float
+    """Rotation angle in [0, π] [rad]."""
+
+    @property
+    def position(self) -> float:
+        """Euclidean error [m]."""
+        return float(np.linalg.norm(self.axes))
+
+    def within(self, success: Success) -> bool:
+        """Whether every error that counts is within its tolerance."""
+        return (
+            (success.position is None or bool(np.all(np.abs(self.axes) <= success.position)))
+            and (success.distance is None or self.position <= success.distance)
+            and (success.yaw is None or self.yaw <= success.yaw)
+            and (success.rotation is None or self.rotation <= success.rotation)
+        )
+
+
+def goal_error(goal: Goal, goal_at: np.ndarray, pose: np.ndarray) -> GoalError:
+    """Error of a pose ``[7]`` against the goal's pose ``[7]``; heights count when the goal has one."""
+    axes = (pose - goal_at)[: len(goal.position)].astype(np.float64)
+    yaw = (heading(pose[3:]) - heading(goal_at[3:]) + math.pi) % (2.0 * math.pi) - math.pi
+    dot = min(1.0, abs(float(np.dot(pose[3:], goal_at[3:]))))
+    return GoalError(axes, abs(yaw), 2.0 * math.acos(dot))
