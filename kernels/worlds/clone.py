@@ -188,13 +188,15 @@ def mujoco_control_kernel(
     control: wp.array3d[float],  # [T, W, nu]
     matrix: wp.array2d[float],  # [na, nu] actuator targets per control
     offset: wp.array[float],  # [na]
-    substeps: int,
+    step: wp.array[int],  # [N] control step that each physics step belongs to
+    first: int,  # world of thread 0
     # outputs
-    actuator: wp.array3d[wp.float64],  # [W, T·substeps, na]
+    actuator: wp.array3d[wp.float64],  # [W, N, na]
 ):
     """One thread: the actuator targets of one world and physics step, held over the control step."""
-    w, n = wp.tid()
-    t = n // substeps
+    thread, n = wp.tid()
+    w = first + thread
+    t = step[n]
     for a in range(matrix.shape[0]):
         target = offset[a]
         for i in range(matrix.shape[1]):
@@ -207,8 +209,9 @@ def record_mujoco_kernel(
     # inputs
     table: JointTable,
     nq_mujoco: int,
-    substeps: int,
-    state: wp.array3d[wp.float64],  # [W, T·substeps, nstate]
+    end: wp.array[int],  # [T] last physics step of each control step
+    state: wp.array3d[wp.float64],  # [W, N, nstate]
+    first: int,  # world of thread 0
     # outputs
     joint_q: wp.array3d[float],  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
@@ -216,21 +219,23 @@ def record_mujoco_kernel(
     body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
 ):
     """One thread: the state of one world after one control step, with its body poses."""
-    t, w = wp.tid()
-    read_mujoco_state(table, w, (t + 1) * substeps - 1, t + 1, nq_mujoco, state, joint_q, joint_qd)
+    t, thread = wp.tid()
+    w = first + thread
+    read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
     forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
 
 
 @wp.kernel
 def divergence_kernel(
     # inputs
-    state: wp.array3d[wp.float64],  # [W, T·substeps, nstate]
+    state: wp.array3d[wp.float64],  # [W, N, nstate]
     duration: wp.float64,  # [s] of the whole rollout
+    first: int,  # world of thread 0
     # outputs
     diverged: wp.array[int],  # [W]
 ):
     """One thread: whether one world blew up. MuJoCo stops such a world early and repeats its last good state."""
-    w = wp.tid()
+    w = first + wp.tid()
     last = state.shape[1] - 1
     bad = int(0)
     # written so that a NaN time counts as bad

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -22,6 +24,7 @@ from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..model.joints import joint_table
 from ..model.mujoco_model import make_world, randomize_model
 from ..model.pairs import Pair
+from .crew import Crew
 from .trajectory import ObservedState, Shape, Trajectory
 
 if TYPE_CHECKING:
@@ -45,6 +48,18 @@ class WarningCounter:
         self.last = str(message)
 
 
+PARTS = 4
+"""Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""
+LEAST_PART = 4
+"""Worlds in a part, but for the last: below this, handing parts out takes longer than stepping them."""
+
+
+def _split(worlds: int, threads: int) -> list[tuple[int, int]]:
+    """First world and number of worlds of each part."""
+    size = worlds if threads == 1 else max(-(-worlds // (PARTS * threads)), LEAST_PART)
+    return [(first, min(size, worlds - first)) for first in range(0, worlds, size)]
+
+
 warnings = WarningCounter()
 
 
@@ -59,8 +74,8 @@ class MujocoEngine:
     Args:
         compiled: The scene.
         shape: Environments, samples, domains and horizon.
-        control_dt: Length of a control [s].
-        substeps: Physics steps per control.
+        substeps: Physics steps in each control step ``[T]``.
+        timestep: Length of a physics step [s].
         pairs: Pairs of entities whose contact force is watched.
         properties: Draws of physical properties; sample s and domain d use draw d when there are several domains,
             else draw s. ``None`` leaves every world nominal.
@@ -77,25 +92,25 @@ class MujocoEngine:
         compiled: CompiledScene,
         shape: Shape,
         *,
-        control_dt: float,
-        substeps: int,
+        substeps: Sequence[int],
+        timestep: float,
         pairs: tuple[Pair, ...] = (),
         properties: Properties | None = None,
         threads: int = 0,
         iterations: int = 20,
         tolerance: float = 1e-6,
     ):
-        self.shape, self.substeps, self.pairs = shape, substeps, pairs
+        self.shape, self.pairs = shape, pairs
         layout = compiled.layout
-        world = make_world(
-            compiled, timestep=control_dt / substeps, pairs=pairs, iterations=iterations, tolerance=tolerance
-        )
+        world = make_world(compiled, timestep=timestep, pairs=pairs, iterations=iterations, tolerance=tolerance)
         self.model, self.joint_qd = world.model, world.joint_qd
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
-        self._pool = mujoco.rollout.Rollout(nthread=self.threads)
-        self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
-        self.steps = shape.horizon * substeps
+        self._crew = Crew(self.threads)
+        self._own = threading.local()  # every thread has a simulation state of its own
+        self._parts = _split(shape.worlds, self.threads)
+        end = np.cumsum(substeps)
+        self.steps = int(end[-1])
         self.duration = self.steps * world.model.opt.timestep
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
@@ -108,6 +123,8 @@ class MujocoEngine:
             wp.array(a, dtype=wp.float64, device="cpu", copy=False)
             for a in (self.initial, self.control, self.state, self.sensor)
         )
+        self._end = wp.array(end - 1, dtype=int, device="cpu")
+        self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
         self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
         self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
         self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
@@ -139,39 +156,53 @@ class MujocoEngine:
             device="cpu",
         )
 
-    def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`."""
+    def run(self, work: Callable[[int, int], None]) -> None:
+        """Call ``work(first, count)`` for parts of the worlds, on all threads."""
+        self._crew.run(len(self._parts), lambda part, _: work(*self._parts[part]))
+
+    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+        """Roll controls [T, W, nu] of some worlds out from the cloned state into :attr:`trajectory`.
+
+        Args:
+            control: Controls of all worlds.
+            first: First of the worlds.
+            count: How many they are, all from the first on if None. Different threads may take different worlds.
+        """
+        count = self.shape.worlds - first if count is None else count
         wp.launch(
             mujoco_control_kernel,
-            dim=(self.shape.worlds, self.steps),
-            inputs=[control, self._matrix, self._offset, self.substeps],
+            dim=(count, self.steps),
+            inputs=[control, self._matrix, self._offset, self._step, first],
             outputs=[self._control],
             device="cpu",
         )
-        self.step_physics()
-        self._record()
+        self.step_physics(first, count)
+        self._record(first, count)
 
-    def step_physics(self) -> None:
-        """The physics alone: one call into MuJoCo's thread pool."""
-        self._pool.rollout(
-            self.models,
-            self._data,
-            self.initial,
-            self.control,
+    def step_physics(self, first: int, count: int) -> None:
+        """The physics of some worlds alone, on this thread."""
+        own, worlds = self._own, slice(first, first + count)
+        if not hasattr(own, "rollout"):
+            own.rollout, own.data = mujoco.rollout.Rollout(nthread=0), [mujoco.MjData(self.model)]
+        own.rollout.rollout(
+            self.models[worlds],
+            own.data,
+            self.initial[worlds],
+            self.control[worlds],
             nstep=self.steps,
-            state=self.state,
-            sensordata=self.sensor,
+            state=self.state[worlds],
+            sensordata=self.sensor[worlds],
             skip_checks=True,
             control_spec=CONTROL,
         )
 
-    def _record(self) -> None:
+    def _record(self, first: int, count: int) -> None:
         out = self.trajectory
-        dim = (self.shape.horizon, self.shape.worlds)
+        dim = (self.shape.horizon, count)
         wp.launch(
             record_mujoco_kernel,
             dim=dim,
-            inputs=[self._table, self.model.nq, self.substeps, self._state],
+            inputs=[self._table, self.model.nq, self._end, self._state, first],
             outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
             device="cpu",
         )
@@ -179,14 +210,14 @@ class MujocoEngine:
             wp.launch(
                 mujoco_contact_force_kernel,
                 dim=dim,
-                inputs=[self._sensor, self.substeps],
+                inputs=[self._sensor, self._end, first],
                 outputs=[out.contact_force],
                 device="cpu",
             )
         wp.launch(
             divergence_kernel,
-            dim=self.shape.worlds,
-            inputs=[self._state, wp.float64(self.duration)],
+            dim=count,
+            inputs=[self._state, wp.float64(self.duration), first],
             outputs=[out.diverged],
             device="cpu",
         )
@@ -197,4 +228,4 @@ class MujocoEngine:
 
     def close(self) -> None:
         """Stop the threads."""
-        self._pool.close()
+        self._crew.close()
