@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         frame_velocity,
         joint_position,
         joint_velocity,
+        sensor,
     )
     from .model.state import Info, State
     from .plant.simulated import Plant
@@ -59,6 +60,7 @@ __all__ = [
     "load_scene",
     "run_batch",
     "run_episode",
+    "sensor",
     "shipped_scenes",
 ]
 

@@ -22,6 +22,7 @@ class StepView:
     body_q: wp.array3d[wp.transform]  # [T+1, W, nb]
     body_qd: wp.array3d[wp.spatial_vector]  # [T+1, W, nb]
     force: wp.array3d[wp.vec3]  # [T, W, pair] [N]
+    sensor: wp.array3d[float]  # [T, W, ns]
     controls: wp.array3d[float]  # [T, W, nu]
     last_control: wp.array2d[float]  # [E, nu] control that acts when the plan starts
     control_scale: wp.array[float]  # [nu] half range of each control
@@ -89,6 +90,12 @@ def control(s: StepView, i: int) -> float:
 def contact_force(s: StepView, pair: int) -> wp.vec3:
     """Net contact force of a watched pair during the control that led to this step [N]."""
     return s.force[s.t - 1, s.w, pair]
+
+
+@wp.func
+def sensor(s: StepView, i: int) -> float:
+    """Number i of the sensors' at the end of the control that led to this step, in the sensor's own unit."""
+    return s.sensor[s.t - 1, s.w, i]
 
 
 @wp.func

@@ -58,7 +58,7 @@ def test_a_cached_scene_needs_no_newton(cache):
         "Controller(scene).step(Plant(scene).observe())\n"
         "print('newton' in sys.modules)\n"
     )
-    tests = os.path.dirname(os.path.dirname(__file__))
+    tests = os.path.join(os.path.dirname(os.path.dirname(__file__)), "helpers")
     out = subprocess.run([sys.executable, "-c", program, tests], capture_output=True, text=True, timeout=120)
     assert out.stdout.split()[-1] == "False", out.stdout + out.stderr
 

@@ -44,6 +44,8 @@ class Binding:
     key: str = ""
     """Scene key of the term being bound, for errors."""
     pairs: list[Pair] = field(default_factory=list)
+    sensors: list[str] = field(default_factory=list)
+    """Names of the sensors that terms read, ``robot/sensor``."""
     fields: list[FieldRequest] = field(default_factory=list)
     push_paths: list[tuple[PushPathParams, PushRequest]] = field(default_factory=list)
     """Parameters of terms that want a push value, and for what sizes."""
@@ -68,6 +70,16 @@ class Binding:
             SceneError: If there is none, or several.
         """
         return self._found(self.layout.joint, name, key)
+
+    def sensor(self, name: str, key: str) -> int:
+        """Index of a sensor's first number; from now on the rollouts record this sensor.
+
+        Raises:
+            SceneError: If there is none, or several.
+        """
+        start = self._found(self.layout.sensor, name, key)
+        self.sensors.append(self.layout.sensor_name[self.layout.sensor_start.tolist().index(start)])
+        return start
 
     def _found(self, look_up: Callable[[str], int], name: str, key: str) -> int:
         try:

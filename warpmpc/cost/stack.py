@@ -68,6 +68,7 @@ class CostStack:
                     term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
                 )
         self.pairs = tuple(binding.pairs)
+        self.sensors = tuple(dict.fromkeys(binding.sensors))
         self._kernels = [term.kernel() if isinstance(term, CostTerm) else None for term in self._terms]
         self.weight = wp.array([cost.weight for cost in scene.cost], dtype=float, device=device)
         self._weights = [cost.weight for cost in scene.cost]
@@ -128,6 +129,7 @@ class CostStack:
         view.joint_q, view.joint_qd = trajectory.joint_q, trajectory.joint_qd
         view.body_q, view.body_qd = trajectory.body_q, trajectory.body_qd
         view.force, view.controls = trajectory.contact_force, control
+        view.sensor = trajectory.sensor
         view.last_control, view.goal = self.last_control, self.goal
         half_range = 0.5 * (layout.control_upper - layout.control_lower)
         view.control_scale = wp.array(half_range, dtype=float, device=device)
@@ -200,6 +202,7 @@ class CostStack:
             "body_q": out.body_q,
             "body_qd": out.body_qd,
             "contact_force": out.contact_force,
+            "sensor": out.sensor,
             "control": self._control,
             "goal": self.goal,
         }

@@ -55,7 +55,8 @@ def cost_term(name: str) -> Callable[[Callable], CostTerm]:
 
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
-    (``robot/frame``), or as a joint when the field's name contains ``joint``.
+    (``robot/frame``), as a joint when the field's name contains ``joint``, or as the first number of a sensor
+    (``robot/sensor``) when it contains ``sensor``.
 
     Args:
         name: What scene files call the term.
@@ -90,8 +91,8 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
 
     The function receives a dict of arrays (NumPy on the CPU, DLPack-compatible Warp arrays on CUDA):
     ``joint_q [T+1, W, nq]``, ``joint_qd [T+1, W, nv]``, ``body_q [T+1, W, nb, 7]``, ``body_qd [T+1, W, nb, 6]``,
-    ``contact_force [T, W, pair, 3]``, ``control [T, W, nu]``, ``goal [E, 7]``; and the keys of its ``[[cost]]``
-    table under ``params``. It returns the cost of every step and world, ``[T, W]``.
+    ``contact_force [T, W, pair, 3]``, ``sensor [T, W, ns]``, ``control [T, W, nu]``, ``goal [E, 7]``; and the keys of
+    its ``[[cost]]`` table under ``params``. It returns the cost of every step and world, ``[T, W]``.
 
     Args:
         name: What scene files call the term.
@@ -112,6 +113,7 @@ def _annotations(function: Callable) -> dict[str, Any]:
 def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any:
     """Fill a user's parameter struct from scene keys."""
     struct = params()
+    finders = {"joint": binding.joint, "sensor": binding.sensor}
     for key, value in keys.items():
         where = f"{binding.key}.{key}"
         if key not in params.vars:
@@ -119,8 +121,8 @@ def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any
                 f"cost term '{name}' has no such key", key=where, file=binding.file, found=key, allowed=params.vars
             )
         if isinstance(value, str):
-            find = binding.layout.joint if "joint" in key else binding.layout.frame
-            value = find(value, key=where)
+            find = next((look for word, look in finders.items() if word in key), binding.frame)
+            value = find(value, key)
         try:
             finite = not isinstance(value, bool) and bool(np.all(np.isfinite(np.asarray(value, dtype=float))))
         except (TypeError, ValueError):

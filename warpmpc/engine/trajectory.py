@@ -43,6 +43,8 @@ class Trajectory:
     contact_force: wp.array  # [T, W, pairs] vec3 [N], world frame, on the first of the pair
     diverged: wp.array  # [W] nonzero where the world blew up
     overflow: wp.array  # [W] bits of the solver's capacities that did not suffice
+    act: wp.array  # [T+1, W, na] activations
+    sensor: wp.array  # [T, W, ns] what the sensors that terms read show at the last physics step; zero for others
 
     @classmethod
     def allocate(cls, shape: Shape, layout: Layout, pairs: int, device: str) -> Trajectory:
@@ -56,6 +58,8 @@ class Trajectory:
             contact_force=wp.zeros((t - 1, w, pairs), dtype=wp.vec3, device=device),
             diverged=wp.zeros(w, dtype=int, device=device),
             overflow=wp.zeros(w, dtype=int, device=device),
+            act=wp.zeros((t, w, layout.na), dtype=float, device=device),
+            sensor=wp.zeros((t - 1, w, layout.ns), dtype=float, device=device),
         )
 
 
@@ -65,6 +69,8 @@ class ObservedState:
 
     joint_q: wp.array  # [E, nq]
     joint_qd: wp.array  # [E, nv]
+    act: wp.array | None = None  # [E, na] activations; those of the scene's start when left out
+    mocap: wp.array | None = None  # [E, nm] transform, poses of mocap bodies; those of the start when left out
 
 
 class Engine(Protocol):

@@ -56,10 +56,35 @@ class ShapeInfo:
 
 
 @dataclass(frozen=True)
+class Keyframe:
+    """A state that an asset gives a name; where the asset says nothing, the start of the scene."""
+
+    name: str
+    """``robot/key``."""
+    joint_q: tuple[float, ...]
+    joint_qd: tuple[float, ...]
+    act: tuple[float, ...]
+    control: tuple[float, ...]
+
+
+def _no_floats() -> np.ndarray:
+    return np.zeros(0, dtype=np.float32)
+
+
+def _no_indices() -> np.ndarray:
+    return np.zeros(0, dtype=np.int32)
+
+
+def _no_poses() -> np.ndarray:
+    return np.zeros((0, 7), dtype=np.float32)
+
+
+@dataclass(frozen=True)
 class Layout:
     """State layout of one world; index arrays are int32, poses ``(x, y, z, qx, qy, qz, qw)``, in Newton's conventions.
 
-    ``nq`` joint coordinates, ``nv`` joint velocities, ``nb`` bodies, ``nj`` joints, ``nu`` controls, ``na`` actuators.
+    ``nq`` joint coordinates, ``nv`` joint velocities, ``nb`` bodies, ``nj`` joints, ``nu`` controls, ``nd`` actuators
+    of drives, ``na`` activations, ``nm`` mocap bodies, ``ns`` numbers that sensors show.
     """
 
     # joints, in the order forward kinematics visits them
@@ -86,11 +111,11 @@ class Layout:
     control_lower: np.ndarray  # [nu]
     control_upper: np.ndarray  # [nu]
     control_safe: np.ndarray  # [nu] joint coordinate to hold, or -1: the safe command is zero
-    actuator_dof: np.ndarray  # [na]
-    actuator_mode: tuple[str, ...]  # [na] velocity, position or effort
-    actuator_matrix: np.ndarray  # [na, nu] actuator target = matrix · control + offset
-    actuator_offset: np.ndarray  # [na]
-    actuator_effort: np.ndarray  # [na] effort limit
+    actuator_dof: np.ndarray  # [nd]
+    actuator_mode: tuple[str, ...]  # [nd] velocity, position or effort
+    actuator_matrix: np.ndarray  # [nd, nu] actuator target = matrix · control + offset
+    actuator_offset: np.ndarray  # [nd]
+    actuator_effort: np.ndarray  # [nd] effort limit
     # names
     entities: tuple[Entity, ...]
     shapes: tuple[ShapeInfo, ...]
@@ -99,6 +124,17 @@ class Layout:
     frame_pose: np.ndarray  # [nf, 7] in the body's frame
     meshes: tuple[tuple[np.ndarray, np.ndarray], ...] = field(default=(), repr=False)
     """Vertices [n, 3] and triangles [m, 3] of each distinct mesh."""
+    # what an asset may bring beyond joints and bodies
+    control_start: np.ndarray = field(default_factory=_no_floats)  # [nu] of the keyframe it starts with, else empty
+    activation_name: tuple[str, ...] = ()  # [na] robot/actuator
+    act: np.ndarray = field(default_factory=_no_floats)  # [na] start
+    mocap_name: tuple[str, ...] = ()  # [nm] robot/body
+    mocap_body: np.ndarray = field(default_factory=_no_indices)  # [nm]
+    mocap: np.ndarray = field(default_factory=_no_poses)  # [nm, 7] start pose in the world's frame
+    sensor_name: tuple[str, ...] = ()  # robot/sensor
+    sensor_start: np.ndarray = field(default_factory=_no_indices)  # first of the sensor's numbers among the ns of all
+    sensor_dim: np.ndarray = field(default_factory=_no_indices)  # how many numbers the sensor shows
+    keyframes: tuple[Keyframe, ...] = ()
 
     @property
     def nq(self) -> int:
@@ -119,6 +155,21 @@ class Layout:
     def nu(self) -> int:
         """Number of controls."""
         return len(self.control_name)
+
+    @property
+    def na(self) -> int:
+        """Number of activations: the states of actuators that have dynamics of their own."""
+        return len(self.act)
+
+    @property
+    def nm(self) -> int:
+        """Number of mocap bodies: moved by whoever observes, not by the physics."""
+        return len(self.mocap_name)
+
+    @property
+    def ns(self) -> int:
+        """Number of numbers that all sensors show together."""
+        return int(self.sensor_dim.sum())
 
     def entity(self, name: str, *, key: str = "") -> Entity:
         """The robot, object, obstacle or ground of this name.
@@ -169,6 +220,18 @@ class Layout:
             raise SceneError(what, key=key, found=name, allowed=[self.dof_name[i] for i in axes])
         return int(self.dof_coord[found[0]])
 
+    def sensor(self, name: str, *, key: str = "") -> int:
+        """Index of the first number of a sensor, ``robot/sensor`` or the sensor's own name where unique.
+
+        Raises:
+            SceneError: If there is none, or several.
+        """
+        found = [i for i, full in enumerate(self.sensor_name) if name in (full, full.partition("/")[2])]
+        if len(found) != 1:
+            what = "several sensors have this name" if found else "no such sensor"
+            raise SceneError(what, key=key, found=name, allowed=self.sensor_name)
+        return int(self.sensor_start[found[0]])
+
     def save(self, path: Path) -> None:
         """Write the layout to an ``.npz`` file."""
         arrays, meta = {}, {}
@@ -179,7 +242,7 @@ class Layout:
             elif item.name == "meshes":
                 for i, (points, triangles) in enumerate(value):
                     arrays[f"mesh{i}_points"], arrays[f"mesh{i}_triangles"] = points, triangles
-            elif item.name in ("entities", "shapes"):
+            elif item.name in _RECORDS:
                 meta[item.name] = [asdict(entry) for entry in value]
             else:
                 meta[item.name] = value
@@ -193,13 +256,17 @@ class Layout:
             values = {name: data[name] for name in data.files if name != "meta" and not name.startswith("mesh")}
             count = sum(name.endswith("_points") for name in data.files)
             values["meshes"] = tuple((data[f"mesh{i}_points"], data[f"mesh{i}_triangles"]) for i in range(count))
-        values["entities"] = tuple(Entity(**{k: _tuple(v) for k, v in e.items()}) for e in meta.pop("entities"))
-        values["shapes"] = tuple(ShapeInfo(**{k: _tuple(v) for k, v in s.items()}) for s in meta.pop("shapes"))
+        for name, record in _RECORDS.items():
+            values[name] = tuple(record(**{k: _tuple(v) for k, v in entry.items()}) for entry in meta.pop(name))
         return cls(**values, **{k: _tuple(v) for k, v in meta.items()})
 
     def replace(self, **changes: object) -> Layout:
         """A copy with some fields changed."""
         return replace(self, **changes)
+
+
+_RECORDS = {"entities": Entity, "shapes": ShapeInfo, "keyframes": Keyframe}
+"""Fields of a layout that hold records, and their type."""
 
 
 def _tuple(value: object) -> object:

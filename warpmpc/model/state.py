@@ -22,11 +22,16 @@ class State:
     """Joint velocities ``[nv]``, or ``[E, nv]`` [m/s, rad/s]."""
     time: float = 0.0
     """When it was observed [s]."""
+    act: np.ndarray | None = None
+    """Activations of actuators with dynamics ``[na]``, or ``[E, na]``; the scene's start when left out."""
+    mocap: np.ndarray | None = None
+    """Poses of mocap bodies (x, y, z, qx, qy, qz, qw) ``[nm, 7]``, or ``[E, nm, 7]``; the scene's start when left
+    out."""
 
     @classmethod
     def start(cls, layout: Layout) -> State:
         """The start state of a scene."""
-        return cls(layout.joint_q.copy(), layout.joint_qd.copy())
+        return cls(layout.joint_q.copy(), layout.joint_qd.copy(), act=layout.act.copy(), mocap=layout.mocap.copy())
 
 
 @dataclass(frozen=True)
