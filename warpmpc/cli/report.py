@@ -145,6 +145,8 @@ def print_check(episode: Episode, out: TextIO) -> None:
         entity = layout.entity(robot.name)
         dofs = sum(int(layout.joint_dof_dim[j].sum()) for j in entity.joints)
         fact("robot", f"{robot.name}: {dofs} DoF, {len(entity.bodies)} links, from {robot.asset}")
+    for note in controller.compiled.notes:
+        fact("as written", note)
     for item in scene.object:
         fact("object", f"{item.name}: {_shape(item)}, {item.mass:g} kg")
     for item in scene.obstacle:
@@ -152,7 +154,7 @@ def print_check(episode: Episode, out: TextIO) -> None:
     fact("frames", ", ".join(layout.frame_name))
     fact("goal", _goal(scene))
     fact("planner", _planner(scene))
-    shape, substeps = controller.shape, scene.engine.substeps
+    shape, substeps = controller.shape, controller.engine.substeps
     steps = shape.worlds * shape.horizon * substeps
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
     fact(

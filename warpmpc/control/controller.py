@@ -82,6 +82,7 @@ class Controller:
             control_dt=step_dt(scene),
             device=device,
             pairs=self.costs.pairs,
+            sensors=self.costs.sensors,
             properties=properties,
         )
         self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)

@@ -7,15 +7,22 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from ..model.mujoco_model import Options
 from ..scene.schema import EngineName
 from .mujoco import MujocoEngine
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from ..model.compiled import CompiledScene
     from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from .trajectory import Engine, Shape
+
+
+SUBSTEPS = 2
+"""Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
 
 
 def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
@@ -62,6 +69,7 @@ def make_engine(
     device: str,
     pairs: tuple[Pair, ...] = (),
     properties: Properties | None = None,
+    sensors: Collection[str] = (),
 ) -> Engine:
     """Build an engine.
 
@@ -74,9 +82,15 @@ def make_engine(
         device: Warp device.
         pairs: Pairs of entities whose contact force is watched.
         properties: Draws of physical properties.
+        sensors: Sensors that terms read.
     """
     physics = scene.engine
-    common = {"control_dt": control_dt, "substeps": physics.substeps, "pairs": pairs, "properties": properties}
+    common = {
+        "control_dt": control_dt,
+        "substeps": compiled.substeps(physics.substeps, control_dt, SUBSTEPS),
+        "pairs": pairs,
+        "properties": properties,
+    }
     if name == EngineName.NEWTON:
         from .newton import NewtonEngine  # slow to import, and nothing else needs it
 
@@ -85,7 +99,7 @@ def make_engine(
         compiled,
         shape,
         threads=physics.threads,
-        iterations=physics.iterations,
-        tolerance=physics.tolerance,
+        options=Options.of(physics),
+        sensors=sensors,
         **common,
     )

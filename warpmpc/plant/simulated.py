@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ import warp as wp
 from ..engine.mujoco import MujocoEngine
 from ..engine.trajectory import ObservedState, Shape
 from ..model.compiled import CompiledScene, compile_scene
+from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
 from ..model.properties import Properties, draw_properties
 from ..model.state import Contact, State
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     from ..scene.schema import Kick, Scene
     from .batch import PlantBatch
 
+_SUBSTEPS = 8
+"""Physics steps per control where neither the scene nor an MJCF file says anything: finer than the planner's."""
+_SOLVER = {"iterations": 100, "tolerance": 1e-8}
+_AS_THE_FILE_SAYS = {"iterations": None, "tolerance": None}
 CONTACT_FORCE = 1e-3
 """Net force above which two things count as touching [N]."""
 
@@ -57,12 +62,11 @@ def plant_worlds(scene: Scene, compiled: CompiledScene, seeds: Sequence[int]) ->
         compiled,
         Shape(len(seeds), 1, 1, 1),
         control_dt=scene.timing.control_dt,
-        substeps=scene.plant.substeps,
+        substeps=compiled.substeps(scene.plant.substeps, scene.timing.control_dt, _SUBSTEPS),
         pairs=collision_pairs(layout, {obstacle.name for obstacle in scene.obstacle if obstacle.support}),
         properties=_stacked(draws) if draws else None,
         threads=1 if len(seeds) == 1 else 0,
-        iterations=100,
-        tolerance=1e-8,
+        options=Options.of(scene.engine, **_SOLVER if not compiled.natives else _AS_THE_FILE_SAYS),
     )
     start = (np.tile(a, (len(seeds), 1)) for a in (layout.joint_q, layout.joint_qd))
     engine.clone(ObservedState(*(wp.array(a, dtype=float, device="cpu") for a in start)))
@@ -148,7 +152,13 @@ class Plant:
         """The true state."""
         out = self._engine.trajectory
         at = self._slice, self._index
-        return State(out.joint_q.numpy()[at].copy(), out.joint_qd.numpy()[at].copy(), time=self.time)
+        return State(
+            out.joint_q.numpy()[at].copy(),
+            out.joint_qd.numpy()[at].copy(),
+            time=self.time,
+            act=out.act.numpy()[at].copy(),
+            mocap=self._engine.mocap_pose.numpy()[self._index].copy(),
+        )
 
     @property
     def body_q(self) -> np.ndarray:
@@ -167,7 +177,7 @@ class Plant:
                 i = self.layout.joint_q_start[joint] + (3 if kind == 4 else 0)
                 q[i : i + 4] /= np.linalg.norm(q[i : i + 4])
         qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
-        return State(q.astype(np.float32), qd.astype(np.float32), state.time)
+        return replace(state, joint_q=q.astype(np.float32), joint_qd=qd.astype(np.float32))
 
     def apply(self, control: np.ndarray) -> None:
         """Hold a control ``[nu]`` for one control step.
@@ -181,6 +191,17 @@ class Plant:
         self.begin(control)
         self._engine.rollout(self._world.control)
         self.end()
+
+    def move_mocap(self, name: str, pose: np.ndarray) -> None:
+        """Put a mocap body, ``robot/body``, somewhere else: a pose (x, y, z, qx, qy, qz, qw) in the world.
+
+        Raises:
+            SceneError: If there is no such mocap body.
+        """
+        names = self.layout.mocap_name
+        if name not in names:
+            raise SceneError("no such mocap body", key="mocap", found=name, allowed=names)
+        self._engine.move_mocap(self._index, names.index(name), pose)
 
     def begin(self, control: np.ndarray) -> None:
         """The part of :meth:`apply` before the engine's step: kicks and the control ``[nu]``."""
@@ -230,8 +251,8 @@ class Plant:
         """Record contacts between robots and obstacles at every physics step."""
         if not self.pairs:
             return
-        force = np.linalg.norm(self._engine.sensor[self._index].reshape(-1, len(self.pairs), 3), axis=-1)
-        step = self.scene.timing.control_dt / self.scene.plant.substeps
+        force = np.linalg.norm(self._engine.pair_force(self._index), axis=-1)
+        step = self._engine.model.opt.timestep
         self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
         for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
             name = f"{pair.first}-{pair.second}"
@@ -252,7 +273,7 @@ class Plant:
     @property
     def forces(self) -> np.ndarray:
         """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
-        return -self._engine.sensor[self._index, -1].reshape(-1, 3)  # MuJoCo measures it on the second
+        return self._engine.pair_force(self._index)[-1]
 
     @property
     def success(self) -> bool:
