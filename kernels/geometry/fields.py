@@ -140,9 +140,8 @@ def sight_kernel(
 def guide_target_kernel(
     # inputs
     table: GuideTable,
-    body_q: wp.array3d[wp.transform],  # [T+1, W, nb] slice 0 is read
-    goal: wp.array[wp.transform],  # [E]
-    rollouts: int,  # worlds per environment
+    body_q: wp.array2d[wp.transform],  # [E, nb] observed
+    task_pose: wp.array2d[wp.transform],  # [E, poses] of the task
     # outputs
     center: wp.array[wp.vec2],  # [E·R] where the target of each field is [m]
     stale: wp.array[int],  # [E·R] whether the field must follow
@@ -153,10 +152,10 @@ def guide_target_kernel(
     e = f // requests
     r = f % requests
     pose = table.pose[r]
-    if table.body[r] == -2:
-        pose = goal[e] * pose
+    if table.body[r] < -1:
+        pose = task_pose[e, -2 - table.body[r]] * pose
     elif table.body[r] >= 0:
-        pose = body_q[0, e * rollouts, table.body[r]] * pose
+        pose = body_q[e, table.body[r]] * pose
     p = wp.transform_get_translation(pose)
     # beyond the grid there is nothing to go around
     rows = table.clearance.shape[1]

@@ -20,17 +20,23 @@ def inverse_normal_cdf(u: float) -> float:
 
 @wp.kernel
 def advance_counter_kernel(
+    # inputs
+    observed: wp.array[int],  # [E] whether there is an observation to plan from
     # outputs
-    counter: wp.array[int],  # [1] draws made so far
+    counter: wp.array[int],  # [E] draws made so far
 ):
-    """Count one draw, on the device, so that a replayed CUDA graph draws anew; one thread."""
-    counter[0] = counter[0] + 1
+    """Count one draw of one environment, on the device, so that a replayed CUDA graph draws anew.
+
+    An environment without an observation to plan from draws nothing: it goes on later as if it had waited.
+    """
+    e = wp.tid()
+    counter[e] = counter[e] + wp.where(observed[e] != 0, 1, 0)
 
 
 @wp.kernel
 def random_shift_kernel(
     # inputs
-    counter: wp.array[int],  # [1] draws made so far
+    counter: wp.array[int],  # [E] draws made so far
     seed: int,
     # outputs
     shift: wp.array2d[float],  # [E, P·nu] uniform in [0, 1)
@@ -38,7 +44,7 @@ def random_shift_kernel(
     """Draw the rotation of one table column for one environment (Cranley and Patterson 1976)."""
     e, column = wp.tid()
 
-    stream = wp.rand_init(seed ^ SHIFT_STREAM, counter[0])
+    stream = wp.rand_init(seed ^ SHIFT_STREAM, counter[e])
     state = wp.rand_init(wp.randi(stream), e * shift.shape[1] + column)
     shift[e, column] = wp.randf(state)
 
@@ -62,7 +68,7 @@ def table_normal_kernel(
 @wp.kernel
 def random_normal_kernel(
     # inputs
-    counter: wp.array[int],  # [1] draws made so far
+    counter: wp.array[int],  # [E] draws made so far
     seed: int,
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] standard normals
@@ -71,7 +77,7 @@ def random_normal_kernel(
     e, s, p, u = wp.tid()
 
     index = ((e * z.shape[1] + s) * z.shape[2] + p) * z.shape[3] + u
-    stream = wp.rand_init(seed, counter[0])
+    stream = wp.rand_init(seed, counter[e])
     state = wp.rand_init(wp.randi(stream), index)
     z[e, s, p, u] = wp.randn(state)
 
@@ -92,14 +98,68 @@ def scale_samples_kernel(
 
 
 @wp.kernel
+def null_control_kernel(
+    # inputs
+    joint_q: wp.array2d[float],  # [E, nq] observed
+    held: wp.array[int],  # [nu] joint coordinate whose position asks for nothing, -1 for controls with a fixed value
+    rest: wp.array[float],  # [nu] that value: zero speed or force, unless the scene starts with another
+    lower: wp.array[float],  # [nu]
+    upper: wp.array[float],  # [nu]
+    # outputs
+    null: wp.array2d[float],  # [E, nu] within the limits
+):
+    """One thread: one control of one environment that asks for nothing: stay where you are, or no effort."""
+    e, u = wp.tid()
+    value = rest[u]
+    if held[u] >= 0:
+        value = joint_q[e, held[u]]
+    null[e, u] = wp.clamp(value, lower[u], upper[u])
+
+
+@wp.kernel
+def start_plan_kernel(
+    # inputs
+    observed: wp.array[int],  # [E]
+    fresh: wp.array[int],  # [E] whether nothing has been planned yet
+    null: wp.array2d[float],  # [E, nu]
+    # outputs
+    mean: wp.array3d[float],  # [E, P, nu]
+    last_control: wp.array2d[float],  # [E, nu]
+):
+    """One thread: one control of one environment whose first plan begins where it is observed."""
+    e, u = wp.tid()
+    if fresh[e] == 0 or observed[e] == 0:
+        return
+    for p in range(mean.shape[1]):
+        mean[e, p, u] = null[e, u]
+    last_control[e, u] = null[e, u]
+
+
+@wp.kernel
+def age_plan_kernel(
+    # inputs
+    observed: wp.array[int],  # [E]
+    # outputs
+    fresh: wp.array[int],  # [E]
+):
+    """One thread: an environment that was observed has a plan from now on."""
+    e = wp.tid()
+    if observed[e] != 0:
+        fresh[e] = 0
+
+
+@wp.kernel
 def perturb_knots_kernel(
     # inputs
     mean: wp.array3d[float],  # [E, P, nu]
     sigma: wp.array3d[float],  # [E, P, nu] standard deviation, in control units
+    schedule: wp.array2d[float],  # [iteration, P] factor on σ
+    iteration: int,
     shaping: wp.array2d[float],  # [P, P] shaping matrix B
     z: wp.array4d[float],  # [E, S, P, nu] standard normals
     lower: wp.array[float],  # [nu]
     upper: wp.array[float],  # [nu]
+    null: wp.array2d[float],  # [E, nu] control that asks for nothing
     null_sample: int,
     constant: float,  # share of the samples whose noise is the same at every knot
     # outputs
@@ -107,20 +167,21 @@ def perturb_knots_kernel(
 ):
     """Perturb one knot of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
 
-    Sample 0 is the mean itself. With ``null_sample`` sample 1 is zero control (a null particle, Bhardwaj et al. 2021).
+    Sample 0 is the mean itself. With ``null_sample`` sample 1 asks for nothing all along (a null particle, Bhardwaj et
+    al. 2021): zero velocity or effort, or the observed position held.
     Constant samples are spread evenly over the rest; theirs is the noise of the first knot.
     """
     e, s, p, u = wp.tid()
 
     value = float(mean[e, p, u])
     if s == 1 and null_sample != 0:
-        value = 0.0
+        value = null[e, u]
     elif s > 0:
         shaped = float(z[e, s, 0, u])
         if wp.floor(float(s + 1) * constant) == wp.floor(float(s) * constant):
             shaped = float(0.0)
             for q in range(shaping.shape[1]):
                 shaped += shaping[p, q] * z[e, s, q, u]
-        value += sigma[e, p, u] * shaped
+        value += schedule[iteration, p] * sigma[e, p, u] * shaped
 
     knots[e, s, p, u] = wp.clamp(value, lower[u], upper[u])

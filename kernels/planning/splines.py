@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splines over uniform knots: knots to controls, the plan re-sampled later, the command of this moment.
+"""Splines over knots: knots to controls, the plan re-sampled later, the command of this moment.
 
-Time τ is measured in knot intervals: knot j stands at τ = j, and outside [0, P-1] the end value is held.
+Places on a spline are counted in knots: knot j stands at τ = j, whatever the times of the knots, and outside [0, P-1]
+the end value is held.
 """
 
 import warp as wp
@@ -15,13 +16,42 @@ BSPLINE = wp.constant(3)
 KNOT_TOLERANCE = wp.constant(1.0e-4)
 
 
+@wp.struct
+class Spline:
+    """What the knots of all plans have in common: their times and the kind of spline over them."""
+
+    kind: int
+    even: int  # whether all knots are equally far apart
+    knot_dt: float  # [s] from the first knot to the second
+    time: wp.array[float]  # [P] seconds after the first knot
+    interval: wp.array[float]  # [P] from each knot to the next, in units of knot_dt; the last one repeats
+
+
 @wp.func
-def knot_slope(knots: wp.array2d[float], j: int, u: int) -> float:
-    """Slope at knot j per knot interval: central difference, one-sided at the ends (Howell et al. 2022, Eq. 23)."""
+def knot_place(s: Spline, time: float) -> float:
+    """Place τ of a time [s] after the first knot; beyond the last knot it goes on at the last interval's pace."""
+    if s.even != 0:
+        return time / s.knot_dt
+    last = s.time.shape[0] - 1
+    j = int(0)
+    while j < last - 1 and s.time[j + 1] <= time:
+        j += 1
+    return float(j) + (time - s.time[j]) / (s.interval[j] * s.knot_dt)
+
+
+@wp.func
+def knot_slope(knots: wp.array2d[float], s: Spline, j: int, u: int) -> float:
+    """Slope at knot j per first interval: mean of both sides, one-sided at the ends (Howell et al. 2022, Eqs. 17, 18).
+
+    Written as the central difference of equal intervals and what unequal ones add, which is then exactly zero.
+    """
     last = knots.shape[0] - 1
     before = wp.max(j - 1, 0)
     after = wp.min(j + 1, last)
-    return (knots[after, u] - knots[before, u]) / wp.max(float(after - before), 1.0)
+    sides = wp.max(float(after - before), 1.0)
+    uneven = (knots[after, u] - knots[j, u]) * (1.0 / s.interval[j] - 1.0)
+    uneven += (knots[j, u] - knots[before, u]) * (1.0 / s.interval[before] - 1.0)
+    return (knots[after, u] - knots[before, u]) / sides + uneven / sides
 
 
 @wp.func
@@ -36,12 +66,12 @@ def control_point(knots: wp.array2d[float], j: int, u: int) -> float:
 
 
 @wp.func
-def evaluate_spline(knots: wp.array2d[float], u: int, kind: int, tau: float) -> float:
-    """Value of control u at time τ of the spline over ``knots [P, nu]`` (Howell et al. 2022, Eqs. 15-23).
+def evaluate_spline(knots: wp.array2d[float], s: Spline, kind: int, u: int, tau: float) -> float:
+    """Value of control u at place τ of the spline over ``knots [P, nu]`` (Howell et al. 2022, Eqs. 15-23).
 
     ``CUBIC`` is the Hermite cubic with finite-difference slopes; it passes through its knots and may overshoot them.
-    ``BSPLINE`` is the uniform cubic B-spline, smooth to the second derivative and within the hull of its knots: each
-    end point is interpolated because the control polygon goes on beyond it by reflection (natural ends).
+    ``BSPLINE`` is the uniform cubic B-spline in τ, smooth to the second derivative and within the hull of its knots:
+    each end point is interpolated because the control polygon goes on beyond it by reflection (natural ends).
     """
     last = knots.shape[0] - 1
 
@@ -61,7 +91,9 @@ def evaluate_spline(knots: wp.array2d[float], u: int, kind: int, tau: float) -> 
     xxx = xx * x
     if kind == CUBIC:
         value = (2.0 * xxx - 3.0 * xx + 1.0) * knots[i, u] + (3.0 * xx - 2.0 * xxx) * knots[j, u]
-        return value + (xxx - 2.0 * xx + x) * knot_slope(knots, i, u) + (xxx - xx) * knot_slope(knots, j, u)
+        first = s.interval[i] * knot_slope(knots, s, i, u)
+        second = s.interval[i] * knot_slope(knots, s, j, u)
+        return value + (xxx - 2.0 * xx + x) * first + (xxx - xx) * second
 
     y = 1.0 - x
     value = y * y * y * control_point(knots, i - 1, u) + (3.0 * xxx - 6.0 * xx + 4.0) * control_point(knots, i, u)
@@ -70,63 +102,97 @@ def evaluate_spline(knots: wp.array2d[float], u: int, kind: int, tau: float) -> 
 
 
 @wp.kernel
-def spline_control_kernel(
+def advance_plan_kernel(
     # inputs
-    knots: wp.array4d[float],  # [E, S, P, nu]
-    lower: wp.array[float],  # [nu]
-    upper: wp.array[float],  # [nu]
-    kind: int,
-    knot_dt: float,
-    control_dt: float,
-    domains: int,
+    s: Spline,
+    elapsed: wp.array[float],  # [E] time since the last plan [s]
     # outputs
-    control: wp.array3d[float],  # [T, W, nu] within the limits
+    offset: wp.array[float],  # [E] time from the first knot to now [s], updated in place
+    shift: wp.array[float],  # [E] how far the knots move [s]
 ):
-    """Evaluate the spline of one world's sample at one control step; all domains of a sample get the same controls."""
-    t, w = wp.tid()
+    """One thread: by how much the knots of one environment move.
 
-    row = w // domains
-    e = row // knots.shape[1]
-    s = row % knots.shape[1]
-
-    tau = float(t) * (control_dt / knot_dt)
-    for u in range(control.shape[2]):
-        control[t, w, u] = wp.clamp(evaluate_spline(knots[e, s], u, kind, tau), lower[u], upper[u])
+    Smooth plans move by the time that has passed, so that the first knot stands at the present. Evenly spaced knots of
+    zero order move by whole intervals alone, the rest becomes ``offset``: re-sampled in between, they would keep their
+    values and the plan would never move.
+    """
+    e = wp.tid()
+    if s.kind == ZERO and s.even != 0:
+        total = offset[e] + elapsed[e]
+        whole = wp.floor(total / s.knot_dt + KNOT_TOLERANCE)
+        shift[e] = whole * s.knot_dt
+        offset[e] = wp.max(total - shift[e], 0.0)
+    else:
+        shift[e] = elapsed[e]
 
 
 @wp.kernel
 def shift_knots_kernel(
     # inputs
-    mean: wp.array3d[float],  # [E, P, nu]
+    knots: wp.array3d[float],  # [E, P, nu]
+    s: Spline,
     kind: int,
-    shift: float,
-    knot_dt: float,
+    shift: wp.array[float],  # [E] [s]
     # outputs
-    mean_out: wp.array3d[float],  # [E, P, nu] another array than mean
+    shifted: wp.array3d[float],  # [E, P, nu] another array than knots
 ):
-    """Re-sample one knot of the plan ``shift`` seconds later, the last control held (Howell et al. 2022, Alg. 5).
+    """One thread: one knot of the plan re-sampled ``shift`` seconds later, the last held (Howell et al. 2022, Alg. 5).
 
-    A zero-order plan of P = T knots moves by exactly one control per step. B-spline control points are interpolated
-    (Catmull-Rom) rather than replaced by curve values, which would smooth the plan a little more at every shift.
+    B-spline control points are interpolated (Catmull-Rom) rather than replaced by curve values, which would smooth the
+    plan a little more at every shift; unevenly spaced knots of zero order are interpolated linearly.
     """
     e, p, u = wp.tid()
 
     interpolating = wp.where(kind == BSPLINE, CUBIC, kind)
-    mean_out[e, p, u] = evaluate_spline(mean[e], u, interpolating, float(p) + shift / knot_dt)
+    place = float(p) + shift[e] / s.knot_dt
+    if s.even == 0:
+        place = knot_place(s, s.time[p] + shift[e])
+        interpolating = wp.max(interpolating, LINEAR)
+    shifted[e, p, u] = evaluate_spline(knots[e], s, interpolating, u, place)
+
+
+@wp.kernel
+def spline_control_kernel(
+    # inputs
+    knots: wp.array4d[float],  # [E, S, P, nu]
+    s: Spline,
+    lower: wp.array[float],  # [nu]
+    upper: wp.array[float],  # [nu]
+    step_time: wp.array[float],  # [T] time of each step after the present [s]
+    step_place: wp.array[float],  # [T] the same in knots, for evenly spaced ones
+    offset: wp.array[float],  # [E] time from the first knot to the present [s]
+    domains: int,
+    first: int,  # world of thread 0
+    # outputs
+    control: wp.array3d[float],  # [T, W, nu] within the limits
+):
+    """One thread: the controls of one world's sample at one step; all domains of a sample get the same controls."""
+    t, thread = wp.tid()
+    w = first + thread
+
+    row = w // domains
+    e = row // knots.shape[1]
+    sample = row % knots.shape[1]
+
+    place = step_place[t] + offset[e] / s.knot_dt
+    if s.even == 0:
+        place = knot_place(s, step_time[t] + offset[e])
+    for u in range(control.shape[2]):
+        value = evaluate_spline(knots[e, sample], s, s.kind, u, place)
+        control[t, w, u] = wp.clamp(value, lower[u], upper[u])
 
 
 @wp.kernel
 def command_kernel(
     # inputs
     mean: wp.array3d[float],  # [E, P, nu]
+    s: Spline,
     lower: wp.array[float],  # [nu]
     upper: wp.array[float],  # [nu]
-    kind: int,
-    time: float,
-    knot_dt: float,
+    offset: wp.array[float],  # [E] time from the first knot to the present [s]
     # outputs
     command: wp.array2d[float],  # [E, nu] within the limits
 ):
-    """Evaluate one control of one environment's plan ``time`` seconds after its first knot."""
+    """One thread: one control of one environment's plan at the present."""
     e, u = wp.tid()
-    command[e, u] = wp.clamp(evaluate_spline(mean[e], u, kind, time / knot_dt), lower[u], upper[u])
+    command[e, u] = wp.clamp(evaluate_spline(mean[e], s, s.kind, u, knot_place(s, offset[e])), lower[u], upper[u])

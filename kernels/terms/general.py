@@ -9,6 +9,7 @@ about obstacles and outlines in ``clearance``.
 
 import warp as wp
 
+from .paths import PathFields, plane_distance
 from .view import (
     StepView,
     contact_force,
@@ -19,7 +20,6 @@ from .view import (
     frame_velocity,
     joint_position,
     joint_velocity,
-    plane_distance,
     rotation_angle,
     wrap_angle,
     yaw,
@@ -36,6 +36,7 @@ class DistanceParams:
     second: int
     planar: int  # compare x and y alone
     field: int  # distance field, -1 for the straight line
+    paths: PathFields
     near: float  # [m] saturate: 1 - exp(-d/near) instead of d; 0 means d itself
     lead: float  # [s] measure from where the first frame would coast to in this time
 
@@ -51,7 +52,7 @@ def distance(s: StepView, p: DistanceParams) -> float:
     b = frame_position(s, p.second)
     d = wp.length(a - b)
     if p.planar != 0:
-        d = plane_distance(s, p.field, wp.vec2(b[0], b[1]), wp.vec2(a[0], a[1]))
+        d = plane_distance(s, p.paths, p.field, wp.vec2(b[0], b[1]), wp.vec2(a[0], a[1]))
     if p.near > 0.0:
         return 1.0 - wp.exp(-d / p.near)
     return d

@@ -3,13 +3,13 @@
 
 import warp as wp
 
-from ..geometry.fields import field_gradient, sample_field, sample_push
+from ..geometry.fields import sample_push
+from .paths import PathFields, plane_distance, way_out
 from .view import (
     StepView,
     frame_pose,
     frame_position,
     frame_velocity,
-    plane_distance,
     wrap_angle,
     yaw,
 )
@@ -34,6 +34,7 @@ class PushAlignmentParams:
     object: int
     goal: int
     field: int
+    paths: PathFields
     near: float  # [m] the term fades as the object comes closer to the goal than about this
     slack: float  # subtracted, so that the pusher may choose its place on a side of the object
 
@@ -50,13 +51,7 @@ def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
     g = frame_position(s, p.goal)
     to_pusher = wp.vec2(r[0] - o[0], r[1] - o[1])
     straight = wp.vec2(g[0] - o[0], g[1] - o[1])
-    to_goal = straight
-    if p.field >= 0:
-        f = s.e * s.fields + p.field
-        at = wp.vec2(o[0], o[1])
-        path = sample_field(s.field, f, s.field_origin, s.field_cell, at)
-        if path - wp.length(at - s.field_center[f]) > s.field_cell:
-            to_goal = -field_gradient(s.field, f, s.field_origin, s.field_cell, at)
+    to_goal = way_out(s, p.paths, p.field, wp.vec2(o[0], o[1]), straight)
     scale = wp.length(to_pusher) * wp.length(to_goal)
     value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
     if p.near > 0.0:
@@ -76,6 +71,7 @@ class PushPathParams:
     origin: wp.array[wp.vec2]  # [E] place of the first cell in the goal's frame [m]
     cell: float  # [m]
     field: int  # distance field of the pusher to the object
+    paths: PathFields
     radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
     turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
     faces: int  # whether the object has sides
@@ -187,4 +183,5 @@ def push_path(s: StepView, p: PushPathParams) -> float:
         left = sample_push(p.value, s.e, origin, p.cell, at, angle + part)
         right = sample_push(p.value, s.e, origin, p.cell, at, angle - part)
         best = wp.min(best, wp.min(left, right) + way)
-    return best + turning + p.turn * (plane_distance(s, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1])) - apart)
+    way = plane_distance(s, p.paths, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1]))
+    return best + turning + p.turn * (way - apart)

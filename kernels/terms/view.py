@@ -3,11 +3,10 @@
 
 import warp as wp
 
-from ..geometry.fields import sample_field
-
 wp.set_module_options({"enable_backward": False})
 
-GOAL_BODY = wp.constant(-2)
+TASK_BODY = wp.constant(-2)
+"""Body of frames that are poses of the task: this one for the first (the goal), -3 for the second, and so on."""
 
 
 @wp.struct
@@ -26,22 +25,21 @@ class StepView:
     controls: wp.array3d[float]  # [T, W, nu]
     last_control: wp.array2d[float]  # [E, nu] control that acts when the plan starts
     control_scale: wp.array[float]  # [nu] half range of each control
-    goal: wp.array[wp.transform]  # [E]
-    frame_body: wp.array[int]  # [nf] body, -1 world, -2 goal
+    start: wp.array[float]  # [E] time of the observed state [s]
+    step_end: wp.array[float]  # [T+1] time of each slice after the observed state [s]
+    pose: wp.array2d[wp.transform]  # [E, poses] of the task, the goal first
+    scalar: wp.array2d[float]  # [E, scalars] of the task
+    frame_body: wp.array[int]  # [nf] body, -1 world, -2 and below poses of the task
     frame_pose: wp.array[wp.transform]  # [nf] in the body's frame
-    field: wp.array3d[float]  # [E·F, rows, columns] distance fields
-    field_center: wp.array[wp.vec2]  # [E·F] point that each field measures the distance to
-    field_origin: wp.vec2
-    field_cell: float
-    fields: int  # F per environment
+    body_com: wp.array[wp.vec3]  # [nb] centre of mass in the body's frame [m]
 
 
 @wp.func
 def frame_pose(s: StepView, frame: int) -> wp.transform:
     """World pose of a frame at this step."""
     body = s.frame_body[frame]
-    if body == GOAL_BODY:
-        return s.goal[s.e] * s.frame_pose[frame]
+    if body <= TASK_BODY:
+        return s.pose[s.e, TASK_BODY - body] * s.frame_pose[frame]
     if body < 0:
         return s.frame_pose[frame]
     return s.body_q[s.t, s.w, body] * s.frame_pose[frame]
@@ -61,11 +59,43 @@ def frame_rotation(s: StepView, frame: int) -> wp.quat:
 
 @wp.func
 def frame_velocity(s: StepView, frame: int) -> wp.vec3:
-    """World velocity [m/s] of the centre of mass of a frame's body; zero for fixed frames."""
+    """World velocity of a frame's origin [m/s]; zero for fixed frames."""
     body = s.frame_body[frame]
     if body < 0:
         return wp.vec3(0.0)
-    return wp.spatial_top(s.body_qd[s.t, s.w, body])
+    pose = s.body_q[s.t, s.w, body]
+    twist = s.body_qd[s.t, s.w, body]
+    arm = wp.quat_rotate(
+        wp.transform_get_rotation(pose), wp.transform_get_translation(s.frame_pose[frame]) - s.body_com[body]
+    )
+    return wp.spatial_top(twist) + wp.cross(wp.spatial_bottom(twist), arm)
+
+
+@wp.func
+def frame_angular_velocity(s: StepView, frame: int) -> wp.vec3:
+    """World angular velocity of a frame [rad/s]; zero for fixed frames."""
+    body = s.frame_body[frame]
+    if body < 0:
+        return wp.vec3(0.0)
+    return wp.spatial_bottom(s.body_qd[s.t, s.w, body])
+
+
+@wp.func
+def time(s: StepView) -> float:
+    """Time of this step [s], on the clock of the observations."""
+    return s.start[s.e] + s.step_end[s.t]
+
+
+@wp.func
+def step_length(s: StepView) -> float:
+    """How long the control that led to this step was held [s]."""
+    return s.step_end[s.t] - s.step_end[s.t - 1]
+
+
+@wp.func
+def task_scalar(s: StepView, i: int) -> float:
+    """Scalar i of the task, such as a wanted speed."""
+    return s.scalar[s.e, i]
 
 
 @wp.func
@@ -115,20 +145,3 @@ def rotation_angle(a: wp.quat, b: wp.quat) -> float:
     """Angle between two orientations, in [0, π]."""
     d = wp.quat_inverse(a) * b
     return 2.0 * wp.atan2(wp.length(wp.vec3(d[0], d[1], d[2])), wp.abs(d[3]))
-
-
-@wp.func
-def plane_distance(s: StepView, field: int, target: wp.vec2, p: wp.vec2) -> float:
-    """Distance in the ground plane, straight or along the shortest path around the obstacles.
-
-    The field holds the path length to where the target was when the plan started. What it exceeds the straight
-    line by is the detour at p; the target may move during the horizon, so the detour is added to the straight
-    distance to where it is now.
-    """
-    straight = wp.length(p - target)
-    if field < 0:
-        return straight
-    f = s.e * s.fields + field
-    path = sample_field(s.field, f, s.field_origin, s.field_cell, p)
-    # between cells the field is interpolated, which adds a little near the target
-    return straight + wp.max(path - wp.length(p - s.field_center[f]) - 0.25 * s.field_cell, 0.0)

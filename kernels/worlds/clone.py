@@ -214,7 +214,7 @@ def mujoco_mocap_kernel(
     first: int,  # column of the first mocap body's position
     count: int,  # mocap bodies of the model: the rotations come after all their positions
     # outputs
-    control: wp.array3d[wp.float64],  # [W, T·substeps, n] what a rollout is given at every physics step
+    control: wp.array3d[wp.float64],  # [W, N, n] what a rollout is given at every physics step
 ):
     """One thread: the pose of one world's mocap bodies at one physics step."""
     w, n = wp.tid()
@@ -250,13 +250,15 @@ def mujoco_control_kernel(
     control: wp.array3d[float],  # [T, W, nu]
     matrix: wp.array2d[float],  # [na, nu] actuator targets per control
     offset: wp.array[float],  # [na]
-    substeps: int,
+    step: wp.array[int],  # [N] control step that each physics step belongs to
+    first: int,  # world of thread 0
     # outputs
-    actuator: wp.array3d[wp.float64],  # [W, T·substeps, na]
+    actuator: wp.array3d[wp.float64],  # [W, N, na]
 ):
     """One thread: the actuator targets of one world and physics step, held over the control step."""
-    w, n = wp.tid()
-    t = n // substeps
+    thread, n = wp.tid()
+    w = first + thread
+    t = step[n]
     for a in range(matrix.shape[0]):
         target = offset[a]
         for i in range(matrix.shape[1]):
@@ -269,8 +271,9 @@ def record_mujoco_kernel(
     # inputs
     table: JointTable,
     nq_mujoco: int,
-    substeps: int,
-    state: wp.array3d[wp.float64],  # [W, T·substeps, nstate]
+    end: wp.array[int],  # [T] last physics step of each control step
+    state: wp.array3d[wp.float64],  # [W, N, nstate]
+    first: int,  # world of thread 0
     # outputs
     joint_q: wp.array3d[float],  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
@@ -278,38 +281,42 @@ def record_mujoco_kernel(
     body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
 ):
     """One thread: the state of one world after one control step, with its body poses."""
-    t, w = wp.tid()
-    read_mujoco_state(table, w, (t + 1) * substeps - 1, t + 1, nq_mujoco, state, joint_q, joint_qd)
+    t, thread = wp.tid()
+    w = first + thread
+    read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
     forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
 
 
 @wp.kernel
 def gather_kernel(
     # inputs
-    source: wp.array3d[wp.float64],  # [W, T·substeps, n]
+    source: wp.array3d[wp.float64],  # [W, N, n]
     column: wp.array[int],  # [m] column of the source behind each number, -1 for none
-    substeps: int,
-    first: int,  # slice of the output that the first control step fills
+    end: wp.array[int],  # [T] last physics step of each control step
+    slice: int,  # of the output that the first control step fills
+    first: int,  # world of thread 0
     # outputs
     out: wp.array3d[float],  # [T or T+1, W, m]
 ):
     """One thread: some columns of one world's record at the end of one control step."""
-    t, w = wp.tid()
+    t, thread = wp.tid()
+    w = first + thread
     for i in range(column.shape[0]):
         if column[i] >= 0:
-            out[first + t, w, i] = float(source[w, (t + 1) * substeps - 1, column[i]])
+            out[slice + t, w, i] = float(source[w, end[t], column[i]])
 
 
 @wp.kernel
 def divergence_kernel(
     # inputs
-    state: wp.array3d[wp.float64],  # [W, T·substeps, nstate]
+    state: wp.array3d[wp.float64],  # [W, N, nstate]
     duration: wp.float64,  # [s] of the whole rollout
+    first: int,  # world of thread 0
     # outputs
     diverged: wp.array[int],  # [W]
 ):
     """One thread: whether one world blew up. MuJoCo stops such a world early and repeats its last good state."""
-    w = wp.tid()
+    w = first + wp.tid()
     last = state.shape[1] - 1
     bad = int(0)
     # written so that a NaN time counts as bad

@@ -9,20 +9,25 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def mujoco_contact_force_kernel(
     # inputs
-    sensor: wp.array3d[wp.float64],  # [W, T·substeps, n] what all sensors show
+    sensor: wp.array3d[wp.float64],  # [W, N, n] what all sensors show
     start: wp.array[int],  # [pair + 1] first number of each pair: net forces on its second side, to be summed
-    substeps: int,
+    end: wp.array[int],  # [T] last physics step of each control step
+    first: int,  # world of thread 0
     # outputs
     force: wp.array3d[wp.vec3],  # [T, W, pair] [N] on the pair's first side, world frame, mean over the physics steps
 ):
     """One thread: the net contact force of every watched pair in one world and control step."""
-    t, w = wp.tid()
+    t, thread = wp.tid()
+    w = first + thread
+    begin = int(0)
+    if t > 0:
+        begin = end[t - 1] + 1
     for p in range(force.shape[2]):
         total = wp.vec3(0.0)
-        for n in range(t * substeps, (t + 1) * substeps):
+        for n in range(begin, end[t] + 1):
             for i in range(start[p], start[p + 1], 3):
                 total -= wp.vec3(float(sensor[w, n, i]), float(sensor[w, n, i + 1]), float(sensor[w, n, i + 2]))
-        force[t, w, p] = total / float(substeps)
+        force[t, w, p] = total / float(end[t] + 1 - begin)
 
 
 vec5 = wp.types.vector(length=5, dtype=float)

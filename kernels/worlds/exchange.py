@@ -5,31 +5,107 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-REPORT = wp.constant(6)  # numbers between the command and the terms in a row of the report
+REPORT = wp.constant(7)
+"""Numbers of a report's row besides command, knots and terms: β, η, cost and sample of the best, diverged, overflow."""
+
+
+@wp.func
+def load_transform(packed: wp.array2d[float], e: int, i: int) -> wp.transform:
+    """Read a pose (x, y, z, qx, qy, qz, qw)."""
+    return wp.transform(
+        wp.vec3(packed[e, i], packed[e, i + 1], packed[e, i + 2]),
+        wp.quat(packed[e, i + 3], packed[e, i + 4], packed[e, i + 5], packed[e, i + 6]),
+    )
 
 
 @wp.kernel
-def unpack_observation_kernel(
+def unpack_kernel(
     # inputs
-    packed: wp.array2d[float],  # [E, nq + nv + 7] joint_q, joint_qd, goal pose
+    packed: wp.array2d[float],  # [E, 3 + nq + nv + na + 7 nm + 7 poses + scalars + terms]
     # outputs
+    observed: wp.array[int],  # [E] whether there is an observation to plan from
+    elapsed: wp.array[float],  # [E] time since the last plan [s]
+    start: wp.array[float],  # [E] time of the observation [s]
     joint_q: wp.array2d[float],  # [E, nq]
     joint_qd: wp.array2d[float],  # [E, nv]
-    goal: wp.array[wp.transform],  # [E]
+    act: wp.array2d[float],  # [E, na]
+    mocap: wp.array2d[wp.transform],  # [E, nm]
+    pose: wp.array2d[wp.transform],  # [E, poses] of the task
+    scalar: wp.array2d[float],  # [E, scalars] of the task
+    weight: wp.array2d[float],  # [E, terms] of the task
 ):
-    """One thread: the observed state and goal of one environment."""
+    """One thread: the observed state and the task of one environment."""
     e = wp.tid()
-    nq = joint_q.shape[1]
-    nv = joint_qd.shape[1]
-    for i in range(nq):
-        joint_q[e, i] = packed[e, i]
-    for i in range(nv):
-        joint_qd[e, i] = packed[e, nq + i]
-    g = nq + nv
-    goal[e] = wp.transform(
-        wp.vec3(packed[e, g], packed[e, g + 1], packed[e, g + 2]),
-        wp.quat(packed[e, g + 3], packed[e, g + 4], packed[e, g + 5], packed[e, g + 6]),
-    )
+    observed[e] = int(packed[e, 0])
+    elapsed[e] = packed[e, 1]
+    start[e] = packed[e, 2]
+    at = int(3)
+    for i in range(joint_q.shape[1]):
+        joint_q[e, i] = packed[e, at + i]
+    at += joint_q.shape[1]
+    for i in range(joint_qd.shape[1]):
+        joint_qd[e, i] = packed[e, at + i]
+    at += joint_qd.shape[1]
+    for i in range(act.shape[1]):
+        act[e, i] = packed[e, at + i]
+    at += act.shape[1]
+    for i in range(mocap.shape[1]):
+        mocap[e, i] = load_transform(packed, e, at + 7 * i)
+    at += 7 * mocap.shape[1]
+    for i in range(pose.shape[1]):
+        pose[e, i] = load_transform(packed, e, at + 7 * i)
+    at += 7 * pose.shape[1]
+    for i in range(scalar.shape[1]):
+        scalar[e, i] = packed[e, at + i]
+    at += scalar.shape[1]
+    for i in range(weight.shape[1]):
+        weight[e, i] = packed[e, at + i]
+
+
+@wp.kernel
+def best_sample_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    # outputs
+    best: wp.array[int],  # [E]
+    best_cost: wp.array[float],  # [E] +inf when every sample diverged
+):
+    """Find one environment's best sample, one block each; of equally good ones the first, 0 when all diverged."""
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    least = float(wp.inf)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]):
+            least = wp.min(least, cost[e, s])
+    least = wp.tile_extract(wp.tile_min(wp.tile(least)), 0)
+    candidate = int(samples)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and cost[e, s] == least:
+            candidate = wp.min(candidate, s)
+    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
+
+    if lane == 0:
+        best[e] = wp.where(winner == samples, 0, winner)
+        best_cost[e] = least
+
+
+@wp.kernel
+def count_failures_kernel(
+    # inputs
+    diverged: wp.array[int],  # [W]
+    overflow: wp.array[int],  # [W] capacity bits
+    rollouts: int,  # per environment
+    # outputs
+    failures: wp.array2d[int],  # [E, 2] diverged worlds, all worlds' capacity bits together; zero before
+):
+    """One thread: add one world's failures to its environment's."""
+    w = wp.tid()
+    e = w // rollouts
+    if diverged[w] != 0:
+        wp.atomic_add(failures, e, 0, 1)
+    if overflow[w] != 0:
+        wp.atomic_or(failures, e, 1, overflow[w])
 
 
 @wp.kernel
@@ -38,60 +114,35 @@ def report_kernel(
     command: wp.array2d[float],  # [E, nu]
     beta: wp.array[float],  # [E]
     eta: wp.array[float],  # [E]
-    cost: wp.array2d[float],  # [E, S]
-    stage_cost: wp.array3d[float],  # [term, T, W]
-    diverged: wp.array[int],  # [W]
-    overflow: wp.array[int],  # [W]
-    domains: int,
-    discount: float,
+    best: wp.array[int],  # [E]
+    best_cost: wp.array[float],  # [E]
+    failures: wp.array2d[int],  # [E, 2]
+    term_cost: wp.array2d[float],  # [E, terms]
+    knots: wp.array3d[float],  # [E, P, nu]
+    offset: wp.array[float],  # [E]
     # outputs
-    report: wp.array2d[float],  # [E, nu + REPORT + terms]
+    report: wp.array2d[float],  # [E, nu + REPORT + terms + P nu + 1]
 ):
-    """Pack one environment's row, one block each: command, β, η, best cost and sample, failures, the best's terms.
+    """One thread: one environment's row: command, REPORT numbers, terms, knots, time from first knot to present.
 
-    The best cost is +inf when every sample diverged; of equally good samples the first counts.
+    Capacity bits come in two halves of 16 bits, which a float holds exactly.
     """
-    e, lane = wp.tid()
-    samples = cost.shape[1]
+    e = wp.tid()
     nu = command.shape[1]
-
-    best = float(wp.inf)
-    for s in range(lane, samples, wp.block_dim()):
-        if wp.isfinite(cost[e, s]):
-            best = wp.min(best, cost[e, s])
-    best = wp.tile_extract(wp.tile_min(wp.tile(best)), 0)
-    candidate = int(samples)
-    for s in range(lane, samples, wp.block_dim()):
-        if wp.isfinite(cost[e, s]) and cost[e, s] == best:
-            candidate = wp.min(candidate, s)
-    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
-    if winner == samples:
-        winner = 0
-
-    bad = int(0)
-    bits = int(0)
-    rollouts = samples * domains
-    for k in range(lane, rollouts, wp.block_dim()):
-        w = e * rollouts + k
-        if diverged[w] != 0:
-            bad += 1
-        bits = wp.max(bits, overflow[w])
-    bad = wp.tile_extract(wp.tile_sum(wp.tile(bad)), 0)
-    bits = wp.tile_extract(wp.tile_max(wp.tile(bits)), 0)
-
-    for i in range(lane, stage_cost.shape[0], wp.block_dim()):
-        total = float(0.0)
-        factor = float(1.0)
-        for t in range(stage_cost.shape[1]):
-            total += factor * stage_cost[i, t, e * rollouts + winner * domains]
-            factor *= discount
-        report[e, nu + REPORT + i] = total
-    for i in range(lane, nu, wp.block_dim()):
+    for i in range(nu):
         report[e, i] = command[e, i]
-    if lane == 0:
-        report[e, nu] = beta[e]
-        report[e, nu + 1] = eta[e]
-        report[e, nu + 2] = best
-        report[e, nu + 3] = float(winner)
-        report[e, nu + 4] = float(bad)
-        report[e, nu + 5] = float(bits)
+    report[e, nu] = beta[e]
+    report[e, nu + 1] = eta[e]
+    report[e, nu + 2] = best_cost[e]
+    report[e, nu + 3] = float(best[e])
+    report[e, nu + 4] = float(failures[e, 0])
+    report[e, nu + 5] = float(failures[e, 1] & 0xFFFF)
+    report[e, nu + 6] = float((failures[e, 1] >> 16) & 0xFFFF)
+    at = nu + REPORT
+    for i in range(term_cost.shape[1]):
+        report[e, at + i] = term_cost[e, i]
+    at += term_cost.shape[1]
+    for p in range(knots.shape[1]):
+        for i in range(nu):
+            report[e, at + p * nu + i] = knots[e, p, i]
+    report[e, at + knots.shape[1] * nu] = offset[e]

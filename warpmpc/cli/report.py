@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..engine.registry import physics_steps
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
     from ..scene.schema import (
+        Condition,
         Object,
         Obstacle,
         Planner,
@@ -154,14 +156,16 @@ def print_check(episode: Episode, out: TextIO) -> None:
     fact("frames", ", ".join(layout.frame_name))
     fact("goal", _goal(scene))
     fact("planner", _planner(scene))
-    shape, substeps = controller.shape, controller.engine.substeps
-    steps = shape.worlds * shape.horizon * substeps
+    shape = controller.shape
+    substeps = physics_steps(scene, controller.compiled, controller.planner.grid)[0]
+    steps = shape.worlds * sum(substeps)
+    each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
     fact(
         "rollouts",
-        f"{shape.worlds} worlds × {shape.horizon} controls × {substeps} substeps = {steps} physics steps a plan",
+        f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
     )
-    ahead = shape.horizon * (scene.planner.dt or scene.timing.control_dt)
+    ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
     console.print(facts)
@@ -206,15 +210,28 @@ def _shape(item: Object | Obstacle) -> str:
 
 def _goal(scene: Scene) -> str:
     goal = scene.goal
+    if goal is None:
+        return "none; " + _success(scene)
     turn = f", yaw {goal.yaw:g} rad" if goal.yaw is not None else ""
     turn = f", rotation {_number(goal.rotation)}" if goal.rotation is not None else turn
-    success = scene.success.model_dump(exclude_none=True)
-    within = ", ".join(
+    return f"{goal.target} at {_number(goal.position)} m{turn}; {_success(scene)}"
+
+
+def _success(scene: Scene) -> str:
+    success = scene.success.model_dump(exclude_none=True, exclude={"conditions"})
+    within = [
         f"{name} {_number(value[0] if name == 'position' and len(value) == 1 else value)}"
         for name, value in success.items()
         if name != "hold" or value
-    )
-    return f"{goal.target} at {_number(goal.position)} m{turn}; reached within {within}"
+    ]
+    conditions = [_condition(condition) for condition in scene.success.conditions]
+    return f"reached within {', '.join(within + conditions)}"
+
+
+def _condition(condition: Condition) -> str:
+    values = condition.model_dump(exclude_none=True, exclude={"frame", "joint", "term", "to"})
+    subject = condition.frame or condition.joint or condition.term
+    return f"{subject} " + " ".join(f"{name} {_number(value)}" for name, value in values.items())
 
 
 def _planner(scene: Scene) -> str:

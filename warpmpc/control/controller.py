@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.stack import CostStack
-from ..engine.registry import make_engine, resolve
+from ..engine.registry import default_engine, resolve
 from ..engine.trajectory import Shape
-from ..kernels.worlds.exchange import REPORT
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.properties import draw_properties
 from ..model.state import Info, State
-from ..planner.graph import PlanGraph
-from ..planner.plan import PlanStep, step_dt
-from ..task.goal import goal_pose
+from ..planner.graph import PlanGraph, PlanReport
+from ..planner.plan import Plan
+from ..planner.step import PlanStep
+from ..task.task import Task, task_layout
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -31,15 +31,17 @@ logger = logging.getLogger("warpmpc")
 class Controller:
     """Plans the next control of a scene's robots from its observed state.
 
-    With several environments it solves as many independent problems in one go: states, goals and controls then have
+    With several environments it solves as many independent problems in one go: states, plans and controls then have
     a leading axis ``[E]``, and :attr:`info` is a tuple. All environments share noise and randomized worlds.
 
     Args:
-        scene: The scene, from :func:`warpmpc.load_scene` or built in Python.
-        engine: ``"mujoco"``, ``"newton"``, or ``"auto"``: with a GPU the faster of the two, measured once.
+        scene: The scene.
+        engine: Name of an engine, or ``"auto"``: the scene's, else ``mujoco`` on the CPU and ``newton`` on a GPU. To
+            take the faster one on this machine, ask :func:`warpmpc.choose_engine`.
         device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``.
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
         envs: Number of environments E.
+        task: What the run wants, shared with its plant; one of its own if None.
         terms: Users' own cost terms that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
 
@@ -56,46 +58,46 @@ class Controller:
         device: str = "auto",
         seed: int = 0,
         envs: int = 1,
+        task: Task | None = None,
         terms: Sequence[CostTerm | ArrayCost] = (),
         compiled: CompiledScene | None = None,
     ):
         if envs < 1:
             raise ValueError(f"a controller has at least one environment, not {envs}")
+        if task is not None and task.envs != envs:
+            raise ValueError(f"this task is one of {task.envs} environments, not of {envs}")
         name, device = resolve(scene, engine, device)
+        if name == "auto":
+            name, device = default_engine(device)
         self.scene, self.seed, self.envs = scene, seed, envs
         self.compiled = compiled or compile_scene(scene)
-        if name == "auto":
-            from ..run.choose_engine import fastest
-
-            name, device = fastest(scene, self.compiled, device, envs=envs, terms=terms)
-        self.layout = self.compiled.layout
+        self.layout = task_layout(self.compiled.layout, scene)
+        self.task = task or Task(scene, envs=envs)
+        """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
         planner = scene.planner
         self.shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
-        self.costs = CostStack(scene, self.layout, terms=terms, device=device)
+        self.costs = CostStack(scene, self.layout, self.task, terms=terms, device=device)
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
-        self.engine = make_engine(
-            name,
-            scene,
-            self.compiled,
-            self.shape,
-            control_dt=step_dt(scene),
-            device=device,
-            pairs=self.costs.pairs,
-            sensors=self.costs.sensors,
-            properties=properties,
+        self.planner = PlanStep(
+            scene, self.compiled, self.costs, self.shape, engine=name, seed=seed, properties=properties
         )
-        self.plan = PlanStep(scene, self.layout, self.shape, self.engine, self.costs, seed=seed)
-        self.graph = PlanGraph(self.plan)
-        # the last finite observation of every environment
-        self._hold_q = np.tile(self.layout.joint_q, (envs, 1))
-        self._hold_qd = np.tile(self.layout.joint_qd, (envs, 1))
+        self.engine = self.planner.engine
+        self.graph = PlanGraph(self.planner)
+        self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
         self._warned_of_overflow = False
-        self._last: tuple[State, np.ndarray, np.ndarray, float] | None = None
         self._info: Info | tuple[Info, ...] | None = None
-        self.goal = np.empty((envs, 7), dtype=np.float32)
-        """Goal poses ``[E, 7]`` (x, y, z, qx, qy, qz, qw); change them with :meth:`set_goal`."""
-        self.set_goal(goal_pose(scene))
+        self._forget()
+
+    def _forget(self) -> None:
+        layout, envs = self.layout, self.envs
+        # the last finite observation of every environment, the scene's start before there is one
+        self._seen = np.zeros(envs, dtype=bool)
+        self._held_q, self._held_qd = (np.tile(a, (envs, 1)) for a in (layout.joint_q, layout.joint_qd))
+        self._act, self._mocap = np.tile(layout.act, (envs, 1)), np.tile(layout.mocap, (envs, 1, 1))
+        self._time = np.full(envs, np.nan)  # of the last plan
+        self._last: tuple[State, PlanReport, np.ndarray, float] | None = None
+        self._info = None
 
     @property
     def device(self) -> str:
@@ -106,36 +108,10 @@ class Controller:
     def info(self) -> Info | tuple[Info, ...] | None:
         """What the last plan did, one per environment when there are several; None before the first."""
         if self._info is None and self._last is not None:
-            state, rows, fallback, plan_ms = self._last
-            infos = tuple(self._describe(state, e, rows[e], bool(fallback[e]), plan_ms) for e in range(self.envs))
+            state, report, fallback, plan_ms = self._last
+            infos = tuple(self._describe(report, e, bool(fallback[e]), plan_ms) for e in range(self.envs))
             self._info = infos if np.ndim(state.joint_q) == 2 else infos[0]
         return self._info
-
-    def set_goal(self, pose: np.ndarray) -> None:
-        """Move the goal; takes effect at the next plan.
-
-        Args:
-            pose: Pose ``[7]`` of every environment, or ``[E, 7]`` (x, y, z, qx, qy, qz, qw); quaternions are
-                normalized.
-
-        Raises:
-            ValueError: If a pose is not seven finite numbers, or its quaternion is zero.
-        """
-        pose = np.array(pose, dtype=np.float32)
-        right = pose.shape in ((7,), (self.envs, 7))
-        if not right or not np.isfinite(pose).all() or not pose[..., 3:].any(axis=-1).all():
-            raise ValueError(f"a goal is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
-        pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
-        self.goal[:] = pose
-        self.costs.aim(self.goal)
-
-    def set_weight(self, term: str, weight: float) -> None:
-        """Change the weight of a cost term; takes effect at the next plan.
-
-        Raises:
-            ValueError: If there is no such term, or the weight is not finite.
-        """
-        self.costs.set_weight(term, weight)
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``; takes effect at the next plan.
@@ -149,53 +125,100 @@ class Controller:
         )
         if not right or (lower >= upper).any():
             raise ValueError(f"limits are {self.layout.nu} finite numbers each, lower below upper")
-        self.plan.lower.assign(lower)
-        self.plan.upper.assign(upper)
+        self._lower, self._upper = lower.copy(), upper.copy()
+        for array, values in zip(self.planner.limits, (lower, upper), strict=True):
+            array.assign(values)
 
     def reset(self) -> None:
-        """Forget every earlier plan, as if just constructed."""
-        self.plan.reset()
-        self._last = self._info = None
+        """Forget every earlier plan and observation, as if just constructed; the task stays as it is."""
+        self.planner.reset()
+        self._forget()
 
     def step(self, state: State) -> np.ndarray:
-        """Plan from an observed state.
+        """Plan from an observed state and return the control to apply now.
 
         Args:
             state: Observed state, ``joint_q [nq]`` and ``joint_qd [nv]``; ``[E, nq]`` and ``[E, nv]`` with several
-                environments.
+                environments. Plans move by the time between observations; without a time each counts as one control
+                after the last.
 
         Returns:
-            Control ``[nu]``, or ``[E, nu]``, to apply now, within its limits. Where no rollout survives (a diverged
-            simulation, a NaN in the observation) it is the safe command: zero velocity, zero effort, or the held
-            position; :attr:`info` says so and a warning is logged.
+            Control ``[nu]``, or ``[E, nu]``, within its limits: the plan's at the time of the state. Where no rollout
+            survives (a diverged simulation, a NaN in the observation) it is the safe command: zero velocity, zero
+            effort, or the position last seen; :attr:`info` says so and a warning is logged.
 
         Raises:
-            ValueError: If the state has the wrong shape.
+            ValueError: If the state has the wrong shape, or its first observation is not finite and a drive holds
+                positions, so that there is none to hold.
         """
-        q, qd = self._checked(state)
         start = time.perf_counter()
-        finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
-        self._hold_q[finite], self._hold_qd[finite] = q[finite], qd[finite]
-        nu = self.layout.nu
-        if finite.any():
-            report = self.graph(self._hold_q, self._hold_qd, self.goal)
-            command, rows = report[:, :nu].copy(), report[:, nu:].astype(float)
+        q, qd = self._checked(state)
+        observed = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        elapsed, now = self._clock(state, observed)
+        self._held_q[observed], self._held_qd[observed] = q[observed], qd[observed]
+        self._seen |= observed
+        self._take_more(state, observed)
+        if observed.any():
+            report = self.graph(observed, elapsed, now, self._held_q, self._held_qd, self._act, self._mocap)
+            command = report.command.copy()
         else:
-            command, rows = np.zeros((self.envs, nu), np.float32), np.full((self.envs, int(REPORT)), np.nan)
-        fallback = ~finite | ~np.isfinite(rows[:, 2])
+            report, command = self._no_report(), np.zeros((self.envs, self.layout.nu), np.float32)
+        fallback = ~observed | ~np.isfinite(report.cost)
         if fallback.any():
-            command[fallback] = self._safe_command()[fallback]
-            self.plan.costs.last_control.assign(command)
+            command[fallback] = self._safe_command(fallback)
+            self.planner.state.last_control.assign(command)
             logger.warning(
                 "t = %.2f s: %s; sending the safe command",
-                state.time,
-                "the observation is not finite" if not finite.all() else "every rollout diverged",
+                np.max(now),
+                "the observation is not finite" if not observed.all() else "every rollout diverged",
             )
         plan_ms = 1e3 * (time.perf_counter() - start)
-        if finite.any():
-            self._warn_of_overflow(rows)
-        self._last, self._info = (state, rows, fallback, plan_ms), None
+        if observed.any():
+            self._warn_of_overflow(report)
+        self._last, self._info = (state, report, fallback, plan_ms), None
         return command if np.ndim(state.joint_q) == 2 else command[0]
+
+    def plan(self, state: State) -> Plan:
+        """Plan from an observed state.
+
+        Args:
+            state: As for :meth:`step`, which this does.
+
+        Returns:
+            The plan, stamped with absolute times: ``plan.at(t)`` is the control at a time. Where :attr:`info` says
+            ``fallback`` it is the earlier plan, and its controls are not to be trusted.
+
+        Raises:
+            ValueError: As :meth:`step`.
+        """
+        self.step(state)
+        report, many = self._last[1], np.ndim(state.joint_q) == 2
+        first = np.nan_to_num(self._time) - report.offset
+        times = first[:, None] + self.planner.knot_time
+        return Plan(
+            knots=report.knots.copy() if many else report.knots[0].copy(),
+            times=times if many else times[0],
+            spline=self.planner.kind,
+            lower=self._lower,
+            upper=self._upper,
+        )
+
+    def _clock(self, state: State, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Time since the last plan and time of the observation ``[E]`` [s]; a clock that runs back stands still."""
+        dt = self.scene.timing.control_dt
+        if state.time is None:
+            now = np.where(np.isnan(self._time), 0.0, self._time + dt)
+        else:
+            now = np.broadcast_to(np.asarray(state.time, dtype=float), self.envs).copy()
+        elapsed = np.where(np.isnan(self._time) | ~observed, 0.0, np.maximum(now - self._time, 0.0))
+        self._time = np.where(observed, now, self._time)
+        return elapsed, now
+
+    def _take_more(self, state: State, observed: np.ndarray) -> None:
+        """Activations and mocap poses, where the state has them."""
+        for held, value in ((self._act, state.act), (self._mocap, state.mocap)):
+            if value is not None and held.size:
+                held[observed] = np.asarray(value, dtype=np.float32).reshape(held.shape)[observed]
 
     def _checked(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Joint coordinates and velocities with a leading axis [E]."""
@@ -210,31 +233,49 @@ class Controller:
             )
         return q.reshape(self.envs, nq), qd.reshape(self.envs, nv)
 
-    def _safe_command(self) -> np.ndarray:
-        """Zero velocity or effort; the present position where a drive holds positions; ``[E, nu]``."""
+    def _safe_command(self, needed: np.ndarray) -> np.ndarray:
+        """Zero velocity or effort, the position last seen where a drive holds positions; ``[n, nu]``."""
         held = self.layout.control_safe
-        safe = np.where(held >= 0, self._hold_q[:, np.maximum(held, 0)], 0.0)
-        return np.clip(safe, self.layout.control_lower, self.layout.control_upper).astype(np.float32)
+        if (held >= 0).any() and not self._seen[needed].all():
+            raise ValueError("the first observation is not finite: there is no position to hold yet, send nothing")
+        safe = np.where(held >= 0, self._held_q[needed][:, np.maximum(held, 0)], 0.0)
+        return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
-    def _warn_of_overflow(self, rows: np.ndarray) -> None:
-        if not self._warned_of_overflow and (bits := int(rows[:, 5].max())):
+    def _no_report(self) -> PlanReport:
+        """What there is to say without a plan."""
+        envs, nothing = self.envs, np.full(self.envs, np.nan)
+        mean = self.planner.strategy.mean.numpy()
+        zero = np.zeros(envs)
+        return PlanReport(
+            command=np.zeros((envs, self.layout.nu)),
+            beta=self.planner.strategy.beta.numpy(),
+            eta=zero,
+            cost=nothing,
+            best=zero,
+            diverged=zero,
+            overflow=zero.astype(int),
+            terms=np.full((envs, len(self.costs.labels)), np.nan),
+            knots=mean,
+            offset=self.planner.strategy.offset.numpy(),
+        )
+
+    def _warn_of_overflow(self, report: PlanReport) -> None:
+        bits = int(np.bitwise_or.reduce(report.overflow))
+        if bits and not self._warned_of_overflow:
             self._warned_of_overflow = True
             logger.warning("%s", self.engine.overflow_message(bits))
 
-    def _describe(self, state: State, e: int, row: np.ndarray, fallback: bool, plan_ms: float) -> Info:
-        """Row e of the report, in words; without a plan it is all NaN."""
-        planned = not np.isnan(row[2])
-        sample, diverged = (int(row[3]), int(row[4])) if planned else (0, 0)
-        terms = row[int(REPORT) :] if planned else [np.nan] * len(self.costs.labels)
+    def _describe(self, report: PlanReport, e: int, fallback: bool, plan_ms: float) -> Info:
+        """Row e of the report, in words."""
         return Info(
-            time=state.time,
-            beta=float(row[0] if planned else self.plan.weights.beta.numpy()[e]),
-            eta=0.0 if fallback else float(row[1]),
-            cost=float("inf") if fallback else float(row[2]),
-            terms={label: float(value) for label, value in zip(self.costs.labels, terms, strict=True)},
-            best=(e * self.shape.samples + sample) * self.shape.domains,
+            time=float(np.nan_to_num(self._time[e])),
+            beta=float(report.beta[e]),
+            eta=0.0 if fallback else float(report.eta[e]),
+            cost=float("inf") if fallback else float(report.cost[e]),
+            terms={label: float(value) for label, value in zip(self.costs.labels, report.terms[e], strict=True)},
+            best=(e * self.shape.samples + int(report.best[e])) * self.shape.domains,
             plan_ms=plan_ms,
             stages_ms={name: 1e3 * seconds for name, seconds in self.graph.stages.items()},
-            diverged_worlds=diverged,
+            diverged_worlds=int(report.diverged[e]),
             fallback=fallback,
         )

@@ -7,32 +7,23 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 from ..model.pairs import Pair
 from ..scene.errors import SceneError
 from .resources.geodesic import obstacle_outlines, polygon_distance
+from .resources.resource import Resources
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from ..kernels.terms.pushing import PushPathParams
     from ..model.layout import Layout, ShapeInfo
     from ..scene.schema import Scene
-    from .resources.push_path import PushRequest
 
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
 """Numbers of the shapes whose distance ``kernels.clearance.shape_distance`` knows."""
-
-
-@dataclass(frozen=True)
-class FieldRequest:
-    """A distance field that some term samples: path length to a frame for a mover of some size."""
-
-    target: int
-    inflation: float
-    """Obstacles grow by this [m]."""
 
 
 @dataclass
@@ -41,14 +32,31 @@ class Binding:
 
     scene: Scene
     layout: Layout
+    device: str = "cpu"
+    """Where the parameters of the terms live."""
     key: str = ""
     """Scene key of the term being bound, for errors."""
     pairs: list[Pair] = field(default_factory=list)
     sensors: list[str] = field(default_factory=list)
     """Names of the sensors that terms read, ``robot/sensor``."""
-    fields: list[FieldRequest] = field(default_factory=list)
-    push_paths: list[tuple[PushPathParams, PushRequest]] = field(default_factory=list)
-    """Parameters of terms that want a push value, and for what sizes."""
+
+    def __post_init__(self):
+        self.resources = Resources(self.scene, self.layout)
+
+    def array(self, values: object, dtype: type) -> wp.array:
+        """An array of parameters on the device of the terms."""
+        return wp.array(values, dtype=dtype, device=self.device)
+
+    def scalar(self, name: str, key: str) -> int:
+        """Index of a scalar of the task.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        names = list(self.scene.scalar)
+        if name not in names:
+            raise SceneError("no such scalar", key=f"{self.key}.{key}", file=self.file, found=name, allowed=names)
+        return names.index(name)
 
     @property
     def file(self) -> Path | None:
@@ -157,7 +165,7 @@ class Binding:
                 found=pushed.rotation,
             )
         places = {f"'{name}' starts": pushed.position[:2]}
-        if self.scene.goal.object == name:
+        if self.scene.goal is not None and self.scene.goal.object == name:
             places[f"the goal of '{name}' lies"] = self.scene.goal.position[:2]
         for obstacle, corners in obstacle_outlines(self.layout, self.supports):
             for what, place in places.items():
@@ -168,13 +176,6 @@ class Binding:
                         key=f"obstacle.{obstacle}.support",
                         file=self.file,
                     )
-
-    def distance_field(self, target: int, inflation: float) -> int:
-        """Index of the distance field to a frame; terms that ask for the same field share it."""
-        request = FieldRequest(target, inflation)
-        if request not in self.fields:
-            self.fields.append(request)
-        return self.fields.index(request)
 
     def footprint(self, name: str) -> float:
         """Radius [m] that obstacles grow by for a mover: between its footprint's inner and outer circle."""

@@ -39,7 +39,9 @@ from .keys import (
     Yaw,
 )
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
+from .resources.guide import Guides
 from .resources.push_path import PushRequest
+from .resources.push_value import PushValues
 from .term import CostTerm, parse_keys
 
 if TYPE_CHECKING:
@@ -50,11 +52,12 @@ def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
     v = parse_keys(Distance, keys, b)
     p = costs.DistanceParams()
     p.first, p.second = (b.frame(name, "between") for name in v.between)
-    flat_goal = "goal" in v.between and len(b.scene.goal.position) == 2
+    flat_goal = "goal" in v.between and b.scene.goal is not None and len(b.scene.goal.position) == 2
     p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
     p.field, p.near, p.lead = -1, v.near, v.lead
     if v.metric is Metric.GEODESIC:
-        p.field = b.distance_field(p.second, b.footprint(v.between[0]) if v.inflation is None else v.inflation)
+        inflation = b.footprint(v.between[0]) if v.inflation is None else v.inflation
+        p.field = b.resources.get(Guides).request(p, p.second, inflation)
     return p
 
 
@@ -71,7 +74,8 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
     p.near, p.slack, p.field = v.near, v.slack, -1
     if v.metric is Metric.GEODESIC:
-        p.field = b.distance_field(p.goal, b.footprint(v.object) if v.inflation is None else v.inflation)
+        inflation = b.footprint(v.object) if v.inflation is None else v.inflation
+        p.field = b.resources.get(Guides).request(p, p.goal, inflation)
     return p
 
 
@@ -93,11 +97,11 @@ def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     p.aim = wp.vec2(0.75 * min(p.arm, math.atan2(min(x, y), max(x, y))), 0.75 * p.arm)
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
     # to a centimetre, so that a distance term can share the field
-    p.field = b.distance_field(p.object, round(0.5 * math.hypot(v.width, v.length), 2))
+    p.field = b.resources.get(Guides).request(p, p.object, round(0.5 * math.hypot(v.width, v.length), 2))
     p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn
     b.require_way(v.object)
     request = PushRequest(inflation, (x, y), shape.kind == "box", v.width, v.length, v.turn, v.slant)
-    b.push_paths.append((p, request))
+    b.resources.get(PushValues).request(p, request)
     return p
 
 
@@ -152,7 +156,7 @@ def _dofs(v: Joints, b: Binding) -> list[int]:
 
 def _joint_velocity(keys: dict[str, Any], b: Binding) -> costs.JointVelocityParams:
     p = costs.JointVelocityParams()
-    p.joint = wp.array(_dofs(parse_keys(Joints, keys, b), b), dtype=int)
+    p.joint = b.array(_dofs(parse_keys(Joints, keys, b), b), dtype=int)
     return p
 
 
@@ -160,8 +164,8 @@ def _posture(keys: dict[str, Any], b: Binding) -> costs.PostureParams:
     coords = b.layout.dof_coord[_dofs(parse_keys(Joints, keys, b), b)]
     coords = coords[coords >= 0]
     p = costs.PostureParams()
-    p.coord = wp.array(coords, dtype=int)
-    p.target = wp.array(b.layout.joint_q[coords], dtype=float)
+    p.coord = b.array(coords, dtype=int)
+    p.target = b.array(b.layout.joint_q[coords], dtype=float)
     return p
 
 
@@ -177,9 +181,9 @@ def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
         first, count = _range(Robots(of=v.of), _dof_names(b), b)
         dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
     p = costs.JointLimitParams()
-    p.coord = wp.array(layout.dof_coord[dofs], dtype=int)
-    p.lower = wp.array(layout.dof_lower[dofs] + v.margin, dtype=float)
-    p.upper = wp.array(layout.dof_upper[dofs] - v.margin, dtype=float)
+    p.coord = b.array(layout.dof_coord[dofs], dtype=int)
+    p.lower = b.array(layout.dof_lower[dofs] + v.margin, dtype=float)
+    p.upper = b.array(layout.dof_upper[dofs] - v.margin, dtype=float)
     return p
 
 
@@ -193,9 +197,9 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> clearance.ObstacleC
     p = clearance.ObstacleClearanceParams()
     p.of, p.radius, p.least, p.surface = b.frame(v.of, "of"), v.radius, v.least, int(v.to == "surface")
     inverse = [wp.transform_inverse(wp.transform(*s.pose)) for s in shapes]
-    p.pose = wp.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
-    p.kind = wp.array([PRIMITIVES[s.kind] for s in shapes], dtype=int)
-    p.size = wp.array(np.array([s.scale for s in shapes], dtype=np.float32).reshape(-1, 3), dtype=wp.vec3)
+    p.pose = b.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
+    p.kind = b.array([PRIMITIVES[s.kind] for s in shapes], dtype=int)
+    p.size = b.array(np.array([s.scale for s in shapes], dtype=np.float32).reshape(-1, 3), dtype=wp.vec3)
     return p
 
 
@@ -215,12 +219,12 @@ def _outline_clearance(keys: dict[str, Any], b: Binding) -> clearance.OutlineCle
     outlines += [corners for _, corners in obstacle_outlines(layout, supports)]
     counts = [len(o) for o in outlines]
     centres = [o.mean(axis=0) for o in outlines]
-    p.corner = wp.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
-    p.first = wp.array(np.cumsum([0, *counts[:-1]]), dtype=int)
-    p.count = wp.array(counts, dtype=int)
-    p.centre = wp.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
+    p.corner = b.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
+    p.first = b.array(np.cumsum([0, *counts[:-1]]), dtype=int)
+    p.count = b.array(counts, dtype=int)
+    p.centre = b.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
     radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(outlines, centres, strict=True)]
-    p.radius = wp.array(radii, dtype=float)
+    p.radius = b.array(radii, dtype=float)
     return p
 
 
@@ -271,8 +275,8 @@ def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
     p = grasping.GripperParams()
     p.hand, p.object, p.near = b.frame(v.hand, "hand"), b.frame(v.object, "object"), v.near
     controls = [b.control(name, "fingers") for name in v.fingers]
-    p.finger = wp.array(controls, dtype=int)
-    p.middle = wp.array(0.5 * (b.layout.control_lower + b.layout.control_upper)[controls], dtype=float)
+    p.finger = b.array(controls, dtype=int)
+    p.middle = b.array(0.5 * (b.layout.control_lower + b.layout.control_upper)[controls], dtype=float)
     return p
 
 

@@ -13,7 +13,6 @@ from pydantic import ValidationError
 
 from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
-from .kernel import stage_cost_kernel
 
 if TYPE_CHECKING:
     from ..scene.types import Section
@@ -36,10 +35,6 @@ class CostTerm:
     """Turns the keys of a scene file into a filled parameter struct."""
     keys: type[Section] | None = None
     """Types of those keys, for help texts and errors; derived from the struct for users' terms."""
-
-    def kernel(self) -> wp.Kernel:
-        """The kernel that evaluates this term: one thread per step and world."""
-        return stage_cost_kernel(self.function, self.params)
 
 
 @dataclass(frozen=True)
@@ -91,8 +86,9 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
 
     The function receives a dict of arrays (NumPy on the CPU, DLPack-compatible Warp arrays on CUDA):
     ``joint_q [T+1, W, nq]``, ``joint_qd [T+1, W, nv]``, ``body_q [T+1, W, nb, 7]``, ``body_qd [T+1, W, nb, 6]``,
-    ``contact_force [T, W, pair, 3]``, ``sensor [T, W, ns]``, ``control [T, W, nu]``, ``goal [E, 7]``; and the keys of
-    its ``[[cost]]`` table under ``params``. It returns the cost of every step and world, ``[T, W]``.
+    ``contact_force [T, W, pair, 3]``, ``sensor [T, W, ns]``, ``control [T, W, nu]``, ``goal [E, 7]``, all poses of the
+    task ``pose [E, poses, 7]`` and its scalars ``scalar [E, scalars]``; and the keys of its ``[[cost]]`` table under
+    ``params``. It returns the cost of every step and world, ``[T, W]``.
 
     Args:
         name: What scene files call the term.
@@ -113,7 +109,7 @@ def _annotations(function: Callable) -> dict[str, Any]:
 def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any:
     """Fill a user's parameter struct from scene keys."""
     struct = params()
-    finders = {"joint": binding.joint, "sensor": binding.sensor}
+    finders = {"joint": binding.joint, "sensor": binding.sensor, "scalar": binding.scalar}
     for key, value in keys.items():
         where = f"{binding.key}.{key}"
         if key not in params.vars:

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -24,16 +26,14 @@ from ..kernels.worlds.clone import (
     record_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
-from ..model.joints import joint_table, start_mocap
+from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world, randomize_model
 from ..model.pairs import Pair
+from .crew import Crew
 from .trajectory import ObservedState, Shape, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from ..model.compiled import CompiledScene
-    from ..model.layout import Layout
     from ..model.properties import Properties
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -54,6 +54,18 @@ class WarningCounter:
         self.last = str(message)
 
 
+PARTS = 4
+"""Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""
+LEAST_PART = 4
+"""Worlds in a part, but for the last: below this, handing parts out takes longer than stepping them."""
+
+
+def _split(worlds: int, threads: int) -> list[tuple[int, int]]:
+    """First world and number of worlds of each part."""
+    size = worlds if threads == 1 else max(-(-worlds // (PARTS * threads)), LEAST_PART)
+    return [(first, min(size, worlds - first)) for first in range(0, worlds, size)]
+
+
 warnings = WarningCounter()
 
 
@@ -68,8 +80,8 @@ class MujocoEngine:
     Args:
         compiled: The scene.
         shape: Environments, samples, domains and horizon.
-        control_dt: Length of a control [s].
-        substeps: Physics steps per control.
+        substeps: Physics steps in each control step ``[T]``.
+        timestep: Length of a physics step [s].
         pairs: Pairs of entities whose contact force is watched.
         properties: Draws of physical properties; sample s and domain d use draw d when there are several domains,
             else draw s. ``None`` leaves every world nominal.
@@ -86,24 +98,26 @@ class MujocoEngine:
         compiled: CompiledScene,
         shape: Shape,
         *,
-        control_dt: float,
-        substeps: int,
+        substeps: Sequence[int],
+        timestep: float,
         pairs: tuple[Pair, ...] = (),
         properties: Properties | None = None,
         threads: int = 0,
         options: Options | None = None,
         sensors: Collection[str] | None = None,
     ):
-        self.shape, self.substeps, self.pairs = shape, substeps, pairs
+        self.shape, self.pairs, self.substeps = shape, pairs, tuple(substeps)
         layout = compiled.layout
-        world = make_world(compiled, timestep=control_dt / substeps, pairs=pairs, options=options, sensors=sensors)
+        world = make_world(compiled, timestep=timestep, pairs=pairs, options=options, sensors=sensors)
         self.model, self.joint_qd = world.model, world.joint_qd
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
-        self._pool = mujoco.rollout.Rollout(nthread=self.threads)
-        self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
-        self.steps = shape.horizon * substeps
+        self._crew = Crew(self.threads)
+        self._own = threading.local()  # every thread has a simulation state of its own
+        self._parts = _split(shape.worlds, self.threads)
+        end = np.cumsum(substeps)
+        self.steps = int(end[-1])
         self.duration = self.steps * world.model.opt.timestep
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
@@ -117,8 +131,10 @@ class MujocoEngine:
             wp.array(a, dtype=wp.float64, device="cpu", copy=False)
             for a in (self.initial, self.control, self.state, self.sensor)
         )
+        self._end = wp.array(end - 1, dtype=int, device="cpu")
+        self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
         self._table = joint_table(layout, "cpu", worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
-        self._bind_columns(world, layout)
+        self._bind_columns(world)
         self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
         self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
         self.trajectory = Trajectory.allocate(shape, layout, len(pairs), "cpu")
@@ -130,7 +146,7 @@ class MujocoEngine:
         mujoco.mj_getState(model, mujoco.MjData(model), row, self._control_spec)
         return row
 
-    def _bind_columns(self, world: MujocoWorld, layout: Layout) -> None:
+    def _bind_columns(self, world: MujocoWorld) -> None:
         """Where activations, mocap bodies, sensors and contact forces stand in MuJoCo's arrays."""
 
         def upload(values: np.ndarray) -> wp.array:
@@ -139,10 +155,8 @@ class MujocoEngine:
         self._activation = upload(1 + world.model.nq + world.model.nv + world.activation)
         self._mocap = upload(world.mocap)
         self._sensors = upload(world.sensor)
-        self._recorded = bool((world.sensor >= 0).any())
+        self._senses = bool((world.sensor >= 0).any())
         self._pair_start = upload(self._pair_sensor)
-        self._start_act = wp.array(np.tile(layout.act, (self.shape.envs, 1)), dtype=float, device="cpu")
-        self._start_mocap = start_mocap(layout, self.shape.envs, "cpu")
 
     def _randomized(self, world, properties: Properties | None) -> list[mujoco.MjModel]:
         if properties is None or not properties.names:
@@ -170,32 +184,20 @@ class MujocoEngine:
             outputs=[self._initial],
             device="cpu",
         )
-        worlds, rollouts = self.shape.worlds, self.shape.rollouts
         if self._activation.size:
-            wp.launch(
-                clone_activation_kernel,
-                dim=(worlds, self._activation.size),
-                inputs=[self._start_act if state.act is None else state.act, rollouts],
-                outputs=[out.act],
-                device="cpu",
-            )
-            wp.launch(
-                mujoco_activation_kernel,
-                dim=(worlds, self._activation.size),
-                inputs=[out.act, self._activation],
-                outputs=[self._initial],
-                device="cpu",
-            )
+            self._clone_activations(state)
+
+    def _clone_activations(self, state: ObservedState) -> None:
+        out, dim = self.trajectory, (self.shape.worlds, self._activation.size)
+        inputs = [state.act, self.shape.rollouts]
+        wp.launch(clone_activation_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
+        inputs = [out.act, self._activation]
+        wp.launch(mujoco_activation_kernel, dim=dim, inputs=inputs, outputs=[self._initial], device="cpu")
 
     def _clone_mocap(self, state: ObservedState) -> None:
         """Put the mocap bodies of every world where they are observed."""
-        wp.launch(
-            clone_mocap_kernel,
-            dim=(self.shape.worlds, self._mocap.size),
-            inputs=[self._start_mocap if state.mocap is None else state.mocap, self.shape.rollouts],
-            outputs=[self.mocap_pose],
-            device="cpu",
-        )
+        dim, inputs = (self.shape.worlds, self._mocap.size), [state.mocap, self.shape.rollouts]
+        wp.launch(clone_mocap_kernel, dim=dim, inputs=inputs, outputs=[self.mocap_pose], device="cpu")
         self._write_mocap()
 
     def _write_mocap(self) -> None:
@@ -217,39 +219,53 @@ class MujocoEngine:
         self.mocap_pose.numpy()[world, index] = pose
         self._write_mocap()
 
-    def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`."""
+    def run(self, work: Callable[[int, int], None]) -> None:
+        """Call ``work(first, count)`` for parts of the worlds, on all threads."""
+        self._crew.run(len(self._parts), lambda part, _: work(*self._parts[part]))
+
+    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+        """Roll controls [T, W, nu] of some worlds out from the cloned state into :attr:`trajectory`.
+
+        Args:
+            control: Controls of all worlds.
+            first: First of the worlds.
+            count: How many they are, all from the first on if None. Different threads may take different worlds.
+        """
+        count = self.shape.worlds - first if count is None else count
         wp.launch(
             mujoco_control_kernel,
-            dim=(self.shape.worlds, self.steps),
-            inputs=[control, self._matrix, self._offset, self.substeps],
+            dim=(count, self.steps),
+            inputs=[control, self._matrix, self._offset, self._step, first],
             outputs=[self._control],
             device="cpu",
         )
-        self.step_physics()
-        self._record()
+        self.step_physics(first, count)
+        self._record(first, count)
 
-    def step_physics(self) -> None:
-        """The physics alone: one call into MuJoCo's thread pool."""
-        self._pool.rollout(
-            self.models,
-            self._data,
-            self.initial,
-            self.control,
+    def step_physics(self, first: int, count: int) -> None:
+        """The physics of some worlds alone, on this thread."""
+        own, worlds = self._own, slice(first, first + count)
+        if not hasattr(own, "rollout"):
+            own.rollout, own.data = mujoco.rollout.Rollout(nthread=0), [mujoco.MjData(self.model)]
+        own.rollout.rollout(
+            self.models[worlds],
+            own.data,
+            self.initial[worlds],
+            self.control[worlds],
             nstep=self.steps,
-            state=self.state,
-            sensordata=self.sensor,
+            state=self.state[worlds],
+            sensordata=self.sensor[worlds],
             skip_checks=True,
             control_spec=self._control_spec,
         )
 
-    def _record(self) -> None:
+    def _record(self, first: int, count: int) -> None:
         out = self.trajectory
-        dim = (self.shape.horizon, self.shape.worlds)
+        dim = (self.shape.horizon, count)
         wp.launch(
             record_mujoco_kernel,
             dim=dim,
-            inputs=[self._table, self.model.nq, self.substeps, self._state],
+            inputs=[self._table, self.model.nq, self._end, self._state, first],
             outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
             device="cpu",
         )
@@ -257,37 +273,30 @@ class MujocoEngine:
             wp.launch(
                 mujoco_contact_force_kernel,
                 dim=dim,
-                inputs=[self._sensor, self._pair_start, self.substeps],
+                inputs=[self._sensor, self._pair_start, self._end, first],
                 outputs=[out.contact_force],
                 device="cpu",
             )
         if self._activation.size:
-            self._gather(self._state, self._activation, 1, out.act)
-        if self._recorded:
-            self._gather(self._sensor, self._sensors, 0, out.sensor)
+            inputs = [self._state, self._activation, self._end, 1, first]
+            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
+        if self._senses:
+            inputs = [self._sensor, self._sensors, self._end, 0, first]
+            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.sensor], device="cpu")
         wp.launch(
             divergence_kernel,
-            dim=self.shape.worlds,
-            inputs=[self._state, wp.float64(self.duration)],
+            dim=count,
+            inputs=[self._state, wp.float64(self.duration), first],
             outputs=[out.diverged],
-            device="cpu",
-        )
-
-    def _gather(self, source: wp.array, column: wp.array, first: int, out: wp.array) -> None:
-        wp.launch(
-            gather_kernel,
-            dim=(self.shape.horizon, self.shape.worlds),
-            inputs=[source, column, self.substeps, first],
-            outputs=[out],
             device="cpu",
         )
 
     def pair_force(self, world: int) -> np.ndarray:
         """Net contact force on the first of each pair of one world at every physics step ``[steps, pairs, 3]`` [N]."""
+        if not self.pairs:
+            return np.zeros((self.steps, 0, 3))
         start = self._pair_sensor
         parts = self.sensor[world, :, start[0] :].reshape(self.steps, -1, 3)
-        if not len(self.pairs):
-            return np.zeros((self.steps, 0, 3))
         return -np.add.reduceat(parts, (start[:-1] - start[0]) // 3, axis=1)  # MuJoCo measures it on the second
 
     def overflow_message(self, bits: int) -> str:
@@ -296,4 +305,4 @@ class MujocoEngine:
 
     def close(self) -> None:
         """Stop the threads."""
-        self._pool.close()
+        self._crew.close()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import newton
@@ -38,8 +39,8 @@ class NewtonEngine:
         scene: The scene; ``engine.solver`` and ``engine.options`` say which solver steps it.
         layout: Its layout.
         shape: Sizes of the batch.
-        control_dt: Length of a control step [s].
-        substeps: Physics steps per control step.
+        substeps: Physics steps in each control step ``[T]``.
+        timestep: Length of a physics step [s].
         pairs: Pairs of entities whose contact force is watched.
         properties: Draws of physical properties; ``None`` leaves every world nominal.
         device: Warp device.
@@ -56,15 +57,15 @@ class NewtonEngine:
         layout: Layout,
         shape: Shape,
         *,
-        control_dt: float,
-        substeps: int,
+        substeps: Sequence[int],
+        timestep: float,
         pairs: tuple[Pair, ...] = (),
         properties: Properties | None = None,
         device: str = "cuda",
     ):
         self.shape, self.substeps, self.pairs = shape, substeps, pairs
         self.device = str(wp.get_device(device))
-        self.dt = control_dt / substeps
+        self.dt = timestep
         with wp.ScopedDevice(self.device):
             self.model = build_model(scene, shape.worlds, self.device)
             self.solver = make_solver(self.model, scene, layout, shape, pairs)
@@ -73,7 +74,7 @@ class NewtonEngine:
             self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
             self._table = joint_table(layout, self.device)
             self._states = self._make_states()
-            self._scratch = [self.model.state() for _ in range(min(substeps - 1, 2))]
+            self._scratch = [self.model.state() for _ in range(min(max(substeps) - 1, 2))]
             self._make_controls(layout)
 
     def _make_states(self) -> list[newton.State]:
@@ -125,8 +126,12 @@ class NewtonEngine:
             device=self.device,
         )
 
-    def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`; capture-safe."""
+    def run(self, work: Callable[[int, int], None]) -> None:
+        """Call ``work(first, count)`` for all worlds at once."""
+        work(0, self.shape.worlds)
+
+    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""
         out = self.trajectory
         wp.launch(
             newton_control_kernel,
@@ -150,20 +155,20 @@ class NewtonEngine:
 
     def _control_step(self, t: int) -> None:
         """The physics steps of one control step, from slice t to slice t + 1."""
-        before, control = self._states[t], self._controls[t]
-        for n in range(self.substeps):
-            after = self._states[t + 1] if n == self.substeps - 1 else self._scratch[n % 2]
+        before, control, substeps = self._states[t], self._controls[t], self.substeps[t]
+        for n in range(substeps):
+            after = self._states[t + 1] if n == substeps - 1 else self._scratch[n % 2]
             self.solver.step(before, after, control, self.dt)
-            self.solver.add_forces(t, 1.0 / self.substeps, self.trajectory.contact_force, self.trajectory.overflow)
+            self.solver.add_forces(t, 1.0 / substeps, self.trajectory.contact_force, self.trajectory.overflow)
             before = after
         self.solver.finish(before)
 
     def step_physics(self) -> None:
         """The physics alone: the same solver steps with the last controls, nothing recorded but their states."""
         for t in range(self.shape.horizon):
-            before, control = self._states[t], self._controls[t]
-            for n in range(self.substeps):
-                after = self._states[t + 1] if n == self.substeps - 1 else self._scratch[n % 2]
+            before, control, substeps = self._states[t], self._controls[t], self.substeps[t]
+            for n in range(substeps):
+                after = self._states[t + 1] if n == substeps - 1 else self._scratch[n % 2]
                 self.solver.step(before, after, control, self.dt)
                 before = after
 

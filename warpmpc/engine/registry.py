@@ -1,28 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which engine rolls out a scene on this machine."""
+"""The engines by name: what each runs on, what it can do, and how one is made."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
 
 from ..model.mujoco_model import Options
+from ..scene.errors import SceneError
 from ..scene.schema import EngineName
-from .mujoco import MujocoEngine
+from .recorded import RecordedEngine
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
+    from ..cost.stack import CostStack
+    from ..kernels.planning.splines import Spline
     from ..model.compiled import CompiledScene
-    from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
+    from ..task.observed import ObservedState
+    from .timegrid import TimeGrid
     from .trajectory import Engine, Shape
 
 
-SUBSTEPS = 2
-"""Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
+@dataclass(frozen=True, kw_only=True)
+class EngineRequest:
+    """What an engine is built for."""
+
+    scene: Scene
+    compiled: CompiledScene
+    shape: Shape
+    """Sizes of the batch."""
+    grid: TimeGrid
+    """Times and weights of the steps of a rollout."""
+    spline: Spline
+    """Spline from knots to controls, on the device."""
+    limits: tuple[wp.array, wp.array]
+    """Lower and upper limits of the controls ``[nu]``, on the device."""
+    state: ObservedState
+    """What rollouts start from, on the device."""
+    costs: CostStack
+    """The cost terms, on the device."""
+    device: str
+    properties: Properties | None = None
+    """Draws of physical properties, None for nominal worlds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineEntry:
+    """An engine as the registry knows it."""
+
+    name: str
+    cuda: bool
+    """Whether it runs on CUDA devices."""
+    cpu: bool
+    """Whether it runs on the CPU."""
+    make: Callable[[EngineRequest], Engine]
+
+
+ENGINES: dict[str, EngineEntry] = {}
+"""Engines by name."""
+
+
+def register(entry: EngineEntry) -> None:
+    """Add an engine.
+
+    Raises:
+        ValueError: If there is one of this name.
+    """
+    if entry.name in ENGINES:
+        raise ValueError(f"there is an engine '{entry.name}' already")
+    ENGINES[entry.name] = entry
 
 
 def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
@@ -30,14 +81,14 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
 
     Args:
         scene: The scene, whose ``engine.name`` counts when ``engine`` is ``auto``.
-        engine: ``auto``, ``mujoco`` or ``newton``.
+        engine: ``auto`` or an engine's name.
         device: ``auto``, ``cpu`` or a CUDA device.
 
     Raises:
         ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
     """
     engine = str(scene.engine.name) if engine == "auto" else engine
-    if engine not in list(EngineName):
+    if engine not in (*ENGINES, "auto"):
         raise ValueError(f"no engine '{engine}'; there is: {', '.join(EngineName)}")
     if device != "auto":
         try:
@@ -45,61 +96,97 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
         except Exception as error:  # Warp raises several kinds for a device that is not there
             have = ", ".join(str(d) for d in wp.get_devices())
             raise ValueError(f"no device '{device}' on this machine; there is: auto, {have}") from error
-    cuda = wp.is_cuda_available()
-    if engine == EngineName.MUJOCO:
-        if device not in ("auto", "cpu"):
-            raise ValueError(f"the engine mujoco runs on device cpu, not '{device}'")
-        return engine, "cpu"
-    if engine == EngineName.NEWTON:
-        return engine, (str(wp.get_preferred_device()) if device == "auto" else device)
-    if device == "cpu" or not cuda:
-        return str(EngineName.MUJOCO), "cpu"
-    if device != "auto":
-        return str(EngineName.NEWTON), device
-    return engine, str(wp.get_preferred_device())
+    if engine == "auto":
+        if device == "cpu" or not wp.is_cuda_available():
+            return str(EngineName.MUJOCO), "cpu"
+        if device != "auto":
+            return str(EngineName.NEWTON), device
+        return engine, str(wp.get_preferred_device())
+    entry = ENGINES[engine]
+    if device == "auto":
+        device = str(wp.get_preferred_device()) if entry.cuda else "cpu"
+    if not (entry.cpu if device == "cpu" else entry.cuda):
+        raise ValueError(f"the engine {engine} runs on device {'cpu' if entry.cpu else 'cuda'}, not '{device}'")
+    return engine, device
 
 
-def make_engine(
-    name: str,
-    scene: Scene,
-    compiled: CompiledScene,
-    shape: Shape,
-    *,
-    control_dt: float,
-    device: str,
-    pairs: tuple[Pair, ...] = (),
-    properties: Properties | None = None,
-    sensors: Collection[str] = (),
-) -> Engine:
+def default_engine(device: str) -> tuple[str, str]:
+    """The engine for a device where nobody has measured: ``newton`` on a GPU, ``mujoco`` on the CPU."""
+    return (str(EngineName.MUJOCO), "cpu") if device == "cpu" else (str(EngineName.NEWTON), device)
+
+
+def make_engine(name: str, request: EngineRequest) -> Engine:
     """Build an engine.
 
-    Args:
-        name: ``mujoco`` or ``newton``.
-        scene: The scene.
-        compiled: The scene, compiled.
-        shape: Sizes of the batch.
-        control_dt: Length of a step of a rollout [s].
-        device: Warp device.
-        pairs: Pairs of entities whose contact force is watched.
-        properties: Draws of physical properties.
-        sensors: Sensors that terms read.
+    Raises:
+        SceneError: If it cannot do what the scene asks for.
     """
-    physics = scene.engine
-    common = {
-        "control_dt": control_dt,
-        "substeps": compiled.substeps(physics.substeps, control_dt, SUBSTEPS),
-        "pairs": pairs,
-        "properties": properties,
-    }
-    if name == EngineName.NEWTON:
-        from .newton import NewtonEngine  # slow to import, and nothing else needs it
+    return ENGINES[name].make(request)
 
-        return NewtonEngine(scene, compiled.layout, shape, device=device, **common)
-    return MujocoEngine(
-        compiled,
-        shape,
-        threads=physics.threads,
-        options=Options.of(physics),
-        sensors=sensors,
-        **common,
+
+SUBSTEPS = 2
+"""Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
+
+
+def physics_steps(scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> tuple[list[int], float]:
+    """Physics steps in each step of a rollout, and the length of one [s].
+
+    Raises:
+        SceneError: If a step is no multiple of the physics step, which has one length in these engines.
+    """
+    timestep = float(grid.dt[0]) / compiled.substeps(scene.engine.substeps, float(grid.dt[0]), SUBSTEPS)
+    count = grid.dt / timestep
+    if np.abs(count - np.round(count)).max() > 1e-6:
+        raise SceneError(
+            f"the physics of this engine takes steps of one length, {timestep:g} s (the first step / engine.substeps), "
+            "and every step of a rollout must be a multiple of it",
+            key="planner.dt",
+            file=scene.path,
+            found=[float(round(dt, 6)) for dt in grid.dt],
+        )
+    return np.round(count).astype(int).tolist(), timestep
+
+
+def _recorded(request: EngineRequest, simulator: object) -> RecordedEngine:
+    r = request
+    return RecordedEngine(simulator, r.costs, r.state, r.shape, r.grid, r.spline, r.limits, r.scene.planner)
+
+
+def _make_mujoco(request: EngineRequest) -> Engine:
+    from .mujoco import MujocoEngine
+
+    scene = request.scene
+    substeps, timestep = physics_steps(scene, request.compiled, request.grid)
+    simulator = MujocoEngine(
+        request.compiled,
+        request.shape,
+        substeps=substeps,
+        timestep=timestep,
+        pairs=request.costs.pairs,
+        properties=request.properties,
+        threads=scene.engine.threads,
+        options=Options.of(scene.engine),
+        sensors=request.costs.sensors,
     )
+    return _recorded(request, simulator)
+
+
+def _make_newton(request: EngineRequest) -> Engine:
+    from .newton import NewtonEngine  # slow to import, and nothing else needs it
+
+    substeps, timestep = physics_steps(request.scene, request.compiled, request.grid)
+    simulator = NewtonEngine(
+        request.scene,
+        request.compiled.layout,
+        request.shape,
+        substeps=substeps,
+        timestep=timestep,
+        pairs=request.costs.pairs,
+        properties=request.properties,
+        device=request.device,
+    )
+    return _recorded(request, simulator)
+
+
+register(EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, make=_make_mujoco))
+register(EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, make=_make_newton))

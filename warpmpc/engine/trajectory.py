@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 import warp as wp
+
+from ..task.observed import ObservedState
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
@@ -63,18 +67,8 @@ class Trajectory:
         )
 
 
-@dataclass(frozen=True)
-class ObservedState:
-    """What the plant shows, one row per environment."""
-
-    joint_q: wp.array  # [E, nq]
-    joint_qd: wp.array  # [E, nv]
-    act: wp.array | None = None  # [E, na] activations; those of the scene's start when left out
-    mocap: wp.array | None = None  # [E, nm] transform, poses of mocap bodies; those of the start when left out
-
-
-class Engine(Protocol):
-    """Rolls controls out from a state."""
+class Simulator(Protocol):
+    """Rolls controls out from a state and records them."""
 
     name: str
     device: str
@@ -83,8 +77,41 @@ class Engine(Protocol):
     def clone(self, state: ObservedState) -> None:
         """Put every world into the observed state; nothing of an earlier plan remains."""
 
-    def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] out from the cloned state into :attr:`trajectory`; capture-safe on CUDA."""
+    def run(self, work: Callable[[int, int], None]) -> None:
+        """Call ``work(first, count)`` for parts of the worlds, on as many threads as there are."""
+
+    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+        """Roll controls [T, W, nu] of some worlds out from the cloned state into :attr:`trajectory`."""
+
+    def overflow_message(self, bits: int) -> str:
+        """What overflowed and which setting to raise."""
+
+    def close(self) -> None:
+        """Release threads and memory."""
+
+
+class Engine(Protocol):
+    """Turns knots into costs, and chosen worlds into trajectories."""
+
+    name: str
+    device: str
+    capturable: bool
+    cost: wp.array  # [E, S] cost of every sample, +inf where it diverged
+    term_cost: wp.array  # [E, term] of the samples explained last
+    diverged: wp.array  # [W] nonzero where the physics failed
+    overflow: wp.array  # [W] capacity bits
+
+    def begin(self) -> None:
+        """Start from the observed state; capture-safe where :attr:`capturable`."""
+
+    def evaluate(self, knots: wp.array, offset: wp.array) -> None:
+        """Roll knots ``[E, S, P, nu]`` out and judge them, into :attr:`cost`; capture-safe where :attr:`capturable`."""
+
+    def explain(self, sample: wp.array) -> None:
+        """Write what each term added to the cost of one sample of every environment ``[E]``, into :attr:`term_cost`."""
+
+    def record(self, worlds: Sequence[int]) -> np.ndarray:
+        """Body poses ``[T+1, n, nb, 7]`` of some worlds of the last evaluation, on the host."""
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""

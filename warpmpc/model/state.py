@@ -20,8 +20,8 @@ class State:
     """Joint coordinates ``[nq]``, or ``[E, nq]`` for several environments [m, rad]."""
     joint_qd: np.ndarray
     """Joint velocities ``[nv]``, or ``[E, nv]`` [m/s, rad/s]."""
-    time: float = 0.0
-    """When it was observed [s]."""
+    time: float | np.ndarray | None = None
+    """When it was observed [s], one for all environments or ``[E]``; without, one control after the last one."""
     act: np.ndarray | None = None
     """Activations of actuators with dynamics ``[na]``, or ``[E, na]``; the scene's start when left out."""
     mocap: np.ndarray | None = None

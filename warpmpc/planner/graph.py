@@ -3,17 +3,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from ..engine.trajectory import ObservedState
-from ..kernels.worlds.exchange import REPORT, report_kernel, unpack_observation_kernel
+from ..kernels.worlds.exchange import (
+    REPORT,
+    best_sample_kernel,
+    count_failures_kernel,
+    report_kernel,
+    unpack_kernel,
+)
 from .weighting import BLOCK_DIM
 
 if TYPE_CHECKING:
-    from .plan import PlanStep
+    from .step import PlanStep
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """What came of a plan; views of the block that was copied back, overwritten by the next plan."""
+
+    command: np.ndarray  # [E, nu]
+    beta: np.ndarray  # [E]
+    eta: np.ndarray  # [E]
+    cost: np.ndarray  # [E] of the best sample, +inf when every sample diverged
+    best: np.ndarray  # [E] sample
+    diverged: np.ndarray  # [E] worlds whose physics failed
+    overflow: np.ndarray  # [E] capacity bits of all worlds together
+    terms: np.ndarray  # [E, terms] of the best sample
+    knots: np.ndarray  # [E, P, nu] of the plan
+    offset: np.ndarray  # [E] time from the first knot to the present [s]
 
 
 class PlanGraph:
@@ -30,10 +52,13 @@ class PlanGraph:
     def __init__(self, plan: PlanStep):
         self.plan = plan
         self.device = wp.get_device(plan.device)
-        layout, envs, terms = plan.layout, plan.shape.envs, len(plan.costs.labels)
-        self._nq, self._nv, self._nu = layout.nq, layout.nv, layout.nu
-        wide, reported = layout.nq + layout.nv + 7, layout.nu + int(REPORT) + terms
+        envs, terms = plan.shape.envs, len(plan.costs.labels)
         cuda = self.device.is_cuda
+        self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
+        state = plan.state
+        widths = [3, state.joint_q.shape[1], state.joint_qd.shape[1], state.act.shape[1], 7 * state.mocap.shape[1]]
+        widths.append(plan.costs.task.block.shape[1])
+        self._parts = np.cumsum([0, *widths])
 
         def host(columns: int) -> wp.array:
             return wp.zeros((envs, columns), dtype=float, device="cpu", pinned=cuda)
@@ -41,33 +66,48 @@ class PlanGraph:
         def device(columns: int) -> wp.array:
             return wp.zeros((envs, columns), dtype=float, device=self.device)
 
-        self._host_in, self._host_out = host(wide), host(reported)
-        self._in, self._out = device(wide), device(reported)
-        self.state = ObservedState(device(layout.nq), device(layout.nv))
+        wide = int(self._parts[-1])
+        reported = self._nu + int(REPORT) + terms + self._knots[1] * self._nu + 1
+        self._host_in, self._host_out, self._in, self._out = host(wide), host(reported), device(wide), device(reported)
         self._packed, self._report = self._host_in.numpy(), self._host_out.numpy()
+        self._best = wp.zeros(envs, dtype=int, device=self.device)
+        self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
+        self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
         self.captured: wp.Graph | None = None
-        self.capturable = cuda and plan.costs.capturable
+        self.capturable = plan.engine.capturable
 
     @property
     def stages(self) -> dict[str, float]:
         """Wall time of each stage of the last plan [s]; NaN where a graph runs them all as one."""
         return self.plan.stages if self.captured is None else dict.fromkeys(self.plan.stages, float("nan"))
 
-    def __call__(self, joint_q: np.ndarray, joint_qd: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Plan.
+    def __call__(
+        self,
+        observed: np.ndarray,
+        elapsed: np.ndarray,
+        start: np.ndarray,
+        joint_q: np.ndarray,
+        joint_qd: np.ndarray,
+        act: np.ndarray,
+        mocap: np.ndarray,
+    ) -> PlanReport:
+        """Plan for what the task wants at present.
 
         Args:
+            observed: Whether there is an observation to plan from ``[E]``.
+            elapsed: Time since the last plan ``[E]`` [s].
+            start: Time of the observation ``[E]`` [s].
             joint_q: Joint coordinates ``[E, nq]``.
             joint_qd: Joint velocities ``[E, nv]``.
-            goal: Goal poses ``[E, 7]``.
-
-        Returns:
-            A row per environment, ``[E, nu + 6 + terms]``: command, β, η, cost and index of the best sample, diverged
-            worlds, capacity bits, discounted cost of each term of the best sample. Overwritten by the next plan.
+            act: Activations ``[E, na]``.
+            mocap: Poses of mocap bodies ``[E, nm, 7]``.
         """
-        self._packed[:, : self._nq] = joint_q
-        self._packed[:, self._nq : -7] = joint_qd
-        self._packed[:, -7:] = goal
+        head = np.stack([observed, elapsed, start], axis=1)
+        envs = len(head)
+        blocks = (head, joint_q, joint_qd, act, mocap.reshape(envs, -1), self.plan.costs.task.block)
+        for block, first, end in zip(blocks, self._parts, self._parts[1:], strict=False):
+            self._packed[:, first:end] = block
+        self.plan.costs.refresh()
         if self.captured is not None:
             wp.capture_launch(self.captured)
         else:
@@ -77,36 +117,57 @@ class PlanGraph:
                     self._sequence()
                 self.captured = capture.graph
         wp.synchronize_device(self.device)
-        return self._report
+        return self._unpacked()
+
+    def _unpacked(self) -> PlanReport:
+        row, nu = self._report, self._nu
+        numbers = row[:, nu : nu + int(REPORT)].T
+        at = nu + int(REPORT)
+        low, high = numbers[5].astype(np.int64), numbers[6].astype(np.int64)
+        return PlanReport(
+            command=row[:, :nu],
+            beta=numbers[0],
+            eta=numbers[1],
+            cost=numbers[2],
+            best=numbers[3],
+            diverged=numbers[4],
+            overflow=low | high << 16,
+            terms=row[:, at : at + self._terms],
+            knots=row[:, at + self._terms : -1].reshape(self._knots),
+            offset=row[:, -1],
+        )
 
     def _sequence(self) -> None:
-        plan, trajectory = self.plan, self.plan.engine.trajectory
+        plan, strategy, engine, state = self.plan, self.plan.strategy, self.plan.engine, self.plan.state
         envs = self._in.shape[0]
         wp.copy(self._in, self._host_in)
-        wp.launch(
-            unpack_observation_kernel,
-            dim=envs,
-            inputs=[self._in],
-            outputs=[self.state.joint_q, self.state.joint_qd, plan.costs.goal],
+        task = [state.pose, state.scalar, state.weight]
+        observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act, state.mocap]
+        wp.launch(unpack_kernel, dim=envs, inputs=[self._in], outputs=observed + task, device=self.device)
+        plan()
+        wp.launch_tiled(
+            best_sample_kernel,
+            dim=[envs],
+            inputs=[engine.cost],
+            outputs=[self._best, self._best_cost],
+            block_dim=BLOCK_DIM,
             device=self.device,
         )
-        plan(self.state)
-        wp.launch_tiled(
+        engine.explain(self._best)
+        self._failures.zero_()
+        wp.launch(
+            count_failures_kernel,
+            dim=plan.shape.worlds,
+            inputs=[engine.diverged, engine.overflow, plan.shape.rollouts],
+            outputs=[self._failures],
+            device=self.device,
+        )
+        learned = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
+        wp.launch(
             report_kernel,
-            dim=[envs],
-            inputs=[
-                plan.command,
-                plan.weights.beta,
-                plan.weights.eta,
-                plan.weights.cost,
-                plan.costs.cost,
-                trajectory.diverged,
-                trajectory.overflow,
-                plan.shape.domains,
-                plan.planner.discount,
-            ],
+            dim=envs,
+            inputs=[*learned, self._failures, engine.term_cost, strategy.mean, strategy.offset],
             outputs=[self._out],
-            block_dim=BLOCK_DIM,
             device=self.device,
         )
         wp.copy(self._host_out, self._out)

@@ -43,7 +43,7 @@ class NoiseSource:
 
     Drawn once, the same Halton or Sobol table serves every environment and the plan step is deterministic;
     pseudo-random numbers differ between environments. Redrawn, a table is rotated at random per environment and
-    launch (Cranley and Patterson 1976), which keeps its low discrepancy; a counter on the device makes a replayed CUDA
+    launch (Cranley and Patterson 1976), which keeps its low discrepancy; counters on the device make a replayed CUDA
     graph draw anew.
 
     Args:
@@ -80,7 +80,7 @@ class NoiseSource:
         self.spread = spread
         self.device = wp.get_device(device)
         self.z = wp.empty((envs, samples, knots, nu), dtype=float, device=self.device)
-        self._counter = wp.zeros(1, dtype=int, device=self.device)
+        self._counter = wp.zeros(envs, dtype=int, device=self.device)
         self._table = None
         if self.source is not NoiseKind.RANDOM:
             columns = knots * nu
@@ -89,11 +89,21 @@ class NoiseSource:
             self._shift = wp.zeros((envs, columns), dtype=float, device=self.device)
         self._draw()
 
-    def launch(self) -> None:
-        """Draw ``z`` anew if the source redraws; capture-safe."""
+    def launch(self, observed: wp.array[int]) -> None:
+        """Draw ``z`` anew if the source redraws; capture-safe.
+
+        Args:
+            observed: Whether each environment is planned for ``[E]``; one that waits keeps its place in the sequence.
+        """
         if not self.redraw:
             return
-        wp.launch(advance_counter_kernel, dim=1, outputs=[self._counter], device=self.device)
+        wp.launch(
+            advance_counter_kernel,
+            dim=self._counter.shape,
+            inputs=[observed],
+            outputs=[self._counter],
+            device=self.device,
+        )
         if self._table is not None:
             wp.launch(
                 random_shift_kernel,

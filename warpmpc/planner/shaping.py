@@ -5,8 +5,43 @@ With ``normalize`` the rows have unit length, so that every knot's noise has sta
 Matrices are float32 arrays, ready to be copied to the device.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
+
+from ..scene.schema import NoiseShape
+
+if TYPE_CHECKING:
+    from ..scene.schema import Noise
+
+
+def shaping_matrix(noise: Noise, knots: int) -> np.ndarray:
+    """The shaping matrix B ``[P, P]`` a scene asks for."""
+    match noise.shape:
+        case NoiseShape.IDENTITY:
+            return identity(knots)
+        case NoiseShape.BSPLINE:
+            return bspline(knots)
+        case NoiseShape.COMB:
+            return comb(knots, *noise.comb)
+        case NoiseShape.COLOURED:
+            return coloured(knots, noise.exponent)
+
+
+def schedule(noise: Noise, knots: int, iterations: int) -> np.ndarray:
+    """Factor on σ in every iteration at every knot ``[n, P]``.
+
+    With ``anneal = [β1, β2]`` it is exp(-i/(β1 N) - (H-h)/(β2 H)): later iterations and nearer knots are searched more
+    finely (DIAL-MPC, Xue et al. 2024); else it is one.
+    """
+    if noise.anneal is None:
+        return np.ones((iterations, knots), dtype=np.float32)
+    first, second = noise.anneal
+    i, h = np.arange(iterations)[:, None] / iterations, np.arange(1, knots + 1)[None] / knots
+    return np.exp(-i / first - (1.0 - h) / second).astype(np.float32)
 
 
 def identity(knots: int) -> np.ndarray:

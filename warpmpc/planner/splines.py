@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of spline over the knots of a plan."""
+"""The kinds of spline over the knots of a plan, and their values on the host."""
+
+from __future__ import annotations
 
 from enum import StrEnum
+
+import numpy as np
+import warp as wp
 
 from warpmpc.kernels.planning import splines as kernels
 
@@ -16,5 +21,62 @@ class SplineKind(StrEnum):
 
     @property
     def code(self) -> int:
-        """The ``kind`` argument of the kernels in ``warpmpc.kernels.planning.splines``."""
+        """The ``kind`` of the kernels in ``warpmpc.kernels.planning.splines``."""
         return int(getattr(kernels, self.name))
+
+
+def spline_table(kind: SplineKind, time: np.ndarray, step: float, device: str) -> kernels.Spline:
+    """What the kernels need to know of a spline.
+
+    Args:
+        kind: Kind of spline.
+        time: Times of the knots after the first ``[P]`` [s], ascending from zero.
+        step: How long a single knot holds [s].
+        device: Warp device.
+    """
+    interval = np.diff(time) if len(time) > 1 else np.array([step])
+    table = kernels.Spline()
+    table.kind = kind.code
+    table.even = int(np.allclose(interval, interval[0], rtol=1e-9))
+    table.knot_dt = float(interval[0])
+    relative = np.ones_like(interval) if table.even else interval / interval[0]
+    table.time = wp.array(time, dtype=float, device=device)
+    table.interval = wp.array(np.append(relative, relative[-1])[: max(len(time), 1)], dtype=float, device=device)
+    return table
+
+
+def spline_value(kind: SplineKind, times: np.ndarray, knots: np.ndarray, time: float) -> np.ndarray:
+    """Value of a spline at a time, as ``evaluate_spline`` of the kernels has it (Howell et al. 2022, Eqs. 15-23).
+
+    Args:
+        kind: Kind of spline.
+        times: Times of the knots ``[P]`` [s], ascending.
+        knots: Knots ``[P, nu]``.
+        time: When [s]; before the first and after the last knot the end value is held.
+    """
+    last = len(times) - 1
+    if last == 0:
+        return knots[0]
+    if kind is SplineKind.ZERO:
+        early = float(kernels.KNOT_TOLERANCE) * (times[1] - times[0])
+        return knots[np.clip(np.searchsorted(times, time + early, side="right") - 1, 0, last)]
+    i = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, last - 1))
+    length = times[i + 1] - times[i]
+    x = float(np.clip((time - times[i]) / length, 0.0, 1.0))
+    if kind is SplineKind.LINEAR:
+        return (1.0 - x) * knots[i] + x * knots[i + 1]
+    if kind is SplineKind.CUBIC:
+        a, b = (2.0 * x - 3.0) * x * x + 1.0, ((x - 2.0) * x + 1.0) * x
+        c, d = (3.0 - 2.0 * x) * x * x, (x - 1.0) * x * x
+        slope = [_slope(times, knots, j) * length for j in (i, i + 1)]
+        return a * knots[i] + b * slope[0] + c * knots[i + 1] + d * slope[1]
+    ends = [2.0 * knots[0] - knots[1], *knots, 2.0 * knots[-1] - knots[-2]]
+    y = 1.0 - x
+    weights = (y**3, (3.0 * x - 6.0) * x * x + 4.0, 1.0 + 3.0 * x * (1.0 + x - x * x), x**3)
+    return sum(w * ends[i + k] for k, w in enumerate(weights)) / 6.0
+
+
+def _slope(times: np.ndarray, knots: np.ndarray, j: int) -> np.ndarray:
+    """Mean of the slopes on both sides of a knot, one-sided at the ends (Howell et al. 2022, Eqs. 17 and 18)."""
+    sides = [k for k in (j - 1, j) if 0 <= k < len(times) - 1]
+    return sum((knots[k + 1] - knots[k]) / (times[k + 1] - times[k]) for k in sides) / len(sides)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weightings: from sample costs to sample weights, the one strategy in which MPPI, CEM and their kin differ."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import warp as wp
 
@@ -14,6 +16,11 @@ from warpmpc.kernels.planning.weights import (
     importance_weight_kernel,
 )
 
+from ..scene.schema import Method
+
+if TYPE_CHECKING:
+    from ..scene.schema import Planner
+
 BLOCK_DIM = 256
 """Threads per environment in block-wide kernels; Warp takes one on the CPU."""
 
@@ -22,10 +29,8 @@ class WeightingState:
     """Device arrays a weighting reads and writes; nothing is allocated after construction.
 
     Args:
-        envs: Number of environments E.
-        samples: Number of samples S.
+        cost: Sample costs, +inf for a diverged sample, ``[E, S]``.
         temperature: Initial temperature β of every environment, in units of cost.
-        device: Warp device, the current one if None.
     """
 
     cost: wp.array2d[float]
@@ -40,11 +45,11 @@ class WeightingState:
     eta: wp.array[float]
     """Number of samples that carry weight, ``[E]``."""
 
-    def __init__(self, *, envs: int, samples: int, temperature: float = 1.0, device: wp.DeviceLike = None):
-        self.device = wp.get_device(device)
-        self.temperature = temperature
-        self.cost = wp.zeros((envs, samples), dtype=float, device=self.device)
-        self.weight = wp.zeros((envs, samples), dtype=float, device=self.device)
+    def __init__(self, cost: wp.array2d[float], *, temperature: float = 1.0):
+        self.device = cost.device
+        self.temperature, self.cost = temperature, cost
+        envs = cost.shape[0]
+        self.weight = wp.zeros(cost.shape, dtype=float, device=self.device)
         self.beta = wp.full(envs, temperature, dtype=float, device=self.device)
         self.eta = wp.zeros(envs, dtype=float, device=self.device)
 
@@ -130,6 +135,19 @@ class Mppi:
             block_dim=BLOCK_DIM,
             device=state.device,
         )
+
+
+def weighting_of(planner: Planner) -> Weighting:
+    """The weighting a scene asks for."""
+    match planner.method:
+        case Method.MPPI:
+            t = planner.temperature
+            adapt = Adaptation.ESS if t.ess else Adaptation.ETA if t.eta else Adaptation.FIXED
+            return Mppi(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
+        case Method.PREDICTIVE_SAMPLING:
+            return PredictiveSampling()
+        case Method.CEM:
+            return CrossEntropy(elites=planner.elites, alpha_sigma=planner.step_size)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,11 @@ import numpy as np
 
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.state import State
-from .simulated import Plant, plant_worlds
+from ..task.task import Task
+from .simulated import Plant, Worlds
 
 if TYPE_CHECKING:
+    from ..cost.term import ArrayCost, CostTerm
     from ..scene.schema import Scene
 
 
@@ -26,6 +28,8 @@ class PlantBatch:
     Args:
         scenes: Scene of every plant; they differ in nothing but their goals.
         seeds: Seed of every plant's properties and noise.
+        task: What the runs want, one environment for each plant; the scenes' goals if None.
+        terms: Users' own cost terms that success or phases name.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -35,16 +39,27 @@ class PlantBatch:
     plants: tuple[Plant, ...]
     """The plants, each with ``state``, ``error``, ``contact``, ``reason`` and so on of its own."""
 
-    def __init__(self, scenes: Sequence[Scene], *, seeds: Sequence[int], compiled: CompiledScene | None = None):
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        *,
+        seeds: Sequence[int],
+        task: Task | None = None,
+        terms: Sequence[CostTerm | ArrayCost] = (),
+        compiled: CompiledScene | None = None,
+    ):
         self.scene, self.seeds = scenes[0], tuple(seeds)
         self.compiled = compiled or compile_scene(self.scene)
-        self.layout = self.compiled.layout
-        worlds = plant_worlds(self.scene, self.compiled, self.seeds)
+        self.task = task or Task(self.scene, envs=len(scenes))
+        if task is None:
+            self.task.take([Task(scene) for scene in scenes])
+        self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms)
+        self.layout = self._worlds.layout
         self.plants = tuple(
-            Plant(scene, seed=seed, compiled=self.compiled, world=world)
-            for scene, seed, world in zip(scenes, self.seeds, worlds, strict=True)
+            Plant(scene, seed=seed, compiled=self.compiled, world=(self._worlds, e))
+            for e, (scene, seed) in enumerate(zip(scenes, self.seeds, strict=True))
         )
-        self._engine, self._control = worlds[0].engine, worlds[0].control
+        self._engine = self._worlds.engine
 
     def reset(self) -> None:
         """Go back to the start states."""
@@ -60,11 +75,6 @@ class PlantBatch:
     def time(self) -> float:
         """Simulated time of the plants that took every step [s]."""
         return max(plant.time for plant in self.plants)
-
-    @property
-    def goal(self) -> np.ndarray:
-        """Goal poses ``[E, 7]``, as :meth:`warpmpc.Controller.set_goal` takes them."""
-        return np.stack([plant.goal for plant in self.plants])
 
     @property
     def state(self) -> State:
@@ -91,7 +101,7 @@ class PlantBatch:
         out = self._engine.trajectory
         shown = (out.joint_q.numpy(), out.joint_qd.numpy(), out.body_q.numpy(), self._engine.sensor.swapaxes(0, 1))
         kept = [array[:, ~running] for array in shown]
-        self._engine.rollout(self._control)
+        self._worlds.step()
         for array, old in zip(shown, kept, strict=True):
             array[:, ~running] = old
         for e in np.flatnonzero(running):
@@ -123,7 +133,7 @@ def _stacked(states: Sequence[State]) -> State:
     return State(
         np.stack([state.joint_q for state in states]),
         np.stack([state.joint_qd for state in states]),
-        max(state.time for state in states),
+        np.array([state.time for state in states]),
         np.stack([state.act for state in states]),
         np.stack([state.mocap for state in states]),
     )

@@ -6,72 +6,96 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
+from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
-from ..engine.trajectory import ObservedState, Shape
+from ..engine.trajectory import Shape
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
 from ..model.properties import Properties, draw_properties
 from ..model.state import Contact, State
 from ..scene.errors import SceneError
-from ..task.goal import GoalError, goal_error, goal_pose
+from ..task.conditions import Look
+from ..task.goal import GOAL, GoalError
+from ..task.observed import ObservedState
+from ..task.task import Task, task_layout
+from .monitor import Monitor
 
 if TYPE_CHECKING:
+    from ..cost.term import ArrayCost, CostTerm
     from ..scene.schema import Kick, Scene
     from .batch import PlantBatch
 
-_SUBSTEPS = 8
+SUBSTEPS = 8
 """Physics steps per control where neither the scene nor an MJCF file says anything: finer than the planner's."""
 _SOLVER = {"iterations": 100, "tolerance": 1e-8}
-_AS_THE_FILE_SAYS = {"iterations": None, "tolerance": None}
+"""The constraint solver of plants, more careful than the rollouts'; with an MJCF file, the file's own."""
 CONTACT_FORCE = 1e-3
 """Net force above which two things count as touching [N]."""
 
 
-@dataclass(frozen=True)
-class PlantWorld:
-    """Where a plant lives: one world of an engine."""
-
-    engine: MujocoEngine
-    control: wp.array
-    """Controls of all worlds of the engine ``[1, E, nu]``."""
-    index: int
-    """Which world of the engine."""
-    properties: Properties | None
-    """Draw of the plant's physical properties, None for nominal ones."""
-
-
-def plant_worlds(scene: Scene, compiled: CompiledScene, seeds: Sequence[int]) -> list[PlantWorld]:
-    """Worlds of one engine at the start state, for one plant per seed.
+class Worlds:
+    """Worlds of one engine at the start state, for one plant each.
 
     Args:
         scene: The scene.
         compiled: The scene, compiled.
         seeds: Seeds of the plants' properties.
+        task: What the plants' runs want, one environment for each of them.
+        terms: Users' own cost terms that conditions name.
     """
-    layout, draws = compiled.layout, None
-    if scene.plant.randomize:
-        draws = [draw_properties(scene, layout, 1, seed=2 * seed + 1) for seed in seeds]
-    engine = MujocoEngine(
-        compiled,
-        Shape(len(seeds), 1, 1, 1),
-        control_dt=scene.timing.control_dt,
-        substeps=compiled.substeps(scene.plant.substeps, scene.timing.control_dt, _SUBSTEPS),
-        pairs=collision_pairs(layout, {obstacle.name for obstacle in scene.obstacle if obstacle.support}),
-        properties=_stacked(draws) if draws else None,
-        threads=1 if len(seeds) == 1 else 0,
-        options=Options.of(scene.engine, **_SOLVER if not compiled.natives else _AS_THE_FILE_SAYS),
-    )
-    start = (np.tile(a, (len(seeds), 1)) for a in (layout.joint_q, layout.joint_qd))
-    engine.clone(ObservedState(*(wp.array(a, dtype=float, device="cpu") for a in start)))
-    control = wp.zeros((1, len(seeds), layout.nu), dtype=float, device="cpu")
-    return [PlantWorld(engine, control, i, draws[i] if draws else None) for i in range(len(seeds))]
+
+    def __init__(
+        self,
+        scene: Scene,
+        compiled: CompiledScene,
+        seeds: Sequence[int],
+        task: Task,
+        terms: Sequence[CostTerm | ArrayCost] = (),
+    ):
+        self.task = task
+        self.layout = task_layout(compiled.layout, scene)
+        self.draws = None
+        if scene.plant.randomize:
+            self.draws = [draw_properties(scene, self.layout, 1, seed=2 * seed + 1) for seed in seeds]
+        self.monitors = [Monitor(scene, self.layout, task, e) for e in range(len(seeds))]
+        watched = self.monitors[0].watched_terms
+        self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
+        watching = self._values.pairs if self._values else ()
+        supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
+        self.pairs = collision_pairs(self.layout, supports)
+        self.first_pair = len(watching)
+        shape, dt = Shape(len(seeds), 1, 1, 1), scene.timing.control_dt
+        substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
+        self.engine = MujocoEngine(
+            compiled,
+            shape,
+            substeps=[substeps],
+            timestep=dt / substeps,
+            pairs=(*watching, *self.pairs),
+            properties=_stacked(self.draws) if self.draws else None,
+            threads=1 if len(seeds) == 1 else 0,
+            options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
+        )
+        self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
+        self.control = wp.zeros((1, len(seeds), self.layout.nu), dtype=float, device="cpu")
+        """Controls of all worlds ``[1, E, nu]``."""
+        if self._values:
+            self._values.attach(self.engine.trajectory, self.control, shape, dt)
+        self.terms: list[dict[str, float]] = [{} for _ in seeds]
+        """Values of the cost terms that conditions name, by world."""
+
+    def step(self) -> None:
+        """Hold the controls for one control step in every world."""
+        self.engine.run(lambda first, count: self.engine.rollout(self.control, first, count))
+        if self._values:
+            self.terms = self._values()
 
 
 def _stacked(draws: Sequence[Properties]) -> Properties:
@@ -83,16 +107,18 @@ def _stacked(draws: Sequence[Properties]) -> Properties:
 class Plant:
     """A simulated plant with physical properties, noise, delay and disturbances of its own.
 
-    ``error`` is how far the goal's object or frame is from the goal, ``contact`` what robots and objects touched,
-    ``pairs`` the pairs whose contact is watched.
+    ``contact`` is what robots and objects touched, ``pairs`` the pairs whose contact is reported, ``monitor`` knows
+    about success and phases.
 
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
         envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant_batch.PlantBatch` of plants
             with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
+        task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
+        terms: Users' own cost terms that success or phases name.
         compiled: The scene compiled earlier, to save doing it again.
-        world: World of a batch's engine that this plant lives in; an engine of its own if None.
+        world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
 
     Raises:
         SceneError: If a kick has the wrong number of values.
@@ -115,20 +141,25 @@ class Plant:
         *,
         seed: int = 0,
         envs: int = 1,
+        task: Task | None = None,
+        terms: Sequence[CostTerm | ArrayCost] = (),
         compiled: CompiledScene | None = None,
-        world: PlantWorld | None = None,
+        world: tuple[Worlds, int] | None = None,
     ):
         self.scene = scene
         self.compiled = compiled or compile_scene(scene)
-        self.layout = self.compiled.layout
-        self._world = world or plant_worlds(scene, self.compiled, [seed])[0]
-        self._engine, self._index = self._world.engine, self._world.index
-        self.pairs, self.properties = self._engine.pairs, self._world.properties
+        self._worlds, self._index = world or (
+            Worlds(scene, self.compiled, [seed], task or Task(scene), terms),
+            0,
+        )
+        worlds = self._worlds
+        self.layout, self.task, self._engine, self.pairs = worlds.layout, worlds.task, worlds.engine, worlds.pairs
+        self.properties = worlds.draws[self._index] if worlds.draws else None
+        self.monitor = worlds.monitors[self._index]
         self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
-        self.goal = goal_pose(scene)
         self.reset()
 
     def reset(self) -> None:
@@ -138,7 +169,7 @@ class Plant:
         self.steps = 0
         self.contact = Contact()
         self.diverged = False
-        self._within = 0
+        self.monitor.reset()
         self._history: deque[State] = deque(maxlen=self._delay + 1)
         self._check()
 
@@ -189,7 +220,7 @@ class Plant:
         if control.shape != (self.layout.nu,) or not np.isfinite(control).all():
             raise ValueError(f"a control of this scene is {self.layout.nu} finite numbers, not {control}")
         self.begin(control)
-        self._engine.rollout(self._world.control)
+        self._worlds.step()
         self.end()
 
     def move_mocap(self, name: str, pose: np.ndarray) -> None:
@@ -206,7 +237,7 @@ class Plant:
     def begin(self, control: np.ndarray) -> None:
         """The part of :meth:`apply` before the engine's step: kicks and the control ``[nu]``."""
         self._disturb()
-        self._world.control.numpy()[0, self._index] = control
+        self._worlds.control.numpy()[0, self._index] = control
 
     def end(self) -> None:
         """The part of :meth:`apply` after the engine's step: take note of the state reached."""
@@ -251,7 +282,7 @@ class Plant:
         """Record contacts between robots and obstacles at every physics step."""
         if not self.pairs:
             return
-        force = np.linalg.norm(self._engine.pair_force(self._index), axis=-1)
+        force = np.linalg.norm(self._measured(), axis=-1)
         step = self._engine.model.opt.timestep
         self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
         for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
@@ -262,24 +293,33 @@ class Plant:
     def _check(self) -> None:
         """Take note of the state just reached."""
         self._history.append(self.state)
-        self.error = self._goal_error()
-        self._within = self._within + 1 if self.error.within(self.scene.success) else 0
+        terms = self._worlds.terms[self._index] if self._slice else {}
+        state = self._history[-1]
+        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.steps)
 
-    def _goal_error(self) -> GoalError:
-        frame = self.layout.frame(self.scene.goal.target, key="goal")
-        pose = wp.transform(*self.body_q[self.layout.frame_body[frame]]) * wp.transform(*self.layout.frame_pose[frame])
-        return goal_error(self.scene.goal, self.goal, np.array([*pose.p, *pose.q]))
+    def _measured(self) -> np.ndarray:
+        """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""
+        return self._engine.pair_force(self._index)[:, self._worlds.first_pair :]
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Pose of the goal ``[7]``."""
+        return self.task.pose(GOAL, self._index).copy()
+
+    @property
+    def error(self) -> GoalError | None:
+        """How far the goal's object or frame is from the goal; None for a scene without a goal."""
+        return self.monitor.error
 
     @property
     def forces(self) -> np.ndarray:
         """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
-        return self._engine.pair_force(self._index)[-1]
+        return self._measured()[-1]
 
     @property
     def success(self) -> bool:
-        """Whether the goal is reached and was held long enough."""
-        # states stand at the ends of steps: n steps of holding are n + 1 states
-        return self._within - 1 >= self.scene.success.hold / self.scene.timing.control_dt - 1e-6
+        """Whether everything that is wanted holds and did so long enough."""
+        return self.monitor.success
 
     @property
     def done(self) -> bool:

@@ -16,6 +16,7 @@ import rerun as rr
 
 from ..model.layout import WORLD
 from ..plant.simulated import CONTACT_FORCE
+from ..task.goal import GOAL
 from .blueprint import blueprint
 from .shapes import (
     GHOST,
@@ -100,11 +101,8 @@ class Recorder:
         self._goal = np.full(7, np.nan)
         self._frames = _acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
-        self._turning = [
-            name
-            for name in ("yaw", "rotation")
-            if getattr(scene.goal, name) is not None or getattr(scene.success, name) is not None
-        ]
+        wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
+        self._turning = [n for n in ("yaw", "rotation") if any(getattr(w, n) is not None for w in wanted)]
         self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]
         self._curves = self._name_curves()
         self._scalar = rr.Scalars.descriptor_scalars()
@@ -175,10 +173,10 @@ class Recorder:
                     shape = resized(shape, properties)
                 draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
         goal = self._plant.scene.goal
-        if goal.object is not None:
+        if goal is not None and goal.object is not None:
             for shape in shown_shapes(layout, layout.entity(goal.object)):
                 draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)
-        else:
+        elif goal is not None:
             length = 0.15 * np.eye(3)
             colors = [(230, 50, 50), (50, 200, 50), (70, 90, 255)]
             recording.log("/goal/axes", rr.Arrows3D(vectors=length, colors=colors, radii=0.006), static=True)
@@ -195,10 +193,11 @@ class Recorder:
         plan = [(entity_path("cost", label), label) for label in (*controller.costs.labels, "total")]
         plan += [(f"/temperature/{name}", symbol) for name, symbol in (("beta", "β"), ("eta", "η"))]
         plan += [(entity_path("control", *name.split("/")), name) for name in layout.control_name]
-        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", *controller.plan.stages)]
+        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", *controller.planner.stages)]
         plan += [("/diverged_worlds", "diverged worlds")]
         self._plan_curves = len(plan)
-        state = [(f"/goal_error/{name}", name) for name in ("position", *self._turning)]
+        errors = ("position", *self._turning) if self._plant.scene.goal is not None else ()
+        state = [(f"/goal_error/{name}", name) for name in errors]
         names = [f"{pair.first}-{pair.second}" for pair in self._plant.pairs]
         return plan + state + [(entity_path("contact_force", name), name) for name in names]
 
@@ -207,7 +206,7 @@ class Recorder:
     @property
     def _goal_pose(self) -> np.ndarray:
         """The goal the controller plans for, ``[7]``."""
-        return self._controller.goal[0]
+        return self._controller.task.pose(GOAL)
 
     def _draw_goal(self) -> None:
         pose = self._goal_pose
@@ -231,13 +230,14 @@ class Recorder:
         length = np.minimum(FORCE_LENGTH * size[touching], FORCE_LENGTH_MAX)
         vectors = force[touching] * (length / size[touching])[:, None]
         labels = [f"{size[i]:.1f} N" for i in touching]
-        values = [error.position, *(getattr(error, name) for name in self._turning), *size]
+        errors = [] if error is None else [error.position, *(getattr(error, name) for name in self._turning)]
+        values = [*errors, *size]
         self._states.append((plant.steps, body_q, values, origins, vectors, labels))
 
     def _take_plan(self, control: np.ndarray) -> None:
         info = self._controller.info
         worlds, colors = self._choose()
-        poses = self._controller.engine.trajectory.body_q.numpy()[:, worlds[:, None], self._frames[0]]
+        poses = self._controller.engine.record(worlds)[:, :, self._frames[0]]
         values = [*info.terms.values(), info.cost, info.beta, info.eta, *control]
         values += [info.plan_ms, *info.stages_ms.values(), info.diverged_worlds]
         self._plans.append((self._plant.steps - 1, values, poses, colors))
@@ -248,7 +248,7 @@ class Recorder:
         None when the plan fell back to the safe command: then there is no rollout worth looking at.
         """
         controller = self._controller
-        cost = controller.plan.weights.cost.numpy()[0]
+        cost = controller.engine.cost.numpy()[0]
         ranked = np.argsort(cost)
         ranked = ranked[np.isfinite(cost[ranked])]
         if controller.info.fallback or not len(ranked):
@@ -337,7 +337,7 @@ def _writable(name: str | Path) -> Path:
 def _acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
     """Body ``[F]`` and place in it ``[F, 3]`` of the goal's target and of what the robots act with."""
     layout, scene = controller.layout, controller.scene
-    names = [scene.goal.target]
+    names = [] if scene.goal is None else [scene.goal.target]
     for robot in scene.robot:
         last = layout.body_name[layout.entity(robot.name).bodies[-1]]
         names += [f"{robot.name}/{frame}" for frame in robot.frames] or [last]

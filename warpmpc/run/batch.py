@@ -13,6 +13,8 @@ from ..model.state import State
 from ..scene.draw import draw_task
 from ..scene.errors import SceneError
 from ..scene.overrides import split_key
+from ..task.task import Task
+from .choose_engine import choose_engine
 from .episode import EpisodeResult, Tally
 
 if TYPE_CHECKING:
@@ -62,10 +64,13 @@ class Batch:
         _refuse_drawn_bodies(scene)
         from ..control.controller import Controller  # slow to import, and a scene may prove wrong without it
 
-        self.seeds = tuple(seeds)
+        self.seeds, self.terms = tuple(seeds), tuple(terms)
         self.envs = min(envs, len(self.seeds))
         self._tasks = [(seed, *draw_task(scene, seed)) for seed in self.seeds]
         self.compiled = compiled or compile_scene(scene)
+        engine, device = choose_engine(
+            scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled
+        )
         self.controller = Controller(
             scene, engine=engine, device=device, seed=self.seeds[0], envs=self.envs, terms=terms, compiled=self.compiled
         )
@@ -90,12 +95,16 @@ class Batch:
 
         # where a last round has fewer episodes than environments, the rest repeats its last one for nothing
         filled = tasks + tasks[-1:] * (self.envs - len(tasks))
-        plants = PlantBatch(
-            [scene for _, scene, _ in filled], seeds=[seed for seed, _, _ in filled], compiled=self.compiled
-        )
         controller = self.controller
+        controller.task.take([Task(scene) for _, scene, _ in filled])
+        plants = PlantBatch(
+            [scene for _, scene, _ in filled],
+            seeds=[seed for seed, _, _ in filled],
+            task=controller.task,
+            terms=self.terms,
+            compiled=self.compiled,
+        )
         controller.reset()
-        controller.set_goal(plants.goal)
         running = {
             e: Tally(scene, seed, drawn, controller, plants.plants[e]) for e, (seed, scene, drawn) in enumerate(tasks)
         }

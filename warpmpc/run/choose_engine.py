@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``engine = "auto"``: time one plan of each engine that this machine has, and take the faster."""
+"""Which engine plans a scene fastest on this machine: time one plan of each, once, and remember."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import contextlib
 import hashlib
 import json
 import logging
+import os
+import platform
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -14,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..model.compiled import cache_folder
-from ..scene.schema import EngineName
+from ..engine.registry import ENGINES, resolve
+from ..model.compiled import cache_folder, compile_scene
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -28,26 +30,42 @@ PLANS = 5
 """Timed plans per engine, of which the median counts."""
 
 
-def fastest(
-    scene: Scene, compiled: CompiledScene, device: str, *, envs: int, terms: Sequence[CostTerm | ArrayCost] = ()
+def choose_engine(
+    scene: Scene,
+    *,
+    engine: str = "auto",
+    device: str = "auto",
+    envs: int = 1,
+    terms: Sequence[CostTerm | ArrayCost] = (),
+    compiled: CompiledScene | None = None,
 ) -> tuple[str, str]:
-    """The faster engine and its device for a scene.
+    """Engine and device for a scene; where there is a choice, the faster one is found by timing a few plans of each.
 
-    What was measured is kept on disk by scene, batch and hardware, so that the next start measures nothing.
+    What was measured is kept on disk by scene (before any random draws), batch and hardware, so that the next start
+    measures nothing.
 
     Args:
-        scene: The scene.
-        compiled: The scene, compiled.
-        device: CUDA device of the ``newton`` engine.
+        scene: The scene, before its task is drawn.
+        engine: ``auto`` or an engine's name.
+        device: ``auto``, ``cpu`` or a CUDA device.
         envs: Number of environments.
         terms: Users' own cost terms.
+        compiled: The scene compiled earlier; any draw of its bodies will do.
+
+    Raises:
+        ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
     """
-    choices = {str(EngineName.MUJOCO): "cpu", str(EngineName.NEWTON): device}
-    file = cache_folder().parent / "engines" / f"{_key(scene, device, envs)}.json"
+    engine, device = resolve(scene, engine, device)
+    if engine != "auto":
+        return engine, device
+    choices = {name: device if entry.cuda else "cpu" for name, entry in ENGINES.items()}
+    file = cache_folder().parent / "engines" / f"{_key(scene, device, envs, terms)}.json"
     times: dict[str, float] = {}
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        times = {name: float(json.loads(file.read_text())[name]) for name in choices}
-    if set(times) != set(choices):
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        kept = json.loads(file.read_text())
+        times = {name: float(kept[name]) for name in choices}
+    if not times:
+        compiled = compiled or compile_scene(scene)
         times = {n: _plan_time(scene, compiled, n, choices[n], envs=envs, terms=terms) for n in choices}
         with contextlib.suppress(OSError):
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +76,15 @@ def fastest(
     return name, choices[name]
 
 
-def _plan_time(scene, compiled, name: str, device: str, *, envs: int, terms) -> float:
+def _plan_time(
+    scene: Scene,
+    compiled: CompiledScene,
+    name: str,
+    device: str,
+    *,
+    envs: int,
+    terms: Sequence[CostTerm | ArrayCost],
+) -> float:
     """Median wall time [s] of a plan from the start state, compilation not counted."""
     from ..control.controller import Controller
     from ..model.state import State
@@ -76,15 +102,10 @@ def _plan_time(scene, compiled, name: str, device: str, *, envs: int, terms) -> 
     return float(np.median(times))
 
 
-def _key(scene: Scene, device: str, envs: int) -> str:
+def _key(scene: Scene, device: str, envs: int, terms: Sequence[CostTerm | ArrayCost]) -> str:
     """Hash of what a plan's time depends on."""
-    import os
-    import platform
-
     digest = hashlib.sha256()
     digest.update(scene.model_dump_json().encode())
-    hardware = (
-        f"{wp.get_device(device).name} {platform.processor()} {len(os.sched_getaffinity(0))} {envs} {wp.__version__}"
-    )
-    digest.update(hardware.encode())
+    hardware = f"{wp.get_device(device).name} {platform.processor()} {len(os.sched_getaffinity(0))}"
+    digest.update(f"{hardware} {envs} {wp.__version__} {[term.name for term in terms]}".encode())
     return digest.hexdigest()[:32]

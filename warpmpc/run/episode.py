@@ -13,6 +13,7 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
+from .choose_engine import choose_engine
 
 if TYPE_CHECKING:
     from ..control.controller import Controller
@@ -51,8 +52,8 @@ class EpisodeResult:
     """Simulated time [s]."""
     steps: int
     """Controls applied."""
-    position_error: float
-    """Final distance to the goal [m]."""
+    position_error: float | None
+    """Final distance to the goal [m], None without a goal."""
     yaw_error: float | None
     """Final heading error [rad], None for a goal without orientation."""
     cost: float
@@ -73,6 +74,8 @@ class EpisodeResult:
     """Safe commands sent because no rollout survived."""
     envs: int = 1
     """Environments that every plan planned for at once."""
+    phases: tuple[tuple[str, float], ...] = ()
+    """Phases of the task that were entered after the first, and when [s]."""
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
@@ -104,6 +107,8 @@ class EpisodeResult:
             "fallbacks": self.fallbacks,
             "envs": self.envs,
         }
+        if self.phases:
+            data["phases"] = [{"phase": name, "time_s": time} for name, time in self.phases]
         if self.drawn:
             data["drawn"] = self.drawn
         return _plain(data)
@@ -148,8 +153,9 @@ class Tally:
             reason: Why the episode ended before its plant was done.
         """
         scene, controller, plant = self.scene, self.controller, self.plant
-        error, oriented = plant.error, scene.goal.yaw is not None or scene.goal.rotation is not None
-        plans = self._plans or [(math.nan, dict.fromkeys(controller.plan.stages, math.nan))]
+        error, goal = plant.error, scene.goal
+        oriented = goal is not None and (goal.yaw is not None or goal.rotation is not None)
+        plans = self._plans or [(math.nan, dict.fromkeys(controller.planner.stages, math.nan))]
         p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
         return EpisodeResult(
             scene=scene.name,
@@ -161,7 +167,7 @@ class Tally:
             reason=plant.reason if plant.success else reason or plant.reason,
             sim_time=plant.time,
             steps=plant.steps,
-            position_error=error.position,
+            position_error=None if error is None else error.position,
             yaw_error=error.yaw if oriented else None,
             cost=self._cost,
             max_force=plant.contact.max_force,
@@ -173,6 +179,7 @@ class Tally:
             horizon=controller.shape.horizon,
             fallbacks=self._fallbacks,
             envs=controller.envs,
+            phases=tuple(plant.monitor.phases),
             drawn=self.drawn,
         )
 
@@ -210,10 +217,11 @@ class Episode:
         self.scene, self.drawn = draw_task(scene, seed)
         if compiled is None or draws_bodies(scene):
             compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
+        engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )
-        self.plant = Plant(self.scene, seed=seed, compiled=compiled)
+        self.plant = Plant(self.scene, seed=seed, task=self.controller.task, terms=terms, compiled=compiled)
         self._tally = Tally(self.scene, seed, self.drawn, self.controller, self.plant)
 
     def run(

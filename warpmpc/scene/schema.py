@@ -7,7 +7,7 @@ Every type is frozen. Units are SI: metres, kilograms, seconds, radians, newtons
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -24,6 +24,7 @@ from .schema_bodies import (
 from .schema_planner import (
     Engine,
     EngineName,
+    Growing,
     Method,
     Noise,
     NoiseShape,
@@ -42,6 +43,7 @@ from .types import (
     Fraction,
     Name,
     NonNegative,
+    OneOrMore,
     Param,
     Positive,
     Positives,
@@ -52,6 +54,7 @@ from .types import (
 )
 
 __all__ = [
+    "Condition",
     "Cost",
     "Draw",
     "Drive",
@@ -61,6 +64,7 @@ __all__ = [
     "Frame",
     "Goal",
     "Ground",
+    "Growing",
     "Kick",
     "Method",
     "Noise",
@@ -69,9 +73,11 @@ __all__ = [
     "Normal",
     "Object",
     "Obstacle",
+    "Phase",
     "Planner",
     "Plant",
     "PlantNoise",
+    "Pose",
     "Randomization",
     "RandomizeTask",
     "Rejection",
@@ -82,6 +88,7 @@ __all__ = [
     "Solver",
     "SplineKind",
     "Success",
+    "Target",
     "Temperature",
     "Timing",
     "Uniform",
@@ -97,13 +104,9 @@ class Timing(Section):
     """Simulated time after which a run counts as failed [s]."""
 
 
-class Goal(Section):
-    """Where an object or a frame shall be."""
+class Pose(Section):
+    """A place, with or without an orientation."""
 
-    object: str | None = None
-    """Object that shall reach the goal."""
-    frame: str | None = None
-    """Robot frame (``robot/frame``) that shall reach the goal, instead of an object."""
     position: Vec2or3 = (0.0, 0.0, 0.0)
     """(x, y) or (x, y, z) [m]; with two values the height does not matter."""
     yaw: Finite | None = None
@@ -112,11 +115,30 @@ class Goal(Section):
     """Full orientation (x, y, z, w) instead of a yaw."""
 
     @model_validator(mode="after")
+    def _one_orientation(self) -> Pose:
+        if self.yaw is not None and self.rotation is not None:
+            raise ValueError("give yaw or rotation, not both")
+        return self
+
+
+class Target(Pose):
+    """A named pose that may change between plans, a frame for cost terms: a waypoint, what a camera sees."""
+
+    name: Name
+
+
+class Goal(Pose):
+    """Where an object or a frame shall be."""
+
+    object: str | None = None
+    """Object that shall reach the goal."""
+    frame: str | None = None
+    """Robot frame (``robot/frame``) that shall reach the goal, instead of an object."""
+
+    @model_validator(mode="after")
     def _one_target(self) -> Goal:
         if (self.object is None) == (self.frame is None):
             raise ValueError("a goal names either object or frame")
-        if self.yaw is not None and self.rotation is not None:
-            raise ValueError("a goal has yaw or rotation, not both")
         return self
 
     @property
@@ -235,8 +257,62 @@ class RandomizeTask(Section):
     reject: tuple[Rejection, ...] = ()
 
 
+class Condition(Section):
+    """Something that must hold: of a frame, a joint or the value of a cost term."""
+
+    frame: str | None = None
+    """Frame (``robot/frame``, ``robot/link``, an object) whose distance from ``to`` or whose height is looked at."""
+    to: str = "goal"
+    """``frame``: what it is compared with, a frame or a target."""
+    distance: Positive | None = None
+    """``frame``: largest distance [m]."""
+    yaw: Positive | None = None
+    """``frame``: largest heading error [rad]."""
+    rotation: Positive | None = None
+    """``frame``: largest angle between the orientations [rad]."""
+    joint: str | None = None
+    """Joint, ``robot/joint`` or its own name, whose position is looked at [m or rad]."""
+    term: str | None = None
+    """Cost term by its name in printouts, whose value without its weight is looked at."""
+    above: Finite | None = None
+    """Least value of the joint or term, least height of the frame [m]."""
+    below: Finite | None = None
+    """Largest value of the joint or term, largest height of the frame [m]."""
+
+    @model_validator(mode="after")
+    def _one_subject(self) -> Condition:
+        if sum(subject is not None for subject in (self.frame, self.joint, self.term)) != 1:
+            raise ValueError("a condition is about one of frame, joint, term")
+        errors = [self.distance, self.yaw, self.rotation]
+        if self.frame is None and any(error is not None for error in errors):
+            raise ValueError("distance, yaw and rotation belong to a condition about a frame")
+        if all(bound is None for bound in (*errors, self.above, self.below)):
+            raise ValueError("a condition needs above or below; one about a frame may have distance, yaw, rotation")
+        return self
+
+
+class Phase(Section):
+    """A part of a task with targets, scalars and weights of its own; it ends when what it waits for has come."""
+
+    name: Name
+    goal: Pose | None = None
+    """Where the goal is in this phase; where it was when left out."""
+    target: dict[Name, Pose] = Field(default_factory=dict)
+    """Targets that are elsewhere in this phase."""
+    scalar: dict[Name, Finite] = Field(default_factory=dict)
+    """Scalars that have another value in this phase."""
+    weight: dict[str, Finite] = Field(default_factory=dict)
+    """Weights of cost terms in this phase; 0 switches a term off."""
+    until: Annotated[tuple[Condition, ...], OneOrMore] = ()
+    """The phase ends when all of these hold; the last phase has none and ends with the run."""
+    hold: NonNegative = 0.0
+    """... for this time [s]."""
+    after: Positive | None = None
+    """The phase ends after this time [s], whatever holds."""
+
+
 class Success(Section):
-    """When the goal counts as reached."""
+    """When the run has reached what it wants."""
 
     position: Positives | None = None
     """Largest error along each axis of the world [m]: one number, or one for every axis of the goal."""
@@ -246,13 +322,20 @@ class Success(Section):
     """Largest heading error [rad]."""
     rotation: Positive | None = None
     """Largest rotation angle to the goal orientation [rad]."""
+    conditions: Annotated[tuple[Condition, ...], OneOrMore] = ()
+    """What must hold besides, of frames, joints or cost terms; a scene without a goal has these alone."""
     hold: NonNegative = 0.0
-    """Time the errors must stay below [s]."""
+    """Time for which all of it must hold [s]."""
+
+    @property
+    def of_goal(self) -> bool:
+        """Whether it compares anything with the goal."""
+        return any(limit is not None for limit in (self.position, self.distance, self.yaw, self.rotation))
 
     @model_validator(mode="after")
     def _something(self) -> Success:
-        if self.position is None and self.distance is None and self.yaw is None and self.rotation is None:
-            raise ValueError("success needs at least one of position, distance, yaw, rotation")
+        if not self.of_goal and not self.conditions:
+            raise ValueError("success needs at least one of position, distance, yaw, rotation, conditions")
         return self
 
 
@@ -266,7 +349,13 @@ class Scene(Section):
     robot: tuple[Robot, ...] = Field(min_length=1)
     object: tuple[Object, ...] = ()
     obstacle: tuple[Obstacle, ...] = ()
-    goal: Goal
+    goal: Goal | None = None
+    target: tuple[Target, ...] = ()
+    """Further named poses."""
+    scalar: dict[Name, Finite] = Field(default_factory=dict)
+    """Named numbers of the task that terms read and that may change between plans, such as a wanted speed."""
+    phase: tuple[Phase, ...] = ()
+    """Parts of the task, one after the other."""
     cost: tuple[Cost, ...] = Field(min_length=1)
     planner: Planner = Planner()
     engine: Engine = Engine()
@@ -279,6 +368,16 @@ class Scene(Section):
     """File the scene was read from; relative assets are found beside it."""
     variant: str | None = Field(None, exclude=True)
     """Variant that was applied."""
+
+    @property
+    def cost_labels(self) -> list[str]:
+        """What the cost terms are called, with a number behind those that occur again."""
+        seen: dict[str, int] = {}
+        labels = []
+        for cost in self.cost:
+            seen[cost.label] = seen.get(cost.label, 0) + 1
+            labels.append(cost.label if seen[cost.label] == 1 else f"{cost.label}_{seen[cost.label]}")
+        return labels
 
     @property
     def name(self) -> str:

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from .types import (
     Channel,
@@ -68,7 +69,10 @@ class Noise(Section):
     exponent: NonNegative = 1.0
     """Exponent α of coloured noise, power ∝ 1/f^α."""
     null_sample: Flag = True
-    """Whether one sample is the zero control sequence."""
+    """Whether one sample asks for nothing: no speed or effort, or the observed position held."""
+    anneal: tuple[Positive, Positive] | None = None
+    """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
+    present, h from 0 to 1 along the horizon."""
 
 
 class Temperature(Section):
@@ -111,6 +115,26 @@ class Risk(StrEnum):
     CVAR = "cvar"
 
 
+class Growing(Section):
+    """Steps that grow: fine near the present, long far ahead (STORM)."""
+
+    first: Positive
+    """Length of the first steps [s]."""
+    last: Positive
+    """Length of the last step [s]; the steps in between grow linearly."""
+    constant: Count = 1
+    """How many steps have the length ``first``."""
+
+
+def _number_or_table(value: object) -> str:
+    return "table" if isinstance(value, dict | Growing) else "numbers"
+
+
+Steps = Annotated[
+    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_number_or_table)
+]
+
+
 class Planner(Section):
     """The sampling-based planner."""
 
@@ -119,9 +143,9 @@ class Planner(Section):
     """Candidate control sequences S."""
     horizon: Count = 16
     """Steps T of a rollout."""
-    dt: Positive | None = None
-    """Length of one step of a rollout [s], ``timing.control_dt`` when left out. Longer steps look further ahead at the
-    same price; they need a spline other than zero."""
+    dt: Steps | None = None
+    """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``);
+    ``timing.control_dt`` when left out. Longer steps look further ahead at the same price."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     randomize: Flag = True
@@ -133,7 +157,9 @@ class Planner(Section):
     """Spline control points P; one per step when left out."""
     spline: SplineKind = SplineKind.ZERO
     discount: Share = 0.95
-    """Factor γ per control step [P5]."""
+    """Factor γ per step of a rollout [P5]."""
+    terminal: NonNegative = 1.0
+    """Factor on the last step's cost besides: what is left to be done counts more (STORM's terminal cost, S3)."""
     noise: Noise = Noise()
     temperature: Temperature = Temperature()
     step_size: Share = 1.0
@@ -144,6 +170,12 @@ class Planner(Section):
     """``cem``: best samples that carry weight."""
     sigma_min: NonNegatives = (0.01,)
     """``cem``: floor of the adapted standard deviation."""
+
+    @model_validator(mode="after")
+    def _steps(self) -> Planner:
+        if isinstance(self.dt, tuple) and len(self.dt) not in (1, self.horizon):
+            raise ValueError(f"dt has one number, or {self.horizon}: one for each step of the horizon")
+        return self
 
     @model_validator(mode="after")
     def _domains_differ(self) -> Planner:

@@ -10,20 +10,37 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..scene.schema import Goal, Scene, Success
+    from ..scene.schema import Goal, Pose, Scene, Success
+
+GOAL = "goal"
+"""Name of the goal among a task's poses."""
 
 
-def goal_pose(scene: Scene) -> np.ndarray:
-    """Pose ``[7]`` of a scene's goal; without a height it lies at its target's start height."""
-    goal = scene.goal
-    position = list(goal.position)
-    if len(position) == 2:
-        heights = {item.name: item.position[2] for item in scene.object}
-        position.append(heights.get(goal.target, 0.0))
-    if goal.rotation is not None:
-        rotation = list(goal.rotation)
+def goal_pose(scene: Scene, pose: Pose | None = None) -> np.ndarray:
+    """Pose ``[7]`` of a scene's goal; without a height it lies at its target's start height.
+
+    Args:
+        scene: The scene; without a goal the pose is the origin, which nobody looks at.
+        pose: Where the goal is instead, in a later phase.
+    """
+    if scene.goal is None:
+        return np.array([0.0] * 6 + [1.0], dtype=np.float32)
+    heights = {item.name: item.position[2] for item in scene.object}
+    return target_pose(pose or scene.goal, height=heights.get(scene.goal.target, 0.0))
+
+
+def target_pose(pose: Pose, *, height: float = 0.0) -> np.ndarray:
+    """Pose ``[7]`` that a scene file describes.
+
+    Args:
+        pose: Position, heading or rotation.
+        height: Its height when it has none [m].
+    """
+    position = [*pose.position, height][:3]
+    if pose.rotation is not None:
+        rotation = list(pose.rotation)
     else:
-        half = 0.5 * (goal.yaw or 0.0)
+        half = 0.5 * (pose.yaw or 0.0)
         rotation = [0.0, 0.0, math.sin(half), math.cos(half)]
     return np.array(position + rotation, dtype=np.float32)
 
@@ -60,9 +77,17 @@ class GoalError:
         )
 
 
+def heading_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Difference of the headings of two quaternions, in [0, π] [rad]."""
+    return abs((heading(a) - heading(b) + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two orientations, in [0, π] [rad]."""
+    return 2.0 * math.acos(min(1.0, abs(float(np.dot(a, b)))))
+
+
 def goal_error(goal: Goal, goal_at: np.ndarray, pose: np.ndarray) -> GoalError:
     """Error of a pose ``[7]`` against the goal's pose ``[7]``; heights count when the goal has one."""
     axes = (pose - goal_at)[: len(goal.position)].astype(np.float64)
-    yaw = (heading(pose[3:]) - heading(goal_at[3:]) + math.pi) % (2.0 * math.pi) - math.pi
-    dot = min(1.0, abs(float(np.dot(pose[3:], goal_at[3:]))))
-    return GoalError(axes, abs(yaw), 2.0 * math.acos(dot))
+    return GoalError(axes, heading_between(pose[3:], goal_at[3:]), angle_between(pose[3:], goal_at[3:]))

@@ -3,26 +3,77 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from ...kernels.geometry.fields import (
-    GuideTable,
-    guide_field_kernel,
-    guide_target_kernel,
-    guide_waypoint_kernel,
-)
+from ...kernels.geometry.fields import GuideTable, guide_field_kernel, guide_target_kernel, guide_waypoint_kernel
+from ...kernels.terms.paths import PathFields
+from .ground import Ground
+from .resource import Idle
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
-    from ..binding import FieldRequest
+    from ...task.observed import ObservedState
     from .geodesic import Grid
+    from .resource import Resources
+
+
+@dataclass(frozen=True)
+class FieldRequest:
+    """A distance field that some term samples: path length to a frame for a mover of some size."""
+
+    target: int
+    """Frame."""
+    inflation: float
+    """Obstacles grow by this [m]."""
+
+
+class Guides(Idle):
+    """The distance fields of a stack's terms; terms that ask for the same one share it."""
+
+    def __init__(self, resources: Resources):
+        self._layout = resources.layout
+        self._ground = resources.get(Ground)
+        self._requests: list[FieldRequest] = []
+        self._readers: list[Any] = []
+        self.guide: Guide | None = None
+
+    def request(self, params: Any, target: int, inflation: float) -> int:
+        """Ask for a distance field; returns its index.
+
+        Args:
+            params: Parameters of the term, whose ``paths`` will point at the fields.
+            target: Frame.
+            inflation: Obstacles grow by this [m].
+        """
+        request = FieldRequest(target, inflation)
+        if request not in self._requests:
+            self._requests.append(request)
+            self._ground.need(room=inflation)
+        self._readers.append(params)
+        return self._requests.index(request)
+
+    def allocate(self, envs: int, device: str) -> None:
+        """Prepare the waypoints, allocate the fields and point the terms at them."""
+        grid = self._ground.grid
+        self.guide = Guide(grid, self._requests, self._layout, envs=envs, device=device)
+        for params in self._readers:
+            params.paths = self.guide.view
+
+    def before_plan(self, observed: ObservedState) -> None:
+        """Bring the fields to their targets; capture-safe."""
+        self.guide.launch(observed.body_q, observed.pose)
+
+    def reset(self) -> None:
+        """Forget where the targets were."""
+        self.guide.reset()
 
 
 class Guide:
-    """The distance fields that cost terms asked for, one per environment and request.
+    """Distance fields that follow their targets, one per environment and request.
 
     The host prepares, once, waypoints on the borders of the grown obstacles: what they see and how far apart they are.
     The field to a target is put together from those on the device, at every plan whose target moved by more than a
@@ -70,23 +121,26 @@ class Guide:
         self.center = wp.empty(count, dtype=wp.vec2, device=device)
         self._stale = wp.zeros(count, dtype=int, device=device)
         self._remaining = wp.zeros((count, most), dtype=float, device=device)
+        self.view = PathFields()
+        """The fields as cost terms read them."""
+        self.view.length, self.view.center = self.field, self.center
+        self.view.origin, self.view.cell, self.view.count = wp.vec2(*grid.origin), grid.cell, len(requests)
         self.reset()
 
     def reset(self) -> None:
         """Forget where the targets were; capture-safe."""
         self.center.fill_(wp.vec2(wp.inf, wp.inf))
 
-    def launch(self, body_q: wp.array, goal: wp.array, rollouts: int) -> None:
+    def launch(self, body_q: wp.array, pose: wp.array) -> None:
         """Bring the fields up to date; capture-safe.
 
         Args:
-            body_q: Recorded body poses ``[T+1, W, nb]``, of which the observed state in slice 0 is read.
-            goal: Goal poses ``[E]``.
-            rollouts: Worlds per environment.
+            body_q: Observed body poses ``[E, nb]``.
+            pose: The task's poses ``[E, poses]``.
         """
         targets = [self.center, self._stale]
         for kernel, dim, inputs, outputs in (
-            (guide_target_kernel, self.center.shape, [body_q, goal, rollouts], targets),
+            (guide_target_kernel, self.center.shape, [body_q, pose], targets),
             (guide_waypoint_kernel, self._remaining.shape, targets, [self._remaining]),
             (guide_field_kernel, self.field.shape, [*targets, self._remaining], [self.field]),
         ):

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan step: begin → shift → n × (propose → evaluate → update) → command. Every strategy is this one step."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..engine.registry import EngineRequest, make_engine
+from ..engine.timegrid import TimeGrid
+from ..kernels.planning.splines import command_kernel
+from ..task.observed import ObservedState
+from .splines import SplineKind, spline_table
+from .strategy import SamplingStrategy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from ..cost.stack import CostStack
+    from ..engine.trajectory import Shape
+    from ..model.compiled import CompiledScene
+    from ..model.properties import Properties
+    from ..scene.schema import Scene
+
+STAGES = ("begin", "propose", "evaluate", "update")
+
+
+class PlanStep:
+    """One plan step over all environments, with the state it carries from plan to plan.
+
+    Args:
+        scene: The scene.
+        compiled: The scene, compiled.
+        costs: The cost terms, on the device of the rollouts.
+        shape: Sizes of the batch.
+        engine: Name of the engine.
+        seed: Seed of the noise.
+        properties: Draws of physical properties of the rollouts' worlds, None for nominal ones.
+
+    Raises:
+        SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
+    """
+
+    command: wp.array2d[float]
+    """Control to apply now, ``[E, nu]``."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        compiled: CompiledScene,
+        costs: CostStack,
+        shape: Shape,
+        *,
+        engine: str,
+        seed: int = 0,
+        properties: Properties | None = None,
+    ):
+        layout = costs.layout
+        self.costs, self.shape, self.device = costs, shape, costs.device
+        self.grid, self.kind = TimeGrid.of(scene), SplineKind(scene.planner.spline.value)
+        self.knot_time = knot_times(self.grid, scene.planner.knots)
+        """Times of the knots after the first ``[P]`` [s]."""
+        spline = spline_table(self.kind, self.knot_time, float(self.grid.dt[0]), self.device)
+
+        def array(values: np.ndarray) -> wp.array:
+            return wp.array(values, dtype=float, device=self.device)
+
+        self.limits = (array(layout.control_lower), array(layout.control_upper))
+        self.state = ObservedState.allocate(layout, costs.task, self.device)
+        self.engine = make_engine(
+            engine,
+            EngineRequest(
+                scene=scene,
+                compiled=compiled,
+                shape=shape,
+                grid=self.grid,
+                spline=spline,
+                limits=self.limits,
+                state=self.state,
+                costs=costs,
+                device=self.device,
+                properties=properties,
+            ),
+        )
+        self.strategy = SamplingStrategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
+        self._spline = spline
+        self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)
+        self.stages = dict.fromkeys(STAGES, 0.0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every earlier plan."""
+        self.strategy.reset()
+        self.costs.reset()
+
+    def __call__(self) -> None:
+        """Plan from :attr:`state`; the result is in :attr:`command`. Capture-safe where the engine is."""
+        self.stages = dict.fromkeys(STAGES, 0.0)
+        for stage, run in self.sequence():
+            with self._stage(stage):
+                run()
+
+    def sequence(self) -> list[tuple[str, Callable[[], None]]]:
+        """The plan step in order, each piece with the stage it belongs to."""
+        strategy, engine = self.strategy, self.engine
+
+        def rounds(i: int) -> Sequence[tuple[str, Callable[[], None]]]:
+            return (
+                ("propose", lambda: strategy.propose(i)),
+                ("evaluate", lambda: engine.evaluate(strategy.knots, strategy.offset)),
+                ("update", lambda: strategy.update(i)),
+            )
+
+        return [
+            ("begin", engine.begin),
+            ("begin", strategy.shift),
+            *(piece for i in range(strategy.iterations) for piece in rounds(i)),
+            ("update", self._finish),
+        ]
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        """Add the wall time [s] of a stage to :attr:`stages`."""
+        start = time.perf_counter()
+        yield
+        self.stages[name] += time.perf_counter() - start
+
+    def _finish(self) -> None:
+        """Write the command."""
+        wp.launch(
+            command_kernel,
+            dim=self.command.shape,
+            inputs=[self.strategy.mean, self._spline, *self.limits, self.strategy.offset],
+            outputs=[self.command],
+            device=self.device,
+        )
+        wp.copy(self.state.last_control, self.command)
+
+
+def knot_times(grid: TimeGrid, knots: int | None) -> np.ndarray:
+    """Times of P knots after the first ``[P]`` [s]: one at the start of every step, or fewer, from end to end, evenly.
+
+    Args:
+        grid: Steps of the horizon.
+        knots: Number of knots, one per step if None.
+    """
+    if knots is None or knots == grid.steps:
+        return grid.t[:-1]
+    return np.linspace(0.0, grid.t[-2], knots)

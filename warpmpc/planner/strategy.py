@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strategies: how plans are improved. One plan step serves them all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import warp as wp
+
+from ..scene.errors import SceneError
+from .distribution import Gaussian
+from .noise import NoiseKind, NoiseSource
+from .shaping import schedule, shaping_matrix
+from .weighting import WeightingState, weighting_of
+
+if TYPE_CHECKING:
+    from ..kernels.planning.splines import Spline
+    from ..model.layout import Layout
+    from ..scene.schema import Scene
+    from ..task.observed import ObservedState
+
+
+class Strategy(Protocol):
+    """Proposes knots, is told what they cost, and knows the plan."""
+
+    iterations: int
+    """Rounds of propose and update in a plan."""
+    knots: wp.array4d[float]
+    """Proposed knots, ``[E, S, P, nu]``, within the limits."""
+    mean: wp.array3d[float]
+    """Knots of the plan, ``[E, P, nu]``."""
+    offset: wp.array[float]
+    """Time from the first knot to the present, ``[E]`` [s]."""
+    beta: wp.array[float]
+    """Temperature, ``[E]``; one for strategies without."""
+    eta: wp.array[float]
+    """Number of samples that carry weight, ``[E]``, zero when every sample diverged."""
+
+    def shift(self) -> None:
+        """Move the plan on by the time that has passed; capture-safe."""
+
+    def propose(self, iteration: int) -> None:
+        """Write :attr:`knots`; capture-safe."""
+
+    def update(self, iteration: int) -> None:
+        """Learn from the costs of :attr:`knots`; capture-safe."""
+
+    def reset(self) -> None:
+        """Forget every earlier plan."""
+
+
+class SamplingStrategy:
+    """Samples about a mean, weighs them by cost, moves mean and σ to the weighted samples.
+
+    MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
+    several iterations.
+
+    Args:
+        scene: The scene.
+        layout: Its layout.
+        state: What plans start from.
+        spline: Spline over the knots.
+        limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
+        cost: Costs of the samples ``[E, S]``, which the engine writes.
+        seed: Seed of the noise.
+
+    Raises:
+        SceneError: If a list has the wrong number of values.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        state: ObservedState,
+        spline: Spline,
+        limits: tuple[wp.array, wp.array],
+        cost: wp.array,
+        *,
+        seed: int = 0,
+    ):
+        planner = self._planner = scene.planner
+        device = cost.device
+        envs, samples = cost.shape
+        count, nu = len(spline.time), layout.nu
+        self._state, self.iterations = state, planner.iterations
+        self.weighting = weighting_of(planner)
+        self.weights = WeightingState(cost, temperature=planner.temperature.initial)
+        self.beta, self.eta = self.weights.beta, self.weights.eta
+        rest = layout.control_start if len(layout.control_start) else np.zeros(nu, dtype=np.float32)
+        self.distribution = Gaussian(
+            state,
+            spline,
+            limits,
+            sigma=_per_control(planner.noise.sigma, layout, scene, "planner.noise.sigma"),
+            held=layout.control_safe,
+            rest=rest,
+        )
+        self.mean, self.offset = self.distribution.mean, self.distribution.offset
+        self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
+        self.noise = NoiseSource(
+            source=NoiseKind(planner.noise.source.value),
+            # a σ that narrows onto the same draws again and again carries the plan away from the optimum
+            redraw=planner.noise.redraw or planner.iterations > 1 or self.weighting.adapts_sigma,
+            seed=seed,
+            envs=envs,
+            samples=samples,
+            knots=count,
+            nu=nu,
+            spread=planner.noise.spread,
+            device=device,
+        )
+        floor = _per_control(planner.sigma_min, layout, scene, "planner.sigma_min")
+        self._shaping = wp.array(shaping_matrix(planner.noise, count), dtype=float, device=device)
+        self._schedule = wp.array(schedule(planner.noise, count, planner.iterations), dtype=float, device=device)
+        self._floor = wp.array(floor, dtype=float, device=device)
+
+    def reset(self) -> None:
+        """Forget every earlier plan."""
+        self.distribution.reset()
+        self.weights.reset()
+        self.noise.reset()
+
+    def shift(self) -> None:
+        """Move mean and σ on by the time that has passed; capture-safe."""
+        self.distribution.shift(shift_sigma=self.weighting.adapts_sigma)
+
+    def propose(self, iteration: int) -> None:
+        """Sample knots about the mean; capture-safe."""
+        noise = self._planner.noise
+        self.noise.launch(self._state.observed)
+        self.distribution.perturb(
+            self.noise.z,
+            self._shaping,
+            self._schedule,
+            iteration,
+            null_sample=noise.null_sample,
+            constant=noise.constant,
+            knots=self.knots,
+        )
+
+    def update(self, iteration: int) -> None:
+        """Weigh the samples, then move the mean and, where the weighting says so, σ; capture-safe."""
+        self.weighting.launch(self.weights)
+        weight = self.weights.weight
+        self.distribution.update_mean(self.knots, weight, self._planner.step_size)
+        if self.weighting.adapts_sigma:
+            self.distribution.update_sigma(self.knots, weight, self._floor, self.weighting.alpha_sigma)
+
+
+def _per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: str) -> np.ndarray:
+    """One value per control from one or ``nu`` values."""
+    if len(values) not in (1, layout.nu):
+        raise SceneError(
+            f"needs 1 or {layout.nu} values, one per control ({', '.join(layout.control_name)})",
+            key=key,
+            file=scene.path,
+            found=list(values),
+        )
+    return np.broadcast_to(np.array(values, dtype=np.float32), layout.nu).copy()

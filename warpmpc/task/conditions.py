@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conditions on frames, joints and cost terms, looked at on the host in one state of one world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..model.layout import WORLD
+from ..scene.errors import SceneError
+from .goal import angle_between, heading_between
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..model.layout import Layout
+    from ..scene.schema import Condition, Scene
+    from .task import Task
+
+
+@dataclass(frozen=True)
+class Look:
+    """What conditions look at."""
+
+    body_q: np.ndarray  # [nb, 7] poses of all bodies
+    joint_q: np.ndarray  # [nq]
+    terms: Mapping[str, float]
+    """Values of the cost terms that conditions name, without their weights; empty before the first control."""
+
+
+class Conditions:
+    """Conditions that must all hold.
+
+    Args:
+        conditions: What the scene says.
+        layout: The scene's layout, targets included.
+        task: Where targets are.
+        e: Environment of the task.
+        scene: The scene, for errors.
+        key: Key of the conditions in the scene, for errors.
+
+    Raises:
+        SceneError: If a frame, joint or term does not exist.
+    """
+
+    def __init__(self, conditions: Sequence[Condition], layout: Layout, task: Task, e: int, *, scene: Scene, key: str):
+        self._layout, self._task, self._e = layout, task, e
+        self._rows = []
+        for i, condition in enumerate(conditions):
+            where = f"{key}.{i}" if len(conditions) > 1 else key
+            self._rows.append((condition, *self._find(condition, scene, where)))
+
+    def _find(self, condition: Condition, scene: Scene, key: str) -> tuple[int, int]:
+        """Frames, or joint, that a condition names."""
+        try:
+            if condition.frame is not None:
+                compared = any(v is not None for v in (condition.distance, condition.yaw, condition.rotation))
+                other = self._layout.frame(condition.to, key=f"{key}.to") if compared else -1
+                return self._layout.frame(condition.frame, key=f"{key}.frame"), other
+            if condition.joint is not None:
+                return self._layout.joint(condition.joint, key=f"{key}.joint"), -1
+        except SceneError as error:
+            error.file = scene.path
+            raise
+        if condition.term not in scene.cost_labels:
+            raise SceneError(
+                "no such cost term",
+                key=f"{key}.term",
+                file=scene.path,
+                found=condition.term,
+                allowed=scene.cost_labels,
+            )
+        return -1, -1
+
+    def hold(self, look: Look) -> bool:
+        """Whether all of them hold."""
+        return all(self._holds(look, *row) for row in self._rows)
+
+    def _holds(self, look: Look, condition: Condition, index: int, other: int) -> bool:
+        if condition.term is not None:
+            value = look.terms.get(condition.term, np.nan)
+        elif condition.joint is not None:
+            value = float(look.joint_q[index])
+        else:
+            pose = self.frame_pose(look, index)
+            value = float(pose[2])
+            if other >= 0 and not self._near(condition, pose, self.frame_pose(look, other)):
+                return False
+        bounds = (
+            (condition.above, value >= (condition.above or 0.0)),
+            (condition.below, value <= (condition.below or 0.0)),
+        )
+        return all(holds for bound, holds in bounds if bound is not None)
+
+    def _near(self, condition: Condition, pose: np.ndarray, target: np.ndarray) -> bool:
+        errors = (
+            (condition.distance, float(np.linalg.norm(pose[:3] - target[:3]))),
+            (condition.yaw, heading_between(pose[3:], target[3:])),
+            (condition.rotation, angle_between(pose[3:], target[3:])),
+        )
+        return all(error <= most for most, error in errors if most is not None)
+
+    def frame_pose(self, look: Look, frame: int) -> np.ndarray:
+        """World pose ``[7]`` of a frame."""
+        body, local = int(self._layout.frame_body[frame]), self._layout.frame_pose[frame]
+        if body == WORLD:
+            return local
+        origin = look.body_q[body] if body >= 0 else self._task.pose(self._task.pose_name[-2 - body], self._e)
+        pose = wp.transform(*origin) * wp.transform(*local)
+        return np.array([*pose.p, *pose.q])

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run wants and may change between plans: named poses, named scalars, term weights, the active phase."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.layout import GOAL as GOAL_BODY
+from .goal import GOAL, goal_pose, target_pose
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..scene.schema import Phase, Scene
+
+POSE = 7
+"""Numbers of a pose (x, y, z, qx, qy, qz, qw)."""
+
+
+class Task(Mapping[str, np.ndarray]):
+    """The task of one run, or of E of them: ``task["goal"] = pose`` takes effect at the next plan.
+
+    Names are those of the scene: ``goal``, its targets, its scalars, and its cost terms, whose value is their weight.
+    A controller, its plant and a recorder that share one task all see what changes.
+
+    Args:
+        scene: The scene.
+        envs: Number of environments E.
+    """
+
+    def __init__(self, scene: Scene, *, envs: int = 1):
+        self.scene, self.envs = scene, envs
+        poses = {GOAL: goal_pose(scene), **{t.name: target_pose(t) for t in scene.target}}
+        weights = {label: cost.weight for label, cost in zip(scene.cost_labels, scene.cost, strict=True)}
+        self.pose_name, self.scalar_name, self.weight_name = tuple(poses), tuple(scene.scalar), tuple(weights)
+        self._columns = {name: slice(POSE * i, POSE * (i + 1)) for i, name in enumerate(poses)}
+        first = POSE * len(poses)
+        for i, name in enumerate((*scene.scalar, *weights)):
+            self._columns[name] = slice(first + i, first + i + 1)
+        start = np.concatenate([*poses.values(), list(scene.scalar.values()), list(weights.values())])
+        self._start = np.tile(start.astype(np.float32), (envs, 1))
+        self.block = self._start.copy()
+        """All of it as one row per environment: poses, scalars, weights ``[E, 7 poses + scalars + terms]``."""
+        self.phase = np.zeros(envs, dtype=int)
+        """Active phase of each environment, an index into the scene's ``phase`` list, ``[E]``."""
+        self._listeners: list[Callable[[frozenset[str]], None]] = []
+        self.reset()
+
+    def on_change(self, listener: Callable[[frozenset[str]], None]) -> None:
+        """Call ``listener(names)`` after every change."""
+        self._listeners.append(listener)
+
+    def reset(self) -> None:
+        """Go back to the scene's own values and to its first phase."""
+        self.block[:] = self._start
+        self.phase[:] = 0
+        changed = set(self._columns)
+        for e in range(self.envs):
+            changed |= self._enter(e)
+        self._tell(changed)
+
+    def take(self, tasks: Sequence[Task]) -> None:
+        """Make the present values of one-environment tasks the start of each environment, and go back to it.
+
+        Args:
+            tasks: Tasks of scenes that differ in nothing but values, one for each environment.
+        """
+        self._start = np.concatenate([task.block for task in tasks])
+        self.reset()
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A pose ``[7]``, scalar or weight, a copy; with a leading axis ``[E]`` for several environments."""
+        value = self.block[:, self._column(name)].copy()
+        if name not in self.pose_name:
+            value = value[:, 0]
+        return value if self.envs > 1 else value[0]
+
+    def __setitem__(self, name: str, value: object) -> None:
+        """Change a pose, scalar or weight, of all environments or of each its own.
+
+        Args:
+            name: Its name in the scene.
+            value: Pose ``[7]`` or ``[E, 7]``, quaternions are normalized; or a number, or ``[E]`` of them.
+
+        Raises:
+            KeyError: If the task has nothing of this name.
+            ValueError: If the value is not finite or of the wrong shape, or a quaternion is zero.
+        """
+        column = self._column(name)
+        if name in self.pose_name:
+            value = self._checked_pose(name, value)
+        else:
+            value = np.array(value, dtype=np.float32)
+            if value.shape not in ((), (self.envs,)) or not np.isfinite(value).all():
+                raise ValueError(f"'{name}' is a finite number, not {value}")
+            value = value.reshape(-1, 1)
+        self.block[:, column] = value
+        self._tell({name})
+
+    def _checked_pose(self, name: str, value: object) -> np.ndarray:
+        pose = np.array(value, dtype=np.float32)
+        right = pose.shape in ((POSE,), (self.envs, POSE))
+        if not right or not np.isfinite(pose).all() or not pose[..., 3:].any(axis=-1).all():
+            raise ValueError(f"'{name}' is a pose of seven finite numbers (x, y, z, qx, qy, qz, qw), not {pose}")
+        pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
+        return pose
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def pose(self, name: str, e: int = 0) -> np.ndarray:
+        """Pose ``[7]`` of one environment."""
+        return self.block[e, self._columns[name]]
+
+    def phase_of(self, e: int = 0) -> Phase | None:
+        """The active phase of an environment, None for a scene without phases."""
+        return self.scene.phase[self.phase[e]] if self.scene.phase else None
+
+    def enter_phase(self, index: int, e: int = 0) -> None:
+        """Go on to a phase: what it names takes its values, everything else stays.
+
+        Raises:
+            IndexError: If there is no such phase.
+        """
+        if not 0 <= index < len(self.scene.phase):
+            raise IndexError(f"there are {len(self.scene.phase)} phases, none with index {index}")
+        self.phase[e] = index
+        self._tell(self._enter(e))
+
+    def _enter(self, e: int) -> set[str]:
+        """Write what the active phase changes; returns the names."""
+        phase = self.phase_of(e)
+        if phase is None:
+            return set()
+        poses = {name: target_pose(pose) for name, pose in phase.target.items()}
+        if phase.goal is not None:
+            poses[GOAL] = goal_pose(self.scene, phase.goal)
+        for name, value in {**poses, **phase.scalar, **phase.weight}.items():
+            self.block[e, self._columns[name]] = value
+        return {*poses, *phase.scalar, *phase.weight}
+
+    def _column(self, name: str) -> slice:
+        if name not in self._columns:
+            raise KeyError(f"the task has no '{name}'; it has: {', '.join(self._columns)}")
+        return self._columns[name]
+
+    def _tell(self, names: set[str]) -> None:
+        for listener in self._listeners:
+            listener(frozenset(names))
+
+
+def task_layout(layout: Layout, scene: Scene) -> Layout:
+    """A compiled scene's layout with the scene's targets among its frames, and the goal only where there is one."""
+    frames = list(zip(layout.frame_name, layout.frame_body, layout.frame_pose, strict=True))
+    if scene.goal is None:
+        frames = [frame for frame in frames if frame[0] != GOAL]
+    identity = np.array([0.0] * 6 + [1.0], dtype=np.float32)
+    frames += [(target.name, GOAL_BODY - 1 - i, identity) for i, target in enumerate(scene.target)]
+    names, bodies, poses = zip(*frames, strict=True)
+    return layout.replace(
+        frame_name=names, frame_body=np.array(bodies, dtype=np.int32), frame_pose=np.array(poses, dtype=np.float32)
+    )
