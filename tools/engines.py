@@ -159,7 +159,7 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
         plan.append(1e3 * took)
         floor.append(1e3 * bare())
     shape = controller.shape
-    steps = shape.worlds * shape.horizon * scene.engine.substeps
+    steps = shape.worlds * sum(controller.engine.simulator.substeps)
     first = controller.info if args.envs == 1 else controller.info[0]
     row = {
         "scene": source,
@@ -170,7 +170,7 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
         "envs": args.envs,
         "samples": shape.rollouts,
         "horizon": shape.horizon,
-        "substeps": scene.engine.substeps,
+        "substeps": controller.engine.simulator.substeps[0],
         "overrides": overrides,
         "plan_ms": {name: float(np.percentile(plan, p)) for name, p in (("p50", 50), ("p99", 99))},
         "floor_ms": float(np.median(floor)),

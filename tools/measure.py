@@ -28,7 +28,7 @@ class Clearance:
     """
 
     def __init__(self, compiled: CompiledScene):
-        self.model = mujoco.MjModel.from_xml_string(compiled.mjcf)
+        self.model = compiled.spec().compile()
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)  # poses of whatever is fixed to the world
         layout = compiled.layout

@@ -32,6 +32,8 @@ class JointTable:
     body_com: wp.array[wp.vec3]  # [nb]
     mujoco_q: wp.array[int]  # [nj] first qpos of the joint in MuJoCo, -1 where it has none
     mujoco_qd: wp.array[int]  # [nj] first qvel of the joint in MuJoCo
+    mocap: wp.array[int]  # [nj] mocap body that the joint would fix to the world, -1 for joints of the physics
+    mocap_pose: wp.array2d[wp.transform]  # [W, nm] where each world's mocap bodies are
 
 
 @wp.func
@@ -105,6 +107,8 @@ def forward_kinematics(
         w_parent = wp.vec3(0.0)
         if parent >= 0:
             anchor = body_q[t, w, parent] * anchor
+        if table.mocap[j] >= 0:
+            anchor = table.mocap_pose[w, table.mocap[j]]
         moved = anchor * joint_transform(table, j, q, t, w)
         pose = moved * wp.transform_inverse(table.pose_child[j])
         origin = wp.transform_get_translation(pose)

@@ -168,6 +168,68 @@ def clone_state_kernel(
 
 
 @wp.kernel
+def clone_activation_kernel(
+    # inputs
+    observed: wp.array2d[float],  # [E, na]
+    rollouts: int,  # K = S·D worlds per environment
+    # outputs
+    act: wp.array3d[float],  # [T+1, W, na] slice 0 is written
+):
+    """One thread: one observed activation becomes the start of one world's rollout."""
+    w, i = wp.tid()
+    act[0, w, i] = observed[w // rollouts, i]
+
+
+@wp.kernel
+def clone_mocap_kernel(
+    # inputs
+    observed: wp.array2d[wp.transform],  # [E, nm]
+    rollouts: int,  # K = S·D worlds per environment
+    # outputs
+    mocap: wp.array2d[wp.transform],  # [W, nm]
+):
+    """One thread: where one mocap body of one world is during the rollout."""
+    w, i = wp.tid()
+    mocap[w, i] = observed[w // rollouts, i]
+
+
+@wp.kernel
+def mujoco_activation_kernel(
+    # inputs
+    act: wp.array3d[float],  # [T+1, W, na] slice 0 is read
+    column: wp.array[int],  # [na] where MuJoCo's state has each activation
+    # outputs
+    state: wp.array2d[wp.float64],  # [W, nstate] MuJoCo's full physics state
+):
+    """One thread: one activation at the start of one world."""
+    w, i = wp.tid()
+    state[w, column[i]] = wp.float64(act[0, w, i])
+
+
+@wp.kernel
+def mujoco_mocap_kernel(
+    # inputs
+    mocap: wp.array2d[wp.transform],  # [W, nm]
+    order: wp.array[int],  # [nm] MuJoCo's mocap body of each
+    first: int,  # column of the first mocap body's position
+    count: int,  # mocap bodies of the model: the rotations come after all their positions
+    # outputs
+    control: wp.array3d[wp.float64],  # [W, N, n] what a rollout is given at every physics step
+):
+    """One thread: the pose of one world's mocap bodies at one physics step."""
+    w, n = wp.tid()
+    for i in range(order.shape[0]):
+        p = wp.transform_get_translation(mocap[w, i])
+        q = wp.transform_get_rotation(mocap[w, i])
+        at = first + 3 * order[i]
+        turned = first + 3 * count + 4 * order[i]
+        for k in range(3):
+            control[w, n, at + k] = wp.float64(p[k])
+            control[w, n, turned + 1 + k] = wp.float64(q[k])
+        control[w, n, turned] = wp.float64(q[3])
+
+
+@wp.kernel
 def mujoco_state_kernel(
     # inputs
     table: JointTable,
@@ -223,6 +285,25 @@ def record_mujoco_kernel(
     w = first + thread
     read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
     forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
+
+
+@wp.kernel
+def gather_kernel(
+    # inputs
+    source: wp.array3d[wp.float64],  # [W, N, n]
+    column: wp.array[int],  # [m] column of the source behind each number, -1 for none
+    end: wp.array[int],  # [T] last physics step of each control step
+    slice: int,  # of the output that the first control step fills
+    first: int,  # world of thread 0
+    # outputs
+    out: wp.array3d[float],  # [T or T+1, W, m]
+):
+    """One thread: some columns of one world's record at the end of one control step."""
+    t, thread = wp.tid()
+    w = first + thread
+    for i in range(column.shape[0]):
+        if column[i] >= 0:
+            out[slice + t, w, i] = float(source[w, end[t], column[i]])
 
 
 @wp.kernel

@@ -9,7 +9,8 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def mujoco_contact_force_kernel(
     # inputs
-    sensor: wp.array3d[wp.float64],  # [W, N, nsensor] net force (x, y, z) per pair, on its second side
+    sensor: wp.array3d[wp.float64],  # [W, N, n] what all sensors show
+    start: wp.array[int],  # [pair + 1] first number of each pair: net forces on its second side, to be summed
     end: wp.array[int],  # [T] last physics step of each control step
     first: int,  # world of thread 0
     # outputs
@@ -24,7 +25,8 @@ def mujoco_contact_force_kernel(
     for p in range(force.shape[2]):
         total = wp.vec3(0.0)
         for n in range(begin, end[t] + 1):
-            total -= wp.vec3(float(sensor[w, n, 3 * p]), float(sensor[w, n, 3 * p + 1]), float(sensor[w, n, 3 * p + 2]))
+            for i in range(start[p], start[p + 1], 3):
+                total -= wp.vec3(float(sensor[w, n, i]), float(sensor[w, n, i + 1]), float(sensor[w, n, i + 2]))
         force[t, w, p] = total / float(end[t] + 1 - begin)
 
 

@@ -69,9 +69,17 @@ def write(folder: Path, text: str = SMALL) -> Path:
     return path
 
 
+_FLAGS = ("floating", "self_collision")
+"""Keys that may be left out and for which ``false`` says something else than that."""
+
+
 def toml(data: dict) -> str:
-    """Write tables as TOML; ``None`` becomes ``false``, which switches a key off."""
-    return "\n".join(f"{_key(name)} = {_value(value)}" for name, value in data.items()) + "\n"
+    """Write tables as TOML; ``None`` becomes ``false``, which switches a key off, and leaves flags out."""
+    return "\n".join(_entries(data)) + "\n"
+
+
+def _entries(data: dict) -> list[str]:
+    return [f"{_key(k)} = {_value(v)}" for k, v in data.items() if not (v is None and k in _FLAGS)]
 
 
 def _key(name: str) -> str:
@@ -90,7 +98,7 @@ def _value(value: object) -> str:
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(_entries(value)) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
     return repr(value)

@@ -253,7 +253,9 @@ def test_a_floating_robot_falls_and_a_fixed_one_does_not():
     fallen = 0.5 * 9.81 * 0.2**2
     assert start - q[-1, 2] == pytest.approx(fallen, rel=0.1)
     assert qd[-1, 2] == pytest.approx(-9.81 * 0.2, rel=0.1)
-    fixed = compiled(of_robot("nv_humanoid.xml", drive, position=(0.0, 0.0, 2.0))).layout
+    as_written = compiled(of_robot("nv_humanoid.xml", drive, position=(0.0, 0.0, 2.0))).layout
+    assert as_written.nq == layout.nq
+    fixed = compiled(of_robot("nv_humanoid.xml", drive, floating=False, position=(0.0, 0.0, 2.0))).layout
     assert fixed.nq == fixed.nv == layout.nv - 6  # its own free joint is gone
 
 
@@ -274,7 +276,8 @@ def test_several_joints_on_one_body_are_driven_by_their_own_names():
 
 def test_axes_of_a_humanoid_bear_the_names_of_its_file():
     drive = {"damping": 200.0, "effort_limit": 1000.0, "limit": 1.0}
-    scene = of_robot("nv_humanoid.xml", drive, position=(0.0, 0.0, 2.0), gravity_compensation=True)
+    keys = {"position": (0.0, 0.0, 2.0), "gravity_compensation": True, "floating": False}
+    scene = of_robot("nv_humanoid.xml", drive, **keys)
     layout = compiled(scene).layout
     control = np.zeros(layout.nu)
     control[layout.control_name.index("arm/right_hip_y")] = -0.5

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from dataclasses import fields
 
-import mujoco
 import numpy as np
 import pytest
 from small_scenes import BOX, CHAIN, WALL, chain_scene, make_scene
@@ -129,7 +128,7 @@ def test_a_changed_mesh_of_a_robot_changes_the_key(tmp_path):
 
 def test_names_lead_to_the_bodies_joints_and_geoms_they_stand_for(cache, tmp_path):
     compiled = compile_scene(chain_scene(tmp_path))
-    layout, model = compiled.layout, mujoco.MjModel.from_xml_string(compiled.mjcf)
+    layout, model = compiled.layout, compiled.spec().compile()
     for link, name in zip(layout.body_name, compiled.body_name, strict=True):
         assert model.body(name).name.endswith(link.split("/")[-1])
     sizes = {0: 7, 1: 4, 2: 1, 3: 1}

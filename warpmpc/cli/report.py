@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..engine.registry import physics_steps
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method
 
@@ -146,6 +147,8 @@ def print_check(episode: Episode, out: TextIO) -> None:
         entity = layout.entity(robot.name)
         dofs = sum(int(layout.joint_dof_dim[j].sum()) for j in entity.joints)
         fact("robot", f"{robot.name}: {dofs} DoF, {len(entity.bodies)} links, from {robot.asset}")
+    for note in controller.compiled.notes:
+        fact("as written", note)
     for item in scene.object:
         fact("object", f"{item.name}: {_shape(item)}, {item.mass:g} kg")
     for item in scene.obstacle:
@@ -153,12 +156,14 @@ def print_check(episode: Episode, out: TextIO) -> None:
     fact("frames", ", ".join(layout.frame_name))
     fact("goal", _goal(scene))
     fact("planner", _planner(scene))
-    shape, substeps = controller.shape, scene.engine.substeps
-    steps = shape.worlds * shape.horizon * substeps
+    shape = controller.shape
+    substeps = physics_steps(scene, controller.compiled, controller.planner.grid)[0]
+    steps = shape.worlds * sum(substeps)
+    each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
     fact(
         "rollouts",
-        f"{shape.worlds} worlds × {shape.horizon} controls × {substeps} substeps = {steps} physics steps a plan",
+        f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
     )
     ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -14,15 +14,20 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import (
+    clone_activation_kernel,
+    clone_mocap_kernel,
     clone_state_kernel,
     divergence_kernel,
+    gather_kernel,
+    mujoco_activation_kernel,
     mujoco_control_kernel,
+    mujoco_mocap_kernel,
     mujoco_state_kernel,
     record_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..model.joints import joint_table
-from ..model.mujoco_model import make_world, randomize_model
+from ..model.mujoco_model import MujocoWorld, Options, make_world, randomize_model
 from ..model.pairs import Pair
 from .crew import Crew
 from .trajectory import ObservedState, Shape, Trajectory
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+MOCAP = int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
 class WarningCounter:
@@ -80,8 +86,8 @@ class MujocoEngine:
         properties: Draws of physical properties; sample s and domain d use draw d when there are several domains,
             else draw s. ``None`` leaves every world nominal.
         threads: CPU threads, 0 for one per core this process may use.
-        iterations: Largest number of constraint solver iterations.
-        tolerance: Constraint solver tolerance.
+        options: What the scene says about the physics.
+        sensors: Sensors to record, all if None; the others are left out of the model.
     """
 
     name = "mujoco"
@@ -97,13 +103,14 @@ class MujocoEngine:
         pairs: tuple[Pair, ...] = (),
         properties: Properties | None = None,
         threads: int = 0,
-        iterations: int = 20,
-        tolerance: float = 1e-6,
+        options: Options | None = None,
+        sensors: Collection[str] | None = None,
     ):
-        self.shape, self.pairs = shape, pairs
+        self.shape, self.pairs, self.substeps = shape, pairs, tuple(substeps)
         layout = compiled.layout
-        world = make_world(compiled, timestep=timestep, pairs=pairs, iterations=iterations, tolerance=tolerance)
+        world = make_world(compiled, timestep=timestep, pairs=pairs, options=options, sensors=sensors)
         self.model, self.joint_qd = world.model, world.joint_qd
+        self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
         self._crew = Crew(self.threads)
@@ -115,7 +122,8 @@ class MujocoEngine:
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
         self.initial = np.zeros((shape.worlds, nstate))
-        self.control = np.zeros((shape.worlds, self.steps, world.model.nu))
+        self._control_spec = CONTROL | (MOCAP if layout.nm else 0)
+        self.control = np.tile(self._control_at_rest(world.model), (shape.worlds, self.steps, 1))
         self.state = np.zeros((shape.worlds, self.steps, nstate))
         self.sensor = np.zeros((shape.worlds, self.steps, world.model.nsensordata))
         # the same memory, seen by Warp
@@ -125,11 +133,30 @@ class MujocoEngine:
         )
         self._end = wp.array(end - 1, dtype=int, device="cpu")
         self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
-        self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
+        self._table = joint_table(layout, "cpu", worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
+        self._bind_columns(world)
         self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
         self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
         self.trajectory = Trajectory.allocate(shape, layout, len(pairs), "cpu")
         silence_mujoco()
+
+    def _control_at_rest(self, model: mujoco.MjModel) -> np.ndarray:
+        """What a rollout is given at a physics step: no controls, and mocap bodies where the model has them."""
+        row = np.empty(mujoco.mj_stateSize(model, self._control_spec))
+        mujoco.mj_getState(model, mujoco.MjData(model), row, self._control_spec)
+        return row
+
+    def _bind_columns(self, world: MujocoWorld) -> None:
+        """Where activations, mocap bodies, sensors and contact forces stand in MuJoCo's arrays."""
+
+        def upload(values: np.ndarray) -> wp.array:
+            return wp.array(values, dtype=int, device="cpu")
+
+        self._activation = upload(1 + world.model.nq + world.model.nv + world.activation)
+        self._mocap = upload(world.mocap)
+        self._sensors = upload(world.sensor)
+        self._senses = bool((world.sensor >= 0).any())
+        self._pair_start = upload(self._pair_sensor)
 
     def _randomized(self, world, properties: Properties | None) -> list[mujoco.MjModel]:
         if properties is None or not properties.names:
@@ -141,6 +168,8 @@ class MujocoEngine:
     def clone(self, state: ObservedState) -> None:
         """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
         out = self.trajectory
+        if self._mocap.size:
+            self._clone_mocap(state)
         wp.launch(
             clone_state_kernel,
             dim=self.shape.worlds,
@@ -155,6 +184,40 @@ class MujocoEngine:
             outputs=[self._initial],
             device="cpu",
         )
+        if self._activation.size:
+            self._clone_activations(state)
+
+    def _clone_activations(self, state: ObservedState) -> None:
+        out, dim = self.trajectory, (self.shape.worlds, self._activation.size)
+        inputs = [state.act, self.shape.rollouts]
+        wp.launch(clone_activation_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
+        inputs = [out.act, self._activation]
+        wp.launch(mujoco_activation_kernel, dim=dim, inputs=inputs, outputs=[self._initial], device="cpu")
+
+    def _clone_mocap(self, state: ObservedState) -> None:
+        """Put the mocap bodies of every world where they are observed."""
+        dim, inputs = (self.shape.worlds, self._mocap.size), [state.mocap, self.shape.rollouts]
+        wp.launch(clone_mocap_kernel, dim=dim, inputs=inputs, outputs=[self.mocap_pose], device="cpu")
+        self._write_mocap()
+
+    def _write_mocap(self) -> None:
+        wp.launch(
+            mujoco_mocap_kernel,
+            dim=(self.shape.worlds, self.steps),
+            inputs=[self.mocap_pose, self._mocap, self.model.nu, self.model.nmocap],
+            outputs=[self._control],
+            device="cpu",
+        )
+
+    @property
+    def mocap_pose(self) -> wp.array:
+        """Where the mocap bodies of every world are ``[W, nm]``."""
+        return self._table.mocap_pose
+
+    def move_mocap(self, world: int, index: int, pose: np.ndarray) -> None:
+        """Put one mocap body of one world at a pose (x, y, z, qx, qy, qz, qw)."""
+        self.mocap_pose.numpy()[world, index] = pose
+        self._write_mocap()
 
     def run(self, work: Callable[[int, int], None]) -> None:
         """Call ``work(first, count)`` for parts of the worlds, on all threads."""
@@ -193,7 +256,7 @@ class MujocoEngine:
             state=self.state[worlds],
             sensordata=self.sensor[worlds],
             skip_checks=True,
-            control_spec=CONTROL,
+            control_spec=self._control_spec,
         )
 
     def _record(self, first: int, count: int) -> None:
@@ -210,10 +273,16 @@ class MujocoEngine:
             wp.launch(
                 mujoco_contact_force_kernel,
                 dim=dim,
-                inputs=[self._sensor, self._end, first],
+                inputs=[self._sensor, self._pair_start, self._end, first],
                 outputs=[out.contact_force],
                 device="cpu",
             )
+        if self._activation.size:
+            inputs = [self._state, self._activation, self._end, 1, first]
+            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
+        if self._senses:
+            inputs = [self._sensor, self._sensors, self._end, 0, first]
+            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.sensor], device="cpu")
         wp.launch(
             divergence_kernel,
             dim=count,
@@ -221,6 +290,14 @@ class MujocoEngine:
             outputs=[out.diverged],
             device="cpu",
         )
+
+    def pair_force(self, world: int) -> np.ndarray:
+        """Net contact force on the first of each pair of one world at every physics step ``[steps, pairs, 3]`` [N]."""
+        if not self.pairs:
+            return np.zeros((self.steps, 0, 3))
+        start = self._pair_sensor
+        parts = self.sensor[world, :, start[0] :].reshape(self.steps, -1, 3)
+        return -np.add.reduceat(parts, (start[:-1] - start[0]) // 3, axis=1)  # MuJoCo measures it on the second
 
     def overflow_message(self, bits: int) -> str:
         """MuJoCo's C engine grows its memory as needed."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from ..model.mujoco_model import Options
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName
 from .recorded import RecordedEngine
@@ -123,13 +124,17 @@ def make_engine(name: str, request: EngineRequest) -> Engine:
     return ENGINES[name].make(request)
 
 
-def physics_steps(scene: Scene, grid: TimeGrid) -> tuple[list[int], float]:
+SUBSTEPS = 2
+"""Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
+
+
+def physics_steps(scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> tuple[list[int], float]:
     """Physics steps in each step of a rollout, and the length of one [s].
 
     Raises:
         SceneError: If a step is no multiple of the physics step, which has one length in these engines.
     """
-    timestep = float(grid.dt[0]) / scene.engine.substeps
+    timestep = float(grid.dt[0]) / compiled.substeps(scene.engine.substeps, float(grid.dt[0]), SUBSTEPS)
     count = grid.dt / timestep
     if np.abs(count - np.round(count)).max() > 1e-6:
         raise SceneError(
@@ -151,7 +156,7 @@ def _make_mujoco(request: EngineRequest) -> Engine:
     from .mujoco import MujocoEngine
 
     scene = request.scene
-    substeps, timestep = physics_steps(scene, request.grid)
+    substeps, timestep = physics_steps(scene, request.compiled, request.grid)
     simulator = MujocoEngine(
         request.compiled,
         request.shape,
@@ -160,8 +165,8 @@ def _make_mujoco(request: EngineRequest) -> Engine:
         pairs=request.costs.pairs,
         properties=request.properties,
         threads=scene.engine.threads,
-        iterations=scene.engine.iterations,
-        tolerance=scene.engine.tolerance,
+        options=Options.of(scene.engine),
+        sensors=request.costs.sensors,
     )
     return _recorded(request, simulator)
 
@@ -169,7 +174,7 @@ def _make_mujoco(request: EngineRequest) -> Engine:
 def _make_newton(request: EngineRequest) -> Engine:
     from .newton import NewtonEngine  # slow to import, and nothing else needs it
 
-    substeps, timestep = physics_steps(request.scene, request.grid)
+    substeps, timestep = physics_steps(request.scene, request.compiled, request.grid)
     simulator = NewtonEngine(
         request.scene,
         request.compiled.layout,

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING
 
 import newton
 import numpy as np
@@ -36,6 +35,10 @@ from .layout import (
     Layout,
     ShapeInfo,
 )
+from .native import NativeRobots, add_native
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 _KINDS = {
     GeoType.BOX: "box",
@@ -56,6 +59,10 @@ class World:
 
     builder: newton.ModelBuilder
     layout: Layout
+    natives: NativeRobots
+    """Its MJCF robots."""
+    actuator_name: tuple[str, ...]
+    """Actuator of an MJCF file behind each control, empty for controls of drives."""
 
 
 def build_world(scene: Scene) -> World:
@@ -64,14 +71,25 @@ def build_world(scene: Scene) -> World:
     Raises:
         SceneError: If an asset is missing or broken, or the scene names links or joints that its asset lacks.
     """
+    world = _build(scene)
+    if not world.layout.nu:
+        raise SceneError(
+            "there is nothing to control: the assets have no actuators of their own, so give a robot a drive",
+            key="robot.drive",
+            file=scene.path,
+        )
+    return world
+
+
+def _build(scene: Scene) -> World:
     builder = new_builder()
     entities: list[Entity] = []
     axes: list[str] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
-    actuators = Actuators()
+    actuators, natives = Actuators(), NativeRobots()
 
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes))
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives))
     for item in scene.object:
         entities.append(_add_object(builder, item, scene))
         frames[item.name] = (entities[-1].bodies[0], IDENTITY)
@@ -89,7 +107,20 @@ def build_world(scene: Scene) -> World:
         )
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
-    return World(builder, _layout(builder, entities, frames, actuators, axes))
+    layout = _layout(builder, entities, frames, actuators, axes, natives)
+    return World(builder, layout, natives, actuators.own())
+
+
+def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
+    """A world of everything but some robots, or None if nothing is left; Newton translates no world without a joint.
+
+    Raises:
+        SceneError: As :func:`build_world`.
+    """
+    left = tuple(robot for robot in scene.robot if robot.name not in natives)
+    if not (left or scene.object or scene.obstacle or scene.ground is not None):
+        return None
+    return _build(scene.model_copy(update={"robot": left}))
 
 
 _MUJOCO_LIMITS = 2
@@ -111,24 +142,31 @@ def _transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.t
     return wp.transform(wp.vec3(*position), wp.quat(*rotation))
 
 
-def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Actuators, axes: list[str]) -> Entity:
+def _add_robot(
+    builder,
+    robot: Robot,
+    scene: Scene,
+    frames: dict,
+    actuators: Actuators,
+    axes: list[str],
+    natives: NativeRobots,
+) -> Entity:
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
-    part = new_builder()
+    part, kind = new_builder(), asset_kind(path)
+    if kind is AssetKind.MJCF:
+        return add_native(builder, part, robot, path, scene, frames, actuators, axes, natives)
+    _refuse_mjcf_keys(robot, kind, scene)
     options = {
         "xform": _transform(robot.position, robot.rotation),
-        "floating": robot.floating,
-        "enable_self_collisions": robot.self_collision,
+        "floating": bool(robot.floating),
+        "enable_self_collisions": bool(robot.self_collision),
     }
     try:
-        match asset_kind(path):
+        match kind:
             case AssetKind.URDF:
                 part.add_urdf(str(path), package_dirs=[str(p) for p in package_dirs(path)], **options)
-            case AssetKind.MJCF:
-                # False would weld root bodies to the world that slide or turn on joints of their own
-                options["floating"] = robot.floating or (False if _has_free_root(path) else None)
-                part.add_mjcf(str(path), **options)
             case AssetKind.USD:
                 part.add_usd(str(path), **options)
     except SceneError:
@@ -148,7 +186,7 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
         part.shape_material_mu[:] = [robot.friction] * part.shape_count
     if robot.gravity_compensation:
         part.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(range(part.body_count), 1.0)
-    own = axis_names(part, joints, path)
+    own = axis_names(part, joints)
     axes += [f"{robot.name}/{name}" if name else "" for name in own]
     drive_robot(
         part, robot, own, scene, actuators, first_coord=builder.joint_coord_count, first_dof=builder.joint_dof_count
@@ -174,10 +212,22 @@ def _add_robot(builder, robot: Robot, scene: Scene, frames: dict, actuators: Act
     )
 
 
-def _has_free_root(path: Path) -> bool:
-    """Whether a body of an MJCF file moves freely by itself."""
-    bodies = ElementTree.parse(path).iterfind("worldbody/body")
-    return any(b.find("freejoint") is not None or b.find("joint[@type='free']") is not None for b in bodies)
+def _refuse_mjcf_keys(robot: Robot, kind: AssetKind, scene: Scene) -> None:
+    """Only MJCF files bring actuators and keyframes of their own."""
+    if not robot.drive:
+        raise SceneError(
+            f"a {kind.upper()} file has no actuators of its own: give the robot a drive",
+            key=f"robot.{robot.name}.drive",
+            file=scene.path,
+            found=None,
+        )
+    if robot.keyframe is not None:
+        raise SceneError(
+            f"a {kind.upper()} file has no keyframes: give joint_q",
+            key=f"robot.{robot.name}.keyframe",
+            file=scene.path,
+            found=robot.keyframe,
+        )
 
 
 def _root(part: newton.ModelBuilder) -> int:
@@ -257,7 +307,14 @@ def _filter_ground(builder, scene: Scene, entities: list[Entity]) -> None:
                     builder.add_shape_collision_filter_pair(shape, plane)
 
 
-def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators, robot_axes: list[str]) -> Layout:
+def _layout(
+    builder,
+    entities: list[Entity],
+    frames: dict,
+    actuators: Actuators,
+    robot_axes: list[str],
+    natives: NativeRobots,
+) -> Layout:
     axes = np.array(builder.joint_axis, dtype=np.float32).reshape(-1, 3)
     dims = np.array(builder.joint_dof_dim, dtype=np.int32).reshape(-1, 2)
     q_start, qd_start = np.array(builder.joint_q_start), np.array(builder.joint_qd_start)
@@ -271,6 +328,7 @@ def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators,
     owner = {shape: entity.name for entity in entities for shape in entity.shapes}
     shapes = tuple(_shape_info(builder, i, owner.get(i, ""), meshes) for i in range(builder.shape_count))
     poses = [np.array(x, dtype=np.float32) for x in (builder.joint_X_p, builder.joint_X_c)]
+    start = {name: np.array(getattr(builder, name), dtype=np.float32) for name in ("joint_q", "joint_qd")}
     return Layout(
         joint_name=tuple(builder.joint_label),
         joint_type=np.array(builder.joint_type, dtype=np.int32),
@@ -288,8 +346,7 @@ def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators,
         dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
         body_name=tuple(builder.body_label),
         body_com=np.array(builder.body_com, dtype=np.float32).reshape(-1, 3),
-        joint_q=np.array(builder.joint_q, dtype=np.float32),
-        joint_qd=np.array(builder.joint_qd, dtype=np.float32),
+        **start,
         entities=tuple(entities),
         shapes=shapes,
         frame_name=tuple(frames),
@@ -297,6 +354,7 @@ def _layout(builder, entities: list[Entity], frames: dict, actuators: Actuators,
         frame_pose=np.array([pose for _, pose in frames.values()], dtype=np.float32),
         meshes=tuple(meshes),
         **actuators.arrays(),
+        **natives.arrays(start, len(actuators.control)),
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene compiled once: Newton world → MuJoCo model and state layout, kept in a cache on disk.
+"""A scene compiled once: Newton world and MJCF files → MuJoCo model and state layout, kept in a cache on disk.
 
 Building the Newton world and translating it takes seconds, most of them imports. The result depends only on the
 scene's bodies and on its asset files, so it is stored under a hash of those: a later run of the same scene needs
@@ -16,17 +16,22 @@ import os
 import re
 import tempfile
 import zipfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import platformdirs
 
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
 
 if TYPE_CHECKING:
+    import mujoco
+
     from ..scene.schema import Scene
+    from .builder import World
+    from .mjcf import Native
 
 
 @dataclass(frozen=True)
@@ -35,13 +40,40 @@ class CompiledScene:
 
     layout: Layout
     mjcf: str
-    """The MuJoCo model that ``SolverMuJoCo`` compiles from the Newton model, as XML with meshes inline."""
+    """The MuJoCo model that ``SolverMuJoCo`` compiles from the Newton model without MJCF robots, as XML with meshes
+    inline; empty where there is nothing else."""
     body_name: tuple[str, ...]
     """MuJoCo name of each Newton body."""
     geom_name: tuple[str, ...]
     """MuJoCo name of each shape, empty for shapes that do not collide."""
     joint_name: tuple[str, ...]
     """MuJoCo name of each joint dof."""
+    actuator_name: tuple[str, ...] = ()
+    """Actuator of an MJCF file behind each control, empty for controls of drives."""
+    natives: tuple[Native, ...] = ()
+    """The MJCF robots, whose files go into the MuJoCo model as they are."""
+    notes: tuple[str, ...] = ()
+    """What was taken over from MJCF files and what was not."""
+    timestep: float | None = None
+    """Physics step that the first MJCF file asks for [s]."""
+
+    def spec(self) -> mujoco.MjSpec:
+        """The MuJoCo model of the scene, to be compiled."""
+        from .compose import compose
+
+        return compose(self.mjcf, self.natives)
+
+    def substeps(self, wanted: int | None, control_dt: float, default: int) -> int:
+        """Physics steps per control.
+
+        Args:
+            wanted: What the scene says.
+            control_dt: Length of a control [s].
+            default: What holds where neither the scene nor an MJCF file says anything.
+        """
+        if wanted is not None:
+            return wanted
+        return default if self.timestep is None else max(1, round(control_dt / self.timestep))
 
 
 def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
@@ -72,12 +104,19 @@ def cache_folder() -> Path:
 
 
 def _compile(scene: Scene) -> CompiledScene:
-    import newton
-    import warp as wp
-
     from .builder import build_world
 
     world = build_world(scene)
+    if not world.natives.robots:
+        return CompiledScene(world.layout, *_derive(world), world.actuator_name)
+    return _compile_natives(scene, world)
+
+
+def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """The MuJoCo model of a Newton world, and its names of bodies, shapes and joint dofs."""
+    import newton
+    import warp as wp
+
     with wp.ScopedDevice("cpu"), tempfile.TemporaryDirectory() as folder:
         model = world.builder.finalize(device="cpu")
         path = Path(folder) / "scene.xml"
@@ -86,7 +125,7 @@ def _compile(scene: Scene) -> CompiledScene:
     mj = solver.mj_model
     bodies = [""] * world.layout.nb
     for i, body in enumerate(solver.mjc_body_to_newton.numpy()[0]):
-        if body >= 0:
+        if 0 <= body < len(bodies):
             bodies[body] = mj.body(i).name
     geoms = [""] * len(world.layout.shapes)
     for i, shape in enumerate(solver.mjc_geom_to_newton_shape.numpy()[0]):
@@ -96,9 +135,71 @@ def _compile(scene: Scene) -> CompiledScene:
     for i, (joint, dof) in enumerate(
         zip(solver.mjc_jnt_to_newton_jnt.numpy()[0], solver.mjc_jnt_to_newton_dof.numpy()[0], strict=True)
     ):
+        if joint >= len(world.layout.joint_name):
+            continue
         one_axis = mj.jnt_type[i] in (2, 3)  # slide or hinge; free and ball joints are found by their first dof
         joints[dof if one_axis else world.layout.joint_qd_start[joint]] = mj.joint(i).name
-    return CompiledScene(world.layout, mjcf, tuple(bodies), tuple(geoms), tuple(joints))
+    return mjcf, tuple(bodies), tuple(geoms), tuple(joints)
+
+
+_HELPER = "helper"
+"""A body that helps through Newton's translation, which refuses worlds without a joint, and leaves the model again."""
+
+
+def _without_helper(mjcf: str) -> str:
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(mjcf)
+    spec.delete(spec.body(_HELPER))
+    spec.compile()
+    return spec.to_xml()
+
+
+def _compile_natives(scene: Scene, world: World) -> CompiledScene:
+    """A scene with MJCF robots: what else stands in it is derived from a Newton world of its own."""
+    from .builder import build_rest
+    from .compose import compose, differences, needs_implicit, options_that_differ
+    from .mjcf import compile_mjcf, read_mjcf
+
+    layout, natives = world.layout, tuple(world.natives.robots)
+    names = {native.robot.name for native in natives}
+    bodies, joints = list(layout.body_name), [""] * layout.nv
+    geoms = [shape.name if shape.collides else "" for shape in layout.shapes]
+    mjcf, rest = "", build_rest(scene, names)
+    if rest is not None:
+        if not rest.builder.joint_count:
+            rest.builder.add_body(label=_HELPER, mass=1.0, inertia=np.eye(3))
+        mjcf, *found = _derive(rest)
+        if rest.layout.nb < rest.builder.body_count:
+            mjcf = _without_helper(mjcf)
+        for entity in rest.layout.entities:
+            whole = layout.entity(entity.name)
+            for own, there in zip(entity.bodies, whole.bodies, strict=True):
+                bodies[there] = found[0][own]
+            for own, there in zip(entity.shapes, whole.shapes, strict=True):
+                geoms[there] = found[1][own]
+            for own, there in zip(entity.joints, whole.joints, strict=True):
+                first, start = rest.layout.joint_qd_start[own], layout.joint_qd_start[there]
+                for k in range(int(layout.joint_dof_dim[there].sum())):
+                    joints[start + k] = found[2][first + k]
+    notes = list(world.natives.notes)
+    files = [read_mjcf(native, file=scene.path) for native in natives]
+    model = compose(mjcf, natives).compile()
+    for native, file in zip(natives, files, strict=True):
+        name = native.robot.name
+        own = compile_mjcf(file, native, file=scene.path)
+        for j in range(own.njnt):
+            start = layout.joint_qd_start[layout.entity(name).joints[0]] + own.jnt_dofadr[j]
+            joints[start] = f"{name}/{own.joint(j).name}"
+        notes += differences(own, model, name)
+        if differ := options_that_differ(files[0].spec, file.spec):
+            notes.append(f"{name}: options of the first MJCF file hold instead of its own: {', '.join(differ)}")
+    if needs_implicit(files[0].spec, natives):
+        notes.append("the servos of drives are integrated by implicitfast, unless engine.integrator says otherwise")
+    timestep = float(files[0].spec.option.timestep)
+    return CompiledScene(
+        layout, mjcf, tuple(bodies), tuple(geoms), tuple(joints), world.actuator_name, natives, tuple(notes), timestep
+    )
 
 
 def _fetch(folder: Path, key: str) -> CompiledScene:
@@ -110,8 +211,22 @@ def _fetch(folder: Path, key: str) -> CompiledScene:
     entry = json.loads((folder / f"{key}.json").read_text())
     if entry["digest"] != _digest(entry["names"], folder / f"{key}.npz", folder / f"{key}.xml"):
         raise ValueError("a damaged cache entry")
-    layout = Layout.load(folder / f"{key}.npz")
-    return CompiledScene(layout, (folder / f"{key}.xml").read_text(), *(tuple(names) for names in entry["names"]))
+    layout, mjcf = Layout.load(folder / f"{key}.npz"), (folder / f"{key}.xml").read_text()
+    *names, natives, notes, timestep = entry["names"]
+    return CompiledScene(layout, mjcf, *map(tuple, names), _natives(natives), tuple(notes), timestep)
+
+
+def _natives(entries: list[dict]) -> tuple[Native, ...]:
+    """What :func:`_store` wrote about MJCF robots."""
+    if not entries:
+        return ()
+    from ..scene.schema_bodies import Robot
+    from .mjcf import Native, Servo
+
+    return tuple(
+        Native(e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**servo) for servo in e["servos"]))
+        for e in entries
+    )
 
 
 def _digest(names: object, *files: Path) -> str:
@@ -125,12 +240,18 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         parts = Path(work)
         compiled.layout.save(parts / "npz.npz")
         (parts / "xml").write_text(compiled.mjcf)
-        names = [compiled.body_name, compiled.geom_name, compiled.joint_name]
+        names = [compiled.body_name, compiled.geom_name, compiled.joint_name, compiled.actuator_name]
+        names += [[_entry(native) for native in compiled.natives], compiled.notes, compiled.timestep]
         entry = {"names": names, "digest": _digest(names, parts / "npz.npz", parts / "xml")}
         (parts / "json").write_text(json.dumps(entry))
         os.replace(parts / "npz.npz", folder / f"{key}.npz")
         os.replace(parts / "xml", folder / f"{key}.xml")
         os.replace(parts / "json", folder / f"{key}.json")
+
+
+def _entry(native: Native) -> dict:
+    servos = [asdict(servo) for servo in native.servos]
+    return {"path": native.path, "robot": native.robot.model_dump(mode="json"), "servos": servos}
 
 
 def _cache_key(scene: Scene) -> str | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from newton import JointTargetMode
 
@@ -34,6 +35,10 @@ class Actuators:
 
     control: list[dict] = field(default_factory=list)
     actuator: list[dict] = field(default_factory=list)
+
+    def own(self) -> tuple[str, ...]:
+        """Name of the asset's own actuator behind each control, empty for controls of drives."""
+        return tuple(c.get("actuator", "") for c in self.control)
 
     def arrays(self) -> dict[str, object]:
         """The fields of a :class:`~warpmpc.model.layout.Layout` that describe controls."""
@@ -110,6 +115,57 @@ def drive_robot(
         values = robot.armature * (len(driven) if len(robot.armature) == 1 else 1)
         for name, value in zip(driven, values, strict=True):
             part.joint_armature[movable[name][1]] = value
+
+
+def add_own_controls(
+    model: mujoco.MjModel, robot: Robot, scene: Scene, actuators: Actuators, *, first_coord: int
+) -> None:
+    """Append the actuators of a robot's own MJCF file to ``actuators``, as controls by the names of the file.
+
+    Args:
+        model: The file's model.
+        robot: The robot.
+        scene: The scene, for errors.
+        actuators: Takes the controls.
+        first_coord: Joint coordinates of the robots before.
+
+    Raises:
+        SceneError: If an actuator says nothing about the range of its control.
+    """
+    for a in range(model.nu):
+        name = model.actuator(a).name
+        if not model.actuator_ctrllimited[a]:
+            raise SceneError(
+                f"actuator '{name}' has no limits to choose controls in: give it a ctrlrange in the asset, "
+                "or the robot a drive with limit = [...]",
+                key=f"robot.{robot.name}.drive",
+                file=scene.path,
+                found=None,
+            )
+        lower, upper = (float(x) for x in model.actuator_ctrlrange[a])
+        actuators.control.append(
+            {
+                "name": f"{robot.name}/{name}",
+                "lower": lower,
+                "upper": upper,
+                "safe": _held_coordinate(model, a, first_coord),
+                "actuator": f"{robot.name}/{name}",
+            }
+        )
+
+
+def _held_coordinate(model: mujoco.MjModel, a: int, first_coord: int) -> int:
+    """Joint coordinate that an actuator holds when it is its control, or -1 for those that are no position servos."""
+    joint = int(model.actuator_trnid[a, 0])
+    servo = (
+        model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+        and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+        and model.actuator_gear[a, 0] == 1.0
+        and model.actuator_gainprm[a, 0] > 0.0
+        and model.actuator_biasprm[a, 1] == -model.actuator_gainprm[a, 0]
+    )
+    return first_coord + int(model.jnt_qposadr[joint]) if servo else -1
 
 
 def _coordinates(part: newton.ModelBuilder) -> list[int]:

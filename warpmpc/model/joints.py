@@ -18,6 +18,7 @@ def joint_table(
     layout: Layout,
     device: str,
     *,
+    worlds: int = 1,
     mujoco_q: np.ndarray | None = None,
     mujoco_qd: np.ndarray | None = None,
 ) -> JointTable:
@@ -26,6 +27,7 @@ def joint_table(
     Args:
         layout: State layout.
         device: Warp device.
+        worlds: Number of worlds, each with mocap bodies of its own.
         mujoco_q: First qpos of each joint [nj], -1 where MuJoCo has none.
         mujoco_qd: First qvel of each joint [nj].
     """
@@ -48,4 +50,15 @@ def joint_table(
     table.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
     table.mujoco_q = ints(mujoco_q)
     table.mujoco_qd = ints(mujoco_qd)
+    order = {int(body): i for i, body in enumerate(layout.mocap_body)}
+    table.mocap = ints(np.array([order.get(int(child), -1) for child in layout.joint_child], dtype=np.int32))
+    table.mocap_pose = start_mocap(layout, worlds, device)
     return table
+
+
+def start_mocap(layout: Layout, rows: int, device: str) -> wp.array:
+    """Where a scene's mocap bodies are at the start, ``[rows, nm]``."""
+    poses = wp.zeros((rows, layout.nm), dtype=wp.transform, device=device)
+    if layout.nm:
+        poses.assign(np.tile(layout.mocap, (rows, 1, 1)))
+    return poses

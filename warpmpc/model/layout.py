@@ -65,6 +65,8 @@ class Keyframe:
     joint_qd: tuple[float, ...]
     act: tuple[float, ...]
     control: tuple[float, ...]
+    mocap: tuple[float, ...] = ()
+    """Poses of mocap bodies, one after the other."""
 
 
 def _no_floats() -> np.ndarray:

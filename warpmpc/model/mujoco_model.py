@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -13,6 +14,12 @@ from ..scene.errors import SceneError
 from .compiled import CompiledScene
 from .pairs import Pair
 from .properties import Properties
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from ..scene.schema import Engine
+    from .layout import Layout
 
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
 _NET_FORCE = 3  # reduce = "netforce"
@@ -23,12 +30,51 @@ class MujocoWorld:
     """A MuJoCo model and how its arrays map to the layout."""
 
     model: mujoco.MjModel
-    actuator_matrix: np.ndarray  # [na, nu] control → ctrl, in the model's actuator order
-    actuator_offset: np.ndarray  # [na]
+    actuator_matrix: np.ndarray  # [model.nu, nu] control → ctrl, in the model's actuator order
+    actuator_offset: np.ndarray  # [model.nu]
     joint_q: np.ndarray  # [nj] first qpos of each joint, -1 where it has none
     joint_qd: np.ndarray  # [nj] first qvel of each joint
+    activation: np.ndarray  # [na] activation of the model behind each of the layout's
+    mocap: np.ndarray  # [nm] mocap body of the model behind each of the layout's
+    sensor: np.ndarray  # [ns] number of the model's sensors behind each of the layout's, -1 where it is left out
+    pair_sensor: np.ndarray  # [pairs + 1] first contact sensor of each pair, counted from the first of all
     bodies: dict[str, tuple[int, ...]]  # entity → body ids
     geoms: dict[str, tuple[int, ...]]  # entity → geom ids
+
+    @property
+    def first_contact(self) -> int:
+        """Where the contact sensors begin among the numbers of all sensors; they come last."""
+        return self.model.nsensordata - 3 * int(self.pair_sensor[-1])
+
+
+_INTEGRATORS = {
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+_CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Physics options that a scene gives; what is None is as the MJCF file says, or as said here without one."""
+
+    iterations: int | None = None
+    """Largest number of constraint solver iterations, else 20."""
+    tolerance: float | None = None
+    """Constraint solver tolerance, else 1e-6."""
+    integrator: str | None = None
+    """``euler``, ``rk4``, ``implicit`` or ``implicitfast``, the default."""
+    cone: str | None = None
+    """``pyramidal``, the default, or ``elliptic``."""
+    impratio: float | None = None
+    """Ratio of friction to normal constraint impedance, else 1."""
+
+    @classmethod
+    def of(cls, engine: Engine, **changes: object) -> Options:
+        """The options of a scene's ``engine`` table, with some changed."""
+        return replace(cls(*(getattr(engine, item.name) for item in fields(cls))), **changes)
 
 
 def make_world(
@@ -36,27 +82,25 @@ def make_world(
     *,
     timestep: float,
     pairs: tuple[Pair, ...] = (),
-    iterations: int = 20,
-    tolerance: float = 1e-6,
+    options: Options | None = None,
+    sensors: Collection[str] | None = None,
 ) -> MujocoWorld:
     """Compile a MuJoCo model of a scene.
 
     Args:
         compiled: The scene.
         timestep: Physics step [s].
-        pairs: Pairs of entities whose net contact force is measured by a sensor each, in this order.
-        iterations: Largest number of constraint solver iterations.
-        tolerance: Constraint solver tolerance.
+        pairs: Pairs of entities whose net contact force is measured, in this order.
+        options: What the scene says about the physics.
+        sensors: Sensors of MJCF files to keep; every other one costs time and is left out. ``None`` keeps all.
     """
     layout = compiled.layout
-    spec = mujoco.MjSpec.from_string(compiled.mjcf)
-    spec.option.timestep = timestep
-    spec.option.iterations = iterations
-    spec.option.tolerance = tolerance
-    # few bodies: looking for constraint islands costs more than it saves
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    spec = compiled.spec()
+    _set_options(spec, compiled, options or Options(), timestep)
+    known = set(layout.sensor_name) if sensors is None else set(sensors)
     for sensor in list(spec.sensors):
-        spec.delete(sensor)
+        if sensor.name not in known:
+            spec.delete(sensor)
     _keep_servos(spec, compiled)
     for dof, mode, limit in zip(layout.actuator_dof, layout.actuator_mode, layout.actuator_effort, strict=True):
         if mode == "effort":
@@ -65,54 +109,113 @@ def make_world(
             actuator.gainprm[0] = 1.0
             actuator.forcelimited = True
             actuator.forcerange = [-limit, limit]
-    for i, pair in enumerate(pairs):
-        _add_contact_sensor(spec, compiled, f"contact_{i}", pair)
+    counts = [_add_contact_sensors(spec, compiled, f"contact_{i}", pair) for i, pair in enumerate(pairs)]
     model = spec.compile()
-    return MujocoWorld(model, *_actuators(model, compiled), *_joints(model, compiled), *_entities(model, compiled))
+    return MujocoWorld(
+        model,
+        *_actuators(model, compiled),
+        *_joints(model, compiled),
+        *_states(model, layout),
+        _sensors(model, layout),
+        np.cumsum([0, *counts], dtype=np.int32),
+        *_entities(model, compiled),
+    )
+
+
+def _set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options, timestep: float) -> None:
+    option = spec.option
+    option.timestep = timestep
+    if options.iterations is not None or not compiled.natives:
+        option.iterations = 20 if options.iterations is None else options.iterations
+    if options.tolerance is not None or not compiled.natives:
+        option.tolerance = 1e-6 if options.tolerance is None else options.tolerance
+    if options.integrator is not None:
+        option.integrator = _INTEGRATORS[options.integrator]
+    if options.cone is not None:
+        option.cone = _CONES[options.cone]
+    if options.impratio is not None:
+        option.impratio = options.impratio
+    # few bodies: looking for constraint islands costs more than it saves, and changes nothing but the time
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
 def _keep_servos(spec: mujoco.MjSpec, compiled: CompiledScene) -> None:
-    """Delete actuators of the assets' own; the servos of the scene's drives come before them."""
-    layout = compiled.layout
+    """Delete actuators that belong neither to the scene's drives nor to MJCF files that are driven by their own."""
+    layout, own = compiled.layout, set(compiled.actuator_name)
     modes = zip(layout.actuator_dof, layout.actuator_mode, strict=True)
     wanted = {compiled.joint_name[dof] for dof, mode in modes if mode != "effort"}
     for actuator in list(spec.actuators):
+        if actuator.name and actuator.name in own:
+            continue
         if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target in wanted:
             wanted.remove(actuator.target)
         else:
             spec.delete(actuator)
 
 
-def _add_contact_sensor(spec: mujoco.MjSpec, compiled: CompiledScene, name: str, pair: Pair) -> None:
-    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
-    sensor.objtype, sensor.objname = _contact_side(compiled, pair.first)
-    sensor.reftype, sensor.refname = _contact_side(compiled, pair.second)
-    sensor.intprm = [_FORCE, _NET_FORCE, 1]
+def _add_contact_sensors(spec: mujoco.MjSpec, compiled: CompiledScene, name: str, pair: Pair) -> int:
+    """One sensor for every two parts of a pair's entities, whose forces add up; returns how many."""
+    sides = [(a, b) for a in _contact_sides(compiled, pair.first) for b in _contact_sides(compiled, pair.second)]
+    for i, (first, second) in enumerate(sides):
+        sensor = spec.add_sensor(name=f"{name}_{i}", type=mujoco.mjtSensor.mjSENS_CONTACT)
+        sensor.objtype, sensor.objname = first
+        sensor.reftype, sensor.refname = second
+        sensor.intprm = [_FORCE, _NET_FORCE, 1]
+    return len(sides)
 
 
-def _contact_side(compiled: CompiledScene, name: str) -> tuple[mujoco.mjtObj, str]:
-    entity = compiled.layout.entity(name)
+def _contact_sides(compiled: CompiledScene, name: str) -> list[tuple[mujoco.mjtObj, str]]:
+    """The parts of an entity: the trees of its bodies, and its colliding geoms that are fixed to the world."""
+    layout = compiled.layout
+    entity = layout.entity(name)
+    sides = []
     if entity.kind == "robot":
-        return mujoco.mjtObj.mjOBJ_XBODY, compiled.body_name[entity.bodies[0]]  # the whole subtree
-    if entity.bodies:
-        return mujoco.mjtObj.mjOBJ_BODY, compiled.body_name[entity.bodies[0]]
-    colliding = [compiled.geom_name[s] for s in entity.shapes if compiled.geom_name[s]]
-    if not colliding:
+        above = dict(zip(layout.joint_child.tolist(), layout.joint_parent.tolist(), strict=True))
+        roots = [b for b in entity.bodies if above[b] not in entity.bodies]
+        sides += [(mujoco.mjtObj.mjOBJ_XBODY, compiled.body_name[b]) for b in roots]  # with all that hangs on it
+    elif entity.bodies:
+        return [(mujoco.mjtObj.mjOBJ_BODY, compiled.body_name[entity.bodies[0]])]
+    fixed = [s for s in entity.shapes if layout.shapes[s].body < 0 and layout.shapes[s].collides]
+    sides += [(mujoco.mjtObj.mjOBJ_GEOM, compiled.geom_name[s]) for s in fixed if compiled.geom_name[s]]
+    if not sides:
         raise SceneError("this entity has no shape that collides", key="between", found=name)
-    return mujoco.mjtObj.mjOBJ_GEOM, colliding[0]
+    return sides
 
 
 def _actuators(model: mujoco.MjModel, compiled: CompiledScene) -> tuple[np.ndarray, np.ndarray]:
     layout = compiled.layout
     matrix = np.zeros((model.nu, layout.nu), dtype=np.float32)
     offset = np.zeros(model.nu, dtype=np.float32)
-    for row, dof in enumerate(layout.actuator_dof):
-        joint = model.joint(compiled.joint_name[dof]).id
-        driving = [a for a in range(model.nu) if model.actuator_trnid[a, 0] == joint]
-        for a in driving:
-            matrix[a] = layout.actuator_matrix[row]
-            offset[a] = layout.actuator_offset[row]
+    own = {name: i for i, name in enumerate(compiled.actuator_name) if name}
+    driven = {model.joint(compiled.joint_name[dof]).id: row for row, dof in enumerate(layout.actuator_dof)}
+    for a in range(model.nu):
+        name = model.actuator(a).name
+        if name in own:
+            matrix[a, own[name]] = 1.0
+        else:  # a servo of a drive
+            row = driven[model.actuator_trnid[a, 0]]
+            matrix[a], offset[a] = layout.actuator_matrix[row], layout.actuator_offset[row]
     return matrix, offset
+
+
+def _states(model: mujoco.MjModel, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Activation and mocap body of the model behind each of the layout's."""
+    first: dict[str, int] = {}
+    activation = []
+    for name in layout.activation_name:
+        activation.append(model.actuator(name).actadr[0] + first.get(name, 0))
+        first[name] = first.get(name, 0) + 1
+    mocap = [model.body(name).mocapid[0] for name in layout.mocap_name]
+    return np.array(activation, dtype=np.int32), np.array(mocap, dtype=np.int32)
+
+
+def _sensors(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
+    columns = np.full(layout.ns, -1, dtype=np.int32)
+    there = {model.sensor(s).name: int(model.sensor_adr[s]) for s in range(model.nsensor)}
+    for name, start, dim in zip(layout.sensor_name, layout.sensor_start, layout.sensor_dim, strict=True):
+        if name in there:
+            columns[start : start + dim] = there[name] + np.arange(dim)
+    return columns
 
 
 def _joints(model: mujoco.MjModel, compiled: CompiledScene) -> tuple[np.ndarray, np.ndarray]:

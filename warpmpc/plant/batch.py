@@ -134,4 +134,6 @@ def _stacked(states: Sequence[State]) -> State:
         np.stack([state.joint_q for state in states]),
         np.stack([state.joint_qd for state in states]),
         np.array([state.time for state in states]),
+        np.stack([state.act for state in states]),
+        np.stack([state.mocap for state in states]),
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
 from ..engine.trajectory import Shape
 from ..model.compiled import CompiledScene, compile_scene
+from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
 from ..model.properties import Properties, draw_properties
 from ..model.state import Contact, State
@@ -30,6 +32,10 @@ if TYPE_CHECKING:
     from ..scene.schema import Kick, Scene
     from .batch import PlantBatch
 
+SUBSTEPS = 8
+"""Physics steps per control where neither the scene nor an MJCF file says anything: finer than the planner's."""
+_SOLVER = {"iterations": 100, "tolerance": 1e-8}
+"""The constraint solver of plants, more careful than the rollouts'; with an MJCF file, the file's own."""
 CONTACT_FORCE = 1e-3
 """Net force above which two things count as touching [N]."""
 
@@ -66,16 +72,16 @@ class Worlds:
         self.pairs = collision_pairs(self.layout, supports)
         self.first_pair = len(watching)
         shape, dt = Shape(len(seeds), 1, 1, 1), scene.timing.control_dt
+        substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
         self.engine = MujocoEngine(
             compiled,
             shape,
-            substeps=[scene.plant.substeps],
-            timestep=dt / scene.plant.substeps,
+            substeps=[substeps],
+            timestep=dt / substeps,
             pairs=(*watching, *self.pairs),
             properties=_stacked(self.draws) if self.draws else None,
             threads=1 if len(seeds) == 1 else 0,
-            iterations=100,
-            tolerance=1e-8,
+            options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
         self.control = wp.zeros((1, len(seeds), self.layout.nu), dtype=float, device="cpu")
@@ -177,7 +183,13 @@ class Plant:
         """The true state."""
         out = self._engine.trajectory
         at = self._slice, self._index
-        return State(out.joint_q.numpy()[at].copy(), out.joint_qd.numpy()[at].copy(), time=self.time)
+        return State(
+            out.joint_q.numpy()[at].copy(),
+            out.joint_qd.numpy()[at].copy(),
+            time=self.time,
+            act=out.act.numpy()[at].copy(),
+            mocap=self._engine.mocap_pose.numpy()[self._index].copy(),
+        )
 
     @property
     def body_q(self) -> np.ndarray:
@@ -196,7 +208,7 @@ class Plant:
                 i = self.layout.joint_q_start[joint] + (3 if kind == 4 else 0)
                 q[i : i + 4] /= np.linalg.norm(q[i : i + 4])
         qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
-        return State(q.astype(np.float32), qd.astype(np.float32), state.time)
+        return replace(state, joint_q=q.astype(np.float32), joint_qd=qd.astype(np.float32))
 
     def apply(self, control: np.ndarray) -> None:
         """Hold a control ``[nu]`` for one control step.
@@ -210,6 +222,17 @@ class Plant:
         self.begin(control)
         self._worlds.step()
         self.end()
+
+    def move_mocap(self, name: str, pose: np.ndarray) -> None:
+        """Put a mocap body, ``robot/body``, somewhere else: a pose (x, y, z, qx, qy, qz, qw) in the world.
+
+        Raises:
+            SceneError: If there is no such mocap body.
+        """
+        names = self.layout.mocap_name
+        if name not in names:
+            raise SceneError("no such mocap body", key="mocap", found=name, allowed=names)
+        self._engine.move_mocap(self._index, names.index(name), pose)
 
     def begin(self, control: np.ndarray) -> None:
         """The part of :meth:`apply` before the engine's step: kicks and the control ``[nu]``."""
@@ -260,7 +283,7 @@ class Plant:
         if not self.pairs:
             return
         force = np.linalg.norm(self._measured(), axis=-1)
-        step = self.scene.timing.control_dt / self.scene.plant.substeps
+        step = self._engine.model.opt.timestep
         self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
         for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
             name = f"{pair.first}-{pair.second}"
@@ -275,10 +298,8 @@ class Plant:
         self.monitor.look(Look(self.body_q, state.joint_q, terms), self.steps)
 
     def _measured(self) -> np.ndarray:
-        """Net forces of the watched pairs at every physics step, as MuJoCo measures them ``[n, pairs, 3]`` [N]."""
-        sensor = self._engine.sensor[self._index]
-        first = 3 * self._worlds.first_pair
-        return sensor[:, first : first + 3 * len(self.pairs)].reshape(len(sensor), len(self.pairs), 3)
+        """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""
+        return self._engine.pair_force(self._index)[:, self._worlds.first_pair :]
 
     @property
     def goal(self) -> np.ndarray:
@@ -293,7 +314,7 @@ class Plant:
     @property
     def forces(self) -> np.ndarray:
         """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
-        return -self._measured()[-1]  # MuJoCo measures it on the second
+        return self._measured()[-1]
 
     @property
     def success(self) -> bool:

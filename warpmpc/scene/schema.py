@@ -193,8 +193,9 @@ class PlantNoise(Section):
 class Plant(Section):
     """How the simulated plant differs from the planner's worlds."""
 
-    substeps: Count = 8
-    """Physics steps per control: finer than the planner's."""
+    substeps: Count | None = None
+    """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks
+    for, else 8."""
     randomize: Flag = True
     """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
     noise: PlantNoise = PlantNoise()

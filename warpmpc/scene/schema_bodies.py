@@ -103,24 +103,35 @@ class Drive(Section):
 
 
 class Robot(Section):
-    """A robot from a URDF, MJCF or USD file."""
+    """A robot from a URDF, MJCF or USD file.
+
+    An MJCF file is simulated as it is written, with all its bodies, objects and floors; the keys below change it only
+    where they are given.
+    """
 
     name: Name
     asset: str
     """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
     position: Vec3 = (0.0, 0.0, 0.0)
-    """Start position of the root [m]."""
+    """Start position of the root [m]. MJCF: where the origin of the file is; its floors (planes and height fields that
+    are fixed to the world) stay where they are written."""
     rotation: Quat = (0.0, 0.0, 0.0, 1.0)
     """Start orientation of the root (x, y, z, w)."""
-    floating: Flag = False
-    """Whether the root moves freely (legged robots, drones) or is fixed to the world."""
+    floating: Flag | None = None
+    """Whether the root moves freely (legged robots, drones) or is fixed to the world. When left out, as an MJCF file
+    says; the roots of URDF and USD files are then fixed."""
+    keyframe: str | None = None
+    """MJCF: keyframe of the file to start in, with its velocities, activations and controls; ``joint_q`` comes on top
+    of it."""
     joint_q: FloatsByName | None = None
     """Start joint coordinates in the asset's order, or by joint name; the asset's own when left out."""
     frames: dict[Name, Frame] = Field(default_factory=dict)
-    drive: Annotated[tuple[Drive, ...], OneOrMore] = Field(min_length=1)
-    """One drive or several, each with joints of its own; controls are stacked in this order."""
-    self_collision: Flag = False
-    """Whether links of this robot collide with each other."""
+    drive: Annotated[tuple[Drive, ...], OneOrMore] = ()
+    """One drive or several, each with joints of its own; controls are stacked in this order. Without any, the actuators
+    of an MJCF file are the controls; with one, they are replaced."""
+    self_collision: Flag | None = None
+    """Whether links of this robot collide with each other. When left out, as an MJCF file says (contype, conaffinity,
+    exclude, pair), and not for URDF and USD files."""
     friction: NonNegative | None = None
     """Friction of all its shapes; the asset's own when left out."""
     ground_contact: Flag = True
@@ -129,6 +140,12 @@ class Robot(Section):
     """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
     gravity_compensation: Flag = False
     """Whether gravity on its links is cancelled, as the controllers of most arms do."""
+
+    @model_validator(mode="after")
+    def _driven(self) -> Robot:
+        if self.armature is not None and not self.drive:
+            raise ValueError("armature is added to driven joints: it needs a drive")
+        return self
 
 
 class _Shape(Section):

@@ -203,18 +203,43 @@ class Solver(StrEnum):
     KAMINO = "kamino"
 
 
+class Integrator(StrEnum):
+    """How MuJoCo moves on from accelerations to velocities and positions."""
+
+    EULER = "euler"
+    RK4 = "rk4"
+    IMPLICIT = "implicit"
+    IMPLICITFAST = "implicitfast"
+
+
+class Cone(StrEnum):
+    """MuJoCo's friction cone."""
+
+    PYRAMIDAL = "pyramidal"
+    ELLIPTIC = "elliptic"
+
+
 class Engine(Section):
-    """The physics of the rollouts."""
+    """The physics of the rollouts.
+
+    What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.
+    """
 
     name: EngineName = EngineName.AUTO
-    substeps: Count = 2
-    """Physics steps per control."""
+    substeps: Count | None = None
+    """Physics steps per control; else as many as the MJCF file's timestep asks for, or 2."""
     threads: Natural = 0
     """CPU threads; 0 means one per core."""
-    iterations: Count = 20
-    """Largest number of constraint solver iterations."""
-    tolerance: NonNegative = 1e-6
-    """Constraint solver tolerance."""
+    iterations: Count | None = None
+    """Largest number of constraint solver iterations; else the MJCF file's, or 20."""
+    tolerance: NonNegative | None = None
+    """Constraint solver tolerance; else the MJCF file's, or 1e-6."""
+    integrator: Integrator | None = None
+    """Of the rollouts and of the plant; else the MJCF file's, or ``implicitfast``."""
+    cone: Cone | None = None
+    """Friction cone of the rollouts and of the plant; else the MJCF file's, or ``pyramidal``."""
+    impratio: Positive | None = None
+    """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
     solver: Solver = Solver.MUJOCO
     """``newton``: which of Newton's solvers."""
     options: dict[str, Param] = Field(default_factory=dict)

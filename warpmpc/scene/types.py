@@ -84,7 +84,8 @@ OneOrMore = BeforeValidator(_as_list)
 class Section(BaseModel):
     """A frozen table of a scene file: unknown keys are errors, numbers are never read from strings.
 
-    ``false`` switches off a key that may be absent: ``ground = false``, ``planner.temperature.eta = false``.
+    ``false`` switches off a key that may be absent: ``ground = false``, ``planner.temperature.eta = false``. A flag
+    that may be left out keeps it: false is what it says, and not that it says nothing.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True)
@@ -99,4 +100,5 @@ class Section(BaseModel):
     @classmethod
     def _may_be_absent(cls, key: str) -> bool:
         field = cls.model_fields.get(key)
-        return field is not None and NoneType in get_args(field.annotation)
+        kinds = get_args(field.annotation) if field is not None else ()
+        return NoneType in kinds and not any(bool in (kind, *get_args(kind)) for kind in kinds)

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One MuJoCo model of a scene: what Newton derives from URDF, USD and shapes, and MJCF files as they are written.
+
+Contacts within an MJCF file follow its own rule (contype, conaffinity, exclude, pair). Whatever else stands in the
+scene touches every geom of it that collides at all, by bits that no file uses.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from ..scene.errors import SceneError
+from .mjcf import Native, is_floor, read_mjcf
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from ..scene.schema import Robot
+
+_SIZES = ("njmax", "nconmax", "nstack", *(name for name in dir(mujoco.MjSpec) if name.startswith("nuser_")))
+"""Sizes that MuJoCo finds by itself when they are left to it."""
+_BITS = range(31)
+"""Collision bits: MuJoCo's are signed integers of 32 bits."""
+
+
+def compose(mjcf: str, natives: Sequence[Native]) -> mujoco.MjSpec:
+    """The MuJoCo model of a scene, to be compiled.
+
+    Args:
+        mjcf: The model that Newton derives from everything but MJCF robots; empty when there is nothing else.
+        natives: The MJCF robots.
+
+    Raises:
+        SceneError: If a file cannot be read, or the files use too many collision bits.
+    """
+    spec = mujoco.MjSpec.from_string(mjcf) if mjcf else mujoco.MjSpec()
+    if not natives:
+        return spec
+    children = [read_mjcf(native).spec for native in natives]
+    _share_bits(spec, children, natives)
+    take_options(spec, children[0])
+    if needs_implicit(children[0], natives):
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for child, native in zip(children, natives, strict=True):
+        _keep_floors(child, native.robot)
+        x, y, z, w = native.robot.rotation
+        frame = spec.worldbody.add_frame(pos=native.robot.position, quat=[w, x, y, z])
+        _copy(spec.option, child.option)  # MuJoCo warns of settings that differ; the notes tell of those that matter
+        _copy(spec.visual, child.visual)
+        for name in _SIZES:
+            setattr(child, name, getattr(spec, name))
+        spec.attach(child, prefix=f"{native.robot.name}/", frame=frame)
+    return spec
+
+
+def needs_implicit(first: mujoco.MjSpec, natives: Sequence[Native]) -> bool:
+    """Whether stiff servos of drives replace what a file's explicit integrator was chosen for."""
+    stiff = any(servo.mode != "effort" for native in natives for servo in native.servos)
+    return stiff and first.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
+
+
+def _keep_floors(child: mujoco.MjSpec, robot: Robot) -> None:
+    """Take back from a file's floors what the robot's place in the scene will move them by."""
+    floors = [geom for geom in child.worldbody.geoms if is_floor(geom.type) and geom.frame is None]
+    if not floors or (robot.position == (0.0, 0.0, 0.0) and robot.rotation == (0.0, 0.0, 0.0, 1.0)):
+        return
+    x, y, z, w = robot.rotation
+    back, position = np.array([w, -x, -y, -z]), np.empty(3)
+    mujoco.mju_rotVecQuat(position, -np.array(robot.position), back)
+    frame = child.worldbody.add_frame(pos=position, quat=back)
+    for geom in floors:
+        geom.set_frame(frame)
+
+
+def take_options(spec: mujoco.MjSpec, source: mujoco.MjSpec) -> None:
+    """Simulate with the options, statistics and memory of an MJCF file."""
+    _copy(source.option, spec.option)
+    _copy(source.stat, spec.stat)
+    _copy(source.visual, spec.visual)
+    spec.memory = source.memory
+
+
+def options_that_differ(first: mujoco.MjSpec, second: mujoco.MjSpec) -> list[str]:
+    """Names of the physics options in which two files differ."""
+    return [
+        name
+        for name in _attributes(first.option)
+        if not np.array_equal(getattr(first.option, name), getattr(second.option, name))
+    ]
+
+
+def _attributes(record: object) -> list[str]:
+    return [name for name in dir(record) if not name.startswith("_")]
+
+
+def _copy(source: object, target: object) -> None:
+    for name in _attributes(source):
+        value = getattr(source, name)
+        if type(value).__module__.startswith("mujoco"):  # settings in groups of their own
+            _copy(value, getattr(target, name))
+        else:
+            setattr(target, name, value)
+
+
+def _share_bits(spec: mujoco.MjSpec, children: Sequence[mujoco.MjSpec], natives: Sequence[Native]) -> None:
+    """Set collision bits so that the scene's geoms meet the files' and every file keeps its own rule.
+
+    The scene's own bits move to where no file has one. Its solids and its planes get a bit each, which the files'
+    geoms answer to; a robot without self-collision shows a bit of its own to the others instead of its file's.
+    """
+    authored = 0
+    for geom in _geoms(children):
+        authored |= geom.contype | geom.conaffinity
+    free = [bit for bit in _BITS if not authored >> bit & 1]
+    used = 0
+    for geom in spec.geoms:
+        used |= geom.contype
+    moved = [bit for bit in _BITS if used >> bit & 1]
+    quiet = [i for i, native in enumerate(natives) if native.robot.self_collision is False]
+    if len(free) < len(moved) + 2 + len(quiet):
+        raise SceneError(
+            "the MJCF files use so many collision bits (contype, conaffinity) that none are left for the scene",
+            key="robot.asset",
+            found=f"{bin(authored & 0xFFFFFFFF).count('1')} of 32",
+        )
+    place = dict(zip(moved, free, strict=False))
+    solid, plane, *own = (1 << bit for bit in free[len(moved) :])
+    shown = dict(zip(quiet, own, strict=False))
+    for geom in spec.geoms:
+        if geom.contype | geom.conaffinity:
+            is_plane = geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+            geom.contype = _moved(geom.contype, place) | (plane if is_plane else solid)
+            geom.conaffinity = _moved(geom.conaffinity, place)
+    for i, (child, native) in enumerate(zip(children, natives, strict=True)):
+        answers = solid | (plane if native.robot.ground_contact else 0)
+        others = sum(bit for j, bit in shown.items() if j != i)
+        static = {geom.name for geom in child.worldbody.geoms}
+        for geom in child.geoms:
+            if not geom.contype | geom.conaffinity:
+                continue
+            if geom.name in static:  # a floor or wall of the file: it is no link
+                geom.conaffinity |= solid | sum(shown.values())
+            elif i in shown:
+                geom.contype, geom.conaffinity = shown[i], answers | others | _contypes(children, i)
+            else:
+                geom.conaffinity |= answers | others
+
+
+def _contypes(children: Sequence[mujoco.MjSpec], own: int) -> int:
+    """Bits that the geoms of the other files show."""
+    bits = 0
+    for geom in _geoms(child for i, child in enumerate(children) if i != own):
+        bits |= geom.contype
+    return bits
+
+
+def _geoms(specs: Iterable[mujoco.MjSpec]) -> Iterable[mujoco.MjsGeom]:
+    for spec in specs:
+        yield from spec.geoms
+
+
+def _moved(bits: int, place: dict[int, int]) -> int:
+    return sum(1 << new for old, new in place.items() if bits >> old & 1)
+
+
+_COMPARED = {
+    "body": ("mass", "inertia", "ipos", "iquat", "gravcomp"),
+    "joint": ("type", "range", "limited", "axis", "pos", "stiffness", "solref", "solimp", "margin", "actfrcrange"),
+    "geom": ("type", "size", "pos", "quat", "friction", "margin", "gap", "solref", "solimp", "condim", "priority"),
+    "site": ("pos", "quat"),
+    "tendon": ("range", "stiffness", "damping", "frictionloss", "lengthspring"),
+    "actuator": ("gear", "gainprm", "biasprm", "dynprm", "ctrlrange", "forcerange", "trntype", "dyntype"),
+    "sensor": ("type", "dim", "cutoff", "noise"),
+}
+"""What must be the same in an MJCF file's own model and in the scene's."""
+
+
+def differences(own: mujoco.MjModel, whole: mujoco.MjModel, robot: str) -> list[str]:
+    """What an MJCF file's model says otherwise when it stands in the scene, one line each; nothing if all is well."""
+    found = []
+    for kind, names in _COMPARED.items():
+        prefix = "jnt" if kind == "joint" else kind
+        ids = np.arange(len(getattr(own, f"{prefix}_{names[0]}")))
+        if kind in ("geom", "site"):
+            ids = ids[getattr(own, f"{kind}_bodyid") > 0]  # the others stand where the robot's place puts them
+        elif kind == "body":
+            ids = ids[1:]
+        there = [getattr(whole, kind)(f"{robot}/{getattr(own, kind)(i).name}").id for i in ids]
+        for name in names:
+            array = f"{prefix}_{name}"
+            if not np.allclose(getattr(own, array)[ids], getattr(whole, array)[there], rtol=1e-9, atol=1e-12):
+                found.append(f"{robot}: {array} is not what the file says when it is compiled alone")
+    return found

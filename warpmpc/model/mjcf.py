@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A user's MJCF file: read as its author wrote it, every element named, changed only where the scene says so."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+
+from ..scene.errors import SceneError
+from ..scene.schema_bodies import Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+FREE = mujoco.mjtJoint.mjJNT_FREE
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The servo that a drive puts on one joint of an MJCF robot."""
+
+    joint: str
+    mode: str
+    """``velocity``, ``position`` or ``effort``."""
+    stiffness: float
+    damping: float
+    effort: float
+    """Largest force or torque [N or N·m]."""
+    armature: float | None = None
+    """Rotor inertia [kg or kg·m²]; the asset's own when None."""
+
+
+@dataclass(frozen=True)
+class Native:
+    """A robot whose MJCF file goes into the MuJoCo model as it is."""
+
+    path: str
+    robot: Robot
+    servos: tuple[Servo, ...] = ()
+    """Servos of the robot's drives; without any, the asset's own actuators stay."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A keyframe by names, in MuJoCo's conventions and in the file's own frame."""
+
+    name: str
+    qpos: dict[str, tuple[float, ...]]
+    """Joint → its coordinates."""
+    qvel: dict[str, tuple[float, ...]]
+    act: dict[str, tuple[float, ...]]
+    """Actuator → its activations."""
+    ctrl: dict[str, float]
+    mocap: dict[str, tuple[float, ...]]
+    """Mocap body → its pose (x, y, z, qx, qy, qz, qw)."""
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """What was read from an MJCF file."""
+
+    spec: mujoco.MjSpec
+    keys: tuple[Key, ...]
+    actuators: int
+    """Number of actuators in the file."""
+    left_out: tuple[str, ...]
+    """What was not taken over, and why."""
+
+
+def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
+    """Read an MJCF file and change what the scene changes: root, servos, friction, self-collision, gravity.
+
+    Args:
+        native: The robot.
+        file: Scene file, for errors.
+
+    Raises:
+        SceneError: If MuJoCo cannot read or compile the file, or it has a root that can be neither welded nor freed.
+    """
+    robot, key = native.robot, f"robot.{native.robot.name}"
+    try:
+        spec = mujoco.MjSpec.from_file(native.path)
+        spec.compiler.fusestatic = spec.compiler.discardvisual = False  # every body and geom keeps its name
+        left_out = _drop_broken_sensors(spec)
+        _name_everything(spec)
+        keys = _take_keys(spec)
+        _set_root(spec, robot, key, file)
+    except ValueError as error:
+        raise SceneError(
+            f"this asset cannot be read: {_one_line(error)}", key=f"{key}.asset", file=file, found=native.path
+        ) from error
+    if robot.friction is not None:
+        for geom in spec.geoms:
+            geom.friction[0] = robot.friction
+    if robot.gravity_compensation:
+        for body in spec.bodies[1:]:
+            body.gravcomp = 1.0
+    if robot.self_collision is False:
+        for pair in list(spec.pairs):
+            spec.delete(pair)
+    actuators = len(spec.actuators)
+    if robot.drive:
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        for servo in native.servos:
+            _add_servo(spec, servo)
+    return Mjcf(spec, keys, actuators, tuple(left_out))
+
+
+def is_floor(kind: int) -> bool:
+    """Whether a geom of this type that is fixed to the world is a floor, which stays where its file puts it."""
+    return kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
+def compile_mjcf(mjcf: Mjcf, native: Native, *, file: Path | None = None) -> mujoco.MjModel:
+    """The file's own model, alone in its world.
+
+    Raises:
+        SceneError: If MuJoCo refuses it.
+    """
+    try:
+        return mjcf.spec.compile()
+    except ValueError as error:
+        raise SceneError(
+            f"this asset cannot be compiled: {_one_line(error)}",
+            key=f"robot.{native.robot.name}.asset",
+            file=file,
+            found=native.path,
+        ) from error
+
+
+def _one_line(error: Exception) -> str:
+    return re.sub(r"\s*\n\s*", "; ", str(error).strip()).removeprefix("Error: ")
+
+
+_NAMED = {
+    mujoco.mjtObj.mjOBJ_BODY: "bodies",
+    mujoco.mjtObj.mjOBJ_XBODY: "bodies",
+    mujoco.mjtObj.mjOBJ_JOINT: "joints",
+    mujoco.mjtObj.mjOBJ_GEOM: "geoms",
+    mujoco.mjtObj.mjOBJ_SITE: "sites",
+    mujoco.mjtObj.mjOBJ_CAMERA: "cameras",
+    mujoco.mjtObj.mjOBJ_TENDON: "tendons",
+    mujoco.mjtObj.mjOBJ_ACTUATOR: "actuators",
+}
+"""What a sensor may name, and where the file lists it."""
+
+
+def _drop_broken_sensors(spec: mujoco.MjSpec) -> list[str]:
+    """Delete sensors of things that the file lacks; returns what is to be said about them."""
+    left_out = []
+    names = {kind: {item.name for item in getattr(spec, where)} for kind, where in _NAMED.items()}
+    for sensor in list(spec.sensors):
+        for kind, name in ((sensor.objtype, sensor.objname), (sensor.reftype, sensor.refname)):
+            if name and name not in names.get(mujoco.mjtObj(int(kind)), {name}):
+                what = mujoco.mjtObj(int(kind)).name.removeprefix("mjOBJ_").lower()
+                left_out.append(f"sensor '{sensor.name or _sensor_kind(sensor)}': there is no {what} '{name}'")
+                spec.delete(sensor)
+                break
+    return left_out
+
+
+def _sensor_kind(sensor: mujoco.MjsSensor) -> str:
+    return mujoco.mjtSensor(int(sensor.type)).name.removeprefix("mjSENS_").lower()
+
+
+def _name_everything(spec: mujoco.MjSpec) -> None:
+    """Give every unnamed element a name that depends on the file alone."""
+    _name(spec.bodies[1:], ((body, "body0") for body in spec.bodies[1:]))
+    for where in ("joints", "geoms", "sites"):
+        kind = where[:-1]
+        every = [(item, body.name) for body in spec.bodies for item in getattr(body, where)]
+        _name([item for item, _ in every], ((item, f"{body}_{kind}") for item, body in every))
+    _name(spec.tendons, ((tendon, "tendon0") for tendon in spec.tendons))
+    _name(spec.actuators, ((actuator, actuator.target or "actuator0") for actuator in spec.actuators))
+    sensors = [(s, f"{_sensor_kind(s)}_{s.objname}" if s.objname else _sensor_kind(s)) for s in spec.sensors]
+    _name(spec.sensors, sensors)
+    _name(spec.keys, ((key, f"key{i}") for i, key in enumerate(spec.keys)))
+
+
+def _name(items: Iterable, wanted: Iterable[tuple[object, str]]) -> None:
+    """Name unnamed items as wanted, with the first free number behind the name where it is taken."""
+    taken = {item.name for item in items}
+    for item, name in wanted:
+        if item.name:
+            continue
+        stem, number = name.rstrip("0123456789") if name.endswith("0") else name, 0
+        while name in taken:
+            number += 1
+            name = f"{stem}{number}"
+        item.name = name
+        taken.add(name)
+
+
+def _take_keys(spec: mujoco.MjSpec) -> tuple[Key, ...]:
+    """Keyframes by names; they leave the file, since their rows fit its own joints and actuators alone."""
+    if not spec.keys:
+        return ()
+    model = spec.compile()
+    found = tuple(_key(model, k) for k in range(model.nkey))
+    for key in list(spec.keys):
+        spec.delete(key)
+    return found
+
+
+_WIDTHS = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
+"""Coordinates and velocities of MuJoCo's joint types."""
+
+
+def _key(model: mujoco.MjModel, k: int) -> Key:
+    def row(values, start: int, width: int) -> tuple[float, ...]:
+        return tuple(float(x) for x in values[k, start : start + width])
+
+    joints = [(model.joint(j).name, _WIDTHS[int(model.jnt_type[j])], j) for j in range(model.njnt)]
+    actuators = [(model.actuator(a).name, a) for a in range(model.nu)]
+    mocap = {}
+    for body in range(model.nbody):
+        m = model.body_mocapid[body]
+        if m >= 0:
+            w, x, y, z = row(model.key_mquat, 4 * m, 4)
+            mocap[model.body(body).name] = (*row(model.key_mpos, 3 * m, 3), x, y, z, w)
+    return Key(
+        name=model.key(k).name,
+        qpos={name: row(model.key_qpos, model.jnt_qposadr[j], width[0]) for name, width, j in joints},
+        qvel={name: row(model.key_qvel, model.jnt_dofadr[j], width[1]) for name, width, j in joints},
+        act={
+            name: row(model.key_act, model.actuator_actadr[a], model.actuator_actnum[a])
+            for name, a in actuators
+            if model.actuator_actnum[a]
+        },
+        ctrl={name: float(model.key_ctrl[k, a]) for name, a in actuators},
+        mocap=mocap,
+    )
+
+
+def _set_root(spec: mujoco.MjSpec, robot: Robot, key: str, file: Path | None) -> None:
+    """Weld free roots, or free a root that has no joint, where the scene says so."""
+    roots = [body for body in spec.bodies[1:] if body.parent.name == "world"]
+    free = [joint for body in roots for joint in body.joints if joint.type == FREE]
+    if robot.floating is False:
+        for joint in free:
+            spec.delete(joint)
+    if robot.floating and not free:
+        if len(roots) != 1 or roots[0].joints:
+            found = [joint.name for body in roots for joint in body.joints] or [body.name for body in roots]
+            raise SceneError(
+                "only an asset with one root body that has no joint can be made to float",
+                key=f"{key}.floating",
+                file=file,
+                found=found,
+            )
+        roots[0].add_freejoint(name=f"{roots[0].name}_free")
+
+
+def _add_servo(spec: mujoco.MjSpec, servo: Servo) -> None:
+    """A drive's servo on one joint: the joint's forces are limited, velocity and position get an actuator."""
+    joint = spec.joint(servo.joint)
+    joint.actfrclimited = 1
+    joint.actfrcrange = [-servo.effort, servo.effort]
+    if servo.armature is not None:
+        joint.armature = servo.armature
+    if servo.mode == "effort":
+        return  # its force is limited by the actuator itself, which is added with the engine's
+    actuator = spec.add_actuator(name=f"drive_{servo.joint}", target=servo.joint)
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0] = servo.damping if servo.mode == "velocity" else servo.stiffness
+    actuator.biasprm[:3] = [0.0, -servo.stiffness if servo.mode == "position" else 0.0, -servo.damping]
