@@ -19,8 +19,8 @@ from native_robots import (
 )
 
 from warpmpc import SceneError
+from warpmpc.model.collisions import colliding_pairs
 from warpmpc.model.compiled import compile_scene
-from warpmpc.model.mjcf_links import colliding_pairs
 from warpmpc.model.pairs import Pair
 
 STEPS = 50
