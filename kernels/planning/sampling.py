@@ -54,11 +54,14 @@ def table_normal_kernel(
     # inputs
     table: wp.array2d[float],  # [S, P·nu] low-discrepancy points in [0, 1)
     shift: wp.array2d[float],  # [E, P·nu] rotation of the table, zero for the table itself
+    first: int,  # row e·S + s of thread 0
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] standard normals
 ):
     """Turn one table entry into one standard normal, z = Φ⁻¹(frac(x + shift))."""
-    e, s, p, u = wp.tid()
+    row, p, u = wp.tid()
+    e = (first + row) // z.shape[1]
+    s = (first + row) % z.shape[1]
 
     column = p * z.shape[3] + u
     x = table[s, column] + shift[e, column]
@@ -70,11 +73,14 @@ def random_normal_kernel(
     # inputs
     counter: wp.array[int],  # [E] draws made so far
     seed: int,
+    first: int,  # row e·S + s of thread 0
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] standard normals
 ):
     """Draw one pseudo-random standard normal from the seed, the counter and its own index."""
-    e, s, p, u = wp.tid()
+    row, p, u = wp.tid()
+    e = (first + row) // z.shape[1]
+    s = (first + row) % z.shape[1]
 
     index = ((e * z.shape[1] + s) * z.shape[2] + p) * z.shape[3] + u
     stream = wp.rand_init(seed, counter[e])
@@ -87,11 +93,14 @@ def scale_samples_kernel(
     # inputs
     low: float,
     high: float,
+    first: int,  # row e·S + s of thread 0
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] scaled in place
 ):
     """Scale one number: samples grow geometrically from ``low`` to ``high``, to search near and far at once."""
-    e, s, p, u = wp.tid()
+    row, p, u = wp.tid()
+    e = (first + row) // z.shape[1]
+    s = (first + row) % z.shape[1]
 
     share = float(s) / wp.max(float(z.shape[1] - 1), 1.0)
     z[e, s, p, u] = z[e, s, p, u] * low * wp.pow(high / low, share)
@@ -162,6 +171,7 @@ def perturb_knots_kernel(
     null: wp.array2d[float],  # [E, nu] control that asks for nothing
     null_sample: int,
     constant: float,  # share of the samples whose noise is the same at every knot
+    first: int,  # row e·S + s of thread 0
     # outputs
     knots: wp.array4d[float],  # [E, S, P, nu] within the limits
 ):
@@ -171,7 +181,9 @@ def perturb_knots_kernel(
     al. 2021): zero velocity or effort, or the observed position held.
     Constant samples are spread evenly over the rest; theirs is the noise of the first knot.
     """
-    e, s, p, u = wp.tid()
+    row, p, u = wp.tid()
+    e = (first + row) // z.shape[1]
+    s = (first + row) % z.shape[1]
 
     value = float(mean[e, p, u])
     if s == 1 and null_sample != 0:

@@ -96,6 +96,7 @@ def risk_kernel(
     domains: int,
     mode: int,
     alpha: float,
+    row: int,  # e·S + s of thread 0
     # outputs
     sample_cost: wp.array2d[float],  # [E, S]
 ):
@@ -105,9 +106,11 @@ def risk_kernel(
     diverged domain makes the sample +inf in every mode. Where there is no observation all samples are: nothing is
     learned from what was rolled out then.
     """
-    e, s = wp.tid()
+    thread = wp.tid()
+    e = (row + thread) // sample_cost.shape[1]
+    s = (row + thread) % sample_cost.shape[1]
 
-    first = (e * sample_cost.shape[1] + s) * domains
+    first = (row + thread) * domains
     worst = float(-wp.inf)
     total = float(0.0)
     finite = bool(True)

@@ -151,6 +151,7 @@ def clone_state_kernel(
     observed_q: wp.array2d[float],  # [E, nq]
     observed_qd: wp.array2d[float],  # [E, nv]
     rollouts: int,  # K = S·D worlds per environment
+    first: int,  # world of thread 0
     # outputs
     joint_q: wp.array3d[float],  # [T+1, W, nq] slice 0 is written
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
@@ -158,7 +159,7 @@ def clone_state_kernel(
     body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
 ):
     """One thread: the observed state of an environment becomes the start of one world's rollout."""
-    w = wp.tid()
+    w = first + wp.tid()
     e = w // rollouts
     for i in range(observed_q.shape[1]):
         joint_q[0, w, i] = observed_q[e, i]
@@ -172,11 +173,13 @@ def clone_activation_kernel(
     # inputs
     observed: wp.array2d[float],  # [E, na]
     rollouts: int,  # K = S·D worlds per environment
+    first: int,  # world of thread 0
     # outputs
     act: wp.array3d[float],  # [T+1, W, na] slice 0 is written
 ):
     """One thread: one observed activation becomes the start of one world's rollout."""
-    w, i = wp.tid()
+    thread, i = wp.tid()
+    w = first + thread
     act[0, w, i] = observed[w // rollouts, i]
 
 
@@ -185,11 +188,13 @@ def clone_mocap_kernel(
     # inputs
     observed: wp.array2d[wp.transform],  # [E, nm]
     rollouts: int,  # K = S·D worlds per environment
+    first: int,  # world of thread 0
     # outputs
     mocap: wp.array2d[wp.transform],  # [W, nm]
 ):
     """One thread: where one mocap body of one world is during the rollout."""
-    w, i = wp.tid()
+    thread, i = wp.tid()
+    w = first + thread
     mocap[w, i] = observed[w // rollouts, i]
 
 
@@ -198,11 +203,13 @@ def mujoco_activation_kernel(
     # inputs
     act: wp.array3d[float],  # [T+1, W, na] slice 0 is read
     column: wp.array[int],  # [na] where MuJoCo's state has each activation
+    first: int,  # world of thread 0
     # outputs
     state: wp.array2d[wp.float64],  # [W, nstate] MuJoCo's full physics state
 ):
     """One thread: one activation at the start of one world."""
-    w, i = wp.tid()
+    thread, i = wp.tid()
+    w = first + thread
     state[w, column[i]] = wp.float64(act[0, w, i])
 
 
@@ -211,18 +218,20 @@ def mujoco_mocap_kernel(
     # inputs
     mocap: wp.array2d[wp.transform],  # [W, nm]
     order: wp.array[int],  # [nm] MuJoCo's mocap body of each
-    first: int,  # column of the first mocap body's position
+    begin: int,  # column of the first mocap body's position
     count: int,  # mocap bodies of the model: the rotations come after all their positions
+    first: int,  # world of thread 0
     # outputs
     control: wp.array3d[wp.float64],  # [W, N, n] what a rollout is given at every physics step
 ):
     """One thread: the pose of one world's mocap bodies at one physics step."""
-    w, n = wp.tid()
+    thread, n = wp.tid()
+    w = first + thread
     for i in range(order.shape[0]):
         p = wp.transform_get_translation(mocap[w, i])
         q = wp.transform_get_rotation(mocap[w, i])
-        at = first + 3 * order[i]
-        turned = first + 3 * count + 4 * order[i]
+        at = begin + 3 * order[i]
+        turned = begin + 3 * count + 4 * order[i]
         for k in range(3):
             control[w, n, at + k] = wp.float64(p[k])
             control[w, n, turned + 1 + k] = wp.float64(q[k])
@@ -236,11 +245,12 @@ def mujoco_state_kernel(
     nq_mujoco: int,
     joint_q: wp.array3d[float],  # [T+1, W, nq] slice 0 is read
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
+    first: int,  # world of thread 0
     # outputs
     state: wp.array2d[wp.float64],  # [W, nstate] MuJoCo's full physics state
 ):
     """One thread: the start of one world in MuJoCo's conventions."""
-    w = wp.tid()
+    w = first + wp.tid()
     write_mujoco_state(table, w, nq_mujoco, joint_q, joint_qd, state)
 
 

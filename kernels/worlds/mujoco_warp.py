@@ -92,12 +92,14 @@ def place_mocap_kernel(
     # inputs
     mocap: wp.array2d[wp.transform],  # [W, nm]
     order: wp.array[int],  # [nm] MuJoCo's mocap body of each
+    first: int,  # world of thread 0
     # outputs
     position: wp.array2d[wp.vec3],  # [W, nmocap]
     rotation: wp.array2d[wp.quat],  # [W, nmocap] (w, x, y, z)
 ):
     """One thread: where one mocap body of one world is."""
-    w, i = wp.tid()
+    thread, i = wp.tid()
+    w = first + thread
     q = wp.transform_get_rotation(mocap[w, i])
     position[w, order[i]] = wp.transform_get_translation(mocap[w, i])
     rotation[w, order[i]] = wp.quat(q[3], q[0], q[1], q[2])

@@ -11,6 +11,7 @@ import warp as wp
 
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
 from ..kernels.terms.view import StepView
+from ..launch import Launcher
 from ..model.joints import joint_table
 from ..scene.errors import SceneError
 from .binding import Binding
@@ -70,6 +71,7 @@ class CostStack:
         self.pairs = tuple(binding.pairs)
         self.sensors = tuple(dict.fromkeys(binding.sensors))
         self.resources = binding.resources
+        self._launch = Launcher(device)
         self._table = joint_table(layout, device)
         for resource in self.resources:
             resource.allocate(task.envs, device)
@@ -107,15 +109,8 @@ class CostStack:
         resources = list(self.resources)
         if not resources:
             return
-        arrays = (state.joint_q, state.joint_qd, state.body_q, state.body_qd)
-        q, qd, body_q, body_qd = (array.reshape((1, *array.shape)) for array in arrays)
-        wp.launch(
-            forward_kinematics_kernel,
-            dim=body_q.shape[:2],
-            inputs=[self._table, q, qd],
-            outputs=[body_q, body_qd],
-            device=self.device,
-        )
+        q, qd, body_q, body_qd = state.as_slice
+        self._launch(forward_kinematics_kernel, body_q.shape[:2], [self._table, q, qd], [body_q, body_qd])
         for resource in resources:
             resource.before_plan(state)
 
@@ -146,6 +141,7 @@ class Judge:
     ):
         layout, device = stack.layout, stack.device
         self.stack, self.shape = stack, shape
+        self._launch = Launcher(device)
         self.cost = wp.zeros((len(stack.terms), shape.horizon, shape.worlds), dtype=float, device=device)
         view = StepView()
         view.joint_q, view.joint_qd = trajectory.joint_q, trajectory.joint_qd
@@ -169,12 +165,11 @@ class Judge:
             count: How many they are, all from the first on if None.
         """
         count = self.shape.worlds - first if count is None else count
-        wp.launch(
+        self._launch(
             self.stack.code.kernel,
-            dim=(self.shape.horizon, count),
-            inputs=[self.view, self.stack.params, self._state.weight, self.shape.rollouts, first],
-            outputs=[self.cost],
-            device=self.stack.device,
+            (self.shape.horizon, count),
+            [self.view, self.stack.params, self._state.weight, self.shape.rollouts, first],
+            [self.cost],
         )
 
     def launch_arrays(self) -> None:

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
-import threading
 from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 import warp as wp
 
@@ -26,6 +26,8 @@ from ..kernels.worlds.clone import (
     record_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
+from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
+from ..launch import Launcher
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
@@ -61,10 +63,48 @@ LEAST_PART = 4
 """Worlds in a part, but for the last: below this, handing parts out takes longer than stepping them."""
 
 
-def _split(worlds: int, threads: int) -> list[tuple[int, int]]:
-    """First world and number of worlds of each part."""
+def _split(worlds: int, domains: int, threads: int) -> list[tuple[int, int]]:
+    """First world and number of worlds of each part; all domains of a sample are in one part."""
     size = worlds if threads == 1 else max(-(-worlds // (PARTS * threads)), LEAST_PART)
+    size = -(-size // domains) * domains
     return [(first, min(size, worlds - first)) for first in range(0, worlds, size)]
+
+
+def mujoco_library() -> MujocoLibrary:
+    """Addresses of the functions of MuJoCo's C library that roll-outs call.
+
+    Raises:
+        RuntimeError: If the library that comes with the package ``mujoco`` is not where it used to be.
+    """
+    folder = Path(mujoco.__file__).parent
+    files = [*folder.glob("libmujoco.so.*"), *folder.glob("libmujoco*.dylib"), *folder.glob("mujoco.dll")]
+    if not files:
+        raise RuntimeError(f"MuJoCo's C library is not in {folder}")
+    loaded = ctypes.CDLL(str(files[0]))
+    library = MujocoLibrary()
+    for name, function in (("step", "mj_step"), ("set_state", "mj_setState"), ("get_state", "mj_getState")):
+        setattr(library, name, ctypes.cast(getattr(loaded, function), ctypes.c_void_p).value)
+    return library
+
+
+def native_data(data: Sequence[mujoco.MjData]) -> MujocoData:
+    """Addresses of simulation states and of what roll-outs read in them.
+
+    Args:
+        data: One state per thread, of models of one structure.
+    """
+
+    def addresses(values: Sequence[int]) -> wp.array:
+        return wp.array(np.array(values, dtype=np.uint64), dtype=wp.uint64, device="cpu")
+
+    native = MujocoData()
+    native.data = addresses([d._address for d in data])
+    native.warmstart = addresses([d.qacc_warmstart.ctypes.data for d in data])
+    native.sensor = addresses([d.sensordata.ctypes.data for d in data])
+    numbers = [d.warning.number for d in data]
+    native.warning = addresses([n.ctypes.data for n in numbers])
+    native.warning_stride, native.warnings = numbers[0].strides[0], len(numbers[0])
+    return native
 
 
 warnings = WarningCounter()
@@ -114,12 +154,18 @@ class MujocoEngine:
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
+        self._launch = Launcher("cpu")
         self._crew = Crew(self.threads)
-        self._own = threading.local()  # every thread has a simulation state of its own
-        self._parts = _split(shape.worlds, self.threads)
+        self.parts = _split(shape.worlds, shape.domains, self.threads)
+        """First world and number of worlds of each part that a thread takes."""
+        self._library = mujoco_library()
+        self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
+        self._native = native_data(self._data)
+        self._thread = wp.zeros(len(self.parts), dtype=int, device="cpu")
+        self._taken_by = self._thread.numpy()
         end = np.cumsum(substeps)
         self.steps = int(end[-1])
-        self.duration = self.steps * world.model.opt.timestep
+        self._duration = wp.float64(self.steps * world.model.opt.timestep)
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
         self.initial = np.zeros((shape.worlds, nstate))
@@ -132,6 +178,8 @@ class MujocoEngine:
             wp.array(a, dtype=wp.float64, device="cpu", copy=False)
             for a in (self.initial, self.control, self.state, self.sensor)
         )
+        addresses = np.array([model._address for model in self.models], dtype=np.uint64)
+        self._models = wp.array(addresses, dtype=wp.uint64, device="cpu")
         self._end = wp.array(end - 1, dtype=int, device="cpu")
         self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
         self._table = joint_table(layout, "cpu", worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
@@ -166,49 +214,36 @@ class MujocoEngine:
         models = {draw: randomize_model(world, properties, draw) for draw in np.unique(draws)}
         return [models[draw] for draw in draws]
 
-    def clone(self, state: ObservedState) -> None:
-        """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
-        out = self.trajectory
+    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
+        """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it.
+
+        Args:
+            state: The observed state.
+            first: First of the worlds.
+            count: How many they are, all from the first on if None.
+        """
+        count = self.shape.worlds - first if count is None else count
+        out, rollouts = self.trajectory, self.shape.rollouts
         if self._mocap.size:
-            self._clone_mocap(state)
-        wp.launch(
+            dim = (count, self._mocap.size)
+            self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [self.mocap_pose])
+            self._write_mocap(first, count)
+        self._launch(
             clone_state_kernel,
-            dim=self.shape.worlds,
-            inputs=[self._table, state.joint_q, state.joint_qd, self.shape.rollouts],
-            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-            device="cpu",
+            count,
+            [self._table, state.joint_q, state.joint_qd, rollouts, first],
+            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
-        wp.launch(
-            mujoco_state_kernel,
-            dim=self.shape.worlds,
-            inputs=[self._table, self.model.nq, out.joint_q, out.joint_qd],
-            outputs=[self._initial],
-            device="cpu",
-        )
+        inputs = [self._table, self.model.nq, out.joint_q, out.joint_qd, first]
+        self._launch(mujoco_state_kernel, count, inputs, [self._initial])
         if self._activation.size:
-            self._clone_activations(state)
+            dim = (count, self._activation.size)
+            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
+            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self._initial])
 
-    def _clone_activations(self, state: ObservedState) -> None:
-        out, dim = self.trajectory, (self.shape.worlds, self._activation.size)
-        inputs = [state.act, self.shape.rollouts]
-        wp.launch(clone_activation_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
-        inputs = [out.act, self._activation]
-        wp.launch(mujoco_activation_kernel, dim=dim, inputs=inputs, outputs=[self._initial], device="cpu")
-
-    def _clone_mocap(self, state: ObservedState) -> None:
-        """Put the mocap bodies of every world where they are observed."""
-        dim, inputs = (self.shape.worlds, self._mocap.size), [state.mocap, self.shape.rollouts]
-        wp.launch(clone_mocap_kernel, dim=dim, inputs=inputs, outputs=[self.mocap_pose], device="cpu")
-        self._write_mocap()
-
-    def _write_mocap(self) -> None:
-        wp.launch(
-            mujoco_mocap_kernel,
-            dim=(self.shape.worlds, self.steps),
-            inputs=[self.mocap_pose, self._mocap, self.model.nu, self.model.nmocap],
-            outputs=[self._control],
-            device="cpu",
-        )
+    def _write_mocap(self, first: int, count: int) -> None:
+        inputs = [self.mocap_pose, self._mocap, self.model.nu, self.model.nmocap, first]
+        self._launch(mujoco_mocap_kernel, (count, self.steps), inputs, [self._control])
 
     @property
     def mocap_pose(self) -> wp.array:
@@ -218,79 +253,72 @@ class MujocoEngine:
     def move_mocap(self, world: int, index: int, pose: np.ndarray) -> None:
         """Put one mocap body of one world at a pose (x, y, z, qx, qy, qz, qw)."""
         self.mocap_pose.numpy()[world, index] = pose
-        self._write_mocap()
+        self._write_mocap(world, 1)
 
-    def run(self, work: Callable[[int, int], None]) -> None:
-        """Call ``work(first, count)`` for parts of the worlds, on all threads."""
-        self._crew.run(len(self._parts), lambda part, _: work(*self._parts[part]))
+    def run(self, work: Callable[[int], None]) -> None:
+        """Call ``work(part)`` for every one of :attr:`parts`, on all threads; it rolls out the part's worlds alone."""
 
-    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
-        """Roll controls [T, W, nu] of some worlds out from the cloned state into :attr:`trajectory`.
+        def take(part: int, thread: int) -> None:
+            self._taken_by[part] = thread
+            work(part)
+
+        self._crew.run(len(self.parts), take)
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`."""
+        self.run(lambda part: self.rollout_part(control, part))
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls [T, W, nu] of a part of the worlds out from the cloned state into :attr:`trajectory`.
 
         Args:
             control: Controls of all worlds.
-            first: First of the worlds.
-            count: How many they are, all from the first on if None. Different threads may take different worlds.
+            part: Which of :attr:`parts`.
         """
-        count = self.shape.worlds - first if count is None else count
-        wp.launch(
-            mujoco_control_kernel,
-            dim=(count, self.steps),
-            inputs=[control, self._matrix, self._offset, self._step, first],
-            outputs=[self._control],
-            device="cpu",
-        )
-        self.step_physics(first, count)
+        first, count = self.parts[part]
+        inputs = [control, self._matrix, self._offset, self._step, first]
+        self._launch(mujoco_control_kernel, (count, self.steps), inputs, [self._control])
+        self.step_physics(part)
         self._record(first, count)
 
-    def step_physics(self, first: int, count: int) -> None:
-        """The physics of some worlds alone, on this thread."""
-        own, worlds = self._own, slice(first, first + count)
-        if not hasattr(own, "rollout"):
-            own.rollout, own.data = mujoco.rollout.Rollout(nthread=0), [mujoco.MjData(self.model)]
-        own.rollout.rollout(
-            self.models[worlds],
-            own.data,
-            self.initial[worlds],
-            self.control[worlds],
-            nstep=self.steps,
-            state=self.state[worlds],
-            sensordata=self.sensor[worlds],
-            skip_checks=True,
-            control_spec=self._control_spec,
+    def step_physics(self, part: int) -> None:
+        """The physics of a part of the worlds alone, on this thread."""
+        first, count = self.parts[part]
+        self._launch(
+            mujoco_rollout_kernel,
+            count,
+            [
+                self._library,
+                self._native,
+                self._models,
+                self._thread,
+                part,
+                first,
+                self.model.nv,
+                FULL,
+                self._control_spec,
+                self._initial,
+                self._control,
+            ],
+            [self._state, self._sensor],
         )
 
     def _record(self, first: int, count: int) -> None:
-        out = self.trajectory
-        dim = (self.shape.horizon, count)
-        wp.launch(
+        out, dim = self.trajectory, (self.shape.horizon, count)
+        self._launch(
             record_mujoco_kernel,
-            dim=dim,
-            inputs=[self._table, self.model.nq, self._end, self._state, first],
-            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-            device="cpu",
+            dim,
+            [self._table, self.model.nq, self._end, self._state, first],
+            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         if self.pairs:
-            wp.launch(
-                mujoco_contact_force_kernel,
-                dim=dim,
-                inputs=[self._sensor, self._pair_start, self._end, first],
-                outputs=[out.contact_force],
-                device="cpu",
-            )
+            inputs = [self._sensor, self._pair_start, self._end, first]
+            self._launch(mujoco_contact_force_kernel, dim, inputs, [out.contact_force])
         if self._activation.size:
-            inputs = [self._state, self._activation, self._end, 1, first]
-            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.act], device="cpu")
+            self._launch(gather_kernel, dim, [self._state, self._activation, self._end, 1, first], [out.act])
         if self._senses:
-            inputs = [self._sensor, self._sensors, self._end, 0, first]
-            wp.launch(gather_kernel, dim=dim, inputs=inputs, outputs=[out.sensor], device="cpu")
-        wp.launch(
-            divergence_kernel,
-            dim=count,
-            inputs=[self._state, wp.float64(self.duration), first],
-            outputs=[out.diverged],
-            device="cpu",
-        )
+            self._launch(gather_kernel, dim, [self._sensor, self._sensors, self._end, 0, first], [out.sensor])
+        self._launch(divergence_kernel, count, [self._state, self._duration, first], [out.diverged])
 
     def pair_force(self, world: int) -> np.ndarray:
         """Net contact force on the first of each pair of one world at every physics step ``[steps, pairs, 3]`` [N]."""

@@ -32,6 +32,7 @@ from ..kernels.worlds.mujoco_warp import (
     store_row_kernel,
     store_state_kernel,
 )
+from ..launch import Launcher
 from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
@@ -124,12 +125,14 @@ class MujocoWarpEngine:
     ):
         self.shape, self.substeps, self.pairs = shape, tuple(substeps), pairs
         self.device = str(wp.get_device(device))
+        self._launch = Launcher(self.device)
         layout, options = compiled.layout, _checked(scene)
         world = make_world(compiled, timestep=timestep, options=Options.of(scene.engine), sensors=sensors)
         self.mj_model = world.model
         try:
             with wp.ScopedDevice(self.device):
                 _set_options(world.model, options)
+                _refuse_rk4(world.model)
                 self._put(world, layout, options, properties)
         except (TypeError, ValueError, KeyError, NotImplementedError) as error:  # what MuJoCo Warp refuses with
             raise SceneError(
@@ -183,33 +186,39 @@ class MujocoWarpEngine:
                 shapes[model.geom(name).id] = s
         self._pairs = pair_table(layout, self.pairs, shapes.tolist(), self.device)
 
-    def clone(self, state: ObservedState) -> None:
-        """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
-        out, worlds, rollouts = self.trajectory, self.shape.worlds, self.shape.rollouts
+    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
+        """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it."""
+        count = self.shape.worlds - first if count is None else count
+        out, rollouts = self.trajectory, self.shape.rollouts
         if self._mocap.size:
-            self._launch(
-                clone_mocap_kernel, (worlds, self._mocap.size), [state.mocap, rollouts], [self._table.mocap_pose]
-            )
-            self._launch(
-                place_mocap_kernel,
-                (worlds, self._mocap.size),
-                [self._table.mocap_pose, self._mocap],
-                [self.data.mocap_pos, self.data.mocap_quat],
-            )
+            dim, poses = (count, self._mocap.size), self._table.mocap_pose
+            self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [poses])
+            placed = [self.data.mocap_pos, self.data.mocap_quat]
+            self._launch(place_mocap_kernel, dim, [poses, self._mocap, first], placed)
         self._launch(
             clone_state_kernel,
-            (worlds,),
-            [self._table, state.joint_q, state.joint_qd, rollouts],
+            count,
+            [self._table, state.joint_q, state.joint_qd, rollouts, first],
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         if self._activation.size:
-            self._launch(clone_activation_kernel, (worlds, self._activation.size), [state.act, rollouts], [out.act])
+            dim = (count, self._activation.size)
+            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
 
-    def run(self, work: Callable[[int, int], None]) -> None:
-        """Call ``work(first, count)`` for all worlds at once."""
-        work(0, self.shape.worlds)
+    @property
+    def parts(self) -> list[tuple[int, int]]:
+        """First world and number of worlds of the only part."""
+        return [(0, self.shape.worlds)]
 
-    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+    def run(self, work: Callable[[int], None]) -> None:
+        """Call ``work(part)`` for the only part."""
+        work(0)
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls out; there is but one part."""
+        self.rollout(control)
+
+    def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""
         self._control = control
         self.trajectory.contact_force.zero_()
@@ -232,14 +241,14 @@ class MujocoWarpEngine:
 
     def _load(self) -> None:
         """Start the worlds from slice 0 of the trajectory; nothing of an earlier rollout remains."""
-        out, data, model = self.trajectory, self.data, self.mj_model
-        self._launch(
-            mujoco_state_kernel, (self.shape.worlds,), [self._table, model.nq, out.joint_q, out.joint_qd], [self._start]
-        )
+        out, data, worlds = self.trajectory, self.data, self.shape.worlds
+        inputs = [self._table, self.mj_model.nq, out.joint_q, out.joint_qd, 0]
+        self._launch(mujoco_state_kernel, worlds, inputs, [self._start])
         if self._activation.size:
-            dim = (self.shape.worlds, self._activation.size)
-            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation], [self._start])
-        self._launch(load_state_kernel, self._start.shape, [self._start], [data.time, data.qpos, data.qvel, data.act])
+            dim = (worlds, self._activation.size)
+            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, 0], [self._start])
+        started = [data.time, data.qpos, data.qvel, data.act]
+        self._launch(load_state_kernel, self._start.shape, [self._start], started)
         for array in (data.qacc_warmstart, data.qfrc_applied, data.xfrc_applied, data.ctrl):
             array.zero_()
 
@@ -284,9 +293,6 @@ class MujocoWarpEngine:
         self._launch(
             finite_state_kernel, (self.shape.worlds,), [out.joint_q, out.joint_qd, LARGEST_SPEED], [out.diverged]
         )
-
-    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""
@@ -335,6 +341,18 @@ def _set_options(model: mujoco.MjModel, options: dict[str, Any]) -> None:
             bit, sets = _FLAGS[name]
             on = bool(value) == sets
             model.opt.disableflags = (model.opt.disableflags | int(bit)) if on else (model.opt.disableflags & ~int(bit))
+
+
+def _refuse_rk4(model: mujoco.MjModel) -> None:
+    """MuJoCo Warp's RK4 takes activations otherwise than MuJoCo does: 1e-3 apart after 50 steps of a quadrotor.
+
+    Raises:
+        NotImplementedError: If a model needs both.
+    """
+    if model.na and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        raise NotImplementedError(
+            "RK4 with actuators that have activations: set engine.integrator to euler or implicitfast"
+        )
 
 
 def contact_bound(model: mujoco.MjModel) -> int:

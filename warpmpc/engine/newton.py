@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
+from ..launch import Launcher
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
@@ -69,6 +70,7 @@ class NewtonEngine:
     ):
         self.shape, self.substeps, self.pairs = shape, substeps, pairs
         self.device = str(wp.get_device(device))
+        self._launch = Launcher(self.device)
         self.dt, layout = timestep, compiled.layout
         _refuse_mujocos_own(scene, compiled)
         with wp.ScopedDevice(self.device):
@@ -120,43 +122,45 @@ class NewtonEngine:
             control.joint_f = self._effort[i].flatten()
             self._controls.append(control)
 
-    def clone(self, state: ObservedState) -> None:
+    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
         """Put every world into the observed state; warm starts and forces of earlier plans are gone with it."""
+        count = self.shape.worlds - first if count is None else count
         out = self.trajectory
-        wp.launch(
+        self._launch(
             clone_state_kernel,
-            dim=self.shape.worlds,
-            inputs=[self._table, state.joint_q, state.joint_qd, self.shape.rollouts],
-            outputs=[out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-            device=self.device,
+            count,
+            [self._table, state.joint_q, state.joint_qd, self.shape.rollouts, first],
+            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
 
-    def run(self, work: Callable[[int, int], None]) -> None:
-        """Call ``work(first, count)`` for all worlds at once."""
-        work(0, self.shape.worlds)
+    @property
+    def parts(self) -> list[tuple[int, int]]:
+        """First world and number of worlds of the only part."""
+        return [(0, self.shape.worlds)]
 
-    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
+    def run(self, work: Callable[[int], None]) -> None:
+        """Call ``work(part)`` for the only part."""
+        work(0)
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls out; there is but one part."""
+        self.rollout(control)
+
+    def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""
         out = self.trajectory
-        wp.launch(
+        self._launch(
             newton_control_kernel,
-            dim=(*control.shape[:2], len(self._actuators[1])),
-            inputs=[control, *self._actuators],
-            outputs=[self._target_q, self._target_qd, self._effort],
-            device=self.device,
+            (*control.shape[:2], len(self._actuators[1])),
+            [control, *self._actuators],
+            [self._target_q, self._target_qd, self._effort],
         )
         out.contact_force.zero_()
         out.overflow.zero_()
         self.solver.reset(self._states[0])
         for t in range(self.shape.horizon):
             self._control_step(t)
-        wp.launch(
-            finite_state_kernel,
-            dim=self.shape.worlds,
-            inputs=[out.joint_q, out.joint_qd, LARGEST_SPEED],
-            outputs=[out.diverged],
-            device=self.device,
-        )
+        self._launch(finite_state_kernel, self.shape.worlds, [out.joint_q, out.joint_qd, LARGEST_SPEED], [out.diverged])
 
     def _control_step(self, t: int) -> None:
         """The physics steps of one control step, from slice t to slice t + 1."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -11,6 +12,7 @@ import warp as wp
 from ..cost.stack import Judge
 from ..kernels.planning.splines import Spline, spline_control_kernel
 from ..kernels.planning.weights import CVAR, MEAN, WORST, explain_cost_kernel, risk_kernel, sum_cost_kernel
+from ..launch import Launcher, Replay
 from ..scene.schema import Risk
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from ..scene.schema import Planner
     from ..task.observed import ObservedState
     from .timegrid import TimeGrid
-    from .trajectory import Shape, Simulator
+    from .trajectory import Proposal, Shape, Simulator
 
 RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
 
@@ -28,7 +30,7 @@ RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
 class RecordedEngine:
     """Rolls knots out with a simulator, records everything and applies the cost terms to the record.
 
-    On the CPU a thread takes some worlds through all of it in one go, while others take theirs.
+    On the CPU a thread takes some worlds through all of it in one go, from sampling to costs, while others take theirs.
 
     Args:
         simulator: Steps the worlds.
@@ -59,6 +61,9 @@ class RecordedEngine:
     ):
         self.simulator, self.costs, self.state, self.shape = simulator, costs, state, shape
         self.name, self.device = simulator.name, simulator.device
+        self._launch = Launcher(self.device)
+        self._on_gpu = wp.get_device(self.device).is_cuda
+        self._replays: dict[int, tuple[Proposal, list[Replay]]] = {}
         self.grid, self._spline, self._limits = grid.arrays(self.device), spline, limits
         nu, envs = len(limits[0]), shape.envs
         self.control = wp.zeros((shape.horizon, shape.worlds, nu), dtype=float, device=self.device)
@@ -83,59 +88,49 @@ class RecordedEngine:
     @property
     def capturable(self) -> bool:
         """Whether a CUDA graph can hold an evaluation."""
-        return wp.get_device(self.device).is_cuda and self.costs.capturable
+        return self._on_gpu and self.costs.capturable
 
-    def begin(self) -> None:
-        """Start from the observed state: resources follow it, every world is put into it; capture-safe."""
-        self.costs.before_plan(self.state)
-        self.simulator.clone(self.state)
+    def evaluate(self, proposal: Proposal) -> None:
+        """Roll proposed knots out from the observed state and judge them, into :attr:`cost`.
 
-    def evaluate(self, knots: wp.array, offset: wp.array) -> None:
-        """Roll knots out and judge them, into :attr:`cost`; capture-safe where :attr:`capturable`.
-
-        Args:
-            knots: Knots ``[E, S, P, nu]``.
-            offset: Time from the first knot to the present ``[E]`` [s].
+        Capture-safe where :attr:`capturable`. On the CPU every part of the worlds is a sequence of its own, replayed by
+        whatever thread takes it.
         """
-        self.simulator.run(lambda first, count: self._roll_out(knots, offset, first, count))
+        if self._on_gpu:
+            self._take(proposal, 0)
+        else:
+            if id(proposal) not in self._replays:
+                parts = range(len(self.simulator.parts))
+                self._replays[id(proposal)] = proposal, [Replay(partial(self._take, proposal, p)) for p in parts]
+            _, replays = self._replays[id(proposal)]
+            self.simulator.run(lambda part: replays[part]())
         if not self.costs.capturable:
             self.judge.launch_arrays()
             self._sum(0, self.shape.worlds)
-        self._launch(
-            risk_kernel,
-            self.cost.shape,
-            [self._rollout_cost, self.state.observed, *self._risk],
-            [self.cost],
-        )
 
-    def _roll_out(self, knots: wp.array, offset: wp.array, first: int, count: int) -> None:
-        """Take some worlds from knots to costs."""
+    def _take(self, proposal: Proposal, part: int) -> None:
+        """Take a part of the worlds from the observed state to the costs of its samples."""
+        shape, (first, count) = self.shape, self.simulator.parts[part]
+        proposal.sample(first // shape.domains, count // shape.domains)
+        self.simulator.clone(self.state, first, count)
+        places = [self.grid.t, self._step_place, proposal.offset, shape.domains, first]
         self._launch(
             spline_control_kernel,
-            (self.shape.horizon, count),
-            [
-                knots,
-                self._spline,
-                *self._limits,
-                self.grid.t,
-                self._step_place,
-                offset,
-                self.shape.domains,
-                first,
-            ],
+            (shape.horizon, count),
+            [proposal.knots, self._spline, *self._limits, *places],
             [self.control],
         )
-        self.simulator.rollout(self.control, first, count)
+        self.simulator.rollout_part(self.control, part)
         self.judge.launch(first, count)
         self._sum(first, count)
 
     def _sum(self, first: int, count: int) -> None:
-        self._launch(
-            sum_cost_kernel,
-            (count,),
-            [self.judge.cost, self.diverged, self.grid.weight, first],
-            [self._rollout_cost],
-        )
+        """Costs of some worlds' samples from what their terms cost at every step."""
+        inputs = [self.judge.cost, self.diverged, self.grid.weight, first]
+        self._launch(sum_cost_kernel, count, inputs, [self._rollout_cost])
+        domains = self.shape.domains
+        inputs = [self._rollout_cost, self.state.observed, *self._risk, first // domains]
+        self._launch(risk_kernel, count // domains, inputs, [self.cost])
 
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of a sample of every environment ``[E]``; capture-safe."""
@@ -149,9 +144,6 @@ class RecordedEngine:
     def record(self, worlds: Sequence[int]) -> np.ndarray:
         """Body poses ``[T+1, n, nb, 7]`` of some worlds of the last evaluation, on the host."""
         return self.simulator.trajectory.body_q.numpy()[:, list(worlds)]
-
-    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""

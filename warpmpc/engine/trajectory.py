@@ -74,20 +74,35 @@ class Simulator(Protocol):
     device: str
     trajectory: Trajectory
 
-    def clone(self, state: ObservedState) -> None:
-        """Put every world into the observed state; nothing of an earlier plan remains."""
+    parts: Sequence[tuple[int, int]]  # first world and number of worlds of what is rolled out together
 
-    def run(self, work: Callable[[int, int], None]) -> None:
-        """Call ``work(first, count)`` for parts of the worlds, on as many threads as there are."""
+    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
+        """Put worlds into the observed state; nothing of an earlier plan remains."""
 
-    def rollout(self, control: wp.array, first: int = 0, count: int | None = None) -> None:
-        """Roll controls [T, W, nu] of some worlds out from the cloned state into :attr:`trajectory`."""
+    def run(self, work: Callable[[int], None]) -> None:
+        """Call ``work(part)`` for every part, on as many threads as there are."""
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`."""
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls [T, W, nu] of the worlds of one part out."""
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""
 
     def close(self) -> None:
         """Release threads and memory."""
+
+
+class Proposal(Protocol):
+    """Where an engine gets its knots from."""
+
+    knots: wp.array  # [E, S, P, nu]
+    offset: wp.array  # [E] time from the first knot to the present [s]
+
+    def sample(self, first: int, count: int) -> None:
+        """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""
 
 
 class Engine(Protocol):
@@ -101,11 +116,8 @@ class Engine(Protocol):
     diverged: wp.array  # [W] nonzero where the physics failed
     overflow: wp.array  # [W] capacity bits
 
-    def begin(self) -> None:
-        """Start from the observed state; capture-safe where :attr:`capturable`."""
-
-    def evaluate(self, knots: wp.array, offset: wp.array) -> None:
-        """Roll knots ``[E, S, P, nu]`` out and judge them, into :attr:`cost`; capture-safe where :attr:`capturable`."""
+    def evaluate(self, proposal: Proposal) -> None:
+        """Roll proposed knots out from the observed state and judge them, into :attr:`cost`."""
 
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of one sample of every environment ``[E]``, into :attr:`term_cost`."""

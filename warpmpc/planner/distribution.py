@@ -9,6 +9,7 @@ import warp as wp
 from ..kernels.planning.sampling import age_plan_kernel, null_control_kernel, perturb_knots_kernel, start_plan_kernel
 from ..kernels.planning.splines import LINEAR, Spline, advance_plan_kernel, shift_knots_kernel
 from ..kernels.planning.weights import update_mean_kernel, update_sigma_kernel
+from ..launch import Launcher
 from ..task.observed import ObservedState
 from .weighting import BLOCK_DIM
 
@@ -46,6 +47,7 @@ class Gaussian:
     ):
         self._state, self._spline, self._limits = state, spline, limits
         self.device = state.joint_q.device
+        self._launch = Launcher(self.device)
         envs, knots, nu = len(state.observed), len(spline.time), len(sigma)
         self.dim = (envs, knots, nu)
 
@@ -97,6 +99,8 @@ class Gaussian:
         null_sample: bool,
         constant: float,
         knots: wp.array,
+        first: int,
+        count: int,
     ) -> None:
         """Write sampled knots ``[E, S, P, nu]``: the mean, the null sample, and mean + σ ⊙ (B z); capture-safe.
 
@@ -108,27 +112,22 @@ class Gaussian:
             null_sample: Whether the second sample asks for nothing.
             constant: Share of the samples whose noise is the same at every knot.
             knots: Takes the samples.
+            first: First of the rows e·S + s to write.
+            count: Number of rows.
         """
         noise = [self.mean, self.sigma, schedule, iteration, shaping, z]
         self._launch(
             perturb_knots_kernel,
-            knots.shape,
-            [*noise, *self._limits, self.null, int(null_sample), constant],
+            (count, *self.dim[1:]),
+            [*noise, *self._limits, self.null, int(null_sample), constant, first],
             [knots],
         )
 
     def update_mean(self, knots: wp.array, weight: wp.array, alpha: float) -> None:
         """Move the mean towards weighted samples by step size α; capture-safe."""
-        self._launch_blocks(update_mean_kernel, [knots, weight, alpha], [self.mean])
+        self._launch(update_mean_kernel, self.dim, [knots, weight, alpha], [self.mean], block_dim=BLOCK_DIM)
 
     def update_sigma(self, knots: wp.array, weight: wp.array, floor: wp.array, alpha: float) -> None:
         """Move σ² towards the spread of weighted samples about the mean by step size α; capture-safe."""
-        self._launch_blocks(update_sigma_kernel, [knots, weight, self.mean, floor, alpha], [self.sigma])
-
-    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
-
-    def _launch_blocks(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch_tiled(
-            kernel, dim=list(self.dim), inputs=inputs, outputs=outputs, block_dim=BLOCK_DIM, device=self.device
-        )
+        inputs = [knots, weight, self.mean, floor, alpha]
+        self._launch(update_sigma_kernel, self.dim, inputs, [self.sigma], block_dim=BLOCK_DIM)

@@ -16,6 +16,7 @@ from ..kernels.worlds.exchange import (
     report_kernel,
     unpack_kernel,
 )
+from ..launch import Launcher, Replay
 from .weighting import BLOCK_DIM
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class PlanGraph:
     def __init__(self, plan: PlanStep):
         self.plan = plan
         self.device = wp.get_device(plan.device)
+        self._launch = Launcher(self.device)
         envs, terms = plan.shape.envs, len(plan.costs.labels)
         cuda = self.device.is_cuda
         self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
@@ -73,6 +75,8 @@ class PlanGraph:
         self._best = wp.zeros(envs, dtype=int, device=self.device)
         self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
         self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
+        pieces = (self._unpack, self._pack)
+        self._take_in, self._give_out = pieces if cuda else map(Replay, pieces)
         self.captured: wp.Graph | None = None
         self.capturable = plan.engine.capturable
 
@@ -116,7 +120,8 @@ class PlanGraph:
                 with wp.ScopedCapture(device=self.device) as capture:
                     self._sequence()
                 self.captured = capture.graph
-        wp.synchronize_device(self.device)
+        if self.device.is_cuda:
+            wp.synchronize_device(self.device)
         return self._unpacked()
 
     def _unpacked(self) -> PlanReport:
@@ -138,36 +143,29 @@ class PlanGraph:
         )
 
     def _sequence(self) -> None:
-        plan, strategy, engine, state = self.plan, self.plan.strategy, self.plan.engine, self.plan.state
-        envs = self._in.shape[0]
+        self._take_in()
+        self.plan()
+        self._give_out()
+
+    def _unpack(self) -> None:
+        """Spread the block that came in over the arrays of the plan."""
+        state = self.plan.state
         wp.copy(self._in, self._host_in)
         task = [state.pose, state.scalar, state.weight]
         observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act, state.mocap]
-        wp.launch(unpack_kernel, dim=envs, inputs=[self._in], outputs=observed + task, device=self.device)
-        plan()
-        wp.launch_tiled(
-            best_sample_kernel,
-            dim=[envs],
-            inputs=[engine.cost],
-            outputs=[self._best, self._best_cost],
-            block_dim=BLOCK_DIM,
-            device=self.device,
-        )
+        self._launch(unpack_kernel, self._in.shape[0], [self._in], observed + task)
+
+    def _pack(self) -> None:
+        """Gather what came of the plan into the block that goes out."""
+        plan, strategy, engine = self.plan, self.plan.strategy, self.plan.engine
+        envs = self._in.shape[0]
+        outputs = [self._best, self._best_cost]
+        self._launch(best_sample_kernel, envs, [engine.cost], outputs, block_dim=BLOCK_DIM)
         engine.explain(self._best)
         self._failures.zero_()
-        wp.launch(
-            count_failures_kernel,
-            dim=plan.shape.worlds,
-            inputs=[engine.diverged, engine.overflow, plan.shape.rollouts],
-            outputs=[self._failures],
-            device=self.device,
-        )
+        inputs = [engine.diverged, engine.overflow, plan.shape.rollouts]
+        self._launch(count_failures_kernel, plan.shape.worlds, inputs, [self._failures])
         learned = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
-        wp.launch(
-            report_kernel,
-            dim=envs,
-            inputs=[*learned, self._failures, engine.term_cost, strategy.mean, strategy.offset],
-            outputs=[self._out],
-            device=self.device,
-        )
+        about = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
+        self._launch(report_kernel, envs, learned + about, [self._out])
         wp.copy(self._host_out, self._out)

@@ -13,6 +13,7 @@ from warpmpc.kernels.planning.sampling import (
     scale_samples_kernel,
     table_normal_kernel,
 )
+from warpmpc.launch import Launcher
 
 
 class NoiseKind(StrEnum):
@@ -39,11 +40,11 @@ def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: 
 
 
 class NoiseSource:
-    """Standard normals ``z [E, S, P, nu]``, drawn once or at every :meth:`launch`.
+    """Standard normals ``z [E, S, P, nu]``, drawn once or anew at every :meth:`advance`.
 
     Drawn once, the same Halton or Sobol table serves every environment and the plan step is deterministic;
     pseudo-random numbers differ between environments. Redrawn, a table is rotated at random per environment and
-    launch (Cranley and Patterson 1976), which keeps its low discrepancy; counters on the device make a replayed CUDA
+    draw (Cranley and Patterson 1976), which keeps its low discrepancy; counters on the device make a replayed CUDA
     graph draw anew.
 
     Args:
@@ -79,6 +80,7 @@ class NoiseSource:
         self.seed = seed
         self.spread = spread
         self.device = wp.get_device(device)
+        self._launch = Launcher(self.device)
         self.z = wp.empty((envs, samples, knots, nu), dtype=float, device=self.device)
         self._counter = wp.zeros(envs, dtype=int, device=self.device)
         self._table = None
@@ -87,47 +89,38 @@ class NoiseSource:
             table = low_discrepancy_table(self.source, samples=samples, columns=columns, seed=seed)
             self._table = wp.array(table, dtype=float, device=self.device)
             self._shift = wp.zeros((envs, columns), dtype=float, device=self.device)
-        self._draw()
+        self.draw(0, envs * samples)
 
-    def launch(self, observed: wp.array[int]) -> None:
-        """Draw ``z`` anew if the source redraws; capture-safe.
+    def advance(self, observed: wp.array[int]) -> None:
+        """Go on to the next draw if the source redraws; capture-safe.
 
         Args:
             observed: Whether each environment is planned for ``[E]``; one that waits keeps its place in the sequence.
         """
         if not self.redraw:
             return
-        wp.launch(
-            advance_counter_kernel,
-            dim=self._counter.shape,
-            inputs=[observed],
-            outputs=[self._counter],
-            device=self.device,
-        )
+        self._launch(advance_counter_kernel, self._counter.shape, [observed], [self._counter])
         if self._table is not None:
-            wp.launch(
-                random_shift_kernel,
-                dim=self._shift.shape,
-                inputs=[self._counter, self.seed],
-                outputs=[self._shift],
-                device=self.device,
-            )
-        self._draw()
+            self._launch(random_shift_kernel, self._shift.shape, [self._counter, self.seed], [self._shift])
+
+    def draw(self, first: int, count: int) -> None:
+        """Write ``z`` of some samples as the draw that is on has them; capture-safe.
+
+        Args:
+            first: First of the rows e·S + s.
+            count: Number of rows.
+        """
+        dim = (count, *self.z.shape[2:])
+        if self._table is None:
+            self._launch(random_normal_kernel, dim, [self._counter, self.seed, first], [self.z])
+        else:
+            self._launch(table_normal_kernel, dim, [self._table, self._shift, first], [self.z])
+        if self.spread != (1.0, 1.0):
+            self._launch(scale_samples_kernel, dim, [*self.spread, first], [self.z])
 
     def reset(self) -> None:
         """Start the draws over, as if just constructed; capture-safe."""
         self._counter.zero_()
         if self._table is not None:
             self._shift.zero_()
-        self._draw()
-
-    def _draw(self) -> None:
-        if self._table is None:
-            kernel, inputs = random_normal_kernel, [self._counter, self.seed]
-        else:
-            kernel, inputs = table_normal_kernel, [self._table, self._shift]
-        wp.launch(kernel, dim=self.z.shape, inputs=inputs, outputs=[self.z], device=self.device)
-        if self.spread != (1.0, 1.0):
-            wp.launch(
-                scale_samples_kernel, dim=self.z.shape, inputs=[*self.spread], outputs=[self.z], device=self.device
-            )
+        self.draw(0, self.z.shape[0] * self.z.shape[1])

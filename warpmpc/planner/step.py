@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,13 @@ import warp as wp
 from ..engine.registry import EngineRequest, make_engine
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.splines import command_kernel
+from ..launch import Launcher, Replay
 from ..task.observed import ObservedState
 from .splines import SplineKind, spline_table
-from .strategy import SamplingStrategy
+from .strategy import Round, SamplingStrategy
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from ..cost.stack import CostStack
     from ..engine.trajectory import Shape
@@ -87,7 +89,8 @@ class PlanStep:
             ),
         )
         self.strategy = SamplingStrategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
-        self._spline = spline
+        self._spline, self._launch = spline, Launcher(self.device)
+        self._sequence = self.sequence()
         self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)
         self.stages = dict.fromkeys(STAGES, 0.0)
         self.reset()
@@ -100,27 +103,31 @@ class PlanStep:
     def __call__(self) -> None:
         """Plan from :attr:`state`; the result is in :attr:`command`. Capture-safe where the engine is."""
         self.stages = dict.fromkeys(STAGES, 0.0)
-        for stage, run in self.sequence():
+        for stage, run in self._sequence:
             with self._stage(stage):
                 run()
 
     def sequence(self) -> list[tuple[str, Callable[[], None]]]:
         """The plan step in order, each piece with the stage it belongs to."""
         strategy, engine = self.strategy, self.engine
+        pieces = [("begin", self._replayed(self._begin))]
+        for i in range(strategy.iterations):
+            proposal = Round(strategy, i)
+            pieces += [
+                ("propose", self._replayed(partial(strategy.propose, i))),
+                ("evaluate", partial(engine.evaluate, proposal)),
+                ("update", self._replayed(partial(strategy.update, i))),
+            ]
+        return [*pieces, ("update", self._replayed(self._finish))]
 
-        def rounds(i: int) -> Sequence[tuple[str, Callable[[], None]]]:
-            return (
-                ("propose", lambda: strategy.propose(i)),
-                ("evaluate", lambda: engine.evaluate(strategy.knots, strategy.offset)),
-                ("update", lambda: strategy.update(i)),
-            )
+    def _replayed(self, piece: Callable[[], None]) -> Callable[[], None]:
+        """A piece that is launches alone; on CUDA the graph of the whole plan replays it."""
+        return piece if wp.get_device(self.device).is_cuda else Replay(piece)
 
-        return [
-            ("begin", engine.begin),
-            ("begin", strategy.shift),
-            *(piece for i in range(strategy.iterations) for piece in rounds(i)),
-            ("update", self._finish),
-        ]
+    def _begin(self) -> None:
+        """Let resources and plans follow the observed state."""
+        self.costs.before_plan(self.state)
+        self.strategy.shift()
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -131,12 +138,11 @@ class PlanStep:
 
     def _finish(self) -> None:
         """Write the command."""
-        wp.launch(
+        self._launch(
             command_kernel,
-            dim=self.command.shape,
-            inputs=[self.strategy.mean, self._spline, *self.limits, self.strategy.offset],
-            outputs=[self.command],
-            device=self.device,
+            self.command.shape,
+            [self.strategy.mean, self._spline, *self.limits, self.strategy.offset],
+            [self.command],
         )
         wp.copy(self.state.last_control, self.command)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -41,13 +42,38 @@ class Strategy(Protocol):
         """Move the plan on by the time that has passed; capture-safe."""
 
     def propose(self, iteration: int) -> None:
-        """Write :attr:`knots`; capture-safe."""
+        """Get ready to sample; capture-safe."""
+
+    def sample(self, iteration: int, first: int, count: int) -> None:
+        """Write :attr:`knots` of the samples in rows e·S + s from ``first`` on; capture-safe, on any thread."""
 
     def update(self, iteration: int) -> None:
         """Learn from the costs of :attr:`knots`; capture-safe."""
 
     def reset(self) -> None:
         """Forget every earlier plan."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one round of a strategy proposes, as engines take it."""
+
+    strategy: Strategy
+    iteration: int
+
+    @property
+    def knots(self) -> wp.array:
+        """Proposed knots ``[E, S, P, nu]``."""
+        return self.strategy.knots
+
+    @property
+    def offset(self) -> wp.array:
+        """Time from the first knot to the present ``[E]`` [s]."""
+        return self.strategy.offset
+
+    def sample(self, first: int, count: int) -> None:
+        """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""
+        self.strategy.sample(self.iteration, first, count)
 
 
 class SamplingStrategy:
@@ -127,9 +153,20 @@ class SamplingStrategy:
         self.distribution.shift(shift_sigma=self.weighting.adapts_sigma)
 
     def propose(self, iteration: int) -> None:
-        """Sample knots about the mean; capture-safe."""
+        """Go on to the next draw of the noise; capture-safe."""
+        self.noise.advance(self._state.observed)
+
+    def sample(self, iteration: int, first: int, count: int) -> None:
+        """Sample knots about the mean; capture-safe.
+
+        Args:
+            iteration: Which round of the plan.
+            first: First of the samples' rows e·S + s.
+            count: Number of rows.
+        """
         noise = self._planner.noise
-        self.noise.launch(self._state.observed)
+        if self.noise.redraw:
+            self.noise.draw(first, count)
         self.distribution.perturb(
             self.noise.z,
             self._shaping,
@@ -138,6 +175,8 @@ class SamplingStrategy:
             null_sample=noise.null_sample,
             constant=noise.constant,
             knots=self.knots,
+            first=first,
+            count=count,
         )
 
     def update(self, iteration: int) -> None:

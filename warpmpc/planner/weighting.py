@@ -16,6 +16,7 @@ from warpmpc.kernels.planning.weights import (
     importance_weight_kernel,
 )
 
+from ..launch import Launcher
 from ..scene.schema import Method
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class WeightingState:
 
     def __init__(self, cost: wp.array2d[float], *, temperature: float = 1.0):
         self.device = cost.device
+        self.launch = Launcher(self.device)
         self.temperature, self.cost = temperature, cost
         envs = cost.shape[0]
         self.weight = wp.zeros(cost.shape, dtype=float, device=self.device)
@@ -119,21 +121,19 @@ class Mppi:
         """Write ``state.weight``, ``state.eta`` and ``state.beta`` from ``state.cost``; capture-safe."""
         bounds = wp.vec2(*self.beta_bounds)
         if self.adapt == Adaptation.ESS:
-            wp.launch_tiled(
+            state.launch(
                 bisect_temperature_kernel,
-                dim=[state.cost.shape[0]],
-                inputs=[state.cost, self.target_ess, bounds],
-                outputs=[state.beta],
+                [state.cost.shape[0]],
+                [state.cost, self.target_ess, bounds],
+                [state.beta],
                 block_dim=BLOCK_DIM,
-                device=state.device,
             )
-        wp.launch_tiled(
+        state.launch(
             importance_weight_kernel,
-            dim=[state.cost.shape[0]],
-            inputs=[state.cost, wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)],
-            outputs=[state.beta, state.eta, state.weight],
+            [state.cost.shape[0]],
+            [state.cost, wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)],
+            [state.beta, state.eta, state.weight],
             block_dim=BLOCK_DIM,
-            device=state.device,
         )
 
 
@@ -158,13 +158,8 @@ class PredictiveSampling:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        wp.launch_tiled(
-            best_weight_kernel,
-            dim=[state.cost.shape[0]],
-            inputs=[state.cost],
-            outputs=[state.eta, state.weight],
-            block_dim=BLOCK_DIM,
-            device=state.device,
+        state.launch(
+            best_weight_kernel, [state.cost.shape[0]], [state.cost], [state.eta, state.weight], block_dim=BLOCK_DIM
         )
 
 
@@ -192,10 +187,4 @@ class CrossEntropy:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        wp.launch(
-            elite_weight_kernel,
-            dim=state.cost.shape,
-            inputs=[state.cost, self.elites],
-            outputs=[state.eta, state.weight],
-            device=state.device,
-        )
+        state.launch(elite_weight_kernel, state.cost.shape, [state.cost, self.elites], [state.eta, state.weight])

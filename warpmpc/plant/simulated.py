@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ import warp as wp
 from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
 from ..engine.trajectory import Shape
+from ..launch import Replay
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
@@ -88,12 +90,14 @@ class Worlds:
         """Controls of all worlds ``[1, E, nu]``."""
         if self._values:
             self._values.attach(self.engine.trajectory, self.control, shape, dt)
+        parts = range(len(self.engine.parts))
+        self._replays = [Replay(partial(self.engine.rollout_part, self.control, part)) for part in parts]
         self.terms: list[dict[str, float]] = [{} for _ in seeds]
         """Values of the cost terms that conditions name, by world."""
 
     def step(self) -> None:
         """Hold the controls for one control step in every world."""
-        self.engine.run(lambda first, count: self.engine.rollout(self.control, first, count))
+        self.engine.run(lambda part: self._replays[part]())
         if self._values:
             self.terms = self._values()
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,12 @@ class ObservedState:
     last_control: wp.array  # [E, nu] control that acts now
     body_q: wp.array  # [E, nb] transform, from the joints, for the resources of cost terms
     body_qd: wp.array  # [E, nb] spatial vector
+
+    @cached_property
+    def as_slice(self) -> tuple[wp.array, wp.array, wp.array, wp.array]:
+        """``joint_q``, ``joint_qd``, ``body_q`` and ``body_qd`` as one slice of a trajectory, ``[1, E, n]``."""
+        arrays = (self.joint_q, self.joint_qd, self.body_q, self.body_qd)
+        return tuple(array.reshape((1, *array.shape)) for array in arrays)
 
     @classmethod
     def allocate(cls, layout: Layout, task: Task, device: str) -> ObservedState:

@@ -11,6 +11,7 @@ import warp as wp
 
 from ...kernels.geometry.fields import GuideTable, guide_field_kernel, guide_target_kernel, guide_waypoint_kernel
 from ...kernels.terms.paths import PathFields
+from ...launch import Launcher
 from .ground import Ground
 from .resource import Idle
 
@@ -93,7 +94,7 @@ class Guide:
     """Where those targets were, ``[E·R]`` [m]."""
 
     def __init__(self, grid: Grid, requests: list[FieldRequest], layout: Layout, *, envs: int, device: str):
-        self.device = device
+        self.device, self._launch = device, Launcher(device)
         known = {i: (*grid.ways(i), *grid.nearest_free(i)) for i in {r.inflation for r in requests}}
         sights, betweens, nearests, depths = zip(*(known[r.inflation] for r in requests), strict=True)
         counts = [len(b) for b in betweens]
@@ -144,4 +145,4 @@ class Guide:
             (guide_waypoint_kernel, self._remaining.shape, targets, [self._remaining]),
             (guide_field_kernel, self.field.shape, [*targets, self._remaining], [self.field]),
         ):
-            wp.launch(kernel, dim=dim, inputs=[self._table, *inputs], outputs=outputs, device=self.device)
+            self._launch(kernel, dim, [self._table, *inputs], outputs)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launches on one device, and fixed sequences of them that are captured once and replayed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+
+import warp as wp
+
+_capturing = threading.RLock()
+"""Held while launches are recorded: a recording takes in whatever any thread of the process launches meanwhile."""
+
+
+class Launcher:
+    """Launches kernels on one device.
+
+    Args:
+        device: Warp device.
+    """
+
+    def __init__(self, device: wp.DeviceLike):
+        self.device = wp.get_device(device)
+
+    def __call__(
+        self, kernel: wp.Kernel, dim: int | Sequence[int], inputs: Sequence, outputs: Sequence, *, block_dim: int = 0
+    ) -> None:
+        """Launch a kernel; capture-safe.
+
+        Args:
+            kernel: Kernel.
+            dim: Threads, or blocks if ``block_dim`` is given.
+            inputs: Arguments that are read.
+            outputs: Arguments that are written.
+            block_dim: Threads in a block of a kernel that works in blocks.
+        """
+        with _capturing:
+            if not block_dim:
+                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+                return
+            blocks = [dim] if isinstance(dim, int) else list(dim)
+            wp.launch_tiled(kernel, dim=blocks, inputs=inputs, outputs=outputs, block_dim=block_dim, device=self.device)
+
+
+class Replay:
+    """A fixed sequence of launches on the CPU that costs no Python when it is repeated.
+
+    The first call runs the sequence as it is, which loads its kernels. The second records it as a graph, and from then
+    on it is replayed: a launch from Python takes 30 to 50 µs, one in a replayed graph less than 1. Threads may replay
+    different sequences at once; recordings wait for each other.
+
+    Args:
+        sequence: Launches with the same arguments at every call; nothing else may happen in it.
+    """
+
+    def __init__(self, sequence: Callable[[], None]):
+        self._sequence = sequence
+        self._graph: wp.Graph | None = None
+        self._ran = False
+
+    def __call__(self) -> None:
+        """Run the sequence."""
+        if self._graph is None and not self.record():
+            return
+        wp.capture_launch(self._graph)
+
+    def record(self) -> bool:
+        """Make the sequence ready to be replayed; returns False where that took running it."""
+        with _capturing:
+            if not self._ran:
+                self._sequence()
+                self._ran = True
+                return False
+            if self._graph is None:
+                with wp.ScopedCapture(device="cpu") as capture:
+                    self._sequence()
+                self._graph = capture.graph
+            return True
