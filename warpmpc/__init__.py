@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         StepView,
         contact_force,
         control,
+        frame_angular_velocity,
         frame_pose,
         frame_position,
         frame_rotation,
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
         joint_position,
         joint_velocity,
         sensor,
+        step_length,
+        step_time,
+        task_scalar,
     )
     from .model.state import Info, State
     from .plant.simulated import Plant
@@ -51,6 +55,7 @@ __all__ = [
     "contact_force",
     "control",
     "cost_term",
+    "frame_angular_velocity",
     "frame_pose",
     "frame_position",
     "frame_rotation",
@@ -62,6 +67,9 @@ __all__ = [
     "run_episode",
     "sensor",
     "shipped_scenes",
+    "step_length",
+    "step_time",
+    "task_scalar",
 ]
 
 _HOME = {

@@ -81,7 +81,7 @@ def frame_angular_velocity(s: StepView, frame: int) -> wp.vec3:
 
 
 @wp.func
-def time(s: StepView) -> float:
+def step_time(s: StepView) -> float:
     """Time of this step [s], on the clock of the observations."""
     return s.start[s.e] + s.step_end[s.t]
 

@@ -2,9 +2,11 @@
 """The controller: it reaches its goal, repeats itself, and stays safe when nothing survives."""
 
 import logging
+import threading
 
 import numpy as np
 import pytest
+import warp as wp
 from small_scenes import BOX, DISC, compiled, make_scene
 
 from warpmpc import (
@@ -42,7 +44,7 @@ def test_it_brings_the_disc_to_its_goal(method):
     assert info.time == pytest.approx(plant.time - 0.04)
     assert info.diverged_worlds == 0
     assert info.plan_ms > 0.0
-    assert set(info.stages_ms) == {"clone", "sample", "rollout", "cost", "weigh"}
+    assert set(info.stages_ms) == {"begin", "propose", "evaluate", "update"}
     assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-4)
 
 
@@ -82,13 +84,14 @@ DRIVES = {
 
 def blow_up(controller: Controller) -> None:
     """Make every rollout of the controller diverge."""
-    rollout = controller.engine.rollout
+    simulator = controller.engine.simulator
+    rollout = simulator.rollout
 
-    def poisoned(control):
-        control.numpy()[1:] = 1e30
-        rollout(control)
+    def poisoned(control, first, count):
+        control.numpy()[1:, first : first + count] = 1e30
+        rollout(control, first, count)
 
-    controller.engine.rollout = poisoned
+    simulator.rollout = poisoned
 
 
 @pytest.mark.parametrize("why", ["diverged", "nan", "inf"])
@@ -109,7 +112,7 @@ def test_when_nothing_survives_it_sends_the_safe_command(mode, why, caplog):
         command = controller.step(bad)
     safe = [0.3, -0.4, 2.0] if mode == "position" else [0.0, 0.0, 0.0]  # within its limits
     np.testing.assert_allclose(command, safe, atol=1e-6)
-    np.testing.assert_array_equal(controller.costs.last_control.numpy()[0], command)
+    np.testing.assert_array_equal(controller.planner.state.last_control.numpy()[0], command)
     assert controller.info.fallback
     assert controller.info.cost == np.inf
     assert controller.info.eta == 0.0
@@ -148,7 +151,7 @@ def test_a_state_of_the_wrong_shape_is_refused(shape):
 def test_the_goal_can_be_moved():
     controller = make_controller(planner={"samples": 48, "horizon": 6, "temperature": {"initial": 0.05}})
     for x in (5.0, -5.0):
-        controller.set_goal(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
+        controller.task["goal"] = np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         for _ in range(12):
             command = controller.step(start(controller))
         assert np.sign(command[0]) == np.sign(x)
@@ -158,8 +161,10 @@ def test_the_goal_can_be_moved():
 @pytest.mark.parametrize("pose", [np.zeros(3), np.full(7, np.nan), np.zeros((1, 7)), np.zeros(7)])
 def test_a_goal_that_is_no_pose_is_refused(pose):
     controller = make_controller()
-    with pytest.raises(ValueError, match="a goal is a pose"):
-        controller.set_goal(pose)
+    before = controller.task["goal"]
+    with pytest.raises(ValueError, match="'goal' is a pose"):
+        controller.task["goal"] = pose
+    np.testing.assert_array_equal(controller.task["goal"], before)
 
 
 @pytest.mark.parametrize(("keys", "message"), [({"engine": "bullet"}, "bullet"), ({"device": "cuda:9"}, "cuda:9")])
@@ -172,3 +177,172 @@ def test_an_engine_or_device_that_is_not_there_is_named(keys, message):
 def test_a_mistake_in_the_costs_shows_at_construction():
     with pytest.raises(SceneError, match="Did you mean 'base/centre'"):
         make_controller(cost=[{"term": "distance", "between": ["base/center", "goal"]}])
+
+
+def bad(state: State, e: int | None = None) -> State:
+    """The same observation with a NaN, of one environment."""
+    q = state.joint_q.copy()
+    q[... if e is None else e, 1] = np.nan
+    return State(q, state.joint_qd, state.time)
+
+
+def test_the_safe_command_is_within_the_limits_that_were_set():
+    for mode, safe in (("position", [0.25, -0.4, 0.5]), ("velocity", [0.1, 0.0, 0.0]), ("effort", [0.1, 0.0, 0.0])):
+        controller = make_controller(robot=[{**DISC, "drive": DRIVES[mode]}])
+        state = State(np.array([0.3, -0.4, 0.9], np.float32), np.zeros(3, np.float32))
+        controller.step(state)
+        lower = np.array([0.1, -0.6, -0.5])
+        controller.set_limits(lower, np.array([0.25, 0.6, 0.5]))
+        command = controller.step(bad(state))
+        assert controller.info.fallback
+        np.testing.assert_allclose(command, safe, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "limits", [(np.zeros(2), np.ones(2)), (np.ones(3), np.zeros(3)), (np.full(3, np.nan), np.ones(3))]
+)
+def test_limits_that_make_no_sense_are_refused(limits):
+    with pytest.raises(ValueError, match="limits are 3 finite numbers"):
+        make_controller().set_limits(*limits)
+
+
+def test_a_position_drive_that_has_seen_nothing_has_nothing_to_hold():
+    """Neither after construction nor after a reset is there a posture to hold; the scene's start is none."""
+    controller = make_controller(robot=[{**DISC, "drive": DRIVES["position"]}])
+    state = State(np.array([0.3, -0.4, 0.9], np.float32), np.zeros(3, np.float32))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no position to hold"):
+            controller.step(bad(state))
+        controller.step(state)
+        np.testing.assert_allclose(controller.step(bad(state)), [0.3, -0.4, 0.9], atol=1e-6)
+        controller.reset()
+
+
+def test_a_position_drive_starts_from_what_it_observes():
+    """A first plan that does not move commands the observed posture, not the scene's start."""
+    planner = {**SMALL, "noise": {"sigma": (1e-6,)}}
+    controller = make_controller(
+        robot=[{**DISC, "joint_q": (1.0, 1.0, 0.0), "drive": DRIVES["position"]}], planner=planner
+    )
+    for place in ([0.3, -0.4, 0.9], [-0.5, 0.2, 0.1]):
+        state = State(np.array(place, np.float32), np.zeros(3, np.float32))
+        np.testing.assert_allclose(controller.step(state), place, atol=1e-4)
+        controller.reset()
+
+
+def apart(envs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Environments at different places."""
+    q = np.zeros((envs, 3), np.float32)
+    q[:, 0], q[:, 1] = 0.2 * np.arange(envs), -0.3 * np.arange(envs)
+    return q, np.zeros((envs, 3), np.float32)
+
+
+def many(envs: int, *, redraw: bool, method: str = "mppi") -> Controller:
+    planner = {**SMALL, "method": method, "noise": {"redraw": redraw}, "temperature": {"initial": 0.1}}
+    scene = make_scene(planner=planner)
+    return Controller(scene, envs=envs, seed=3, compiled=compiled(scene))
+
+
+@pytest.mark.parametrize("timed", [False, True])
+@pytest.mark.parametrize("method", ["mppi", "cem"])
+def test_a_bad_observation_of_one_environment_is_what_it_is_for_a_controller_of_its_own(method, timed):
+    """Noise that is drawn once is shared, so every environment does what a controller of one does."""
+    together, alone = many(3, redraw=False, method=method), [many(1, redraw=False, method=method) for _ in range(3)]
+    if method == "cem":  # redraws at every plan, in every environment its own
+        together, alone = many(3, redraw=True, method=method), [many(1, redraw=True, method=method)]
+    q, qd = apart(3)
+    poisoned = 0 if method == "cem" else 1
+    for n in range(8):
+        time = 0.04 * n if timed else None
+        state = State(q, qd, time)
+        command = together.step(bad(state, poisoned) if n == 3 else state)
+        for e, controller in enumerate(alone):
+            own = State(q[e], qd[e], time)
+            expected = controller.step(bad(own) if n == 3 and e == poisoned else own)
+            np.testing.assert_array_equal(command[e], expected, err_msg=f"plan {n}, environment {e}")
+        assert [info.fallback for info in together.info] == [n == 3 and e == poisoned for e in range(3)]
+
+
+@pytest.mark.parametrize("redraw", [False, True])
+def test_a_bad_observation_disturbs_no_other_environment(redraw):
+    disturbed, clean = many(3, redraw=redraw), many(3, redraw=redraw)
+    q, qd = apart(3)
+    for n in range(6):
+        state = State(q, qd, 0.04 * n)
+        found, expected = disturbed.step(bad(state, 2) if n in (0, 3) else state), clean.step(state)
+        np.testing.assert_array_equal(found[:2], expected[:2])
+
+
+def test_plans_move_by_the_time_between_observations():
+    """Two controls late, half a control early, a clock that runs back: the plan is where the time says."""
+    planner = {"samples": 2, "horizon": 8, "noise": {"sigma": (0.3,), "null_sample": False}, "spline": "linear"}
+    for times, moved in (
+        ([0.0, 0.08], 2.0),
+        ([5.0, 5.02], 0.5),
+        ([3.0, 2.0], 0.0),
+        ([1.0, 1.0], 0.0),
+        ([None, None], 1.0),
+    ):
+        controller = make_controller(planner={**planner, "step_size": 1e-6})
+        state = start(controller)
+        controller.step(State(state.joint_q, state.joint_qd, times[0]))
+        ramp = np.tile(0.1 * np.arange(8.0, dtype=np.float32)[None, :, None], (1, 1, 3))
+        controller.planner.strategy.mean.assign(ramp)
+        command = controller.step(State(state.joint_q, state.joint_qd, times[1]))
+        np.testing.assert_allclose(command, 0.1 * moved, atol=1e-4)
+
+
+@pytest.mark.parametrize(("risk", "share"), [("mean", 0.25), ("worst", 0.25), ("cvar", 0.5), ("cvar", 0.3)])
+@pytest.mark.parametrize("seed", range(2))
+def test_the_terms_add_up_to_the_cost_over_all_domains(risk, share, seed):
+    controller = make_controller(
+        seed=seed,
+        object=[{**BOX, "position": (0.36, 0.0, 0.1)}],
+        goal={"object": "box", "position": (1.5, 0.0)},
+        cost=[
+            {"term": "distance", "between": ["box", "goal"], "weight": 3.0},
+            {"term": "contact_force", "between": ["base", "box"], "weight": 0.01},
+            {"term": "control_rate", "weight": 0.1},
+        ],
+        randomize={"box": {"mass": {"uniform": 0.9}, "friction": {"uniform": 0.9}}},
+        planner={"domains": 4, "risk": risk, "cvar": share, "samples": 12, "horizon": 6, "terminal": 2.0},
+    )
+    state = start(controller)
+    state.joint_qd[0] = 1.0
+    for _ in range(3):
+        controller.step(state)
+        info = controller.info
+        assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-5)
+        first = info.best
+        domains = controller.engine.judge.cost.numpy()[1, :, first : first + 4].sum(axis=0)
+        assert np.ptp(domains) > 1e-4  # the first domain alone would not add up
+
+
+def test_two_controllers_take_turns_without_disturbing_each_other():
+    def commands(controllers: list[Controller]) -> np.ndarray:
+        state = start(controllers[0])
+        return np.array([[c.step(state) for c in controllers] for _ in range(5)]).swapaxes(0, 1)
+
+    scene = make_scene(planner=SMALL, cost=[{"term": "distance", "between": ["base/centre", "goal"]}])
+    a, b = (lambda seed=seed: Controller(scene, seed=seed, compiled=compiled(scene)) for seed in (1, 2))
+    together = commands([a(), b()])
+    np.testing.assert_array_equal(together[0], commands([a()])[0])
+    np.testing.assert_array_equal(together[1], commands([b()])[0])
+
+
+def test_a_controller_made_in_a_thread_touches_nobodys_default_device(monkeypatch):
+    """Warp's default device belongs to the whole process: who sets it, however briefly, sets it for all threads."""
+    scene = make_scene(planner=SMALL)
+    before, entered, made = wp.get_device(), [], []
+    enter = wp.ScopedDevice.__enter__
+    monkeypatch.setattr(wp.ScopedDevice, "__enter__", lambda scope: entered.append(scope) or enter(scope))
+    parts = compiled(scene)
+    entered.clear()
+    thread = threading.Thread(target=lambda: made.append(Controller(scene, compiled=parts)))
+    thread.start()
+    thread.join()
+    assert wp.get_device() is before
+    assert made
+    assert not entered
+    command = made[0].step(start(made[0]))
+    assert np.isfinite(command).all()

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
+from judging import Judging
 from push_scenes import YAWS, block
 from scipy.spatial.transform import Rotation
-from small_scenes import BOX, compiled, make_scene
+from small_scenes import BOX, layout_of, make_scene
 from test_geodesic import around_corners
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.engine.trajectory import Shape
+from warpmpc.task.task import Task
 
 KEYS = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
 SWIVEL = math.atan2(0.75 * 0.25 - 0.1, 0.15)  # [rad] beside the middle of a broad side, to turn the box
@@ -26,32 +27,26 @@ def pose(x: float, y: float, yaw: float = 0.0) -> list[float]:
     return [x, y, 0.1, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]
 
 
-class Pushing:
+class Pushing(Judging):
     """Two environments of one step, with box and pusher put in place by hand."""
 
     def __init__(self, *costs: dict, obstacles=(), goals=((0.0, 0.0),), device: str = "cpu", **box):
-        self.scene = make_scene(
+        scene = make_scene(
             object=[{**BOX, "position": (0.8, 0.0, 0.1), **box}],
             obstacle=list(obstacles),
             goal={"object": "box", "position": (0.0, 0.0), "yaw": 0.0},
             cost=[{**KEYS, **cost} for cost in costs],
         )
-        self.layout, self.device = compiled(self.scene).layout, device
-        self.stack = CostStack(self.scene, self.layout, device=device)
-        shape = Shape(2, SAMPLES, 1, 1)
-        self.trajectory = Trajectory.allocate(shape, self.layout, 0, device)
-        self.stack.attach(self.trajectory, wp.zeros((1, shape.worlds, 3), dtype=float, device=device), shape)
+        super().__init__(scene, Shape(2, SAMPLES, 1, 1), device=device)
         self.aim(*(goals if len(goals) == 2 else 2 * goals))
 
     def aim(self, *goals) -> None:
         """Move the goals (x, y, yaw) of both environments."""
-        poses = np.array([pose(*goal) for goal in goals])
-        self.stack.set_goal(poses)
-        self.stack.aim(poses)
+        self.set_goal(np.array([pose(*goal) for goal in goals]))
 
     def values(self) -> np.ndarray:
         """Values of the first term ``[E, 16, rows, columns]``."""
-        return self.stack._push_paths[0][0].value.numpy().copy()
+        return self.stack.terms[0][1].value.numpy().copy()
 
     def cost(self, box, pusher) -> np.ndarray:
         """Cost ``[term, E, S]`` of boxes (x, y, yaw) and pushers (x, y), each for one, a sample or an environment."""
@@ -61,9 +56,8 @@ class Pushing:
             body = self.layout.frame_body[self.layout.frame(name)]
             body_q[..., body, :] = np.apply_along_axis(lambda p: pose(*p), -1, np.asarray(place, dtype=float))
         self.trajectory.body_q.assign(body_q.reshape(2, 2 * SAMPLES, -1, 7))
-        self.stack.guide()
-        self.stack.launch()
-        return self.stack.cost.numpy()[:, 0].reshape(-1, 2, SAMPLES).astype(np.float64)
+        self.observe()
+        return super().cost()[:, 0].reshape(-1, 2, SAMPLES)
 
 
 def around(centre, radius, angle: np.ndarray) -> np.ndarray:
@@ -92,8 +86,7 @@ def test_a_tilted_goal_counts_by_the_heading_of_its_x_axis(device):
     upright = Pushing({"steer": 0.5}, goals=[(0.2, 0.1, h) for h in headings], device=device)
     tilted = Pushing({"steer": 0.5}, device=device)
     poses = np.column_stack([np.tile([0.2, 0.1, 0.4], (2, 1)), turns.as_quat()])
-    tilted.stack.set_goal(poses)
-    tilted.stack.aim(poses)
+    tilted.set_goal(poses)
     rng = np.random.default_rng(0)
     box = rng.uniform([-0.8, -0.8, -3.0], [0.8, 0.8, 3.0], size=(SAMPLES, 3))
     places = box, box[:, :2] + rng.uniform(-1.0, 1.0, size=(SAMPLES, 2))
@@ -319,11 +312,11 @@ def test_a_small_object_has_a_finer_grid(device):
 def test_mistakes_in_the_table_name_the_key_and_a_way_out(cost, key, found, allowed, says):
     table = {name: value for name, value in {**KEYS, **cost}.items() if value is not None}
     scene = make_scene(object=[BOX, {**BOX, "name": "stone"}], obstacle=[block("wall")], cost=[table])
-    layout = compiled(scene).layout
+    layout = layout_of(scene)
     (stone,) = layout.entity("stone").shapes
     shapes = [replace(shape, kind="mesh") if i == stone else shape for i, shape in enumerate(layout.shapes)]
     with pytest.raises(SceneError, match=says) as caught:
-        CostStack(scene, replace(layout, shapes=shapes))
+        CostStack(scene, replace(layout, shapes=shapes), Task(scene))
     assert caught.value.key == f"cost.push_path{key}"
     assert caught.value.found == found
     if allowed:

@@ -3,39 +3,35 @@
 
 import numpy as np
 import pytest
-import warp as wp
-from small_scenes import BOX, WALL, compiled, make_scene
+from judging import Judging
+from small_scenes import BOX, WALL, make_scene
 from test_geodesic import INFLATION, around_corners
 
 from warpmpc import SceneError
-from warpmpc.cost.stack import CostStack
-from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.cost.resources.guide import Guides
+from warpmpc.engine.trajectory import Shape
 from warpmpc.model.pairs import Pair
 
 SIDE = {"name": "wall", "shape": "box", "size": (0.4, 2.0, 0.5), "position": (0.0, 0.0, 0.25)}
 GEODESIC = {"metric": "geodesic", "inflation": INFLATION}
 
 
-class Scenery:
+class Scenery(Judging):
     """Two environments of one step and one sample, their bodies put in place by hand."""
 
     def __init__(self, *costs: dict, obstacles=(SIDE,)):
-        self.scene = make_scene(
+        scene = make_scene(
             object=[{**BOX, "position": (2.5, 2.5, 0.1)}],
             obstacle=list(obstacles),
             goal={"object": "box", "position": (-1.2, 0.4)},
             cost=costs,
         )
-        self.layout = compiled(self.scene).layout
-        self.stack = CostStack(self.scene, self.layout)
-        shape = Shape(2, 1, 1, 1)
-        self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), "cpu")
+        super().__init__(scene, Shape(2, 1, 1, 1))
         self.trajectory.body_q.numpy()[..., 6] = 1.0
-        self.stack.attach(self.trajectory, wp.zeros((1, 2, 3), dtype=float, device="cpu"), shape)
         self.goal(*[(-1.2, 0.4)] * 2)
 
     def goal(self, *places) -> None:
-        self.stack.set_goal(np.array([[x, y, 0.1, 0, 0, 0, 1] for x, y in places]))
+        self.set_goal(np.array([[x, y, 0.1, 0, 0, 0, 1] for x, y in places]))
 
     def put(self, name: str, e: int, place, slices=(0, 1)) -> None:
         """Put a frame's body somewhere."""
@@ -45,9 +41,13 @@ class Scenery:
 
     def cost(self) -> np.ndarray:
         """Cost of each term and environment ``[term, E]``."""
-        self.stack.guide()
-        self.stack.launch()
-        return self.stack.cost.numpy()[:, 0].astype(np.float64)
+        self.observe()
+        return super().cost()[:, 0]
+
+    @property
+    def field(self) -> np.ndarray:
+        """Distance fields ``[E, rows, columns]``."""
+        return self.stack.resources.get(Guides).guide.field.numpy()
 
 
 def test_labels_are_unique_and_weights_belong_to_their_terms():
@@ -110,16 +110,16 @@ def test_a_field_follows_its_target_when_it_moves_and_only_then():
         scene.put("box", e, (1.5, 0.3))
     behind = scene.cost()[0, 0]
     assert behind > 3.0
-    before = scene.stack.view.field.numpy().copy()
+    before = scene.field.copy()
     scene.put("box", 0, (1.51, 0.3))
     scene.cost()
-    np.testing.assert_array_equal(scene.stack.view.field.numpy(), before)
+    np.testing.assert_array_equal(scene.field, before)
     scene.put("box", 0, (-2.0, 0.3))
     found = scene.cost()[0]
     assert found[0] == pytest.approx(1.0, abs=0.02)
     assert found[1] == pytest.approx(behind, abs=1e-5)
-    assert not np.array_equal(scene.stack.view.field.numpy()[0], before[0])
-    np.testing.assert_array_equal(scene.stack.view.field.numpy()[1], before[1])
+    assert not np.array_equal(scene.field[0], before[0])
+    np.testing.assert_array_equal(scene.field[1], before[1])
 
 
 def test_the_straight_part_counts_to_where_the_target_is_during_the_rollout():
@@ -192,4 +192,4 @@ def test_reset_forgets_the_fields():
         s.put("box", 0, (1.52, 0.3))  # so near that the old field would stay
     scene.stack.reset()
     np.testing.assert_array_equal(scene.cost(), fresh.cost())
-    np.testing.assert_array_equal(scene.stack.view.field.numpy(), fresh.stack.view.field.numpy())
+    np.testing.assert_array_equal(scene.field, fresh.field)

@@ -70,7 +70,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     far = np.abs(at) >= 2.5 * play
     at = np.where(far, at, np.sign(at) * np.maximum(np.abs(at) - play, 0.0) * 2.5 / 1.5)
 
-    params, _ = r.stack._push_paths[0]
+    _, params = r.stack.terms[0]
     table, cell = params.value.numpy().astype(np.float64), params.cell
     tables = [
         RegularGridInterpolator([np.arange(n) for n in (17, *v.shape[1:])], np.concatenate([v, v[:1]])) for v in table
@@ -160,7 +160,7 @@ def posture(r: Rollouts) -> np.ndarray:
 
 def rate(r: Rollouts) -> np.ndarray:
     u = r.control.numpy().astype(np.float64)
-    before = np.concatenate([np.repeat(r.stack.last_control.numpy(), SHAPE.rollouts, axis=0)[None], u[:-1]])
+    before = np.concatenate([np.repeat(r.state.last_control.numpy(), SHAPE.rollouts, axis=0)[None], u[:-1]])
     return (((u - before) / [1.0, 2.0, 0.5]) ** 2).sum(-1)
 
 
@@ -274,11 +274,9 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
     d = rollouts.pose("box")[0] - rollouts.pose("goal")[0]
     np.testing.assert_allclose(rollouts.cost(), np.linalg.norm(d, axis=-1), rtol=1e-4)
     flat = rollouts.scene.model_copy(update={"goal": rollouts.scene.goal.model_copy(update={"position": (1.0, 2.0)})})
-    stack = CostStack(flat, rollouts.layout)
-    stack.attach(rollouts.trajectory, rollouts.control, SHAPE)
-    stack.set_goal(rollouts.goal)
-    stack.launch()
-    np.testing.assert_allclose(stack.cost.numpy()[0], np.linalg.norm(d[..., :2], axis=-1), rtol=1e-4)
+    judge = rollouts.judge_with(CostStack(flat, rollouts.layout, rollouts.task))
+    judge.launch()
+    np.testing.assert_allclose(judge.cost.numpy()[0], np.linalg.norm(d[..., :2], axis=-1), rtol=1e-4)
 
 
 @pytest.mark.parametrize(

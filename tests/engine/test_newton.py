@@ -21,8 +21,9 @@ from warpmpc import (
     State,
     load_scene,
 )
+from warpmpc.engine.mujoco_warp import MujocoWarpEngine
 from warpmpc.engine.newton import NewtonEngine
-from warpmpc.engine.trajectory import ObservedState, Shape
+from warpmpc.engine.trajectory import Shape
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.newton_model import build_model
 from warpmpc.model.pairs import Pair
@@ -48,15 +49,15 @@ def controls(worlds: int, *, seed: int = 0) -> np.ndarray:
 
 
 def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
-    layout = compiled(scene).layout
-    return NewtonEngine(
+    engine = MujocoWarpEngine if scene.engine.solver == "mujoco" else NewtonEngine
+    return engine(
         scene,
-        layout,
+        compiled(scene),
         Shape(envs, samples, 1, horizon),
-        control_dt=0.04,
-        substeps=substeps,
+        substeps=[substeps] * horizon,
+        timestep=0.04 / substeps,
         pairs=pairs,
-        properties=draw_properties(scene, layout, samples, seed=seed),
+        properties=draw_properties(scene, compiled(scene).layout, samples, seed=seed),
         device=device,
     )
 
@@ -73,8 +74,7 @@ def roll_newton(
 
     With ``poison`` the start of that world is NaN.
     """
-    state = observed(q, qd)
-    engine.clone(ObservedState(*(wp.clone(a, device=engine.device) for a in (state.joint_q, state.joint_qd))))
+    engine.clone(observed(q, qd, device=engine.device))
     if poison is not None:
         engine.trajectory.joint_q[0, poison].fill_(np.nan)
         engine.trajectory.joint_qd[0, poison].fill_(np.nan)
@@ -239,16 +239,16 @@ def test_goals_weights_and_limits_change_without_a_new_graph(scene):
     assert graph is not None
     cost = controller.info.cost
     controller.reset()
-    controller.set_goal(np.array([3.0, 0.5, 0, 0, 0, 0, 1.0]))
+    controller.task["goal"] = np.array([3.0, 0.5, 0, 0, 0, 0, 1.0])
     controller.step(state)
     assert controller.info.cost > 1.5 * cost
-    controller.set_weight("distance", 0.0)
+    controller.task["distance"] = 0.0
     controller.step(state)
     assert controller.info.cost == 0.0
     controller.set_limits(np.full(3, -0.01), np.full(3, 0.01))
     assert np.abs(controller.step(state)).max() <= 0.01
     assert controller.graph.captured is graph
-    assert controller.info.stages_ms["rollout"] != controller.info.stages_ms["rollout"]  # one graph: no stages
+    assert np.isnan(controller.info.stages_ms["evaluate"])  # one graph: no stages
 
 
 def test_a_warning_names_the_overflow_once(scene, device, caplog):

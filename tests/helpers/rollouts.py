@@ -2,12 +2,11 @@
 """Random rollouts among obstacles of every shape, judged by cost terms."""
 
 import numpy as np
-import warp as wp
+from judging import Judging
 from scipy.spatial.transform import Rotation
-from small_scenes import BOX, DISC, WALL, compiled, make_scene
+from small_scenes import BOX, DISC, WALL, make_scene
 
-from warpmpc.cost.stack import CostStack
-from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.engine.trajectory import Shape
 
 TURN = (0.2, -0.4, 0.1, 0.9)
 OBSTACLES = [
@@ -20,36 +19,31 @@ OBSTACLES = [
 SHAPE = Shape(2, 3, 2, 5)
 
 
-class Rollouts:
+class Rollouts(Judging):
     """Random rollouts of a small scene, judged by its cost terms."""
 
     def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES):
         robot = {**DISC, "joint_q": (0.3, -0.2, 0.5), "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
-        self.scene = make_scene(
+        scene = make_scene(
             robot=[robot], object=[BOX], obstacle=obstacles, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
         )
-        self.layout = compiled(self.scene).layout
-        self.stack = CostStack(self.scene, self.layout, terms=terms)
+        super().__init__(scene, SHAPE, terms=terms)
         self.t, self.w = SHAPE.horizon, SHAPE.worlds
         rng = np.random.default_rng(seed)
-        self.trajectory = Trajectory.allocate(SHAPE, self.layout, len(self.stack.pairs), "cpu")
         for array in vars(self.trajectory).values():
             if array.dtype is not int and array.size:
                 array.assign(scale * rng.normal(size=array.numpy().shape).astype(np.float32))
         turns = Rotation.random(self.trajectory.body_q.size, rng=rng).as_quat()
         body_q = self.trajectory.body_q.numpy()
         body_q[..., 3:] = turns.reshape(*body_q.shape[:-1], 4)
-        self.control = wp.array(rng.normal(size=(self.t, self.w, 3)), dtype=float, device="cpu")
-        self.stack.attach(self.trajectory, self.control, SHAPE)
+        self.control.assign(rng.normal(size=(self.t, self.w, 3)).astype(np.float32))
         self.goal = np.concatenate([rng.normal(size=(2, 3)), Rotation.random(2, rng=rng).as_quat()], axis=1)
-        self.stack.set_goal(self.goal)
-        self.stack.aim(self.goal)
-        self.stack.last_control.assign(rng.normal(size=(2, 3)).astype(np.float32))
+        self.set_goal(self.goal)
+        self.state.last_control.assign(rng.normal(size=(2, 3)).astype(np.float32))
 
     def cost(self, term: int = 0) -> np.ndarray:
         """Weighted cost of every step and world, ``[T, W]``."""
-        self.stack.launch()
-        return self.stack.cost.numpy()[term].astype(np.float64)
+        return super().cost()[term]
 
     def pose(self, frame: str) -> tuple[np.ndarray, Rotation]:
         """Position ``[T, W, 3]`` and rotation of a frame after every control, in float64."""

@@ -13,8 +13,10 @@ import warp as wp
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoEngine
-from warpmpc.engine.trajectory import ObservedState, Shape
+from warpmpc.engine.trajectory import Shape
 from warpmpc.model.compiled import CompiledScene, compile_scene
+from warpmpc.task.observed import ObservedState
+from warpmpc.task.task import task_layout
 
 if TYPE_CHECKING:
     from warpmpc.model.layout import Layout
@@ -49,16 +51,39 @@ def compiled(scene: Scene) -> CompiledScene:
     return _compiled(bodies, str(scene.path))
 
 
+def layout_of(scene: Scene) -> Layout:
+    """Layout of a scene, its targets among the frames."""
+    return task_layout(compiled(scene).layout, scene)
+
+
 @functools.cache
 def _compiled(bodies: str, path: str) -> CompiledScene:
     scene = make_scene(**json.loads(bodies), goal={"frame": "x/y", "position": (0.0, 0.0)})
     return compile_scene(scene if path == "None" else scene.model_copy(update={"path": Path(path)}))
 
 
-def observed(q, qd) -> ObservedState:
-    """Observed states [E, nq] and [E, nv] on the CPU."""
+def observed(q, qd, *, device: str = "cpu") -> ObservedState:
+    """Observed states [E, nq] and [E, nv] of scenes without activations and mocap bodies, and an empty task."""
     q, qd = (np.atleast_2d(np.asarray(a, dtype=np.float32)) for a in (q, qd))
-    return ObservedState(wp.array(q, dtype=float, device="cpu"), wp.array(qd, dtype=float, device="cpu"))
+
+    def empty(*shape: int, dtype: type = float) -> wp.array:
+        return wp.zeros((len(q), *shape), dtype=dtype, device=device)
+
+    return ObservedState(
+        observed=wp.full(len(q), 1, dtype=int, device=device),
+        elapsed=empty(),
+        start=empty(),
+        joint_q=wp.array(q, dtype=float, device=device),
+        joint_qd=wp.array(qd, dtype=float, device=device),
+        act=empty(0),
+        mocap=empty(0, dtype=wp.transform),
+        pose=empty(0, dtype=wp.transform),
+        scalar=empty(0),
+        weight=empty(0),
+        last_control=empty(0),
+        body_q=empty(0, dtype=wp.transform),
+        body_qd=empty(0, dtype=wp.spatial_vector),
+    )
 
 
 def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, substeps=2, **options) -> MujocoEngine:
@@ -66,8 +91,8 @@ def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, subste
     return MujocoEngine(
         compiled(scene),
         Shape(envs, samples, domains, horizon),
-        control_dt=scene.timing.control_dt,
-        substeps=substeps,
+        substeps=[substeps] * horizon if isinstance(substeps, int) else substeps,
+        timestep=scene.timing.control_dt / (substeps if isinstance(substeps, int) else substeps[0]),
         **options,
     )
 

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import scipy.stats
+import warp as wp
 from scipy.stats import qmc
 
 from warpmpc.planner.noise import NoiseKind, NoiseSource
@@ -17,6 +18,11 @@ def make(source: NoiseKind, device: str, **options) -> NoiseSource:
     return NoiseSource(**{"source": source, "envs": 2, "samples": 128, "knots": 3, "nu": 2, "device": device} | options)
 
 
+def launch(noise: NoiseSource, observed=(1, 1)) -> None:
+    """Draw anew for the environments that are observed."""
+    noise.launch(wp.array(observed[: noise.z.shape[0]], dtype=int, device=noise.device))
+
+
 def values(noise: NoiseSource) -> np.ndarray:
     """A copy of the noise: on the CPU ``numpy()`` alone is a view that the next launch overwrites."""
     return noise.z.numpy().copy()
@@ -27,7 +33,7 @@ def values(noise: NoiseSource) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_is_standard_normal(source, redraw, seed, device):
     noise = make(source, device, redraw=redraw, seed=seed, samples=1000)
-    noise.launch()
+    launch(noise)
     z = values(noise).astype(np.float64)
     assert z.shape == (2, 1000, 3, 2)
     assert np.all(np.isfinite(z))
@@ -42,7 +48,7 @@ def test_noise_is_standard_normal(source, redraw, seed, device):
 def test_tables_fill_the_space_more_evenly_than_random_numbers(source, redraw, device):
     def discrepancy(kind: NoiseKind, seed: int) -> float:
         noise = make(kind, device, seed=seed, redraw=redraw, envs=1, samples=256, knots=2)
-        noise.launch()
+        launch(noise)
         return qmc.discrepancy(scipy.stats.norm.cdf(values(noise).reshape(256, 4).astype(np.float64)))
 
     table = [discrepancy(source, seed) for seed in range(4)]
@@ -55,7 +61,7 @@ def test_noise_drawn_once_stays(source, device):
     noise = make(source, device, redraw=False)
     first = values(noise)
     assert np.any(first)
-    noise.launch()
+    launch(noise)
     np.testing.assert_array_equal(values(noise), first)
 
 
@@ -64,7 +70,7 @@ def test_redrawn_noise_changes_at_every_launch_and_environment_in_the_same_array
     noise = make(source, device, redraw=True)
     array, draws = noise.z, []
     for _ in range(3):
-        noise.launch()
+        launch(noise)
         draws += list(values(noise).reshape(2, -1))
     assert noise.z is array
     correlation = np.corrcoef(draws)
@@ -83,8 +89,8 @@ def test_a_table_drawn_once_is_shared_by_all_environments(source, device):
 def test_a_seed_repeats_its_noise_and_another_does_not(source, redraw, device):
     def draw(seed: int) -> np.ndarray:
         noise = make(source, device, redraw=redraw, seed=seed)
-        noise.launch()
-        noise.launch()
+        launch(noise)
+        launch(noise)
         return values(noise)
 
     np.testing.assert_array_equal(draw(3), draw(3))
@@ -95,13 +101,26 @@ def test_a_seed_repeats_its_noise_and_another_does_not(source, redraw, device):
 def test_reset_starts_over(source, device):
     noise = make(source, device, redraw=True)
     fresh = values(noise)
-    noise.launch()
+    launch(noise)
     first = values(noise)
-    noise.launch()
+    launch(noise)
     noise.reset()
     np.testing.assert_array_equal(values(noise), fresh)
-    noise.launch()
+    launch(noise)
     np.testing.assert_array_equal(values(noise), first)
+
+
+@KINDS
+def test_an_environment_that_waits_goes_on_later_as_if_it_had_not(source, device):
+    noise, other = (make(source, device, redraw=True, seed=2) for _ in range(2))
+    launch(noise)
+    launch(other)
+    launch(noise, (1, 0))
+    np.testing.assert_array_equal(values(noise)[1], values(other)[1])
+    launch(noise)
+    launch(other)
+    np.testing.assert_array_equal(values(noise)[1], values(other)[1])
+    assert not np.array_equal(values(noise)[0], values(other)[0])
 
 
 @TABLES

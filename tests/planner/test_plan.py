@@ -3,15 +3,14 @@
 
 import numpy as np
 import pytest
-from small_scenes import BOX, compiled, make_scene, observed
+from small_scenes import BOX, DISC, compiled, layout_of, make_scene
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.mujoco import MujocoEngine
 from warpmpc.engine.trajectory import Shape
 from warpmpc.model.properties import draw_properties
-from warpmpc.planner.plan import PlanStep, step_dt
-from warpmpc.task.goal import goal_pose
+from warpmpc.planner.step import PlanStep
+from warpmpc.task.task import Task
 
 METHODS = {
     "mppi": {"method": "mppi", "temperature": {"initial": 0.05}},
@@ -21,6 +20,7 @@ METHODS = {
 }
 PLANNER = {"samples": 48, "horizon": 8, "noise": {"sigma": (0.5,)}}
 GOAL = np.array([1.0, 0.5])
+WIDE = {**DISC, "drive": {**DISC["drive"], "limit": (9.0, 9.0, 9.0)}}
 
 
 class Planning:
@@ -29,35 +29,50 @@ class Planning:
     def __init__(self, *, seed: int = 0, envs: int = 1, **sections):
         planner = {**PLANNER, **sections.pop("planner", {})}
         scene = make_scene(planner=planner, **sections)
-        self.scene, self.layout = scene, compiled(scene).layout
+        self.scene, self.layout = scene, layout_of(scene)
         planner = scene.planner
         shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
         draws = planner.domains if planner.domains > 1 else planner.samples
-        self.costs = CostStack(scene, self.layout)
-        self.engine = MujocoEngine(
-            compiled(scene),
-            shape,
-            control_dt=step_dt(scene),
-            substeps=2,
-            pairs=self.costs.pairs,
-            properties=draw_properties(scene, self.layout, draws, seed=seed),
+        self.costs = CostStack(scene, self.layout, Task(scene, envs=envs))
+        properties = draw_properties(scene, self.layout, draws, seed=seed)
+        self.plan = PlanStep(
+            scene, compiled(scene), self.costs, shape, engine="mujoco", seed=seed, properties=properties
         )
-        self.plan = PlanStep(scene, self.layout, shape, self.engine, self.costs, seed=seed)
-        self.costs.set_goal(np.tile(goal_pose(scene), (envs, 1)))
+        self.engine, self.strategy = self.plan.engine, self.plan.strategy
         self.q, self.qd = (np.tile(a, (envs, 1)) for a in (self.layout.joint_q, self.layout.joint_qd))
+        self.elapsed = scene.timing.control_dt  # between plans
 
     def __call__(self, steps: int = 1) -> np.ndarray:
-        """Plan again and again from the same state; returns the commands ``[steps, E, nu]``."""
+        """Plan again and again from the same state, a control apart; returns the commands ``[steps, E, nu]``."""
         out = []
+        self.costs.refresh()
         for _ in range(steps):
-            self.plan(observed(self.q, self.qd))
+            self.plan.state.joint_q.assign(self.q)
+            self.plan.state.joint_qd.assign(self.qd)
+            self.plan.state.elapsed.fill_(self.elapsed)
+            self.plan()
             out.append(self.plan.command.numpy().copy())
         return np.array(out)
 
     @property
     def cost(self) -> np.ndarray:
         """Costs of all samples ``[E, S]``."""
-        return self.plan.weights.cost.numpy()
+        return self.engine.cost.numpy()
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Knots of the plan ``[E, P, nu]``, a copy."""
+        return self.strategy.mean.numpy().copy()
+
+    @property
+    def knots(self) -> np.ndarray:
+        """Sampled knots ``[E, S, P, nu]``, a copy."""
+        return self.strategy.knots.numpy().copy()
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviations ``[E, P, nu]``, a copy."""
+        return self.strategy.distribution.sigma.numpy().copy()
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -80,7 +95,7 @@ def test_the_same_seed_plans_the_same(name):
     commands = first(10)
     np.testing.assert_array_equal(commands, again(10))
     assert not np.array_equal(commands, other(10))
-    np.testing.assert_array_equal(first.plan.mean.numpy(), again.plan.mean.numpy())
+    np.testing.assert_array_equal(first.mean, again.mean)
     first.plan.reset()
     np.testing.assert_array_equal(commands, first(10))
 
@@ -89,24 +104,25 @@ def test_the_same_seed_plans_the_same(name):
 def test_noise_is_drawn_once_or_at_every_plan(redraw):
     planning = Planning(planner={"noise": {"sigma": (0.5,), "redraw": redraw, "null_sample": False}})
     planning()
-    first = planning.plan.noise.z.numpy().copy()
+    first = planning.strategy.noise.z.numpy().copy()
     planning()
-    assert np.array_equal(first, planning.plan.noise.z.numpy()) is not redraw
+    assert np.array_equal(first, planning.strategy.noise.z.numpy()) is not redraw
 
 
 def test_the_first_samples_are_the_mean_and_the_zero_control():
     planning = Planning()
     planning(3)
-    mean = planning.plan.mean.numpy()[0].copy()  # what the next plan samples around
+    mean = planning.mean[0]  # what the next plan samples around, if no time passes
+    planning.elapsed = 0.0
     planning()
-    control = planning.plan.control.numpy()
+    control = planning.engine.control.numpy()
     np.testing.assert_allclose(control[:, 0], np.clip(mean, -1.0, 1.0), atol=1e-6)
     assert np.all(control[:, 1] == 0.0)
     assert np.abs(mean).max() > 0.1
     assert len({row.tobytes() for row in control.swapaxes(0, 1)}) == planning.plan.shape.samples
     without = Planning(planner={"noise": {"sigma": (0.5,), "null_sample": False}})
     without()
-    assert np.any(without.plan.control.numpy()[:, 1] != 0.0)
+    assert np.any(without.engine.control.numpy()[:, 1] != 0.0)
 
 
 @pytest.mark.parametrize("step_size", [1.0, 0.3])
@@ -115,11 +131,13 @@ def test_the_mean_moves_by_its_step_size(step_size):
     planning()
     best = planning.cost[0].argmin()
     assert best > 0
-    sample = planning.plan.knots.numpy()[0, best]
+    sample = planning.knots[0, best]
+    np.testing.assert_allclose(planning.mean[0], step_size * sample, atol=1e-6)
+    np.testing.assert_allclose(planning.plan.command.numpy()[0], step_size * sample[0], atol=1e-6)
+    planning()
     # the plan moved on by one control, the last one held
     expected = step_size * np.concatenate([sample[1:], sample[-1:]])
-    np.testing.assert_allclose(planning.plan.mean.numpy()[0], expected, atol=1e-6)
-    np.testing.assert_allclose(planning.plan.command.numpy()[0], step_size * sample[0], atol=1e-6)
+    np.testing.assert_allclose(planning.knots[0, 0], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("knots", [3, 4])
@@ -128,7 +146,7 @@ def test_fewer_knots_than_controls_span_the_horizon(spline, knots):
     planning = Planning(planner={"knots": knots, "spline": spline, "samples": 64})
     planning()
     at_rest = planning.cost[0, 0]
-    sampled, control = planning.plan.knots.numpy()[0], planning.plan.control.numpy()
+    sampled, control = planning.knots[0], planning.engine.control.numpy()
     assert sampled.shape == (64, knots, 3)
     if spline != "bspline":  # the others pass through their first and last knot
         np.testing.assert_allclose(control[0], sampled[:, 0], atol=1e-5)
@@ -147,11 +165,29 @@ def test_longer_rollout_steps_move_ahead_by_part_of_a_step():
     planner = {**METHODS["predictive_sampling"], "dt": 0.08, "spline": "linear"}
     planning = Planning(planner=planner)
     planning()
-    sample = planning.plan.knots.numpy()[0, planning.cost[0].argmin()]
+    sample = planning.knots[0, planning.cost[0].argmin()]
+    planning()
     expected = np.concatenate([0.5 * (sample[:-1] + sample[1:]), sample[-1:]])
-    np.testing.assert_allclose(planning.plan.mean.numpy()[0], expected, atol=1e-6)
-    with pytest.raises(SceneError, match=r"planner\.spline"):
-        Planning(planner={**planner, "spline": "zero"})
+    np.testing.assert_allclose(planning.knots[0, 0], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("keys", [{"dt": (0.08,)}, {"knots": 4}], ids=["longer steps", "fewer knots"])
+def test_zero_order_knots_longer_than_a_control_move_with_time(keys):
+    """A plan of zero order that was re-sampled every control kept its first knot for good."""
+    planner = {**METHODS["predictive_sampling"], "spline": "zero", **keys}
+    planning = Planning(planner=planner)
+    planning.elapsed = 0.0
+    planning()
+    best = planning.knots[0, planning.cost[0].argmin()]
+    assert np.ptp(best, axis=0).max() > 0.1
+    planning.elapsed = planning.scene.timing.control_dt
+    planning.plan.state.weight.fill_(0.0)  # all samples are alike from now on, and the first, the mean, wins
+    per_knot = planning.plan.knot_time[1] / planning.scene.timing.control_dt
+    assert per_knot > 1.5
+    for n in range(1, 25):
+        command = planning()[0, 0]
+        now = min(int(n / per_knot + 1e-3), len(best) - 1)
+        np.testing.assert_allclose(command, best[now], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -165,18 +201,37 @@ def test_more_iterations_find_more_in_one_plan(name):
 
 def test_cem_narrows_sigma_down_to_its_floor():
     planning = Planning(planner={**METHODS["cem"], "step_size": 1.0})
-    assert np.all(planning.plan.sigma.numpy() == 0.5)
+    assert np.all(planning.sigma == 0.5)
     planning()
-    assert 0.1 < planning.plan.sigma.numpy().mean() < 0.45
+    assert 0.1 < planning.sigma.mean() < 0.45
     planning(30)
-    sigma = planning.plan.sigma.numpy()
+    sigma = planning.sigma
     assert np.all(sigma >= 0.05 - 1e-6)
     assert sigma.min() < 0.08
     planning.plan.reset()
-    assert np.all(planning.plan.sigma.numpy() == 0.5)
+    assert np.all(planning.sigma == 0.5)
     mppi = Planning(planner=METHODS["mppi"])
     mppi(3)
-    assert np.all(mppi.plan.sigma.numpy() == 0.5)
+    assert np.all(mppi.sigma == 0.5)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("knots", [None, 5])
+def test_the_sigma_of_cem_stays_above_its_floor_however_it_varies_along_the_horizon(knots, seed):
+    """Shifted by a cubic, a σ that falls steeply overshoots below zero."""
+    planner = {**METHODS["cem"], "knots": knots, "spline": "cubic", "elites": 2}
+    planning = Planning(planner=planner, seed=seed)
+    planning()
+    rng = np.random.default_rng(seed)
+    sigma = planning.strategy.distribution.sigma
+    planning.elapsed = 0.013
+    for n in range(50):
+        if n % 5 == 0:
+            sigma.assign(np.where(rng.random(sigma.shape) < 0.5, 0.05, 3.0).astype(np.float32))
+        planning.strategy.shift()
+        assert sigma.numpy().min() >= 0.05 - 1e-6
+        planning()
+        assert planning.sigma.min() >= 0.05 - 1e-6
 
 
 @pytest.mark.parametrize(("risk", "reduce"), [("mean", np.mean), ("worst", np.max), ("cvar", None)])
@@ -191,9 +246,9 @@ def test_every_sample_is_tried_in_every_domain(risk, reduce):
     )
     planning.qd[0, 0] = 1.0
     planning()
-    control = planning.plan.control.numpy().reshape(8, 12, 4, 3)
+    control = planning.engine.control.numpy().reshape(8, 12, 4, 3)
     assert np.all(control == control[:, :, :1])
-    stage = planning.costs.cost.numpy()[0].astype(np.float64)
+    stage = planning.engine.judge.cost.numpy()[0].astype(np.float64)
     total = (0.9 ** np.arange(8) @ stage).reshape(12, 4)
     assert np.ptp(total, axis=1).max() > 1e-3  # the domains differ
     expected = np.sort(total, axis=1)[:, 2:].mean(axis=1) if reduce is None else reduce(total, axis=1)
@@ -211,39 +266,43 @@ def test_environments_plan_for_themselves():
 
 
 def test_the_next_plan_knows_the_control_that_acts():
-    planning = Planning(cost=[{"term": "control_rate"}])
-    planning.plan.mean.fill_(0.4)
+    planning, fresh = (Planning(cost=[{"term": "control_rate"}]) for _ in range(2))
+    fresh()
     planning()
-    np.testing.assert_array_equal(planning.costs.last_control.numpy(), planning.plan.command.numpy())
+    planning.strategy.mean.fill_(0.4)
+    planning()
+    np.testing.assert_array_equal(planning.plan.state.last_control.numpy(), planning.plan.command.numpy())
     assert np.abs(planning.plan.command.numpy()).max() > 0.1
     planning.plan.reset()
-    assert np.all(planning.costs.last_control.numpy() == 0.0)
+    planning()  # the control before the first one is rest again
+    np.testing.assert_array_equal(planning.cost, fresh.cost)
 
 
 def test_a_diverged_world_costs_infinity_and_the_next_plan_is_clean():
     planning, clean = Planning(), Planning()
     state = planning.qd.copy()
     planning.qd[0, 0] = np.nan
-    mean = planning.plan.mean.numpy().copy()
+    mean = planning.mean
     planning()
     assert np.all(np.isinf(planning.cost))
-    assert planning.plan.weights.weight.numpy().sum() == 0.0
-    np.testing.assert_array_equal(planning.plan.mean.numpy(), mean)
+    assert planning.strategy.weights.weight.numpy().sum() == 0.0
+    np.testing.assert_array_equal(planning.mean, mean)
     planning.qd = state
     np.testing.assert_array_equal(planning(3), clean(3))
 
 
 def test_one_bad_sample_carries_no_weight():
     planning = Planning(planner={"temperature": {"initial": 10.0, "eta": None}})
-    rollout = planning.engine.rollout
+    rollout = planning.engine.simulator.rollout
 
-    def poisoned(control):
-        control.numpy()[2:, 5] = 1e30
-        rollout(control)
+    def poisoned(control, first, count):
+        if first <= 5 < first + count:
+            control.numpy()[2:, 5] = 1e30
+        rollout(control, first, count)
 
-    planning.engine.rollout = poisoned
+    planning.engine.simulator.rollout = poisoned
     planning()
-    weight = planning.plan.weights.weight.numpy()[0]
+    weight = planning.strategy.weights.weight.numpy()[0]
     assert np.isinf(planning.cost[0, 5])
     assert np.isfinite(np.delete(planning.cost[0], 5)).all()
     assert weight[5] == 0.0
@@ -256,3 +315,77 @@ def test_values_per_control_must_be_one_or_as_many_as_controls(key):
     planner = {"noise": {"sigma": (0.1, 0.2)}} if key == "noise" else {"sigma_min": (0.1, 0.2)}
     with pytest.raises(SceneError, match=r"needs 1 or 3 values.*base/x, base/y, base/yaw"):
         Planning(planner=planner)
+
+
+def test_a_position_drive_is_planned_from_where_it_is_observed():
+    """The first plan holds the observed posture, and so does the null sample: not the scene's, nor zero."""
+    drive = {"mode": "position", "stiffness": 500.0, "damping": 50.0, "lower": (-2.0,), "upper": (2.0,)}
+    planning = Planning(robot=[{**DISC, "joint_q": (0.5, 0.0, 0.0), "drive": {**drive, "effort_limit": 50.0}}])
+    for place in ([0.3, -0.4, 1.0], [-0.2, 0.1, 3.0]):
+        planning.q[0] = place
+        held = np.clip(place, -2.0, 2.0)
+        planning()
+        np.testing.assert_allclose(planning.knots[0, 0], np.tile(held, (8, 1)), atol=1e-6)
+        np.testing.assert_allclose(planning.knots[0, 1], np.tile(held, (8, 1)), atol=1e-6)
+        np.testing.assert_allclose(planning.plan.state.last_control.numpy(), planning.plan.command.numpy())
+        planning.q[0] = [0.7, 0.2, 0.0]
+        planning()
+        # a later plan goes on from its own mean; its null sample follows the observation
+        assert np.abs(planning.knots[0, 0, 0] - planning.q[0]).max() > 0.05
+        np.testing.assert_allclose(planning.knots[0, 1], np.tile(planning.q[0], (8, 1)), atol=1e-6)
+        planning.plan.reset()
+
+
+def test_the_noise_is_annealed_over_iterations_and_horizon():
+    anneal = (0.5, 0.8)
+    noise = {"sigma": (0.3,), "anneal": anneal, "shape": "identity", "null_sample": False}
+    planning = Planning(planner={"iterations": 3, "noise": noise, "samples": 400}, robot=[WIDE])
+    spread, propose = [], planning.strategy.propose
+
+    def watched(i: int) -> None:
+        propose(i)
+        knots = planning.knots[0]
+        spread.append((knots[1:] - knots[0]).std(axis=(0, 2)))
+
+    planning.strategy.propose = watched
+    planning()
+    h = np.arange(1, 9)
+    for i in range(3):
+        expected = 0.3 * np.exp(-i / (anneal[0] * 3) - (8 - h) / (anneal[1] * 8))  # Xue et al. 2024
+        np.testing.assert_allclose(spread[i], expected, rtol=0.12)
+
+
+def test_the_last_step_counts_more_by_the_terminal_factor():
+    plain, more = (Planning(planner={"terminal": factor, "discount": 0.9}) for factor in (1.0, 7.0))
+    plain()
+    more()
+    stage = plain.engine.judge.cost.numpy()[0].astype(np.float64)
+    np.testing.assert_array_equal(more.engine.judge.cost.numpy()[0], stage)
+    weight = 0.9 ** np.arange(8)
+    np.testing.assert_allclose(plain.cost[0], weight @ stage, rtol=1e-5)
+    weight[-1] *= 7.0
+    np.testing.assert_allclose(more.cost[0], weight @ stage, rtol=1e-5)
+
+
+def test_the_threads_of_the_engine_change_no_bit():
+    def commands(threads: int) -> tuple[np.ndarray, np.ndarray]:
+        planning = Planning(envs=3, engine={"threads": threads}, planner=METHODS["mppi"])
+        planning.q[:, 1] = [0.0, 0.3, -0.5]
+        out = planning(4)
+        planning.engine.close()
+        return out, planning.cost.copy()
+
+    alone, together = commands(1), commands(3)
+    for a, b in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_two_planners_over_the_same_terms_do_not_disturb_each_other():
+    cost = [{"term": "distance", "between": ["base/centre", "goal"]}, {"term": "control_rate", "weight": 0.3}]
+    alone = [Planning(cost=cost, seed=seed)(6) for seed in (1, 2)]
+    first, second = (Planning(cost=cost, seed=seed) for seed in (1, 2))
+    shape = second.plan.shape
+    second.plan = PlanStep(second.scene, compiled(second.scene), first.costs, shape, engine="mujoco", seed=2)
+    for n in range(6):
+        np.testing.assert_array_equal(first()[0], alone[0][n])
+        np.testing.assert_array_equal(second()[0], alone[1][n])

@@ -26,9 +26,7 @@ ALL = pytest.mark.parametrize("weighting", WEIGHTINGS, ids=["eta", "ess", "fixed
 def make_state(cost, *, temperature: float = 1.0, device: str) -> WeightingState:
     """A state that holds these costs [E, S]."""
     cost = np.asarray(cost, dtype=np.float32)
-    state = WeightingState(envs=len(cost), samples=cost.shape[1], temperature=temperature, device=device)
-    state.cost.assign(cost)
-    return state
+    return WeightingState(wp.array(cost, dtype=float, device=device), temperature=temperature)
 
 
 def effective_samples(weight: np.ndarray) -> np.ndarray:

@@ -8,9 +8,8 @@ import pytest
 import warp as wp
 from small_scenes import compiled, make_scene
 
-from warpmpc.cost.binding import FieldRequest
 from warpmpc.cost.resources.geodesic import Grid
-from warpmpc.cost.resources.guide import Guide
+from warpmpc.cost.resources.guide import FieldRequest, Guide
 
 INFLATION = 0.2
 
@@ -30,7 +29,7 @@ def path_length(grid: Grid, target: np.ndarray, inflation: float) -> np.ndarray:
     layout = compiled(make_scene()).layout
     guide = Guide(grid, [FieldRequest(layout.frame("goal"), inflation)], layout, envs=1, device="cpu")
     goal = wp.array([[*target, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=wp.transform, device="cpu")
-    guide.launch(wp.zeros((1, 1, layout.nb), dtype=wp.transform, device="cpu"), goal, 1)
+    guide.launch(wp.zeros((1, layout.nb), dtype=wp.transform, device="cpu"), goal.reshape((1, 1)))
     return guide.field.numpy()[0]
 
 

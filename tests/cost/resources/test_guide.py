@@ -8,9 +8,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc.cost.binding import FieldRequest
 from warpmpc.cost.resources.geodesic import Grid
-from warpmpc.cost.resources.guide import Guide
+from warpmpc.cost.resources.guide import FieldRequest, Guide
 
 WALLS = (
     {"name": "left", "shape": "box", "size": (0.6, 0.8, 0.2), "position": (1.0, 1.0, 0.1)},
@@ -31,14 +30,13 @@ class Follower:
 
     def __call__(self, boxes, goals=((0.0, -1.0),)) -> np.ndarray:
         """Bring the fields to boxes and goals [E, 2]; returns them ``[E, 2, rows, columns]``."""
-        body_q = np.zeros((2, 3 * self.envs, self.layout.nb, 7), np.float32)
-        body_q[..., 6] = 1.0
-        goal = np.zeros((self.envs, 7), np.float32)
-        goal[:, 6] = 1.0
-        body_q[0, ::3, self.layout.entity("box").bodies[0], :2] = boxes
-        goal[:, :2] = goals
+        body_q = np.zeros((self.envs, self.layout.nb, 7), np.float32)
+        goal = np.zeros((self.envs, 1, 7), np.float32)
+        body_q[..., 6] = goal[..., 6] = 1.0
+        body_q[:, self.layout.entity("box").bodies[0], :2] = boxes
+        goal[:, 0, :2] = goals
         upload = {"dtype": wp.transform, "device": self.device}
-        self.guide.launch(wp.array(body_q, **upload), wp.array(goal, **upload), 3)
+        self.guide.launch(wp.array(body_q, **upload), wp.array(goal, **upload))
         rows, columns = self.grid.clearance.shape
         return self.guide.field.numpy().reshape(self.envs, 2, rows, columns)
 

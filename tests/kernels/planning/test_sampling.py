@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 
 from warpmpc.kernels.planning.sampling import (
     advance_counter_kernel,
+    age_plan_kernel,
+    null_control_kernel,
     perturb_knots_kernel,
     random_normal_kernel,
     random_shift_kernel,
+    start_plan_kernel,
     table_normal_kernel,
 )
 
@@ -28,7 +31,7 @@ def table_normals(table: np.ndarray, shift: np.ndarray, *, knots: int, device: s
 def random_normals(shape: tuple[int, ...], *, seed: int, count: int = 0, device: str) -> np.ndarray:
     """Pseudo-random z of this shape [E, S, P, nu] at this count of draws."""
     z = wp.empty(shape, dtype=float, device=device)
-    counter = wp.array([count], dtype=int, device=device)
+    counter = wp.full(shape[0], count, dtype=int, device=device)
     wp.launch(random_normal_kernel, dim=shape, inputs=[counter, seed], outputs=[z], device=device)
     return z.numpy()
 
@@ -36,21 +39,40 @@ def random_normals(shape: tuple[int, ...], *, seed: int, count: int = 0, device:
 def random_shifts(shape: tuple[int, int], *, seed: int, count: int, device: str) -> np.ndarray:
     """Rotations of this shape [E, P·nu] at this count of draws."""
     shift = wp.empty(shape, dtype=float, device=device)
-    counter = wp.array([count], dtype=int, device=device)
+    counter = wp.full(shape[0], count, dtype=int, device=device)
     wp.launch(random_shift_kernel, dim=shape, inputs=[counter, seed], outputs=[shift], device=device)
     return shift.numpy()
 
 
 def perturb(
-    mean, sigma, shaping, z, *, lower, upper, null_sample: bool, constant: float = 0.0, device: str
+    mean,
+    sigma,
+    shaping,
+    z,
+    *,
+    lower,
+    upper,
+    null_sample: bool,
+    null=None,
+    schedule=None,
+    iteration: int = 0,
+    constant: float = 0.0,
+    device: str,
 ) -> np.ndarray:
     """Run the kernel on mean and σ [E, P, nu], B [P, P] and z [E, S, P, nu]; returns knots [E, S, P, nu]."""
-    knots = wp.empty(z.shape, dtype=float, device=device)
-    inputs = [wp.array(a, dtype=float, device=device) for a in (mean, sigma, shaping, z, lower, upper)]
+    envs, _, knots, nu = z.shape
+    null = np.zeros((envs, nu)) if null is None else null
+    schedule = np.ones((1, knots)) if schedule is None else schedule
+    out = wp.empty(z.shape, dtype=float, device=device)
+
+    def on(a) -> wp.array:
+        return wp.array(a, dtype=float, device=device)
+
+    inputs = [on(mean), on(sigma), on(schedule), iteration, on(shaping), on(z), on(lower), on(upper), on(null)]
     wp.launch(
-        perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample), constant], outputs=[knots], device=device
+        perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample), constant], outputs=[out], device=device
     )
-    return knots.numpy()
+    return out.numpy()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -110,10 +132,67 @@ def test_shifts_are_uniform_and_differ_between_environments_and_draws(device):
     assert abs(np.corrcoef(first[:-1].ravel(), first[1:].ravel())[0, 1]) < 0.1
 
 
-def test_counter_advances_by_one(device):
-    counter = wp.array([41], dtype=int, device=device)
-    wp.launch(advance_counter_kernel, dim=1, outputs=[counter], device=device)
-    assert counter.numpy()[0] == 42
+def test_the_counter_of_an_observed_environment_advances_by_one(device):
+    counter = wp.array([41, 7, 0], dtype=int, device=device)
+    observed = wp.array([1, 0, 1], dtype=int, device=device)
+    wp.launch(advance_counter_kernel, dim=3, inputs=[observed], outputs=[counter], device=device)
+    assert counter.numpy().tolist() == [42, 7, 1]
+
+
+@pytest.mark.parametrize("kernel", [random_normal_kernel, random_shift_kernel])
+def test_every_environment_draws_by_its_own_counter(kernel, device):
+    shape = (3, 8, 4, 2) if kernel is random_normal_kernel else (3, 64)
+
+    def draw(counts: list[int]) -> np.ndarray:
+        out = wp.empty(shape, dtype=float, device=device)
+        counter = wp.array(counts, dtype=int, device=device)
+        wp.launch(kernel, dim=shape, inputs=[counter, 5], outputs=[out], device=device)
+        return out.numpy()
+
+    together, apart = draw([2, 2, 2]), draw([2, 1, 2])
+    np.testing.assert_array_equal(apart[[0, 2]], together[[0, 2]])
+    assert abs(np.corrcoef(apart[1].ravel(), together[1].ravel())[0, 1]) < 0.5
+    np.testing.assert_array_equal(apart[1], draw([1, 1, 1])[1])
+
+
+def test_a_control_that_asks_for_nothing_holds_what_is_observed_or_rests(device):
+    def on(values, dtype=float) -> wp.array:
+        return wp.array(values, dtype=dtype, device=device)
+
+    joint_q, held, rest = on([[0.3, 5.0, -0.2], [1.0, 2.0, 3.0]]), on([2, -1, 0, 1], int), on([9.0, 0.0, 9.0, 9.0])
+    null = wp.zeros((2, 4), dtype=float, device=device)
+    limits = [on([-1.0, -1.0, -1.0, 0.5]), on([1.0, 1.0, 1.0, 1.5])]
+    wp.launch(null_control_kernel, dim=null.shape, inputs=[joint_q, held, rest, *limits], outputs=[null], device=device)
+    np.testing.assert_allclose(null.numpy(), [[-0.2, 0.0, 0.3, 1.5], [1.0, 0.0, 1.0, 1.5]])
+
+
+def test_a_first_plan_begins_at_rest_where_it_is_observed_and_a_later_one_goes_on(device):
+    null = wp.array(np.arange(1.0, 7.0).reshape(3, 2), dtype=float, device=device)
+    mean, last = wp.full((3, 4, 2), 9.0, dtype=float, device=device), wp.full((3, 2), 9.0, dtype=float, device=device)
+    observed, fresh = (wp.array(a, dtype=int, device=device) for a in ([1, 0, 1], [1, 1, 0]))
+    wp.launch(start_plan_kernel, dim=(3, 2), inputs=[observed, fresh, null], outputs=[mean, last], device=device)
+    np.testing.assert_array_equal(mean.numpy()[0], np.tile([1.0, 2.0], (4, 1)))
+    np.testing.assert_array_equal(last.numpy()[0], [1.0, 2.0])
+    np.testing.assert_array_equal(mean.numpy()[1:], 9.0)
+    np.testing.assert_array_equal(last.numpy()[1:], 9.0)
+    wp.launch(age_plan_kernel, dim=3, inputs=[observed], outputs=[fresh], device=device)
+    assert fresh.numpy().tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("iteration", [0, 2])
+def test_noise_is_scaled_by_the_schedule_of_its_iteration(iteration, device):
+    case = random_knots(3, samples=20)
+    schedule = np.random.default_rng(0).uniform(0.1, 2.0, size=(3, 5))
+    knots = perturb(**case, null_sample=False, schedule=schedule, iteration=iteration, device=device)
+    noise = np.einsum("pq,esqu->espu", case["shaping"], case["z"])
+    expected = case["mean"][:, None] + schedule[iteration][:, None] * case["sigma"][:, None] * noise
+    np.testing.assert_allclose(knots[:, 1:], expected[:, 1:], rtol=1e-5, atol=1e-5)
+
+
+def test_the_null_sample_is_what_each_environment_asks_for_when_it_asks_for_nothing(device):
+    case, null = random_knots(4, samples=5), np.array([[0.1, -0.2, 0.3], [4.0, 5.0, -6.0]])
+    knots = perturb(**case, null_sample=True, null=null, device=device)
+    np.testing.assert_allclose(knots[:, 1], np.repeat(null[:, None], 5, axis=1), rtol=1e-6)
 
 
 @pytest.mark.parametrize("null_sample", [False, True])

@@ -13,10 +13,13 @@ from warpmpc.kernels.planning.splines import (
     CUBIC,
     LINEAR,
     ZERO,
+    Spline,
+    advance_plan_kernel,
     command_kernel,
     shift_knots_kernel,
     spline_control_kernel,
 )
+from warpmpc.planner.splines import SplineKind, spline_table
 
 KINDS = [ZERO, LINEAR, CUBIC, BSPLINE]
 
@@ -39,38 +42,61 @@ def reference_spline(knots: np.ndarray, kind: int, tau: np.ndarray) -> np.ndarra
     return BSpline(np.arange(-3, len(knots) + 3), polygon, 3)(tau)
 
 
-def controls(knots, *, kind, knot_dt=1.0, control_dt=1.0, steps, domains=1, limit=1e6, device) -> np.ndarray:
-    """Run the kernel on knots [E, S, P, nu]; returns controls [T, W, nu]."""
+def table(kind: int, count: int, *, knot_dt: float = 1.0, times=None, device: str) -> Spline:
+    """What the kernels know of a spline over evenly spaced knots, or over knots at given times [P]."""
+    times = knot_dt * np.arange(count) if times is None else np.asarray(times)
+    return spline_table(list(SplineKind)[KINDS.index(kind)], times, knot_dt, device)
+
+
+def controls(
+    knots, *, kind, knot_dt=1.0, times=None, control_dt=1.0, steps, offset=0.0, domains=1, limit=1e6, first=0, device
+) -> np.ndarray:
+    """Run the kernel on knots [E, S, P, nu]; returns controls [T, W, nu], NaN for worlds before ``first``."""
     knots = np.asarray(knots, dtype=np.float32)
     envs, samples, _, nu = knots.shape
-    control = wp.empty((steps, envs * samples * domains, nu), dtype=float, device=device)
+    worlds = envs * samples * domains
+    control = wp.full((steps, worlds, nu), np.nan, dtype=float, device=device)
     limits = [wp.full(nu, sign * limit, dtype=float, device=device) for sign in (-1.0, 1.0)]
+    spline = table(kind, knots.shape[2], knot_dt=knot_dt, times=times, device=device)
+    t = control_dt * np.arange(steps)
+    step = [wp.array(a, dtype=float, device=device) for a in (t, np.arange(steps) * (control_dt / spline.knot_dt))]
+    since = wp.full(envs, offset, dtype=float, device=device)
     wp.launch(
         spline_control_kernel,
-        dim=control.shape[:2],
-        inputs=[wp.array(knots, dtype=float, device=device), *limits, kind, knot_dt, control_dt, domains],
+        dim=(steps, worlds - first),
+        inputs=[wp.array(knots, dtype=float, device=device), spline, *limits, *step, since, domains, first],
         outputs=[control],
         device=device,
     )
     return control.numpy()
 
 
-def shifted(mean, *, kind, shift, knot_dt=1.0, device) -> np.ndarray:
-    """The plan [E, P, nu] re-sampled ``shift`` seconds later."""
+def shifted(mean, *, kind, shift, knot_dt=1.0, times=None, device) -> np.ndarray:
+    """The plan [E, P, nu] re-sampled ``shift`` seconds later, one for all environments or each its own."""
     before = wp.array(np.asarray(mean, dtype=np.float32), dtype=float, device=device)
     after = wp.empty_like(before)
-    wp.launch(
-        shift_knots_kernel, dim=after.shape, inputs=[before, kind, shift, knot_dt], outputs=[after], device=device
-    )
+    spline = table(kind, before.shape[1], knot_dt=knot_dt, times=times, device=device)
+    by = wp.array(np.broadcast_to(shift, before.shape[0]), dtype=float, device=device)
+    wp.launch(shift_knots_kernel, dim=after.shape, inputs=[before, spline, kind, by], outputs=[after], device=device)
     return after.numpy()
 
 
-def command(mean, *, kind, time, knot_dt=1.0, limit=1e6, device) -> np.ndarray:
+def advanced(kind, elapsed, *, offset=0.0, knot_dt=1.0, times=None, device) -> tuple[float, float]:
+    """Time from the first knot to the present, and how far the knots move, after this time."""
+    arrays = [wp.full(1, value, dtype=float, device=device) for value in (elapsed, offset, 0.0)]
+    spline = table(kind, 5, knot_dt=knot_dt, times=times, device=device)
+    wp.launch(advance_plan_kernel, dim=1, inputs=[spline, arrays[0]], outputs=arrays[1:], device=device)
+    return tuple(float(array.numpy()[0]) for array in arrays[1:])
+
+
+def command(mean, *, kind, time, knot_dt=1.0, times=None, limit=1e6, device) -> np.ndarray:
     """The control [E, nu] of the plan [E, P, nu] at this time."""
     mean = wp.array(np.asarray(mean, dtype=np.float32), dtype=float, device=device)
     out = wp.empty((mean.shape[0], mean.shape[2]), dtype=float, device=device)
     limits = [wp.full(mean.shape[2], sign * limit, dtype=float, device=device) for sign in (-1.0, 1.0)]
-    wp.launch(command_kernel, dim=out.shape, inputs=[mean, *limits, kind, time, knot_dt], outputs=[out], device=device)
+    spline = table(kind, mean.shape[1], knot_dt=knot_dt, times=times, device=device)
+    offset = wp.full(mean.shape[0], time, dtype=float, device=device)
+    wp.launch(command_kernel, dim=out.shape, inputs=[mean, spline, *limits, offset], outputs=[out], device=device)
     return out.numpy()
 
 
@@ -215,3 +241,96 @@ def test_repeated_shifts_do_not_smooth_a_bspline_plan_away(device):
     inside = slice(4, 32)
     assert np.abs(resampled[inside] - wave(2.0)[0, inside, 0]).max() > 0.3  # what curve values would do
     np.testing.assert_allclose(mean[0, inside, 0], wave(2.0)[0, inside, 0], atol=0.1)
+
+
+# knots that are not evenly spaced
+
+
+UNEVEN = np.array([0.0, 0.1, 0.25, 0.3, 0.7, 0.9, 1.6])
+
+
+def uneven_reference(knots: np.ndarray, kind: int, time: np.ndarray, times: np.ndarray = UNEVEN) -> np.ndarray:
+    """Spline over knots [P, nu] at these times, by SciPy in float64; returns [n, nu]."""
+    last = len(times) - 1
+    time = np.clip(time, times[0], times[-1])
+    if kind == ZERO:
+        return knots[np.searchsorted(times, time + 1e-7, side="right") - 1]
+    if kind == LINEAR:
+        return np.stack([np.interp(time, times, column) for column in knots.T], axis=1)
+    if kind == CUBIC:
+        slope = np.diff(knots, axis=0) / np.diff(times)[:, None]
+        slope = np.concatenate([slope[:1], 0.5 * (slope[:-1] + slope[1:]), slope[-1:]])
+        return CubicHermiteSpline(times, knots, slope)(time)
+    return reference_spline(knots, BSPLINE, np.interp(time, times, np.arange(last + 1)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_controls_and_commands_over_uneven_knots_match_scipy(kind, seed, device):
+    knots = some_knots(seed, 2, 3, len(UNEVEN), 2)
+    control = controls(knots, kind=kind, times=UNEVEN, control_dt=0.043, steps=40, domains=2, device=device)
+    for e, s in ((0, 0), (0, 2), (1, 1)):
+        expected = uneven_reference(knots[e, s].astype(np.float64), kind, 0.043 * np.arange(40))
+        for d in range(2):
+            np.testing.assert_allclose(control[:, (e * 3 + s) * 2 + d], expected, atol=2e-5)
+    for time in (-0.2, 0.0, 0.07, 0.29, 0.5, 1.2, 3.0):
+        found = command(knots[:, 0], kind=kind, time=time, times=UNEVEN, device=device)
+        expected = [uneven_reference(k.astype(np.float64), kind, np.array([time]))[0] for k in knots[:, 0]]
+        np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_evenly_spaced_knots_are_the_same_by_either_way_of_counting(kind, device):
+    knots = some_knots(4, 1, 2, 7, 2)
+    even = controls(knots, kind=kind, knot_dt=0.1, control_dt=0.033, steps=20, device=device)
+    # the last knot a little late makes the grid uneven; long before it nothing of that shows
+    times = [*(0.1 * np.arange(6)), 0.6001]
+    uneven = controls(knots, kind=kind, times=times, control_dt=0.033, steps=20, device=device)
+    early = 0.033 * np.arange(20) < 0.4
+    np.testing.assert_allclose(uneven[early], even[early], atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plan_over_uneven_knots_moves_by_the_time_that_has_passed(kind, seed, device):
+    mean = some_knots(seed, 2, len(UNEVEN), 3)
+    by = np.array([0.06, 0.33])
+    found = shifted(mean, kind=kind, shift=by, times=UNEVEN, device=device)
+    # zero-order values move between knots, or they would never move; control points are interpolated
+    smooth = {ZERO: LINEAR, BSPLINE: CUBIC}.get(kind, kind)
+    for e in range(2):
+        expected = uneven_reference(mean[e].astype(np.float64), smooth, UNEVEN + by[e])
+        np.testing.assert_allclose(found[e], expected, atol=3e-5)
+
+
+def test_zero_order_knots_move_by_whole_intervals_and_the_rest_is_remembered(device):
+    dt = 0.1
+    offset, moved = 0.0, 0.0
+    for n in range(1, 60):
+        offset, by = advanced(ZERO, 0.03, offset=offset, knot_dt=dt, device=device)
+        assert by == pytest.approx(dt * round(by / dt), abs=1e-6)
+        moved += by
+        assert 0.0 <= offset < dt - 1e-6
+        assert moved + offset == pytest.approx(0.03 * n, abs=1e-4)
+    assert advanced(ZERO, 0.25, offset=0.06, knot_dt=dt, device=device) == pytest.approx((0.01, 0.3), abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_other_plans_move_by_all_the_time_that_has_passed(kind, device):
+    times = UNEVEN[:5] if kind == ZERO else None
+    assert advanced(kind, 0.37, times=times, device=device) == pytest.approx((0.0, 0.37))
+
+
+def test_only_the_worlds_asked_for_are_written(device):
+    knots = some_knots(0, 2, 3, 4, 2)
+    whole = controls(knots, kind=LINEAR, control_dt=0.4, steps=6, domains=2, device=device)
+    part = controls(knots, kind=LINEAR, control_dt=0.4, steps=6, domains=2, first=5, device=device)
+    assert np.isnan(part[:, :5]).all()
+    np.testing.assert_array_equal(part[:, 5:], whole[:, 5:])
+
+
+def test_rollouts_begin_some_time_after_the_first_knot(device):
+    knots = some_knots(1, 1, 2, 6, 2)
+    late = controls(knots, kind=LINEAR, knot_dt=0.1, control_dt=0.05, steps=6, offset=0.1, device=device)
+    whole = controls(knots, kind=LINEAR, knot_dt=0.1, control_dt=0.05, steps=8, device=device)
+    np.testing.assert_allclose(late, whole[2:], atol=1e-5)

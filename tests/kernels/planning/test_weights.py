@@ -14,10 +14,11 @@ from warpmpc.kernels.planning.weights import (
     WORST,
     best_weight_kernel,
     bisect_temperature_kernel,
-    discount_cost_kernel,
     elite_weight_kernel,
+    explain_cost_kernel,
     importance_weight_kernel,
     risk_kernel,
+    sum_cost_kernel,
     update_mean_kernel,
     update_sigma_kernel,
 )
@@ -33,15 +34,17 @@ def on(device: str, array, dtype=float) -> wp.array:
 def discounted(stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, device: str) -> np.ndarray:
     """Rollout costs [W] of stage costs [term, T, W]."""
     out = wp.empty(stage_cost.shape[2], dtype=float, device=device)
-    inputs = [on(device, stage_cost), on(device, diverged, int), discount]
-    wp.launch(discount_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    weight = float(discount) ** np.arange(stage_cost.shape[1])
+    inputs = [on(device, stage_cost), on(device, diverged, int), on(device, weight), 0]
+    wp.launch(sum_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 
 
 def risk(cost: np.ndarray, *, mode: int, alpha: float = 1.0, device: str) -> np.ndarray:
     """Sample costs [E, S] of rollout costs [E, S, D]."""
     out = wp.empty(cost.shape[:2], dtype=float, device=device)
-    inputs = [on(device, cost.ravel()), cost.shape[2], mode, alpha]
+    observed = wp.full(len(cost), 1, dtype=int, device=device)
+    inputs = [on(device, cost.ravel()), observed, cost.shape[2], mode, alpha]
     wp.launch(risk_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 
@@ -188,7 +191,46 @@ def test_a_world_flagged_as_diverged_is_infinite_though_it_looks_cheap(device):
     np.testing.assert_array_equal(cost, [0.0, INF, 0.0])
 
 
+def test_steps_count_by_their_weights_and_only_the_worlds_asked_for_are_summed(device):
+    rng = np.random.default_rng(1)
+    stage, weight = rng.normal(size=(2, 5, 7)), rng.uniform(size=5)
+    out = wp.full(7, -1.0, dtype=float, device=device)
+    inputs = [on(device, stage), on(device, np.zeros(7), int), on(device, weight), 3]
+    wp.launch(sum_cost_kernel, dim=4, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy()[:3], -1.0)
+    np.testing.assert_allclose(out.numpy()[3:], np.einsum("itw,t->w", stage, weight)[3:], atol=1e-5)
+
+
+@pytest.mark.parametrize(("mode", "alpha"), [(MEAN, 1.0), (WORST, 1.0), (CVAR, 0.3), (CVAR, 0.5), (CVAR, 0.01)])
+@pytest.mark.parametrize("domains", [1, 4, 5])
+@pytest.mark.parametrize("seed", range(2))
+def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains, mode, alpha, device):
+    rng = np.random.default_rng(seed)
+    envs, samples, terms, steps = 2, 3, 4, 6
+    stage = rng.normal(size=(terms, steps, envs * samples * domains)).astype(np.float32)
+    weight = rng.uniform(size=steps)
+    rollout = np.einsum("itw,t->w", stage.astype(np.float64), weight)
+    cost = risk(rollout.reshape(envs, samples, domains), mode=mode, alpha=alpha, device=device)
+    found = wp.zeros((envs, terms), dtype=float, device=device)
+    best = [2, 1]
+    inputs = [on(device, stage), on(device, rollout), on(device, best, int), on(device, weight)]
+    inputs += [samples, domains, mode, alpha]
+    wp.launch(explain_cost_kernel, dim=found.shape, inputs=inputs, outputs=[found], device=device)
+    np.testing.assert_allclose(found.numpy().sum(axis=1), [cost[e, s] for e, s in enumerate(best)], atol=2e-5)
+    if mode == MEAN:
+        parts = np.einsum("itw,t->iw", stage.astype(np.float64), weight).reshape(terms, envs, samples, domains)
+        expected = np.stack([parts[:, e, s].mean(axis=1) for e, s in enumerate(best)])
+        np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
+
+
 # risk over domains
+
+
+def test_samples_of_an_environment_without_an_observation_are_infinite(device):
+    out = wp.zeros((3, 4), dtype=float, device=device)
+    inputs = [on(device, np.ones(12)), on(device, [1, 0, 1], int), 1, MEAN, 1.0]
+    wp.launch(risk_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), [[1.0] * 4, [INF] * 4, [1.0] * 4])
 
 
 def reference_cvar(cost: np.ndarray, alpha: float) -> float:

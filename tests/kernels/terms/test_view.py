@@ -7,12 +7,16 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from warpmpc.kernels.terms.clearance import shape_distance
+from warpmpc.kernels.terms.paths import PathFields, plane_distance
 from warpmpc.kernels.terms.view import (
     StepView,
+    frame_angular_velocity,
     frame_pose,
     frame_velocity,
-    plane_distance,
     rotation_angle,
+    step_length,
+    step_time,
+    task_scalar,
     wrap_angle,
     yaw,
 )
@@ -148,8 +152,9 @@ def frame_kernel(
     # outputs
     pose: wp.array2d[wp.transform],
     velocity: wp.array2d[wp.vec3],
+    angular: wp.array2d[wp.vec3],
 ):
-    """Pose and velocity of one frame in one world."""
+    """Pose and velocities of one frame in one world."""
     w, f = wp.tid()
     s = view
     s.t = 1
@@ -157,6 +162,7 @@ def frame_kernel(
     s.e = w // 2
     pose[w, f] = frame_pose(s, f)
     velocity[w, f] = frame_velocity(s, f)
+    angular[w, f] = frame_angular_velocity(s, f)
 
 
 def poses(*shape: int, seed: int) -> np.ndarray:
@@ -175,30 +181,69 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def test_frames_move_with_their_body_or_stand_in_the_world_or_at_the_goal(device):
-    body_q, goal, local = poses(2, 4, 3, seed=0), poses(2, seed=1), poses(3, seed=2)
+    body_q, goal, local = poses(2, 4, 3, seed=0), poses(2, 2, seed=1), poses(4, seed=2)
+    com = np.random.default_rng(4).normal(size=(3, 3))
     body_qd = np.random.default_rng(3).normal(size=(2, 4, 3, 6))
     view = StepView()
     view.body_q = wp.array(body_q, dtype=wp.transform, device=device)
     view.body_qd = wp.array(body_qd, dtype=wp.spatial_vector, device=device)
-    view.goal = wp.array(goal, dtype=wp.transform, device=device)
-    view.frame_body = wp.array([2, -1, -2], dtype=int, device=device)
+    view.pose = wp.array(goal, dtype=wp.transform, device=device)
+    view.body_com = wp.array(com, dtype=wp.vec3, device=device)
+    view.frame_body = wp.array([2, -1, -2, -3], dtype=int, device=device)
     view.frame_pose = wp.array(local, dtype=wp.transform, device=device)
-    pose = wp.zeros((4, 3), dtype=wp.transform, device=device)
-    velocity = wp.zeros((4, 3), dtype=wp.vec3, device=device)
-    wp.launch(frame_kernel, dim=(4, 3), inputs=[view], outputs=[pose, velocity], device=device)
+    pose = wp.zeros((4, 4), dtype=wp.transform, device=device)
+    velocity, angular = (wp.zeros((4, 4), dtype=wp.vec3, device=device) for _ in range(2))
+    wp.launch(frame_kernel, dim=(4, 4), inputs=[view], outputs=[pose, velocity, angular], device=device)
     for w in range(4):
-        expected = [compose(body_q[1, w, 2], local[0]), local[1], compose(goal[w // 2], local[2])]
-        for f in range(3):
+        goals = goal[w // 2]
+        expected = [compose(body_q[1, w, 2], local[0]), local[1], *(compose(goals[i], local[2 + i]) for i in (0, 1))]
+        for f in range(4):
             found = pose.numpy()[w, f]
             np.testing.assert_allclose(found[:3], expected[f][:3], atol=1e-5)
             assert abs(found[3:] @ expected[f][3:]) == pytest.approx(1.0, abs=1e-5)
-        np.testing.assert_allclose(velocity.numpy()[w], [body_qd[1, w, 2, :3], np.zeros(3), np.zeros(3)], atol=1e-6)
+        # the twist is that of the centre of mass: the frame's origin goes around it
+        twist, turn = body_qd[1, w, 2], Rotation.from_quat(body_q[1, w, 2, 3:])
+        moving = twist[:3] + np.cross(twist[3:], turn.apply(local[0, :3] - com[2]))
+        np.testing.assert_allclose(velocity.numpy()[w], [moving, *np.zeros((3, 3))], atol=2e-5)
+        np.testing.assert_allclose(angular.numpy()[w], [twist[3:], *np.zeros((3, 3))], atol=1e-6)
+
+
+@wp.kernel
+def time_kernel(
+    # inputs
+    view: StepView,
+    # outputs
+    out: wp.array3d[float],
+):
+    """Time, length of the step and the second scalar of the task at one step in one world."""
+    t, w = wp.tid()
+    s = view
+    s.t = t + 1
+    s.w = w
+    s.e = w // 2
+    out[0, t, w] = step_time(s)
+    out[1, t, w] = step_length(s)
+    out[2, t, w] = task_scalar(s, 1)
+
+
+def test_a_step_knows_its_time_and_length_and_the_tasks_scalars(device):
+    view = StepView()
+    view.start = wp.array([2.0, 5.0], dtype=float, device=device)
+    view.step_end = wp.array([0.0, 0.1, 0.25, 0.65], dtype=float, device=device)
+    view.scalar = wp.array([[1.0, 3.0], [2.0, 4.0]], dtype=float, device=device)
+    out = wp.zeros((3, 3, 4), dtype=float, device=device)
+    wp.launch(time_kernel, dim=(3, 4), inputs=[view], outputs=[out], device=device)
+    start = np.array([2.0, 2.0, 5.0, 5.0])
+    np.testing.assert_allclose(out.numpy()[0], start + np.array([[0.1], [0.25], [0.65]]), rtol=1e-6)
+    np.testing.assert_allclose(out.numpy()[1], np.tile([[0.1], [0.15], [0.4]], 4), rtol=1e-5)
+    np.testing.assert_array_equal(out.numpy()[2], np.tile([3.0, 3.0, 4.0, 4.0], (3, 1)))
 
 
 @wp.kernel
 def plane_distance_kernel(
     # inputs
     view: StepView,
+    paths: PathFields,
     field: int,
     target: wp.vec2,
     point: wp.array[wp.vec2],
@@ -209,7 +254,7 @@ def plane_distance_kernel(
     e, i = wp.tid()
     s = view
     s.e = e
-    out[e, i] = plane_distance(s, field, target, point[i])
+    out[e, i] = plane_distance(s, paths, field, target, point[i])
 
 
 def test_the_detour_of_the_field_is_added_to_the_straight_distance(device):
@@ -219,16 +264,16 @@ def test_the_detour_of_the_field_is_added_to_the_straight_distance(device):
     # field 1 of environment 1 knows of a detour of 0.7 m, the others of none
     detour = np.array([0.0, 0.0, 0.0, 0.7])
     field = np.linalg.norm(grid[None] - center[:, None, None], axis=-1) + detour[:, None, None]
-    view = StepView()
-    view.fields, view.field_cell, view.field_origin = 2, cell, wp.vec2(*origin)
-    view.field = wp.array(field, dtype=float, device=device)
-    view.field_center = wp.array(center, dtype=wp.vec2, device=device)
+    paths = PathFields()
+    paths.count, paths.cell, paths.origin = 2, cell, wp.vec2(*origin)
+    paths.length = wp.array(field, dtype=float, device=device)
+    paths.center = wp.array(center, dtype=wp.vec2, device=device)
     points = rng.uniform([-0.9, -1.9], [2.0, 1.0], size=(50, 2))
     target = np.array([0.15, 0.1])  # has moved since the field was computed
     straight = np.linalg.norm(points - target, axis=1)
     for chosen in (-1, 0, 1):
         out = wp.zeros((2, 50), dtype=float, device=device)
-        inputs = [view, chosen, wp.vec2(*target), wp.array(points, dtype=wp.vec2, device=device)]
+        inputs = [StepView(), paths, chosen, wp.vec2(*target), wp.array(points, dtype=wp.vec2, device=device)]
         wp.launch(plane_distance_kernel, dim=(2, 50), inputs=inputs, outputs=[out], device=device)
         extra = 0.7 - 0.25 * cell if chosen == 1 else 0.0
         np.testing.assert_allclose(out.numpy()[0], straight, atol=1e-5)

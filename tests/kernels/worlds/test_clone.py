@@ -52,7 +52,8 @@ class Conversion:
         outputs = [wp.zeros((*shape, n), dtype=float, device="cpu") for n in (layout.nq, layout.nv)]
         outputs += [wp.zeros((*shape, layout.nb), dtype=t, device="cpu") for t in (wp.transform, wp.spatial_vector)]
         states = wp.array(state, dtype=wp.float64, device="cpu")
-        inputs = [self.table, self.model.nq, substeps, states]
+        end = wp.array(substeps * np.arange(1, steps + 1) - 1, dtype=int, device="cpu")
+        inputs = [self.table, self.model.nq, end, states, 0]
         wp.launch(record_mujoco_kernel, dim=(steps, worlds), inputs=inputs, outputs=outputs, device="cpu")
         return tuple(a.numpy() for a in outputs)
 
@@ -147,7 +148,8 @@ def test_controls_are_mapped_and_held(seed, device):
     matrix, offset = (rng.normal(size=s).astype(np.float32) for s in ((na, nu), na))
     out = wp.zeros((worlds, steps * substeps, na), dtype=wp.float64, device=device)
     arrays = [wp.array(a, dtype=float, device=device) for a in (control, matrix, offset)]
-    inputs = [*arrays, substeps]
+    step = np.repeat(np.arange(steps), substeps)
+    inputs = [*arrays, wp.array(step, dtype=int, device=device), 0]
     wp.launch(mujoco_control_kernel, dim=(worlds, steps * substeps), inputs=inputs, outputs=[out], device=device)
     expected = np.einsum("ai,twi->wta", matrix.astype(np.float64), control) + offset
     np.testing.assert_allclose(out.numpy(), np.repeat(expected, substeps, axis=1), atol=1e-6)
@@ -163,6 +165,6 @@ def test_a_world_that_stopped_early_or_is_not_finite_has_diverged(device):
     state[4, -1, 2] = np.nan
     state[5, -1, 0] = duration * (1.0 + 1e-9)  # a sum of many steps
     diverged = wp.full(6, 7, dtype=int, device=device)
-    inputs = [wp.array(state, dtype=wp.float64, device=device), wp.float64(duration)]
+    inputs = [wp.array(state, dtype=wp.float64, device=device), wp.float64(duration), 0]
     wp.launch(divergence_kernel, dim=6, inputs=inputs, outputs=[diverged], device=device)
     assert diverged.numpy().tolist() == [0, 1, 1, 1, 1, 0]

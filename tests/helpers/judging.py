@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost terms of a scene over rollouts that are put in place by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from small_scenes import layout_of
+
+from warpmpc import Scene
+from warpmpc.cost.stack import CostStack, Judge
+from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.task.observed import ObservedState
+from warpmpc.task.task import Task
+
+
+class Judging:
+    """The terms of a scene, bound, with rollouts of zeros to judge and a task to change."""
+
+    def __init__(self, scene: Scene, shape: Shape, *, terms=(), device: str = "cpu"):
+        self.scene, self.shape, self.layout, self.device = scene, shape, layout_of(scene), device
+        self.task = Task(scene, envs=shape.envs)
+        self.stack = CostStack(scene, self.layout, self.task, terms=terms, device=device)
+        self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), device)
+        self.control = wp.zeros((shape.horizon, shape.worlds, self.layout.nu), dtype=float, device=device)
+        self.state = ObservedState.allocate(self.layout, self.task, device)
+        self.judge = self.judge_with(self.stack)
+
+    def judge_with(self, stack: CostStack) -> Judge:
+        """A judge of the same rollouts by the terms of a stack."""
+        step_end = TimeGrid.of(self.scene).t[: self.shape.horizon + 1]
+        return Judge(stack, self.trajectory, self.control, self.state, self.shape, step_end)
+
+    def set_goal(self, poses: np.ndarray) -> None:
+        """Move the goals [E, 7], and wait for everything that follows them."""
+        self.task["goal"] = poses
+        self.state.pose.assign(self.task.block[:, : 7 * len(self.task.pose_name)].reshape(len(poses), -1, 7))
+        for resource in self.stack.resources:
+            resource.settle()
+
+    def observe(self) -> None:
+        """Bring the resources up to date with the first slice of the rollouts, of each environment's first world."""
+        body_q = self.trajectory.body_q.numpy()[0, :: self.shape.rollouts]
+        self.state.body_q.assign(body_q)
+        self.stack.refresh()
+        for resource in self.stack.resources:
+            resource.before_plan(self.state)
+
+    def cost(self) -> np.ndarray:
+        """Weighted cost of every term, step and world ``[term, T, W]``."""
+        self.judge.launch()
+        self.judge.launch_arrays()
+        return self.judge.cost.numpy().astype(np.float64)
