@@ -21,6 +21,7 @@ from warpmpc import (
     State,
     load_scene,
 )
+from warpmpc.engine.mujoco_warp import MujocoWarpEngine
 from warpmpc.engine.newton import NewtonEngine
 from warpmpc.engine.trajectory import Shape
 from warpmpc.model.compiled import compile_scene
@@ -48,15 +49,15 @@ def controls(worlds: int, *, seed: int = 0) -> np.ndarray:
 
 
 def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
-    layout = compiled(scene).layout
-    return NewtonEngine(
+    engine = MujocoWarpEngine if scene.engine.solver == "mujoco" else NewtonEngine
+    return engine(
         scene,
-        layout,
+        compiled(scene),
         Shape(envs, samples, 1, horizon),
         substeps=[substeps] * horizon,
         timestep=0.04 / substeps,
         pairs=pairs,
-        properties=draw_properties(scene, layout, samples, seed=seed),
+        properties=draw_properties(scene, compiled(scene).layout, samples, seed=seed),
         device=device,
     )
 

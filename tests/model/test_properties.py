@@ -9,8 +9,9 @@ import pytest
 from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError
-from warpmpc.model.mujoco_model import make_world, randomize_model
+from warpmpc.model.mujoco_model import make_world
 from warpmpc.model.properties import Properties, draw_properties
+from warpmpc.model.randomize import randomize_model
 
 SHAPES = {
     "box": (0.3, 0.5, 0.2),

@@ -29,8 +29,9 @@ from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
 from ..launch import Launcher
 from ..model.joints import joint_table
-from ..model.mujoco_model import MujocoWorld, Options, make_world, randomize_model
+from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
+from ..model.randomize import randomize_model
 from .crew import Crew
 from .trajectory import ObservedState, Shape, Trajectory
 

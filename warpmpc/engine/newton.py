@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ``newton`` engine: all worlds in one Newton model, stepped together by any of its solvers."""
+"""The ``newton`` engine: all worlds in one Newton model, stepped together by any of its solvers but MuJoCo."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ import warp as wp
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
 from ..launch import Launcher
 from ..model.joints import joint_table
-from ..model.newton_model import build_model, randomize
+from ..model.newton_model import build_model
+from ..model.randomize import randomize_newton
+from ..scene.errors import SceneError
 from .newton_solver import make_solver
 from .trajectory import ObservedState, Shape, Trajectory
 
 if TYPE_CHECKING:
+    from ..model.compiled import CompiledScene
     from ..model.layout import Layout
     from ..model.pairs import Pair
     from ..model.properties import Properties
@@ -38,7 +41,7 @@ class NewtonEngine:
 
     Args:
         scene: The scene; ``engine.solver`` and ``engine.options`` say which solver steps it.
-        layout: Its layout.
+        compiled: The scene, compiled.
         shape: Sizes of the batch.
         substeps: Physics steps in each control step ``[T]``.
         timestep: Length of a physics step [s].
@@ -47,7 +50,8 @@ class NewtonEngine:
         device: Warp device.
 
     Raises:
-        SceneError: If the solver has no such option, or reports no contact forces although terms watch some.
+        SceneError: If the solver has no such option, or reports no contact forces although terms watch some, or an MJCF
+            file brings what MuJoCo alone simulates.
     """
 
     name = "newton"
@@ -55,7 +59,7 @@ class NewtonEngine:
     def __init__(
         self,
         scene: Scene,
-        layout: Layout,
+        compiled: CompiledScene,
         shape: Shape,
         *,
         substeps: Sequence[int],
@@ -67,11 +71,12 @@ class NewtonEngine:
         self.shape, self.substeps, self.pairs = shape, substeps, pairs
         self.device = str(wp.get_device(device))
         self._launch = Launcher(self.device)
-        self.dt = timestep
+        self.dt, layout = timestep, compiled.layout
+        _refuse_mujocos_own(scene, compiled)
         with wp.ScopedDevice(self.device):
             self.model = build_model(scene, shape.worlds, self.device)
             self.solver = make_solver(self.model, scene, layout, shape, pairs)
-            if properties and (changed := randomize(self.model, layout, shape, properties)):
+            if properties and (changed := randomize_newton(self.model, layout, shape, properties)):
                 self.solver.solver.notify_model_changed(changed)
             self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
             self._table = joint_table(layout, self.device)
@@ -182,3 +187,32 @@ class NewtonEngine:
 
     def close(self) -> None:
         """Nothing to stop."""
+
+
+def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
+    """What MJCF files bring and Newton's own solvers do not simulate is an error, not an omission.
+
+    Raises:
+        SceneError: If there is such a thing.
+    """
+    if not compiled.natives:
+        return
+    layout, model = compiled.layout, compiled.spec().compile()
+    found = {
+        "actuators of the file (give the robot a drive)": any(compiled.actuator_name),
+        "tendons": model.ntendon > 0,
+        "equality constraints": model.neq > 0,
+        "mocap bodies": layout.nm > 0,
+        "flexes": model.nflex > 0,
+        "gravity compensation": bool(model.body_gravcomp.any()),
+        "springs": bool(model.jnt_stiffness.any()),
+    }
+    wrong = [name for name, there in found.items() if there]
+    if wrong:
+        raise SceneError(
+            f"this solver does not simulate what an MJCF file brings: {', '.join(wrong)}",
+            key="engine.solver",
+            file=scene.path,
+            found=str(scene.engine.solver),
+            allowed=["mujoco"],
+        )

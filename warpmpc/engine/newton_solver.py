@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Newton's solvers behind one face: make one from a scene, step it, say what contacts and overflows it reports."""
+"""Newton's solvers but for MuJoCo behind one face: make one from a scene, step it, say what contacts it reports."""
 
 from __future__ import annotations
 
 import inspect
 from typing import TYPE_CHECKING, Any
 
-import mujoco_warp
 import newton
 import warp as wp
 
-from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel, newton_contact_force_kernel
-from ..model.newton_model import contact_bound, pair_table
+from ..kernels.worlds.contacts import newton_contact_force_kernel
+from ..model.pairs import pair_table
 from ..scene.errors import SceneError
 from ..scene.schema import Scene, Solver
 
@@ -24,90 +23,11 @@ if TYPE_CHECKING:
 
 PIPELINE_OVERFLOW = 1 << 30
 """Capacity bit of Newton's own contact pipeline."""
-_CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
-"""Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
-_GRAPH_CONDITIONAL = "graph_conditional"
-"""MuJoCo Warp's own option: leave the solver's loop when all worlds have converged; else run every iteration."""
 _NOT_FOR_SCENES = (
     *("self", "model", "separate_worlds", "use_mujoco_cpu", "use_mujoco_contacts", "use_speculative_contacts"),
     *("save_to_mjcf", "update_data_interval"),
 )
 """Arguments of solvers that say how a program uses them; scenes have no say in it."""
-_ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
-_LARGEST_BOUND = 256
-"""Contact points per world beyond which the sum over all shape pairs says nothing about what happens at once."""
-
-
-class MujocoWarp:
-    """``SolverMuJoCo``: reduced coordinates, MuJoCo's contacts; forces are read from its constraint rows."""
-
-    def __init__(self, model: newton.Model, scene: Scene, layout: Layout, shape: Shape, pairs: tuple[Pair, ...]):
-        bound = min(contact_bound(model, layout, shape.worlds), _LARGEST_BOUND)
-        limits = int((abs(layout.dof_upper - layout.dof_lower) < 1e6).sum())
-        defaults = {
-            "iterations": scene.engine.iterations,
-            "tolerance": scene.engine.tolerance,
-            "nconmax": max(bound, 1),
-            "njmax": max(_ROWS_PER_CONTACT * bound + limits, 1),
-            "disable_sensors": True,
-            "kinematic_switchable_roots": False,
-        }
-        cls = newton.solvers.SolverMuJoCo
-        options = {**defaults, **checked_options(scene, cls.__init__, more=(_GRAPH_CONDITIONAL,))}
-        conditional = bool(options.pop(_GRAPH_CONDITIONAL, True))
-        self.solver = cls(model, **options)
-        self.solver.mjw_model.opt.graph_conditional = conditional
-        self.solver.mjw_model.opt.warn_overflow = 0  # overflows are gathered and told once, not printed by the GPU
-        self._data = self.solver.mjw_data
-        geoms = self.solver.mjc_geom_to_newton_shape.numpy()[0].tolist()
-        self._pairs = pair_table(layout, pairs, geoms, str(model.device))
-        self._elliptic = int(self.solver.mjw_model.opt.cone)
-
-    def reset(self, state: newton.State) -> None:
-        """Forget warm starts, forces, controls and activations; the joint state is left as it is."""
-        self.solver.reset(state, flags=0)
-
-    def step(self, before: newton.State, after: newton.State, control: newton.Control, dt: float) -> None:
-        """One physics step."""
-        self.solver.step(before, after, control, None, dt)
-
-    def finish(self, state: newton.State) -> None:
-        """Complete the state after a control step; nothing to do in reduced coordinates."""
-
-    def add_forces(self, t: int, share: float, force: wp.array, overflow: wp.array) -> None:
-        """Add the contact forces of the last physics step to control step ``t`` and gather its overflows."""
-        data = self._data
-        contact = data.contact
-        wp.launch(
-            mujoco_warp_contact_force_kernel,
-            dim=max(data.naconmax, overflow.shape[0]),
-            inputs=[
-                self._pairs,
-                self._elliptic,
-                data.nacon,
-                contact.worldid,
-                contact.geom,
-                contact.dim,
-                contact.frame,
-                contact.friction,
-                contact.efc_address,
-                data.efc.force,
-                data.overflow,
-                _CAPACITY_BITS,
-                t,
-                share,
-            ],
-            outputs=[force, overflow],
-            device=force.device,
-        )
-
-    def overflow_message(self, bits: int) -> str:
-        """What overflowed and which setting to raise."""
-        data = self._data
-        return (
-            f"the solver's capacity was exceeded (bits {bits:#x}): raise engine.options.nconmax (now "
-            f"{data.naconmax // data.nworld} contacts per world) or engine.options.njmax (now {data.njmax} rows)"
-        )
 
 
 class PipelineSolver:
@@ -200,15 +120,14 @@ _PIPELINE_SOLVERS = {
 
 def make_solver(
     model: newton.Model, scene: Scene, layout: Layout, shape: Shape, pairs: tuple[Pair, ...]
-) -> MujocoWarp | PipelineSolver:
+) -> PipelineSolver:
     """The solver a scene asks for.
 
     Raises:
         SceneError: If an option does not exist, the solver refuses the scene, or cannot report the forces it watches.
     """
-    kind = MujocoWarp if scene.engine.solver is Solver.MUJOCO else PipelineSolver
     try:
-        return kind(model, scene, layout, shape, pairs)
+        return PipelineSolver(model, scene, layout, shape, pairs)
     except SceneError:
         raise
     except (TypeError, ValueError, NotImplementedError) as error:  # what Newton's solvers refuse with
@@ -220,19 +139,17 @@ def make_solver(
         ) from error
 
 
-def checked_options(scene: Scene, make: Callable, *, more: tuple[str, ...] = ()) -> dict[str, Any]:
+def checked_options(scene: Scene, make: Callable) -> dict[str, Any]:
     """The scene's solver options.
 
     Args:
         scene: The scene.
         make: What takes them by name.
-        more: Options taken elsewhere.
 
     Raises:
         SceneError: If the solver has no such option.
     """
     allowed = [n for n in inspect.signature(make).parameters if n not in _NOT_FOR_SCENES]
-    allowed += more
     for name in scene.engine.options:
         if name not in allowed:
             raise SceneError(

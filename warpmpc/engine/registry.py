@@ -12,7 +12,7 @@ import warp as wp
 
 from ..model.mujoco_model import Options
 from ..scene.errors import SceneError
-from ..scene.schema import EngineName
+from ..scene.schema import EngineName, Solver
 from .recorded import RecordedEngine
 
 if TYPE_CHECKING:
@@ -172,20 +172,31 @@ def _make_mujoco(request: EngineRequest) -> Engine:
 
 
 def _make_newton(request: EngineRequest) -> Engine:
-    from .newton import NewtonEngine  # slow to import, and nothing else needs it
+    # slow to import, and nothing else needs them
+    from .mujoco_warp import MujocoWarpEngine
+    from .newton import NewtonEngine
 
-    substeps, timestep = physics_steps(request.scene, request.compiled, request.grid)
-    simulator = NewtonEngine(
-        request.scene,
-        request.compiled.layout,
-        request.shape,
-        substeps=substeps,
-        timestep=timestep,
-        pairs=request.costs.pairs,
-        properties=request.properties,
-        device=request.device,
-    )
-    return _recorded(request, simulator)
+    scene, costs = request.scene, request.costs
+    substeps, timestep = physics_steps(scene, request.compiled, request.grid)
+    common = {
+        "substeps": substeps,
+        "timestep": timestep,
+        "pairs": costs.pairs,
+        "properties": request.properties,
+        "device": request.device,
+    }
+    scene_of = (scene, request.compiled, request.shape)
+    if scene.engine.solver is Solver.MUJOCO:
+        return _recorded(request, MujocoWarpEngine(*scene_of, sensors=costs.sensors, **common))
+    if costs.sensors:
+        raise SceneError(
+            "this solver has no sensors, but cost terms read some",
+            key="engine.solver",
+            file=scene.path,
+            found=str(scene.engine.solver),
+            allowed=["mujoco"],
+        )
+    return _recorded(request, NewtonEngine(*scene_of, **common))
 
 
 register(EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, make=_make_mujoco))

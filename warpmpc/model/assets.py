@@ -46,7 +46,7 @@ def resolve_asset(uri: str, *, base: Path | None, key: str, file: Path | str | N
 
     Args:
         uri: Path relative to ``base``, absolute path, ``package://``, ``model://`` or ``file:`` URI, or the name of an
-            asset shipped with warpmpc or Newton.
+            asset shipped with warpmpc, with or without ``assets/`` before it, or with Newton.
         base: Folder of the scene file; the working directory for a scene without a file.
         key: Key of the scene that names the file, for messages.
         file: Scene file, for messages.
@@ -60,6 +60,8 @@ def resolve_asset(uri: str, *, base: Path | None, key: str, file: Path | str | N
     if re.match(r"[a-z]+://|file:", uri):
         return _resolve_uri(uri, key=key, file=file)
     candidates = [folder / uri for folder in (base or Path.cwd(), *_shipped())]
+    if uri.startswith("assets/"):  # a copy of a shipped scene names what lies beside the original
+        candidates.append(shipped_folder() / uri)
     if Path(uri).expanduser().is_absolute():
         candidates = [Path(uri).expanduser()]
     for candidate in candidates:

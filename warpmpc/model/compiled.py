@@ -13,7 +13,6 @@ import hashlib
 import importlib.metadata
 import json
 import os
-import re
 import tempfile
 import zipfile
 from dataclasses import asdict, dataclass
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import platformdirs
 
+from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
 
@@ -61,7 +61,8 @@ class CompiledScene:
         """The MuJoCo model of the scene, to be compiled."""
         from .compose import compose
 
-        return compose(self.mjcf, self.natives)
+        shapes = zip(self.layout.shapes, self.geom_name, strict=True)
+        return compose(self.mjcf, self.natives, {name for shape, name in shapes if name and shape.collides})
 
     def substeps(self, wanted: int | None, control_dt: float, default: int) -> int:
         """Physics steps per control.
@@ -158,7 +159,7 @@ def _without_helper(mjcf: str) -> str:
 def _compile_natives(scene: Scene, world: World) -> CompiledScene:
     """A scene with MJCF robots: what else stands in it is derived from a Newton world of its own."""
     from .builder import build_rest
-    from .compose import compose, differences, needs_implicit, options_that_differ
+    from .compose import differences, needs_implicit, options_that_differ
     from .mjcf import compile_mjcf, read_mjcf
 
     layout, natives = world.layout, tuple(world.natives.robots)
@@ -184,7 +185,8 @@ def _compile_natives(scene: Scene, world: World) -> CompiledScene:
                     joints[start + k] = found[2][first + k]
     notes = list(world.natives.notes)
     files = [read_mjcf(native, file=scene.path) for native in natives]
-    model = compose(mjcf, natives).compile()
+    names = (tuple(bodies), tuple(geoms))
+    model = CompiledScene(layout, mjcf, *names, (), natives=natives).spec().compile()
     for native, file in zip(natives, files, strict=True):
         name = native.robot.name
         own = compile_mjcf(file, native, file=scene.path)
@@ -197,9 +199,7 @@ def _compile_natives(scene: Scene, world: World) -> CompiledScene:
     if needs_implicit(files[0].spec, natives):
         notes.append("the servos of drives are integrated by implicitfast, unless engine.integrator says otherwise")
     timestep = float(files[0].spec.option.timestep)
-    return CompiledScene(
-        layout, mjcf, tuple(bodies), tuple(geoms), tuple(joints), world.actuator_name, natives, tuple(notes), timestep
-    )
+    return CompiledScene(layout, mjcf, *names, tuple(joints), world.actuator_name, natives, tuple(notes), timestep)
 
 
 def _fetch(folder: Path, key: str) -> CompiledScene:
@@ -262,30 +262,16 @@ def _cache_key(scene: Scene) -> str | None:
     for package in ("warpmpc", "newton", "mujoco", "warp-lang"):
         digest.update(importlib.metadata.version(package).encode())
     room = Path(__file__).parent
-    sources = [Path(__file__), *(room / f"{name}.py" for name in ("axes", "builder", "controls", "layout"))]
-    for source in sources:
+    for source in sorted(room.glob("*.py")):
         digest.update(source.read_bytes())
     for robot in scene.robot:
         path = resolve_asset(robot.asset, base=base, key=f"robot.{robot.name}.asset", file=scene.path)
         if asset_kind(path) is AssetKind.USD:
             return None
-        text = path.read_bytes()
-        digest.update(str(path).encode() + text)
-        for name in re.findall(rb'file(?:name)?\s*=\s*"([^"]+)"', text):
-            _stamp(digest, path, name.decode(errors="replace"))
+        for file in asset_files(path):
+            digest.update(str(file).encode() + file.read_bytes())
     for item in (*scene.object, *scene.obstacle):
         if item.mesh:
             path = resolve_asset(item.mesh, base=base, key=f"{item.name}.mesh", file=scene.path)
             digest.update(str(path).encode() + path.read_bytes())
     return digest.hexdigest()[:32]
-
-
-def _stamp(digest, asset: Path, name: str) -> None:
-    """Add the time and size of a file that an asset names, as far as it is found near the asset."""
-    tail = re.sub(r"^(package|model|file)://", "", name)
-    for parent in asset.parents:
-        file = parent / tail
-        if file.is_file():
-            stat = file.stat()
-            digest.update(f"{file} {stat.st_mtime_ns} {stat.st_size}".encode())
-            return

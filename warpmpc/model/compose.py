@@ -16,7 +16,7 @@ from ..scene.errors import SceneError
 from .mjcf import Native, is_floor, read_mjcf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from ..scene.schema import Robot
 
@@ -26,12 +26,13 @@ _BITS = range(31)
 """Collision bits: MuJoCo's are signed integers of 32 bits."""
 
 
-def compose(mjcf: str, natives: Sequence[Native]) -> mujoco.MjSpec:
+def compose(mjcf: str, natives: Sequence[Native], solid: Collection[str]) -> mujoco.MjSpec:
     """The MuJoCo model of a scene, to be compiled.
 
     Args:
         mjcf: The model that Newton derives from everything but MJCF robots; empty when there is nothing else.
         natives: The MJCF robots.
+        solid: Its geoms that collide; Newton leaves out the bits of those that meet nothing in its own model.
 
     Raises:
         SceneError: If a file cannot be read, or the files use too many collision bits.
@@ -40,7 +41,7 @@ def compose(mjcf: str, natives: Sequence[Native]) -> mujoco.MjSpec:
     if not natives:
         return spec
     children = [read_mjcf(native).spec for native in natives]
-    _share_bits(spec, children, natives)
+    _share_bits(spec, solid, children, natives)
     take_options(spec, children[0])
     if needs_implicit(children[0], natives):
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -105,7 +106,9 @@ def _copy(source: object, target: object) -> None:
             setattr(target, name, value)
 
 
-def _share_bits(spec: mujoco.MjSpec, children: Sequence[mujoco.MjSpec], natives: Sequence[Native]) -> None:
+def _share_bits(
+    spec: mujoco.MjSpec, solid: Collection[str], children: Sequence[mujoco.MjSpec], natives: Sequence[Native]
+) -> None:
     """Set collision bits so that the scene's geoms meet the files' and every file keeps its own rule.
 
     The scene's own bits move to where no file has one. Its solids and its planes get a bit each, which the files'
@@ -127,22 +130,22 @@ def _share_bits(spec: mujoco.MjSpec, children: Sequence[mujoco.MjSpec], natives:
             found=f"{bin(authored & 0xFFFFFFFF).count('1')} of 32",
         )
     place = dict(zip(moved, free, strict=False))
-    solid, plane, *own = (1 << bit for bit in free[len(moved) :])
+    body, plane, *own = (1 << bit for bit in free[len(moved) :])
     shown = dict(zip(quiet, own, strict=False))
     for geom in spec.geoms:
-        if geom.contype | geom.conaffinity:
+        if geom.name in solid:
             is_plane = geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-            geom.contype = _moved(geom.contype, place) | (plane if is_plane else solid)
+            geom.contype = _moved(geom.contype, place) | (plane if is_plane else body)
             geom.conaffinity = _moved(geom.conaffinity, place)
     for i, (child, native) in enumerate(zip(children, natives, strict=True)):
-        answers = solid | (plane if native.robot.ground_contact else 0)
+        answers = body | (plane if native.robot.ground_contact else 0)
         others = sum(bit for j, bit in shown.items() if j != i)
         static = {geom.name for geom in child.worldbody.geoms}
         for geom in child.geoms:
             if not geom.contype | geom.conaffinity:
                 continue
             if geom.name in static:  # a floor or wall of the file: it is no link
-                geom.conaffinity |= solid | sum(shown.values())
+                geom.conaffinity |= body | sum(shown.values())
             elif i in shown:
                 geom.contype, geom.conaffinity = shown[i], answers | others | _contypes(children, i)
             else:

@@ -159,7 +159,7 @@ def _held_coordinate(model: mujoco.MjModel, a: int, first_coord: int) -> int:
     joint = int(model.actuator_trnid[a, 0])
     servo = (
         model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+        and int(model.jnt_type[joint]) in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
         and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
         and model.actuator_gear[a, 0] == 1.0
         and model.actuator_gainprm[a, 0] > 0.0

@@ -113,7 +113,7 @@ def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
 
 def is_floor(kind: int) -> bool:
     """Whether a geom of this type that is fixed to the world is a floor, which stays where its file puts it."""
-    return kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+    return int(kind) in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 def compile_mjcf(mjcf: Mjcf, native: Native, *, file: Path | None = None) -> mujoco.MjModel:

@@ -17,6 +17,7 @@ import warp as wp
 from newton import GeoType
 
 from ..scene.errors import SceneError
+from .collisions import colliding_pairs
 from .mjcf import is_floor
 
 if TYPE_CHECKING:
@@ -229,24 +230,6 @@ def _filter_pairs(part: newton.ModelBuilder, model: mujoco.MjModel) -> None:
         for b in range(a):
             if min(index[a], index[b]) >= 0 and not meets[a, b] and model.geom_bodyid[a] != model.geom_bodyid[b]:
                 part.add_shape_collision_filter_pair(index[b], index[a])
-
-
-def colliding_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Whether two geoms may touch, by contype, conaffinity, parents, excludes and pairs ``[ngeom, ngeom]``."""
-    bits, other = model.geom_contype.astype(np.int64), model.geom_conaffinity.astype(np.int64)
-    meets = ((bits[:, None] & other) | (other[:, None] & bits)) != 0
-    body = model.geom_bodyid
-    weld = model.body_weldid
-    parent = weld[model.body_parentid[weld]]
-    same = weld[body][:, None] == weld[body]
-    family = (parent[body][:, None] == weld[body]) & (weld[body] != 0)
-    filtered = same | (0 if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT else family | family.T)
-    meets &= ~filtered.astype(bool)
-    for signature in model.exclude_signature:
-        first, second = body == int(signature) >> 16, body == int(signature) & 0xFFFF
-        meets &= ~((first[:, None] & second) | (second[:, None] & first))
-    meets[model.pair_geom1, model.pair_geom2] = meets[model.pair_geom2, model.pair_geom1] = True
-    return meets
 
 
 def pose(position: np.ndarray, rotation: np.ndarray = (1.0, 0.0, 0.0, 0.0)) -> wp.transform:

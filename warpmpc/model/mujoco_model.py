@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo models of a compiled scene: time step, actuators, contact sensors, randomized properties."""
+"""MuJoCo models of a compiled scene: options, actuators, sensors, and how their arrays map to the layout."""
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,6 @@ import numpy as np
 from ..scene.errors import SceneError
 from .compiled import CompiledScene
 from .pairs import Pair
-from .properties import Properties
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -236,87 +234,3 @@ def _entities(model: mujoco.MjModel, compiled: CompiledScene) -> tuple[dict, dic
         names = [compiled.geom_name[s] for s in entity.shapes]
         geoms[entity.name] = tuple(model.geom(name).id for name in names if name)
     return bodies, geoms
-
-
-def randomize_model(world: MujocoWorld, properties: Properties, draw: int) -> mujoco.MjModel:
-    """A copy of the model with the properties of one draw; inertia follows mass and size.
-
-    Args:
-        world: The nominal model.
-        properties: Draws of physical properties.
-        draw: Which of them.
-    """
-    model = copy.copy(world.model)
-    for i, name in enumerate(properties.names):
-        factor = float(properties.mass[draw, i])
-        for body in world.bodies[name]:
-            model.body_mass[body] *= factor
-            model.body_inertia[body] *= factor
-        for geom in world.geoms[name]:
-            model.geom_friction[geom, 0] *= float(properties.friction[draw, i])
-            _resize(model, geom, properties.size[draw, i])
-    if properties.names:
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
-
-
-def _resize(model: mujoco.MjModel, geom: int, offset: np.ndarray) -> None:
-    """Add ``offset`` [3] to a primitive's dimensions [m] and scale its body's inertia accordingly."""
-    if not offset.any():
-        return
-    kind = mujoco.mjtGeom(int(model.geom_type[geom]))  # numpy integers do not hash like the enum
-    if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH):
-        return
-    old = model.geom_size[geom].copy()
-    new = old.copy()
-    match kind:
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            change = 0.5 * offset
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            change = offset[:1]
-        case _:  # a radius and a half length
-            change = offset[:2] * [1.0, 0.5]
-    count = len(change)
-    new[:count] = np.maximum(old[:count] + change, 0.1 * old[:count])
-    model.geom_size[geom] = new
-    body = model.geom_bodyid[geom]
-    ratio = _unit_inertia(kind, new) / _unit_inertia(kind, old)
-    if body:
-        model.body_inertia[body] *= ratio[_axis_order(model, body)]
-    match kind:
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            box, radius = new, float(np.linalg.norm(new))
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            box, radius = np.full(3, new[0]), float(new[0])
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            box, radius = np.array([new[0], new[0], new[0] + new[1]]), float(new[0] + new[1])
-        case _:
-            box, radius = np.array([new[0], new[0], new[1]]), float(np.hypot(new[0], new[1]))
-    model.geom_aabb[geom, 3:] = box
-    model.geom_rbound[geom] = radius
-
-
-def _unit_inertia(kind: mujoco.mjtGeom, size: np.ndarray) -> np.ndarray:
-    """Principal inertia per mass [m²] of a primitive with MuJoCo's half sizes."""
-    x, y, z = size
-    match kind:
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 3.0
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return np.full(3, 0.4 * x * x)
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            length = 2.0 * y
-            caps = 4.0 * x / (4.0 * x + 3.0 * length)  # share of the mass
-            across = (1.0 - caps) * (3.0 * x * x + length * length) / 12.0
-            across += caps * (0.4 * x * x + length * (3.0 * x + 2.0 * length) / 8.0)
-            along = (0.5 * (1.0 - caps) + 0.4 * caps) * x * x
-            return np.array([across, across, along])
-        case _:
-            return np.array([x * x / 4.0 + y * y / 3.0, x * x / 4.0 + y * y / 3.0, x * x / 2.0])
-
-
-def _axis_order(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """Geometry axis that each principal axis of a body's inertia lies along."""
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
-    return np.argmax(np.abs(rotation.reshape(3, 3)), axis=0)

@@ -1,0 +1,365 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine ``newton`` with the solver ``mujoco``: the scene's own MuJoCo model in all worlds at once, by MuJoCo Warp.
+
+Both engines simulate one model: what the engine ``mujoco`` compiles is put on the device as it is, in float32.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import mujoco_warp
+import numpy as np
+import warp as wp
+
+from ..kernels.worlds.clone import (
+    clone_activation_kernel,
+    clone_mocap_kernel,
+    clone_state_kernel,
+    finite_state_kernel,
+    gather_kernel,
+    mujoco_activation_kernel,
+    mujoco_state_kernel,
+    record_mujoco_kernel,
+)
+from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel
+from ..kernels.worlds.mujoco_warp import (
+    drive_kernel,
+    load_state_kernel,
+    place_mocap_kernel,
+    store_row_kernel,
+    store_state_kernel,
+)
+from ..launch import Launcher
+from ..model.collisions import colliding_pairs
+from ..model.joints import joint_table
+from ..model.mujoco_model import MujocoWorld, Options, make_world
+from ..model.pairs import pair_table
+from ..model.randomize import batched_arrays
+from ..scene.errors import SceneError
+from .trajectory import ObservedState, Shape, Trajectory
+
+if TYPE_CHECKING:
+    from ..model.compiled import CompiledScene
+    from ..model.layout import Layout
+    from ..model.pairs import Pair
+    from ..model.properties import Properties
+    from ..scene.schema import Scene
+
+LARGEST_SPEED = 1.0e10
+"""Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
+_CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
+"""Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
+_ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
+_LARGEST_BOUND = 256
+"""Contact points per world beyond which the sum over all pairs of geoms says nothing about what happens at once."""
+_POINTS = {frozenset(("box",)): 8, frozenset(("capsule",)): 2}
+"""Most contact points between two geoms of these kinds; a sphere has one with anything, others up to four."""
+_CAPACITIES = ("njmax", "njmax_nnz", "nconmax")
+_GRAPH_CONDITIONAL = "graph_conditional"
+"""MuJoCo Warp's own option: leave the solver's loop when all worlds have converged; else run every iteration."""
+_ENUMS = {
+    "solver": {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON},
+    "integrator": {
+        "euler": mujoco.mjtIntegrator.mjINT_EULER,
+        "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    },
+    "cone": {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC},
+    "jacobian": {
+        "dense": mujoco.mjtJacobian.mjJAC_DENSE,
+        "sparse": mujoco.mjtJacobian.mjJAC_SPARSE,
+        "auto": mujoco.mjtJacobian.mjJAC_AUTO,
+    },
+}
+_NUMBERS = (
+    *("iterations", "ls_iterations", "ccd_iterations", "sdf_iterations", "sdf_initpoints"),
+    *("tolerance", "ls_tolerance", "ccd_tolerance", "impratio", "density", "viscosity", "wind", "magnetic"),
+)
+_FLAGS = {
+    "enable_multiccd": (mujoco.mjtDisableBit.mjDSBL_MULTICCD, False),
+    "disable_contacts": (mujoco.mjtDisableBit.mjDSBL_CONTACT, True),
+}
+"""Options that set (True) or clear (False) a bit of MuJoCo's ``disableflags``."""
+OPTIONS = (*_CAPACITIES, _GRAPH_CONDITIONAL, *_ENUMS, *_NUMBERS, *_FLAGS)
+"""What a scene may say under ``engine.options``."""
+
+
+class MujocoWarpEngine:
+    """Rolls out W worlds of one MuJoCo model with MuJoCo Warp.
+
+    Everything after construction is a fixed sequence of launches without host synchronization or allocation, so that
+    a whole plan can be captured in one CUDA graph. On the CPU the same launches run one by one, slowly.
+
+    Args:
+        scene: The scene; ``engine.options`` says what the solver does otherwise.
+        compiled: The scene, compiled.
+        shape: Sizes of the batch.
+        substeps: Physics steps in each control step ``[T]``.
+        timestep: Length of a physics step [s].
+        pairs: Pairs of entities whose contact force is watched.
+        properties: Draws of physical properties; ``None`` leaves every world nominal.
+        sensors: Sensors to record, all if None; the others are left out of the model.
+        device: Warp device.
+
+    Raises:
+        SceneError: If there is no such option, or MuJoCo Warp lacks what the model needs.
+    """
+
+    name = "newton"
+
+    def __init__(
+        self,
+        scene: Scene,
+        compiled: CompiledScene,
+        shape: Shape,
+        *,
+        substeps: Sequence[int],
+        timestep: float,
+        pairs: tuple[Pair, ...] = (),
+        properties: Properties | None = None,
+        sensors: Collection[str] | None = None,
+        device: str = "cuda",
+    ):
+        self.shape, self.substeps, self.pairs = shape, tuple(substeps), pairs
+        self.device = str(wp.get_device(device))
+        self._launch = Launcher(self.device)
+        layout, options = compiled.layout, _checked(scene)
+        world = make_world(compiled, timestep=timestep, options=Options.of(scene.engine), sensors=sensors)
+        self.mj_model = world.model
+        try:
+            with wp.ScopedDevice(self.device):
+                _set_options(world.model, options)
+                _refuse_rk4(world.model)
+                self._put(world, layout, options, properties)
+        except (TypeError, ValueError, KeyError, NotImplementedError) as error:  # what MuJoCo Warp refuses with
+            raise SceneError(
+                f"the solver refuses this scene or its options: {error}",
+                key="engine.options",
+                file=scene.path,
+                found=dict(scene.engine.options),
+            ) from error
+        self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
+        self._bind(world, compiled)
+
+    def _put(self, world: MujocoWorld, layout: Layout, options: dict, properties: Properties | None) -> None:
+        """Put the model and its worlds on the device."""
+        shape, model = self.shape, world.model
+        varied = batched_arrays(world, properties, shape) if properties and properties.names else {}
+        self.model = mujoco_warp.put_model(model, batch_sizes=dict.fromkeys(varied, shape.worlds))
+        for name, values in varied.items():
+            array = getattr(self.model, name)
+            array.assign(values.astype(np.float32).reshape(array.numpy().shape))
+        self.model.opt.graph_conditional = bool(options.get(_GRAPH_CONDITIONAL, True))
+        self.model.opt.warn_overflow = 0  # overflows are gathered and told once, not printed by the GPU
+        bound = max(min(contact_bound(model), _LARGEST_BOUND), 1)
+        limits = int((abs(layout.dof_upper - layout.dof_lower) < 1e6).sum())
+        limits += int(model.tendon_limited.sum()) + 6 * model.neq + int((model.dof_frictionloss > 0).sum())
+        limits += int((model.tendon_frictionloss > 0).sum())
+        capacities = {"nconmax": bound, "njmax": max(_ROWS_PER_CONTACT * bound + limits, 1)}
+        capacities |= {name: options[name] for name in _CAPACITIES if name in options}
+        self.data = mujoco_warp.make_data(model, nworld=shape.worlds, **capacities)
+
+    def _bind(self, world: MujocoWorld, compiled: CompiledScene) -> None:
+        """Tables and memory between Newton's conventions and MuJoCo's."""
+        layout, model, shape, steps = compiled.layout, world.model, self.shape, self.shape.horizon
+
+        def upload(values: object, dtype: type = int) -> wp.array:
+            return wp.array(values, dtype=dtype, device=self.device)
+
+        self._table = joint_table(
+            layout, self.device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd
+        )
+        self._matrix, self._offset = upload(world.actuator_matrix, float), upload(world.actuator_offset, float)
+        width = 1 + model.nq + model.nv + model.na
+        self._start = wp.zeros((shape.worlds, width), dtype=wp.float64, device=self.device)
+        self._state = wp.zeros((shape.worlds, steps, width), dtype=wp.float64, device=self.device)
+        self._sensor = wp.zeros((shape.worlds, steps, model.nsensordata), dtype=wp.float64, device=self.device)
+        self._end = upload(np.arange(steps))
+        self._activation = upload(1 + model.nq + model.nv + world.activation)
+        self._mocap, self._sensors = upload(world.mocap), upload(world.sensor)
+        shapes = np.full(model.ngeom, -1)
+        for s, name in enumerate(compiled.geom_name):
+            if name:
+                shapes[model.geom(name).id] = s
+        self._pairs = pair_table(layout, self.pairs, shapes.tolist(), self.device)
+
+    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
+        """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it."""
+        count = self.shape.worlds - first if count is None else count
+        out, rollouts = self.trajectory, self.shape.rollouts
+        if self._mocap.size:
+            dim, poses = (count, self._mocap.size), self._table.mocap_pose
+            self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [poses])
+            placed = [self.data.mocap_pos, self.data.mocap_quat]
+            self._launch(place_mocap_kernel, dim, [poses, self._mocap, first], placed)
+        self._launch(
+            clone_state_kernel,
+            count,
+            [self._table, state.joint_q, state.joint_qd, rollouts, first],
+            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
+        )
+        if self._activation.size:
+            dim = (count, self._activation.size)
+            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
+
+    @property
+    def parts(self) -> list[tuple[int, int]]:
+        """First world and number of worlds of the only part."""
+        return [(0, self.shape.worlds)]
+
+    def run(self, work: Callable[[int], None]) -> None:
+        """Call ``work(part)`` for the only part."""
+        work(0)
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls out; there is but one part."""
+        self.rollout(control)
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""
+        self._control = control
+        self.trajectory.contact_force.zero_()
+        self.trajectory.overflow.zero_()
+        self._load()
+        for t, substeps in enumerate(self.substeps):
+            self._drive(t)
+            for _ in range(substeps):
+                mujoco_warp.step(self.model, self.data)
+                self._add_forces(t, 1.0 / substeps)
+            self._store(t)
+        self._record()
+
+    def step_physics(self) -> None:
+        """The physics alone: the same steps with the last controls, nothing recorded."""
+        for t, substeps in enumerate(self.substeps):
+            self._drive(t)
+            for _ in range(substeps):
+                mujoco_warp.step(self.model, self.data)
+
+    def _load(self) -> None:
+        """Start the worlds from slice 0 of the trajectory; nothing of an earlier rollout remains."""
+        out, data, worlds = self.trajectory, self.data, self.shape.worlds
+        inputs = [self._table, self.mj_model.nq, out.joint_q, out.joint_qd, 0]
+        self._launch(mujoco_state_kernel, worlds, inputs, [self._start])
+        if self._activation.size:
+            dim = (worlds, self._activation.size)
+            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, 0], [self._start])
+        started = [data.time, data.qpos, data.qvel, data.act]
+        self._launch(load_state_kernel, self._start.shape, [self._start], started)
+        for array in (data.qacc_warmstart, data.qfrc_applied, data.xfrc_applied, data.ctrl):
+            array.zero_()
+
+    def _drive(self, t: int) -> None:
+        dim = (self.shape.worlds, len(self._offset))
+        self._launch(drive_kernel, dim, [self._control, self._matrix, self._offset, t], [self.data.ctrl])
+
+    def _add_forces(self, t: int, share: float) -> None:
+        """Add the contact forces of the last physics step to control step ``t`` and gather its overflows."""
+        out, data, contact = self.trajectory, self.data, self.data.contact
+        self._launch(
+            mujoco_warp_contact_force_kernel,
+            (max(data.naconmax, self.shape.worlds),),
+            [
+                *(self._pairs, int(self.mj_model.opt.cone), data.nacon),
+                *(contact.worldid, contact.geom, contact.dim, contact.frame, contact.friction, contact.efc_address),
+                *(data.efc.force, data.overflow, _CAPACITY_BITS, t, share),
+            ],
+            [out.contact_force, out.overflow],
+        )
+
+    def _store(self, t: int) -> None:
+        data, worlds = self.data, self.shape.worlds
+        dim = (worlds, self._state.shape[2])
+        self._launch(store_state_kernel, dim, [data.time, data.qpos, data.qvel, data.act, t], [self._state])
+        if self._sensor.size:
+            self._launch(store_row_kernel, (worlds, self._sensor.shape[2]), [data.sensordata, t], [self._sensor])
+
+    def _record(self) -> None:
+        """The record in Newton's conventions, with body poses, from what the worlds went through."""
+        out, dim = self.trajectory, (self.shape.horizon, self.shape.worlds)
+        self._launch(
+            record_mujoco_kernel,
+            dim,
+            [self._table, self.mj_model.nq, self._end, self._state, 0],
+            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
+        )
+        if self._activation.size:
+            self._launch(gather_kernel, dim, [self._state, self._activation, self._end, 1, 0], [out.act])
+        if self._sensor.size:
+            self._launch(gather_kernel, dim, [self._sensor, self._sensors, self._end, 0, 0], [out.sensor])
+        self._launch(
+            finite_state_kernel, (self.shape.worlds,), [out.joint_q, out.joint_qd, LARGEST_SPEED], [out.diverged]
+        )
+
+    def overflow_message(self, bits: int) -> str:
+        """What overflowed and which setting to raise."""
+        data = self.data
+        return (
+            f"the solver's capacity was exceeded (bits {bits:#x}): raise engine.options.nconmax (now "
+            f"{data.naconmax // data.nworld} contacts per world) or engine.options.njmax (now {data.njmax} rows)"
+        )
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+def _checked(scene: Scene) -> dict[str, Any]:
+    """The scene's options.
+
+    Raises:
+        SceneError: If there is no such option.
+    """
+    for name in scene.engine.options:
+        if name not in OPTIONS:
+            raise SceneError(
+                "the solver mujoco has no such option",
+                key=f"engine.options.{name}",
+                file=scene.path,
+                found=name,
+                allowed=OPTIONS,
+            )
+    return dict(scene.engine.options)
+
+
+def _set_options(model: mujoco.MjModel, options: dict[str, Any]) -> None:
+    """Set MuJoCo's own options of a model.
+
+    Raises:
+        ValueError: If an option has no such value.
+    """
+    for name, value in options.items():
+        if name in _ENUMS:
+            if value not in _ENUMS[name]:
+                raise ValueError(f"{name} = '{value}' is none of {', '.join(_ENUMS[name])}")
+            setattr(model.opt, name, int(_ENUMS[name][value]))
+        elif name in _NUMBERS:
+            setattr(model.opt, name, value)
+        elif name in _FLAGS:
+            bit, sets = _FLAGS[name]
+            on = bool(value) == sets
+            model.opt.disableflags = (model.opt.disableflags | int(bit)) if on else (model.opt.disableflags & ~int(bit))
+
+
+def _refuse_rk4(model: mujoco.MjModel) -> None:
+    """MuJoCo Warp's RK4 takes activations otherwise than MuJoCo does: 1e-3 apart after 50 steps of a quadrotor.
+
+    Raises:
+        NotImplementedError: If a model needs both.
+    """
+    if model.na and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        raise NotImplementedError(
+            "RK4 with actuators that have activations: set engine.integrator to euler or implicitfast"
+        )
+
+
+def contact_bound(model: mujoco.MjModel) -> int:
+    """Contact points one world can have at once: the sum over its pairs of geoms that may touch."""
+    kinds = [mujoco.mjtGeom(int(kind)).name.removeprefix("mjGEOM_").lower() for kind in model.geom_type]
+    total = 0
+    for a, b in np.argwhere(np.triu(colliding_pairs(model), 1)):
+        pair = frozenset((kinds[a], kinds[b]))
+        total += 1 if "sphere" in pair else _POINTS.get(pair, 4)
+    return total
