@@ -33,7 +33,7 @@ def example(tmp_path):
 
 def run(folder: Path, *args: str) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [sys.executable, "-m", "warpmpc.cli", *args], cwd=folder, capture_output=True, text=True, timeout=280
+        [sys.executable, "-m", "warpmpc.cli.main", *args], cwd=folder, capture_output=True, text=True, timeout=280
     )
 
 
@@ -68,7 +68,7 @@ def test_shown_commands_exist():
     lines = [line for kind, text in BLOCKS if kind == "sh" for line in text.splitlines()]
     shown = {m.group(1) for line in lines if (m := re.search(r"warpmpc (\w+)", line))}
     help_text = subprocess.run(
-        [sys.executable, "-m", "warpmpc.cli", "--help"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "warpmpc.cli.main", "--help"], capture_output=True, text=True, timeout=60
     ).stdout
     assert shown
     for command in shown:

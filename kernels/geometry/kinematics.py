@@ -28,6 +28,7 @@ class JointTable:
     angular_axes: wp.array[int]  # [nj]
     pose_parent: wp.array[wp.transform]  # [nj] joint anchor in the parent's frame
     pose_child: wp.array[wp.transform]  # [nj] joint anchor in the child's frame
+    centred: wp.array[int]  # [nj] whether that anchor is the child's own frame
     axis: wp.array[wp.vec3]  # [nv]
     body_com: wp.array[wp.vec3]  # [nb]
     mujoco_q: wp.array[int]  # [nj] first qpos of the joint in MuJoCo, -1 where it has none
@@ -109,8 +110,29 @@ def forward_kinematics(
             anchor = body_q[t, w, parent] * anchor
         if table.mocap[j] >= 0:
             anchor = table.mocap_pose[w, table.mocap[j]]
-        moved = anchor * joint_transform(table, j, q, t, w)
-        pose = moved * wp.transform_inverse(table.pose_child[j])
+        # most joints only slide, turn about one axis, or nothing: leave out what multiplies by one and adds zero
+        slides = kind != FREE and kind != DISTANCE and kind != BALL and table.angular_axes[j] == 0
+        turn = wp.transform_get_rotation(anchor)
+        moved = anchor
+        v_joint = wp.vec3(0.0)
+        w_joint = wp.vec3(0.0)
+        if not slides:
+            moved = anchor * joint_transform(table, j, q, t, w)
+            local = joint_twist(table, j, q, qd, t, w)
+            v_joint = wp.quat_rotate(turn, wp.spatial_top(local))
+            w_joint = wp.quat_rotate(turn, wp.spatial_bottom(local))
+        elif table.linear_axes[j] > 0:
+            way = wp.vec3(0.0)
+            speed = wp.vec3(0.0)
+            for k in range(table.linear_axes[j]):
+                axis = table.axis[table.qd_start[j] + k]
+                way += axis * q[t, w, table.q_start[j] + k]
+                speed += axis * qd[t, w, table.qd_start[j] + k]
+            moved = wp.transform(wp.transform_get_translation(anchor) + wp.quat_rotate(turn, way), turn)
+            v_joint = wp.quat_rotate(turn, speed)
+        pose = moved
+        if table.centred[j] == 0:
+            pose = moved * wp.transform_inverse(table.pose_child[j])
         origin = wp.transform_get_translation(pose)
         com = wp.transform_point(pose, table.body_com[child])
         if parent >= 0:
@@ -119,12 +141,9 @@ def forward_kinematics(
             parent_com = wp.transform_point(body_q[t, w, parent], table.body_com[parent])
             v_anchor = wp.spatial_top(twist) + wp.cross(w_parent, origin - parent_com)
 
-        local = joint_twist(table, j, q, qd, t, w)
-        v_joint = wp.transform_vector(anchor, wp.spatial_top(local))
-        w_joint = wp.transform_vector(anchor, wp.spatial_bottom(local))
         if kind == FREE or kind == DISTANCE:
             v_joint -= wp.cross(w_joint, com - origin)
-        else:
+        elif table.centred[j] == 0:
             v_joint += wp.cross(w_joint, origin - wp.transform_get_translation(moved))
 
         omega = w_parent + w_joint

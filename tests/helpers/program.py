@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PROGRAM = [sys.executable, "-m", "warpmpc.cli"]
+PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
 
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
 """Ten controls from few samples: nothing is reached."""

@@ -84,7 +84,7 @@ class Loop:
         self.controls.append(control)
         self.bodies.append(self.plant.body_q)
         self.errors.append(self.plant.error.position)
-        self.costs.append(self.controller.plan.weights.cost.numpy()[0].copy())
+        self.costs.append(self.controller.engine.cost.numpy()[0].copy())
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,8 @@ def compiled():
 @pytest.fixture
 def loop(compiled):
     scene, built = compiled
-    return Loop(Controller(scene, compiled=built), Plant(scene, compiled=built))
+    controller = Controller(scene, compiled=built)
+    return Loop(controller, Plant(scene, compiled=built, task=controller.task))
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +180,7 @@ def test_rollouts_start_where_the_plant_is_and_the_fan_is_coloured_by_cost(run):
         rank = [int(np.flatnonzero(c == _COLORS)[0]) for c in colors[k]]
         assert rank == sorted(rank, reverse=True)  # from the cheapest on
     # the last plan is still in the controller
-    poses = loop.controller.engine.trajectory.body_q.numpy()[:, loop.infos[-1].best, 4, :3]
+    poses = loop.controller.engine.simulator.trajectory.body_q.numpy()[:, loop.infos[-1].best, 4, :3]
     np.testing.assert_array_equal(np.array(best[-1][0], dtype=np.float32), poses)
     np.testing.assert_array_equal(fan[-1][:2], best[-1])  # the cheapest of the fan
 
@@ -197,7 +198,7 @@ def test_the_file_opens_with_views_of_its_own(run):
 def test_a_moved_goal_moves_its_ghost(loop, tmp_path):
     with Recorder(tmp_path / "goal.rrd", loop.controller, loop.plant) as recorder:
         loop.step(recorder)
-        loop.controller.set_goal(np.array([1.0, 2.0, 0.15, 0.0, 0.0, 0.0, 1.0]))
+        loop.controller.task["goal"] = np.array([1.0, 2.0, 0.15, 0.0, 0.0, 0.0, 1.0])
         loop.step(recorder)
         loop.step(recorder)
     steps, _, at = Recording(tmp_path / "goal.rrd").over_time("/goal", "Transform3D:translation")
@@ -238,7 +239,7 @@ def test_rollouts_that_mean_nothing_are_not_drawn(loop, tmp_path, caplog):
     controller, plant = loop.controller, loop.plant
     with Recorder(tmp_path / "nan.rrd", controller, plant, fan=100) as recorder:
         control = controller.step(plant.observe())
-        cost = controller.plan.weights.cost.numpy()
+        cost = controller.engine.cost.numpy()
         cost[0, 7] = np.inf
         plant.apply(control)
         recorder.log(control)
@@ -277,10 +278,10 @@ def test_every_shape_can_be_drawn(loop, tmp_path, kind):
 
 KILLED = f"""
 import sys
-from warpmpc.controller import Controller
-from warpmpc.engine.compiled import compile_scene
-from warpmpc.plant import Plant
-from warpmpc.record import Recorder
+from warpmpc.control.controller import Controller
+from warpmpc.model.compiled import compile_scene
+from warpmpc.plant.simulated import Plant
+from warpmpc.record.recorder import Recorder
 from warpmpc.scene.load import load_scene
 
 scene = load_scene("omni_push_box", overrides={[*SMALL[:2], "timing.timeout=1000"]!r})

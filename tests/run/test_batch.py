@@ -57,7 +57,7 @@ def test_a_plant_of_a_batch_is_the_plant_alone():
     alone = [Plant(scene, seed=7 + e, compiled=compiled(scene)) for e in range(4)]
     assert isinstance(batch, PlantBatch)
     assert batch.envs == 4
-    np.testing.assert_array_equal(batch.goal, [plant.goal for plant in alone])
+    np.testing.assert_array_equal(batch.task["goal"], [plant.goal for plant in alone])
     for _ in range(2):
         for control in controls(30, 4):
             seen = batch.observe()
@@ -65,7 +65,7 @@ def test_a_plant_of_a_batch_is_the_plant_alone():
                 single = plant.observe()
                 np.testing.assert_array_equal(seen.joint_q[e], single.joint_q)
                 np.testing.assert_array_equal(seen.joint_qd[e], single.joint_qd)
-                assert seen.time == single.time
+                assert seen.time[e] == single.time
                 plant.apply(control[e])
             batch.apply(control)
             for one, other in zip(batch.plants, alone, strict=True):
@@ -104,7 +104,7 @@ def test_finished_plants_stand_still():
     assert [plant.time for plant in batch.plants] == pytest.approx([finished[e] for e in range(3)])
     assert batch.reasons == ("goal reached", "goal reached", "timeout")
     np.testing.assert_array_equal(batch.success, [True, True, False])
-    assert batch.time == batch.observe().time + 0.08 == scene.timing.timeout
+    assert batch.time == batch.observe().time.max() + 0.08 == scene.timing.timeout
     before = batch.state
     batch.apply(control)
     np.testing.assert_array_equal(batch.state.joint_q, before.joint_q)
@@ -126,11 +126,11 @@ def test_an_environment_gets_the_command_of_a_controller_alone():
     scene = make_scene(object=[BOX], obstacle=[wall], cost=cost, planner={"samples": 16, "horizon": 4})
     batch = Controller(scene, seed=3, envs=3, compiled=compiled(scene))
     alone = [Controller(scene, seed=3, compiled=compiled(scene)) for _ in range(3)]
-    goals = batch.goal.copy()
+    goals = batch.task["goal"]
     goals[:, 1] += [-0.5, 0.0, 0.3]
-    batch.set_goal(goals)
+    batch.task["goal"] = goals
     for controller, goal in zip(alone, goals, strict=True):
-        controller.set_goal(goal)
+        controller.task["goal"] = goal
     rng = np.random.default_rng(1)
     for step in range(5):
         q = np.tile(batch.layout.joint_q, (3, 1))
@@ -198,7 +198,7 @@ def test_episodes_that_are_over_at_the_start_make_no_plan():
     for result in run(scene, range(3), envs=2).values():
         assert (result.steps, result.reason) == (0, "goal reached")
         assert result.to_json()["plan_ms"]["p50"] is None
-        assert result.to_json()["stages_ms"]["rollout"] is None
+        assert result.to_json()["stages_ms"]["evaluate"] is None
 
 
 def test_ctrl_c_tells_how_far_every_episode_came():

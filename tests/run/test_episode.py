@@ -128,7 +128,7 @@ def make_result(**changes) -> EpisodeResult:
         "max_force": 0.0,
         "time_in_contact": 0.0,
         "plan_ms": {"p50": 1.0},
-        "stages_ms": {"clone": 0.1},
+        "stages_ms": {"begin": 0.1},
         "diverged_worlds": 0,
         "samples": 16,
         "horizon": 4,

@@ -56,7 +56,7 @@ def main() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from ...warpmpc import __version__
+        from .. import __version__
 
         typer.echo(f"warpmpc {__version__}")
         raise typer.Exit

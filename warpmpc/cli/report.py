@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..engine.registry import physics_steps
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method
 
@@ -125,6 +124,8 @@ def _default(field: FieldInfo) -> str:
 
 def print_check(episode: Episode, out: TextIO) -> None:
     """Print what an episode is built of; its controller has made a plan."""
+    from ..engine.registry import physics_steps  # slow to import, and lists need no physics
+
     scene, controller = episode.scene, episode.controller
     layout = controller.layout
     console = _console(out)

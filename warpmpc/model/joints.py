@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.geometry.kinematics import JointTable
+from .layout import IDENTITY
 
 if TYPE_CHECKING:
     from .layout import Layout
@@ -46,6 +47,7 @@ def joint_table(
     table.angular_axes = ints(np.ascontiguousarray(layout.joint_dof_dim[:, 1]))
     table.pose_parent = wp.array(layout.joint_pose_parent, dtype=wp.transform, device=device)
     table.pose_child = wp.array(layout.joint_pose_child, dtype=wp.transform, device=device)
+    table.centred = ints(np.all(layout.joint_pose_child == IDENTITY, axis=1).astype(np.int32))
     table.axis = wp.array(layout.dof_axis, dtype=wp.vec3, device=device)
     table.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
     table.mujoco_q = ints(mujoco_q)
