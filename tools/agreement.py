@@ -39,7 +39,7 @@ def visited(scene: warpmpc.Scene, compiled, *, seconds: float, count: int) -> li
 
 def recorded(controller: warpmpc.Controller) -> dict[str, np.ndarray]:
     """What an engine recorded, as ``[T, W, n]`` arrays."""
-    out = controller.engine.trajectory
+    out = controller.engine.simulator.trajectory
     steps, worlds = out.contact_force.shape[:2]
     return {
         "joint_q": out.joint_q.numpy()[1:].astype(float),
@@ -71,11 +71,11 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
     found: dict[str, list[np.ndarray]] = {quantity: [] for quantity in QUANTITIES}
     for state in visited(scene, compiled, seconds=seconds, count=states):
         reference.step(state)
-        control = wp.clone(reference.plan.control, device=other.engine.device)
+        control = wp.clone(reference.engine.control, device=other.engine.device)
         ours = recorded(reference)
         other.step(state)
-        other.engine.clone(other.graph.state)
-        other.engine.rollout(control)
+        other.engine.simulator.clone(other.planner.state)
+        other.engine.simulator.rollout(control)
         theirs = recorded(other)
         for quantity, values in found.items():
             gap = np.nan_to_num(np.abs(ours[quantity] - theirs[quantity]), nan=np.inf)

@@ -28,8 +28,9 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
+from warpmpc.launch import Replay
 from warpmpc.model.compiled import compile_scene
-from warpmpc.planner.plan import STAGES
+from warpmpc.planner.step import STAGES
 
 STATES = 12
 """States from the closed-loop run that the plans are made from, in turn."""
@@ -59,7 +60,9 @@ class BareGraph:
                 engine.step_physics()
             self._run = lambda: wp.capture_launch(capture.graph)
         else:
-            self._run = engine.step_physics
+            self._run = Replay(engine.step_physics)  # as plans are on the CPU
+            for _ in range(2):  # load the kernels, record the launches
+                self._run()
 
     def __call__(self) -> float:
         """Step the engine's last rollouts again; returns the wall time [s]."""
@@ -75,7 +78,7 @@ def stage_times(controller: warpmpc.Controller, plans: int = 30) -> dict[str, fl
     if not device.is_cuda:
         return dict(controller.info.stages_ms)
     times = dict.fromkeys(STAGES, 0.0)
-    for stage, run in controller.plan.sequence(controller.graph.state):
+    for stage, run in controller.planner.sequence():
         with wp.ScopedCapture(device=device) as capture:
             run()
         samples = []
@@ -119,11 +122,12 @@ def fidelity(controller: warpmpc.Controller, compiled, states: list[warpmpc.Stat
     errors = []
     for state in states[:: max(1, len(states) // 4)]:
         controller.step(state)
-        control = wp.clone(controller.plan.control, device="cpu")
+        control = wp.clone(controller.engine.control, device="cpu")
         reference.step(state)
-        reference.engine.clone(reference.graph.state)
-        reference.engine.rollout(control)
-        ours, theirs = (c.engine.trajectory.body_q.numpy()[-1, :, :, :3] for c in (controller, reference))
+        exactly = reference.engine.simulator
+        exactly.clone(reference.planner.state)
+        exactly.rollout(control)
+        ours, theirs = (c.engine.simulator.trajectory.body_q.numpy()[-1, :, :, :3] for c in (controller, reference))
         errors.append(1e3 * np.linalg.norm(ours - theirs, axis=-1).max(axis=-1))
     reference.engine.close()
     errors = np.nan_to_num(np.concatenate(errors), nan=np.inf)
@@ -148,7 +152,8 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
     controller.step(states[0])
     controller.step(states[0])
     ready = time.perf_counter() - began
-    bare = BareGraph(controller.engine) if engine == "newton" else BareRollout(controller.engine)
+    simulator = controller.engine.simulator
+    bare = BareGraph(simulator) if engine == "newton" else BareRollout(simulator)
     plan, floor = [], []
     for i in range(args.plans + 3):
         start = time.perf_counter()
@@ -159,7 +164,7 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
         plan.append(1e3 * took)
         floor.append(1e3 * bare())
     shape = controller.shape
-    steps = shape.worlds * sum(controller.engine.simulator.substeps)
+    steps = shape.worlds * sum(simulator.substeps)
     first = controller.info if args.envs == 1 else controller.info[0]
     row = {
         "scene": source,
@@ -170,7 +175,7 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
         "envs": args.envs,
         "samples": shape.rollouts,
         "horizon": shape.horizon,
-        "substeps": controller.engine.simulator.substeps[0],
+        "substeps": simulator.substeps[0],
         "overrides": overrides,
         "plan_ms": {name: float(np.percentile(plan, p)) for name, p in (("p50", 50), ("p99", 99))},
         "floor_ms": float(np.median(floor)),
@@ -181,7 +186,7 @@ def measure(source: str, case: str, overrides: list[str], engine: str, device: s
         "memory_MiB": (free - wp.get_device(device).free_memory) / 2**20 if cuda else None,
         "start_s": ready,
         "diverged": first.diverged_worlds,
-        "overflow": int(controller.engine.trajectory.overflow.numpy().max()),
+        "overflow": int(simulator.trajectory.overflow.numpy().max()),
     }
     if args.envs == 1:
         row["activities"] = activities(controller, states[-1])

@@ -61,15 +61,19 @@ class Clearance:
 class Meter:
     """Measures an episode; hand it to :meth:`warpmpc.run.episode.Episode.run` as ``on_step``.
 
+    In a scene without a goal there is nothing whose way and errors could be measured: they are ``None``.
+
     Args:
         plant: The episode's plant, before its first step.
     """
 
     def __init__(self, plant: Plant):
         self.plant = plant
-        frame = plant.layout.frame(plant.scene.goal.target)
-        self._body, self._offset = int(plant.layout.frame_body[frame]), plant.layout.frame_pose[frame][:3]
-        self.place = self._goal_target()
+        self._goal = plant.scene.goal is not None
+        if self._goal:
+            frame = plant.layout.frame(plant.scene.goal.target)
+            self._body, self._offset = int(plant.layout.frame_body[frame]), plant.layout.frame_pose[frame][:3]
+            self.place = self._goal_target()
         self._start = plant.error
         self.path_length = 0.0
         self._clearance = Clearance(plant.compiled) if plant.scene.obstacle else None
@@ -77,9 +81,10 @@ class Meter:
 
     def __call__(self, controller: Controller | None, plant: Plant, control: np.ndarray) -> None:
         """Take note of the step just made."""
-        at = self._goal_target()
-        self.path_length += float(np.linalg.norm(at - self.place))
-        self.place = at
+        if self._goal:
+            at = self._goal_target()
+            self.path_length += float(np.linalg.norm(at - self.place))
+            self.place = at
         if self._clearance:
             self.clearance = min(self.clearance, self._clearance(plant.body_q))
 
@@ -90,10 +95,13 @@ class Meter:
 
     def to_json(self) -> dict[str, object]:
         """The measures as data for JSON, ``None`` for what is not finite; units in the keys."""
-        start, end = self._start, self.plant.error
+        start, end, clearance = self._start, self.plant.error, _number(self.clearance)
+        if not self._goal:
+            names = ("path_length_m", "start_position_error_m", "axes_error_m", "rotation_error_rad")
+            return {**dict.fromkeys(names), "clearance_m": clearance}
         return {
             "path_length_m": _number(self.path_length),
-            "clearance_m": _number(self.clearance),
+            "clearance_m": clearance,
             "start_position_error_m": _number(start.position),
             "axes_error_m": [_number(value) for value in end.axes],
             "rotation_error_rad": _number(end.rotation),

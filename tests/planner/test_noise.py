@@ -20,7 +20,9 @@ def make(source: NoiseKind, device: str, **options) -> NoiseSource:
 
 def launch(noise: NoiseSource, observed=(1, 1)) -> None:
     """Draw anew for the environments that are observed."""
-    noise.launch(wp.array(observed[: noise.z.shape[0]], dtype=int, device=noise.device))
+    noise.advance(wp.array(observed[: noise.z.shape[0]], dtype=int, device=noise.device))
+    if noise.redraw:
+        noise.draw(0, noise.z.shape[0] * noise.z.shape[1])
 
 
 def values(noise: NoiseSource) -> np.ndarray:

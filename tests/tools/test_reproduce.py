@@ -19,6 +19,7 @@ from workers import Job
 import warpmpc
 from warpmpc.cost.stack import CostStack
 from warpmpc.model.compiled import compile_scene
+from warpmpc.task.task import Task
 
 TOOL = Path(__file__).parents[2] / "tools" / "reproduce.py"
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
@@ -176,7 +177,7 @@ def test_the_papers_own_terms_are_terms_with_known_keys(name):
     scene = warpmpc.load_scene(
         cell.scenes[0], overrides=list(spread(warpmpc.load_scene(cell.scenes[0]), cell.overrides))
     )
-    stack = CostStack(scene, compile_scene(scene).layout)
+    stack = CostStack(scene, compile_scene(scene).layout, Task(scene))
     assert list(stack.labels) == ["distance", "bring", "yaw", "push_alignment", "base_contact", "box_contact"]
 
 

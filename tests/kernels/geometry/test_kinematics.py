@@ -88,6 +88,9 @@ def joints_of(builder: newton.ModelBuilder) -> SimpleNamespace:
         joint_pose_child=np.array(builder.joint_X_c, dtype=np.float32),
         dof_axis=np.array(builder.joint_axis, dtype=np.float32),
         body_com=np.array(builder.body_com, dtype=np.float32),
+        mocap_body=np.zeros(0, dtype=np.int32),
+        mocap=np.zeros((0, 7), dtype=np.float32),
+        nm=0,
         nq=builder.joint_coord_count,
         nv=builder.joint_dof_count,
     )

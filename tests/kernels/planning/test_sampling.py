@@ -24,7 +24,8 @@ def table_normals(table: np.ndarray, shift: np.ndarray, *, knots: int, device: s
     """Run the kernel on a table [S, P·nu] and shifts [E, P·nu]; returns z [E, S, P, nu]."""
     z = wp.empty((len(shift), len(table), knots, table.shape[1] // knots), dtype=float, device=device)
     inputs = [wp.array(table, dtype=float, device=device), wp.array(shift, dtype=float, device=device)]
-    wp.launch(table_normal_kernel, dim=z.shape, inputs=inputs, outputs=[z], device=device)
+    dim = (z.shape[0] * z.shape[1], *z.shape[2:])
+    wp.launch(table_normal_kernel, dim=dim, inputs=[*inputs, 0], outputs=[z], device=device)
     return z.numpy()
 
 
@@ -32,7 +33,8 @@ def random_normals(shape: tuple[int, ...], *, seed: int, count: int = 0, device:
     """Pseudo-random z of this shape [E, S, P, nu] at this count of draws."""
     z = wp.empty(shape, dtype=float, device=device)
     counter = wp.full(shape[0], count, dtype=int, device=device)
-    wp.launch(random_normal_kernel, dim=shape, inputs=[counter, seed], outputs=[z], device=device)
+    dim = (shape[0] * shape[1], *shape[2:])
+    wp.launch(random_normal_kernel, dim=dim, inputs=[counter, seed, 0], outputs=[z], device=device)
     return z.numpy()
 
 
@@ -57,20 +59,22 @@ def perturb(
     schedule=None,
     iteration: int = 0,
     constant: float = 0.0,
+    first: int = 0,
     device: str,
 ) -> np.ndarray:
     """Run the kernel on mean and σ [E, P, nu], B [P, P] and z [E, S, P, nu]; returns knots [E, S, P, nu]."""
-    envs, _, knots, nu = z.shape
+    envs, samples, knots, nu = z.shape
     null = np.zeros((envs, nu)) if null is None else null
     schedule = np.ones((1, knots)) if schedule is None else schedule
-    out = wp.empty(z.shape, dtype=float, device=device)
+    out = wp.zeros(z.shape, dtype=float, device=device)
 
     def on(a) -> wp.array:
         return wp.array(a, dtype=float, device=device)
 
     inputs = [on(mean), on(sigma), on(schedule), iteration, on(shaping), on(z), on(lower), on(upper), on(null)]
+    inputs += [int(null_sample), constant, first]
     wp.launch(
-        perturb_knots_kernel, dim=z.shape, inputs=[*inputs, int(null_sample), constant], outputs=[out], device=device
+        perturb_knots_kernel, dim=(envs * samples - first, knots, nu), inputs=inputs, outputs=[out], device=device
     )
     return out.numpy()
 
@@ -146,7 +150,9 @@ def test_every_environment_draws_by_its_own_counter(kernel, device):
     def draw(counts: list[int]) -> np.ndarray:
         out = wp.empty(shape, dtype=float, device=device)
         counter = wp.array(counts, dtype=int, device=device)
-        wp.launch(kernel, dim=shape, inputs=[counter, 5], outputs=[out], device=device)
+        normals = kernel is random_normal_kernel
+        dim, inputs = ((24, 4, 2), [counter, 5, 0]) if normals else (shape, [counter, 5])
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=[out], device=device)
         return out.numpy()
 
     together, apart = draw([2, 2, 2]), draw([2, 1, 2])
@@ -274,6 +280,14 @@ def test_null_sample_respects_limits_that_exclude_zero(device):
         3.0 * ones, ones, np.eye(2), np.zeros((1, 2, 2, 1)), lower=[2.0], upper=[4.0], null_sample=True, device=device
     )
     np.testing.assert_array_equal(knots[0, :, :, 0], [[3.0, 3.0], [2.0, 2.0]])
+
+
+def test_only_the_samples_asked_for_are_written(device):
+    case = random_knots(5, samples=7)
+    whole = perturb(**case, null_sample=True, device=device).reshape(14, 5, 3)
+    part = perturb(**case, null_sample=True, first=4, device=device).reshape(14, 5, 3)
+    assert not part[:4].any()
+    np.testing.assert_array_equal(part[4:], whole[4:])
 
 
 def test_a_single_sample_is_the_mean(device):

@@ -44,8 +44,8 @@ def risk(cost: np.ndarray, *, mode: int, alpha: float = 1.0, device: str) -> np.
     """Sample costs [E, S] of rollout costs [E, S, D]."""
     out = wp.empty(cost.shape[:2], dtype=float, device=device)
     observed = wp.full(len(cost), 1, dtype=int, device=device)
-    inputs = [on(device, cost.ravel()), observed, cost.shape[2], mode, alpha]
-    wp.launch(risk_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    inputs = [on(device, cost.ravel()), observed, cost.shape[2], mode, alpha, 0]
+    wp.launch(risk_kernel, dim=out.size, inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 
 
@@ -228,9 +228,9 @@ def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains
 
 def test_samples_of_an_environment_without_an_observation_are_infinite(device):
     out = wp.zeros((3, 4), dtype=float, device=device)
-    inputs = [on(device, np.ones(12)), on(device, [1, 0, 1], int), 1, MEAN, 1.0]
-    wp.launch(risk_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
-    np.testing.assert_array_equal(out.numpy(), [[1.0] * 4, [INF] * 4, [1.0] * 4])
+    inputs = [on(device, np.ones(12)), on(device, [1, 0, 1], int), 1, MEAN, 1.0, 1]
+    wp.launch(risk_kernel, dim=11, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), [[0.0, 1.0, 1.0, 1.0], [INF] * 4, [1.0] * 4])  # row 0 is another part
 
 
 def reference_cvar(cost: np.ndarray, alpha: float) -> float:

@@ -41,7 +41,7 @@ class Conversion:
         """MuJoCo states [W, n] of Newton states [W, nq], [W, nv]."""
         inputs = (wp.array(a[None], dtype=float, device="cpu") for a in (q, qd))
         out = wp.array(np.full((len(q), self.size), np.nan), dtype=wp.float64, device="cpu")
-        inputs = [self.table, self.model.nq, *inputs]
+        inputs = [self.table, self.model.nq, *inputs, 0]
         wp.launch(mujoco_state_kernel, dim=len(q), inputs=inputs, outputs=[out], device="cpu")
         return out.numpy()
 
@@ -130,7 +130,7 @@ def test_every_world_of_an_environment_starts_in_its_observed_state(conversion):
     outputs = [wp.zeros((steps, 6, n), dtype=float, device="cpu") for n in (layout.nq, layout.nv)]
     outputs += [wp.zeros((steps, 6, layout.nb), dtype=t, device="cpu") for t in (wp.transform, wp.spatial_vector)]
     observed = [wp.array(a, dtype=float, device="cpu") for a in (q, qd)]
-    inputs = [conversion.table, *observed, rollouts]
+    inputs = [conversion.table, *observed, rollouts, 0]
     wp.launch(clone_state_kernel, dim=6, inputs=inputs, outputs=outputs, device="cpu")
     for out, expected in zip(outputs, (q, qd), strict=False):
         np.testing.assert_array_equal(out.numpy()[0], np.repeat(expected, rollouts, axis=0))

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which engine is taken: asked for, or measured once for a scene, whatever its episodes draw."""
+
+import numpy as np
+import pytest
+from small_scenes import compiled, make_scene
+
+from warpmpc import Controller, load_scene
+from warpmpc.engine import registry
+from warpmpc.run import choose_engine as module
+from warpmpc.run.choose_engine import choose_engine
+from warpmpc.scene.draw import draw_task
+
+TIMES = {"mujoco": 0.004, "newton": 0.002}
+
+
+@pytest.fixture
+def timed(monkeypatch, tmp_path):
+    """A machine that seems to have a GPU on which nothing runs; what was timed is in the list."""
+    asked = []
+
+    def plan_time(scene, compiled, name, device, *, envs, terms):
+        asked.append((name, device, envs))
+        return TIMES[name]
+
+    monkeypatch.setattr(module, "_plan_time", plan_time)
+    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "scenes")
+    monkeypatch.setattr(registry, "resolve", registry.resolve)
+    monkeypatch.setattr(module, "resolve", lambda scene, engine, device: ("auto", "cpu"))
+    return asked
+
+
+def test_every_engine_is_timed_once_and_the_faster_one_is_taken(timed):
+    scene = make_scene()
+    for _ in range(3):
+        assert choose_engine(scene, compiled=compiled(scene))[0] == "newton"
+    assert sorted(name for name, *_ in timed) == ["mujoco", "newton"]
+
+
+def test_what_was_measured_belongs_to_the_scene_and_its_batch(timed):
+    scene = make_scene()
+    choose_engine(scene, compiled=compiled(scene))
+    choose_engine(scene, envs=8, compiled=compiled(scene))
+    more = make_scene(planner={"samples": 64, "horizon": 6})
+    choose_engine(more, compiled=compiled(more))
+    assert len(timed) == 6
+
+
+def test_episodes_that_draw_their_scene_are_measured_once(timed):
+    """The key is the scene's before its random draws; keyed by what was drawn, every episode timed both engines."""
+    scene = load_scene("point_reach")
+    drawn = [draw_task(scene, seed)[0] for seed in (0, 1)]
+    assert drawn[0] != drawn[1]
+    from warpmpc.run.episode import Episode
+
+    episodes = []
+    original = module._plan_time
+    try:
+        for seed in (0, 1):
+            TIMES.update(mujoco=0.001)
+            episodes.append(Episode(scene, seed=seed, engine="auto"))
+    finally:
+        TIMES.update(mujoco=0.004)
+    assert original is module._plan_time
+    assert len(timed) == 2
+    assert {episode.controller.engine.name for episode in episodes} == {"mujoco"}
+    assert episodes[0].drawn != episodes[1].drawn
+
+
+def test_a_damaged_record_is_measured_anew(timed, tmp_path):
+    scene = make_scene()
+    choose_engine(scene, compiled=compiled(scene))
+    (file,) = (tmp_path / "engines").iterdir()
+    for text in ("{", "[]", "{}", '{"mujoco": "fast"}'):
+        file.write_text(text)
+        timed.clear()
+        choose_engine(scene, compiled=compiled(scene))
+        assert len(timed) == 2
+
+
+def test_what_is_asked_for_is_not_measured(monkeypatch):
+    def refuse(*_, **__):
+        raise AssertionError("nothing is to be measured")
+
+    monkeypatch.setattr(module, "_plan_time", refuse)
+    assert choose_engine(make_scene(), engine="mujoco") == ("mujoco", "cpu")
+    assert choose_engine(make_scene(), device="cpu") == ("mujoco", "cpu")
+    assert choose_engine(make_scene(), engine="newton", device="cpu") == ("newton", "cpu")
+
+
+def test_a_plan_is_timed_with_a_controller_that_ends():
+    scene = make_scene(planner={"samples": 8, "horizon": 3})
+    took = module._plan_time(scene, compiled(scene), "mujoco", "cpu", envs=2, terms=())
+    assert 0.0 < took < 5.0
+    assert np.isfinite(took)
+
+
+def test_a_controller_left_to_itself_measures_nothing(monkeypatch):
+    monkeypatch.setattr(module, "_plan_time", lambda *_, **__: 1 / 0)
+    scene = make_scene(planner={"samples": 8, "horizon": 3})
+    assert Controller(scene, compiled=compiled(scene), device="cpu").engine.name == "mujoco"
+
+
+@pytest.mark.parametrize(
+    ("engine", "device", "says"),
+    [("bullet", "auto", "no engine 'bullet'"), ("auto", "tpu", "no device 'tpu'"), ("mujoco", "gpu", "no device")],
+)
+def test_what_is_not_there_is_named(engine, device, says):
+    with pytest.raises(ValueError, match=says):
+        choose_engine(make_scene(), engine=engine, device=device)
