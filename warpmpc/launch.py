@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from collections.abc import Callable, Sequence
 
 import warp as wp
+import warp._src.context
 
-_capturing = threading.RLock()
+capturing = threading.RLock()
 """Held while launches are recorded: a recording takes in whatever any thread of the process launches meanwhile."""
 
 
@@ -34,12 +36,20 @@ class Launcher:
             outputs: Arguments that are written.
             block_dim: Threads in a block of a kernel that works in blocks.
         """
-        with _capturing:
+        with capturing:
             if not block_dim:
                 wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
                 return
             blocks = [dim] if isinstance(dim, int) else list(dim)
             wp.launch_tiled(kernel, dim=blocks, inputs=inputs, outputs=outputs, block_dim=block_dim, device=self.device)
+
+
+def replay_address() -> int:
+    """Address of the native function that replays a recorded sequence on the calling thread.
+
+    ``wp.capture_launch`` calls it, too; Warp does not give it a public name.
+    """
+    return ctypes.cast(warp._src.context.runtime.core.wp_apic_cpu_replay_state, ctypes.c_void_p).value
 
 
 class Replay:
@@ -54,7 +64,7 @@ class Replay:
     """
 
     def __init__(self, sequence: Callable[[], None]):
-        self._sequence = sequence
+        self.sequence = sequence
         self._graph: wp.Graph | None = None
         self._ran = False
 
@@ -64,15 +74,20 @@ class Replay:
             return
         wp.capture_launch(self._graph)
 
+    @property
+    def address(self) -> int:
+        """Address of what :func:`replay_address` replays, once the sequence is recorded."""
+        return ctypes.cast(self._graph.apic_state, ctypes.c_void_p).value
+
     def record(self) -> bool:
         """Make the sequence ready to be replayed; returns False where that took running it."""
-        with _capturing:
+        with capturing:
             if not self._ran:
-                self._sequence()
+                self.sequence()
                 self._ran = True
                 return False
             if self._graph is None:
                 with wp.ScopedCapture(device="cpu") as capture:
-                    self._sequence()
+                    self.sequence()
                 self._graph = capture.graph
             return True

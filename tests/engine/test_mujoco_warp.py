@@ -10,8 +10,10 @@ import pytest
 import warp as wp
 from native_robots import (
     CARTPOLE,
+    LEG_DRIVE,
     QUADROTOR,
     compiled_native,
+    driven_model,
     installed,
     native_scene,
     plain_model,
@@ -38,6 +40,8 @@ def asset_file(name: str, folder):
             return installed("gymnasium_robotics", "envs/assets/hand/reach.xml")
         case "mjlab cartpole":
             return installed("mjlab", "tasks/cartpole/cartpole.xml")
+        case "quadruped":
+            return installed("mjlab", "asset_zoo/robots/unitree_go1/xmls/go1.xml")
     # MuJoCo Warp has no implicit integrator, and takes activations otherwise in RK4
     text = {
         "cartpole": CARTPOLE.replace('integrator="implicit"', 'integrator="implicitfast"'),
@@ -60,11 +64,13 @@ def warp_engine(scene, compiled, model, *, steps=STEPS, samples=1, **options) ->
     )
 
 
-@pytest.mark.parametrize("name", ["cartpole", "quadrotor", "humanoid", "hand", "mjlab cartpole"])
+@pytest.mark.parametrize("name", ["cartpole", "quadrotor", "humanoid", "hand", "mjlab cartpole", "quadruped"])
 def test_a_file_is_simulated_as_plain_mujoco_does_it(name, tmp_path):
     path = asset_file(name, tmp_path)
-    compiled, model = compiled_native(path), plain_model(path)
-    engine = warp_engine(native_scene(path), compiled, model)
+    keys = {"drive": LEG_DRIVE} if name == "quadruped" else {}
+    compiled = compiled_native(path, **keys)
+    model = driven_model(path, compiled.layout.control_name) if keys else plain_model(path)
+    engine = warp_engine(native_scene(path, **keys), compiled, model)
     without_contact(model)
     engine.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     control = random_controls(compiled, STEPS)

@@ -117,6 +117,20 @@ def plain_model(asset: Path) -> mujoco.MjModel:
     return spec.compile()
 
 
+LEG_DRIVE = {"mode": "position", "stiffness": 40.0, "damping": 1.0, "lower": -2.0, "upper": 2.0}
+"""A drive for a quadruped whose file has no actuators."""
+
+
+def driven_model(asset: Path, joints: tuple[str, ...]) -> mujoco.MjModel:
+    """What MuJoCo makes of a file with the servos of :data:`LEG_DRIVE` on joints, ``r/joint``."""
+    spec = mujoco.MjSpec.from_file(str(asset))
+    for name in joints:
+        actuator = spec.add_actuator(name=name, target=name[2:], trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=40.0, kv=1.0)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec.compile()
+
+
 def start_of(compiled: CompiledScene) -> SimpleNamespace:
     """What an engine is cloned from, on the CPU: the scene's start as one environment."""
     layout = compiled.layout

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from native_robots import (
     CARTPOLE,
+    LEG_DRIVE,
     QUADROTOR,
     compiled_native,
+    driven_model,
     installed,
     mujoco_engine,
     native_scene,
@@ -147,21 +149,15 @@ def test_joints_that_newton_cannot_take_together_are_named(tmp_path):
         compiled_native(path)
 
 
-def test_a_quadruped_of_mjlab_stands_on_its_drive():
+def test_a_quadruped_of_mjlab_moves_on_its_drive_as_on_servos_of_its_file():
     path = installed("mjlab", "asset_zoo/robots/unitree_go1/xmls/go1.xml")
-    drive = {"mode": "position", "stiffness": 40.0, "damping": 1.0, "lower": -2.0, "upper": 2.0}
-    compiled, model = compiled_native(path, drive=drive), plain_model(path)
+    compiled = compiled_native(path, drive=LEG_DRIVE)
     layout = compiled.layout
+    model = driven_model(path, layout.control_name)
     assert layout.nu == 12
     assert len(layout.sensor_name) == model.nsensor == 5
     assert set(layout.control_safe) == {layout.joint(name) for name in layout.dof_name if name}
     engine = mujoco_engine(compiled, STEPS, model.opt.timestep)
-    spec = mujoco.MjSpec.from_file(str(path))
-    for name in layout.control_name:
-        actuator = spec.add_actuator(name=name, target=name[2:], trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.set_to_position(kp=40.0, kv=1.0)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model = spec.compile()
     without_contact(model)
     without_contact(engine.model)
     control = random_controls(compiled, STEPS)

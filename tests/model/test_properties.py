@@ -9,9 +9,11 @@ import pytest
 from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError
+from warpmpc.engine.trajectory import Shape
 from warpmpc.model.mujoco_model import make_world
+from warpmpc.model.newton_model import build_model
 from warpmpc.model.properties import Properties, draw_properties
-from warpmpc.model.randomize import randomize_model
+from warpmpc.model.randomize import randomize_model, randomize_newton, randomized_arrays
 
 SHAPES = {
     "box": (0.3, 0.5, 0.2),
@@ -143,3 +145,34 @@ def test_a_planner_that_randomizes_nothing_meets_a_randomized_plant():
     masses = [model.body("box").mass[0] for model in controller.engine.simulator.models]
     assert masses == pytest.approx([1.0] * len(masses))
     assert Plant(scene, compiled=compiled(scene)).properties.mass[0, 0] != pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["box", "sphere", "capsule", "cylinder"])
+def test_newtons_model_is_drawn_like_mujocos(kind):
+    """One draw, two models: the same mass, inertia, friction and size in every world."""
+    size = {"box": (0.3, 0.5, 0.2), "sphere": (0.15,), "capsule": (0.12, 0.4), "cylinder": (0.2, 0.3)}[kind]
+    thing = {"name": "thing", "shape": kind, "size": size, "mass": 2.0, "position": (2.0, 0.0, 0.5)}
+    rules = {"thing": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.02}}}
+    scene = make_scene(object=[thing], randomize=rules)
+    layout, shape = compiled(scene).layout, Shape(1, 3, 1, 1)
+    properties = draw_properties(scene, layout, 3, seed=5)
+    world = make_world(compiled(scene), timestep=0.01)
+    expected = randomized_arrays(world, properties, np.arange(3))
+    model = build_model(scene, 3, "cpu")
+    assert randomize_newton(model, layout, shape, properties)
+    body, geom = world.bodies["thing"][0], world.geoms["thing"][0]
+    own, mine = layout.entity("thing").bodies[0], layout.entity("thing").shapes[0]
+    mass = model.body_mass.numpy().reshape(3, -1)[:, own]
+    np.testing.assert_allclose(mass, expected["body_mass"][:, body], rtol=1e-6)
+    assert np.ptp(mass) > 0.01
+    inertia = model.body_inertia.numpy().reshape(3, -1, 3, 3)[:, own]
+    np.testing.assert_allclose(
+        np.sort(np.linalg.eigvalsh(inertia), axis=1), np.sort(expected["body_inertia"][:, body], axis=1), rtol=1e-4
+    )
+    inverse = model.body_inv_inertia.numpy().reshape(3, -1, 3, 3)[:, own]
+    np.testing.assert_allclose(inverse @ inertia, np.tile(np.eye(3), (3, 1, 1)), atol=1e-5)
+    friction = model.shape_material_mu.numpy().reshape(3, -1)[:, mine]
+    np.testing.assert_allclose(friction, expected["geom_friction"][:, geom, 0], rtol=1e-6)
+    count = {"box": 3, "sphere": 1}.get(kind, 2)
+    sizes = model.shape_scale.numpy().reshape(3, -1, 3)[:, mine, :count]
+    np.testing.assert_allclose(sizes, expected["geom_size"][:, geom, :count], rtol=1e-6)

@@ -180,6 +180,10 @@ def _controls(layout: Layout) -> Table:
     )
     for i, name in enumerate(layout.control_name):
         rows = np.flatnonzero(layout.actuator_matrix[:, i])
+        if not len(rows):  # an actuator of an MJCF file
+            lower, upper = f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}"
+            table.add_row(name, "the file's own", lower, upper, "", "")
+            continue
         mode, linear = layout.actuator_mode[rows[0]], _is_linear(layout, int(layout.actuator_dof[rows[0]]))
         effort = f"{layout.actuator_effort[rows[0]]:g} {_UNITS['effort'][not linear]}"
         if len(rows) > 1:  # speeds of a base with two wheels

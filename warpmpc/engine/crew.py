@@ -3,70 +3,124 @@
 
 from __future__ import annotations
 
-import itertools
+import ctypes
 import threading
-from collections.abc import Callable
+import time
+import weakref
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ..kernels.worlds.crew import BOARD, take_parts_kernel
+from ..launch import Replay, capturing, replay_address
+
+_AT = {name: place for place, name in enumerate(BOARD)}
 
 
 class Crew:
-    """Runs a function over parts of the worlds on several threads, the calling one among them.
+    """Replays sequences of launches on several threads, the calling one among them.
 
-    Warp's CPU kernels and MuJoCo's roll-outs run on the thread that calls them and let Python's lock go meanwhile. Each
-    thread takes the next part that is left, so that parts with much contact do not hold up the rest. Threads wait on a
-    lock each, which wakes them within about 10 µs; a ``threading.Barrier`` over 16 of them takes a millisecond.
+    Each thread takes the next sequence that is left, so that worlds with much contact do not hold up the rest. The
+    threads wait, wake and work in native code: with Python's lock to be handed round, sixteen of them took a
+    millisecond to start.
 
     Args:
         threads: Number of threads.
+        parts: Number of sequences that are run at once.
     """
 
-    def __init__(self, threads: int):
-        self.threads = threads
-        self._go = [threading.Lock() for _ in range(threads - 1)]
-        self._done = threading.Semaphore(0)
-        self._work: Callable[[int, int], None] | None = None
-        self._errors: list[BaseException] = []
-        for index, go in enumerate(self._go, start=1):
-            go.acquire()
-            threading.Thread(target=self._wait, args=[index, go], daemon=True).start()
+    thread: np.ndarray
+    """Which thread took each part last ``[parts]``."""
 
-    def run(self, parts: int, work: Callable[[int, int], None]) -> None:
-        """Call ``work(part, thread)`` once for every part; returns when all are done.
+    def __init__(self, threads: int, parts: int):
+        self.threads, self.parts = min(threads, parts), parts
+        self.thread = np.zeros(parts, dtype=np.int32)
+        self._graphs = np.zeros(parts, dtype=np.uint64)
+        self._shown: Sequence[Replay] | None = None
+        self._board: np.ndarray | None = None
+        if self.threads > 1:
+            self._start()
+
+    def _start(self) -> None:
+        """Start the helpers and wait until they are at their places."""
+        python = ctypes.pythonapi
+        python.PyThread_allocate_lock.restype = ctypes.c_void_p
+        locks = [python.PyThread_allocate_lock() for _ in range(self.threads + 1)]
+        self._locks = np.array(locks, dtype=np.uint64)
+        board = self._board = np.zeros(len(BOARD), dtype=np.uint64)
+
+        def address(function: object) -> int:
+            return ctypes.cast(function, ctypes.c_void_p).value
+
+        board[_AT["ACQUIRE"]] = address(python.PyThread_acquire_lock)
+        board[_AT["RELEASE"]] = address(python.PyThread_release_lock)
+        board[_AT["REPLAY"]] = replay_address()
+        board[_AT["GO"]], board[_AT["DONE"]] = self._locks.ctypes.data, locks[-1]
+        board[_AT["GRAPHS"]], board[_AT["THREAD"]] = self._graphs.ctypes.data, self.thread.ctypes.data
+        board[_AT["PARTS"]], board[_AT["WOKEN"]] = self.parts, self.threads - 1
+        python.PyThread_acquire_lock.argtypes = [ctypes.c_void_p, ctypes.c_int]
+        for lock in locks:  # they are waited at before anybody lets go of them
+            python.PyThread_acquire_lock(lock, 1)
+        with capturing:
+            wp.load_module(take_parts_kernel.module, device="cpu")
+            for member in range(1, self.threads):
+                threading.Thread(
+                    target=_work, args=[board, self._locks, self._graphs, self.thread, member], daemon=True
+                ).start()
+            while board[_AT["READY"]] < self.threads - 1:
+                time.sleep(1e-4)
+            self._conduct = wp.launch(
+                take_parts_kernel, dim=1, inputs=[board.ctypes.data, 0], device="cpu", record_cmd=True
+            )
+        self._quit = weakref.finalize(self, _dismiss, board, locks[1:-1])
+
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run sequences, each on whatever thread takes it; returns when all are done.
+
+        Args:
+            replays: One for each part; hand over the same list every time.
 
         Raises:
-            BaseException: The first error that a part raised.
+            RuntimeError: If one of them could not be replayed.
         """
-        helpers = self._go[: max(min(self.threads, parts) - 1, 0)]
-        self._next, self._parts, self._work = itertools.count(), parts, work
-        for go in helpers:
-            go.release()
-        self._take(0)
-        for _ in helpers:
-            self._done.acquire()
-        if self._errors:
-            errors, self._errors = self._errors, []
-            raise errors[0]
+        if replays is not self._shown and not self._show(replays):
+            return
+        if self.threads == 1:
+            for replay in replays:
+                replay()
+            return
+        board = self._board
+        board[_AT["FINISHED"]] = 0
+        board[_AT["NEXT"]] = 0  # last: from here on helpers take parts
+        self._conduct.launch()
+        if board[_AT["FAILED"]]:
+            board[_AT["FAILED"]] = 0
+            raise RuntimeError("a recorded sequence of launches could not be replayed")
 
-    def _take(self, thread: int) -> None:
-        """Work on parts until none is left."""
-        try:
-            for part in self._next:  # one call of a C iterator: no two threads get the same
-                if part >= self._parts:
-                    return
-                self._work(part, thread)
-        except BaseException as error:  # raised again by the thread that called
-            self._errors.append(error)
-
-    def _wait(self, thread: int, go: threading.Lock) -> None:
-        while True:
-            go.acquire()
-            if self._work is None:
-                return
-            self._take(thread)
-            self._done.release()
+    def _show(self, replays: Sequence[Replay]) -> bool:
+        """Make sequences known to the helpers; returns False where that took running them, one after the other."""
+        self.thread[:] = 0
+        recorded = [replay.record() for replay in replays]
+        if not all(recorded):
+            return False
+        self._graphs[:] = [replay.address for replay in replays]
+        self._shown = replays
+        return True
 
     def close(self) -> None:
         """End the threads."""
-        self._work = None
-        for go in self._go:
-            go.release()
-        self._go = []
+        if self.threads > 1:
+            self._quit()
+
+
+def _work(board: np.ndarray, locks: np.ndarray, graphs: np.ndarray, thread: np.ndarray, member: int) -> None:
+    """A helper's life, spent in native code; the arrays are kept alive for it."""
+    wp.launch(take_parts_kernel, dim=1, inputs=[board.ctypes.data, member], device="cpu")
+
+
+def _dismiss(board: np.ndarray, go: Sequence[int]) -> None:
+    """Send the helpers home."""
+    board[_AT["QUIT"]] = 1
+    for lock in go:
+        ctypes.pythonapi.PyThread_release_lock(ctypes.c_void_p(lock))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from ..kernels.worlds.clone import (
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
-from ..launch import Launcher
+from ..launch import Launcher, Replay
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
@@ -155,14 +155,13 @@ class MujocoEngine:
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
         self._launch = Launcher("cpu")
-        self._crew = Crew(self.threads)
         self.parts = _split(shape.worlds, shape.domains, self.threads)
         """First world and number of worlds of each part that a thread takes."""
         self._library = mujoco_library()
         self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
         self._native = native_data(self._data)
-        self._thread = wp.zeros(len(self.parts), dtype=int, device="cpu")
-        self._taken_by = self._thread.numpy()
+        self._crew = Crew(self.threads, len(self.parts))
+        self._thread = wp.array(self._crew.thread, dtype=int, device="cpu", copy=False)
         end = np.cumsum(substeps)
         self.steps = int(end[-1])
         self._duration = wp.float64(self.steps * world.model.opt.timestep)
@@ -255,18 +254,14 @@ class MujocoEngine:
         self.mocap_pose.numpy()[world, index] = pose
         self._write_mocap(world, 1)
 
-    def run(self, work: Callable[[int], None]) -> None:
-        """Call ``work(part)`` for every one of :attr:`parts`, on all threads; it rolls out the part's worlds alone."""
-
-        def take(part: int, thread: int) -> None:
-            self._taken_by[part] = thread
-            work(part)
-
-        self._crew.run(len(self.parts), take)
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run one sequence of launches for each of :attr:`parts`, on all threads."""
+        self._crew.run(replays)
 
     def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`."""
-        self.run(lambda part: self.rollout_part(control, part))
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
+        for part in range(len(self.parts)):
+            self.rollout_part(control, part)
 
     def rollout_part(self, control: wp.array, part: int) -> None:
         """Roll controls [T, W, nu] of a part of the worlds out from the cloned state into :attr:`trajectory`.

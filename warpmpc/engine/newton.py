@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import newton
@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
-from ..launch import Launcher
+from ..launch import Launcher, Replay
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
@@ -138,9 +138,10 @@ class NewtonEngine:
         """First world and number of worlds of the only part."""
         return [(0, self.shape.worlds)]
 
-    def run(self, work: Callable[[int], None]) -> None:
-        """Call ``work(part)`` for the only part."""
-        work(0)
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run the only part's sequence of launches as it is: its solvers do more than launch kernels."""
+        for replay in replays:
+            replay.sequence()
 
     def rollout_part(self, control: wp.array, part: int) -> None:
         """Roll controls out; there is but one part."""

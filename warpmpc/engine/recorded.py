@@ -103,7 +103,7 @@ class RecordedEngine:
                 parts = range(len(self.simulator.parts))
                 self._replays[id(proposal)] = proposal, [Replay(partial(self._take, proposal, p)) for p in parts]
             _, replays = self._replays[id(proposal)]
-            self.simulator.run(lambda part: replays[part]())
+            self.simulator.run(replays)
         if not self.costs.capturable:
             self.judge.launch_arrays()
             self._sum(0, self.shape.worlds)

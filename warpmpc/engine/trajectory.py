@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -13,6 +13,7 @@ import warp as wp
 from ..task.observed import ObservedState
 
 if TYPE_CHECKING:
+    from ..launch import Replay
     from ..model.layout import Layout
 
 
@@ -79,8 +80,8 @@ class Simulator(Protocol):
     def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
         """Put worlds into the observed state; nothing of an earlier plan remains."""
 
-    def run(self, work: Callable[[int], None]) -> None:
-        """Call ``work(part)`` for every part, on as many threads as there are."""
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run one sequence of launches for every part, on as many threads as there are."""
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`."""

@@ -222,8 +222,8 @@ def randomize_newton(model: newton.Model, layout: Layout, shape: Shape, properti
             friction[:, s] *= properties.friction[draws, i]
             if info.kind not in _RESIZABLE:
                 continue
-            old, new = size[:, s], resized(info.kind, size[:, s], properties.size[draws, i])
-            size[:, s] = new
+            old = size[:, s].copy()
+            size[:, s] = new = resized(info.kind, old, properties.size[draws, i])
             if info.body >= 0:
                 # the ratio of new to old holds along the shape's own axes
                 ratio = np.sqrt(unit_inertia(info.kind, new) / unit_inertia(info.kind, old))

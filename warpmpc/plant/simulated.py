@@ -97,7 +97,7 @@ class Worlds:
 
     def step(self) -> None:
         """Hold the controls for one control step in every world."""
-        self.engine.run(lambda part: self._replays[part]())
+        self.engine.run(self._replays)
         if self._values:
             self.terms = self._values()
 
