@@ -6,7 +6,7 @@ Both engines simulate one model: what the engine ``mujoco`` compiles is put on t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -32,7 +32,7 @@ from ..kernels.worlds.mujoco_warp import (
     store_row_kernel,
     store_state_kernel,
 )
-from ..launch import Launcher
+from ..launch import Launcher, Replay
 from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
@@ -210,9 +210,10 @@ class MujocoWarpEngine:
         """First world and number of worlds of the only part."""
         return [(0, self.shape.worlds)]
 
-    def run(self, work: Callable[[int], None]) -> None:
-        """Call ``work(part)`` for the only part."""
-        work(0)
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run the only part's sequence of launches as it is: the solver does more than launch kernels."""
+        for replay in replays:
+            replay.sequence()
 
     def rollout_part(self, control: wp.array, part: int) -> None:
         """Roll controls out; there is but one part."""
