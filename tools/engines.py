@@ -28,7 +28,6 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
-from warpmpc.launch import Replay
 from warpmpc.model.compiled import compile_scene
 from warpmpc.planner.step import STAGES
 
@@ -60,9 +59,7 @@ class BareGraph:
                 engine.step_physics()
             self._run = lambda: wp.capture_launch(capture.graph)
         else:
-            self._run = Replay(engine.step_physics)  # as plans are on the CPU
-            for _ in range(2):  # load the kernels, record the launches
-                self._run()
+            self._run = engine.step_physics
 
     def __call__(self) -> float:
         """Step the engine's last rollouts again; returns the wall time [s]."""
