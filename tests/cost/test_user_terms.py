@@ -4,11 +4,14 @@
 import numpy as np
 import pytest
 import warp as wp
+from judging import Judging
 from rollouts import Rollouts
 from scipy.spatial.transform import Rotation
+from small_scenes import make_scene
 
 import warpmpc
 from warpmpc import SceneError
+from warpmpc.engine.trajectory import Shape
 
 
 @wp.struct
@@ -125,3 +128,38 @@ def test_an_array_cost_of_the_wrong_shape_is_refused():
     flat = warpmpc.array_cost("flat")(lambda batch: np.zeros(3))
     with pytest.raises(SceneError, match=r"cost\.flat: .*wrong shape.*\[3\].*\(5, 12\)"):
         Rollouts({"term": "flat"}, terms=[flat]).cost()
+
+
+@wp.struct
+class ClockParams:
+    frame: int
+    scalar_speed: int
+
+
+@warpmpc.cost_term("clock")
+def clock(s: warpmpc.StepView, p: ClockParams) -> float:
+    turning = warpmpc.frame_angular_velocity(s, p.frame)[2]
+    return warpmpc.step_time(s) + 10.0 * warpmpc.step_length(s) + turning * warpmpc.task_scalar(s, p.scalar_speed)
+
+
+def test_a_users_term_knows_the_time_the_step_and_the_tasks_scalars():
+    scene = make_scene(
+        scalar={"height": 7.0, "speed": 3.0},
+        cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "speed"}],
+        planner={"samples": 4, "horizon": 3, "dt": (0.04, 0.04, 0.12)},
+    )
+    judging = Judging(scene, Shape(2, 4, 1, 3), terms=[clock])
+    twist = np.random.default_rng(0).normal(size=judging.trajectory.body_qd.numpy().shape).astype(np.float32)
+    judging.trajectory.body_qd.assign(twist)
+    judging.state.start.assign(np.array([5.0, 9.0], np.float32))
+    body = int(judging.layout.frame_body[judging.layout.frame("base/tip")])
+    start = np.repeat([5.0, 9.0], 4)
+    expected = start + np.array([[0.04], [0.08], [0.2]]) + 10.0 * np.array([[0.04], [0.04], [0.12]])
+    expected = expected + 3.0 * twist[..., 5].reshape(4, 8, -1)[1:, :, body]
+    np.testing.assert_allclose(judging.cost()[0], expected, rtol=1e-5)
+
+
+def test_a_scalar_that_is_not_there_is_named():
+    scene = make_scene(scalar={"speed": 3.0}, cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "sped"}])
+    with pytest.raises(SceneError, match=r"cost\.clock\.scalar_speed.*no such scalar.*Did you mean 'speed'"):
+        Judging(scene, Shape(1, 4, 1, 3), terms=[clock])

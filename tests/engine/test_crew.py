@@ -1,70 +1,117 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that share parts of the worlds: each part once, errors are told, and the threads end."""
+"""Threads that share sequences of launches: each is run once, errors are told, and the threads end."""
 
+import gc
 import threading
 import time
-from collections import Counter
 
+import numpy as np
 import pytest
+import warp as wp
 
 from warpmpc.engine.crew import Crew
+from warpmpc.launch import Launcher, Replay
+
+launch = Launcher("cpu")
+
+
+@wp.kernel
+def work_kernel(
+    # inputs
+    part: int,
+    rounds: int,
+    # outputs
+    count: wp.array[int],
+    sink: wp.array[float],
+):
+    """Count one part, after some work."""
+    x = float(part)
+    for _ in range(rounds):
+        x = wp.sin(x) + 1.0
+    sink[part] = x
+    count[part] = count[part] + 1
+
+
+class Parts:
+    """Parts that count how often they were run; one of them may take longer."""
+
+    def __init__(self, parts: int, *, slow: int | None = None):
+        self.count = wp.zeros(parts, dtype=int, device="cpu")
+        sink = wp.zeros(parts, dtype=float, device="cpu")
+
+        def sequence(part: int):
+            inputs = [part, 3_000_000 if part == slow else 1000]
+            return lambda: launch(work_kernel, 1, inputs, [self.count, sink])
+
+        self.replays = [Replay(sequence(part)) for part in range(parts)]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-@pytest.mark.parametrize("parts", [0, 1, 3, 40])
+@pytest.mark.parametrize("parts", [1, 3, 40])
 def test_every_part_is_done_once(threads, parts):
-    crew = Crew(threads)
-    for _ in range(20):
-        done, lock = [], threading.Lock()
-
-        def work(part: int, thread: int, done=done, lock=lock) -> None:
-            assert 0 <= thread < threads
-            with lock:
-                done.append(part)
-
-        crew.run(parts, work)
-        assert Counter(done) == Counter(range(parts))
+    crew, work = Crew(threads, parts), Parts(parts)
+    for n in range(1, 50):
+        crew.run(work.replays)
+        np.testing.assert_array_equal(work.count.numpy(), n)
+        assert np.all((crew.thread >= 0) & (crew.thread < threads))
     crew.close()
 
 
 def test_a_slow_part_does_not_hold_up_the_rest():
-    crew, who = Crew(3), {}
+    crew, work = Crew(2, 21), Parts(21, slow=0)
+    for _ in range(3):
+        crew.run(work.replays)
+    assert np.sum(crew.thread == crew.thread[0]) < 11
+    np.testing.assert_array_equal(work.count.numpy(), 3)
+    crew.close()
 
-    def work(part: int, thread: int) -> None:
-        who[part] = thread
-        time.sleep(0.3 if part == 0 else 0.005)
 
-    start = time.perf_counter()
-    crew.run(21, work)
-    assert time.perf_counter() - start < 0.4
-    assert list(who.values()).count(who[0]) < 7
+@pytest.mark.parametrize("threads", [1, 3])
+def test_other_sequences_may_be_handed_over(threads):
+    crew, first, second = Crew(threads, 6), Parts(6), Parts(6)
+    for n in range(1, 6):
+        crew.run(first.replays)
+        crew.run(second.replays)
+        np.testing.assert_array_equal(first.count.numpy(), n)
+        np.testing.assert_array_equal(second.count.numpy(), n)
     crew.close()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_an_error_in_a_part_is_raised_and_the_crew_goes_on(threads):
-    crew = Crew(threads)
+    crew, work = Crew(threads, 8), Parts(8)
 
-    def fail(part: int, thread: int) -> None:
-        if part == 3:
-            raise ZeroDivisionError("part three")
+    def fail() -> None:
+        raise ZeroDivisionError("part three")
 
-    done = []
-    for n in range(1, 4):
+    replays = [*work.replays[:3], Replay(fail), *work.replays[4:]]
+    for _ in range(3):
         with pytest.raises(ZeroDivisionError, match="part three"):
-            crew.run(8, fail)
-        crew.run(8, lambda part, _: done.append(part))
-        assert sorted(done) == sorted(n * list(range(8)))
+            crew.run(replays)
+    before = work.count.numpy().copy()
+    for _ in range(3):
+        crew.run(work.replays)
+    assert work.count.numpy()[7] == before[7] + 3
+    assert work.count.numpy()[3] == 3
     crew.close()
 
 
-def test_close_ends_the_threads():
+@pytest.mark.parametrize("close", [True, False], ids=["closed", "dropped"])
+def test_the_threads_end_with_the_crew(close):
     before = set(threading.enumerate())
-    crew = Crew(5)
+    crew = Crew(5, 10)
     mine = set(threading.enumerate()) - before
     assert len(mine) == 4
-    crew.run(10, lambda part, thread: None)
-    crew.close()
-    for thread in mine:
-        thread.join(timeout=5.0)
+    work = Parts(10)
+    for _ in range(3):
+        crew.run(work.replays)
+    if close:
+        crew.close()
+        crew.close()
+    else:
+        del crew
+        gc.collect()
+    end = time.perf_counter() + 5.0
+    while any(thread.is_alive() for thread in mine) and time.perf_counter() < end:
+        time.sleep(0.01)
     assert not any(thread.is_alive() for thread in mine)
