@@ -9,7 +9,7 @@ import types
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .control.controller import Controller
+    from .controller.controller import Controller
     from .cost.term import (
         ArrayCost,
         CostTerm,
@@ -33,12 +33,15 @@ if TYPE_CHECKING:
         task_scalar,
     )
     from .model.state import Info, State
+    from .planner.plan import Plan
     from .plant.simulated import Plant
     from .run.batch import run_batch
+    from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.schema import Scene
+    from .task.task import Task
 
 __version__ = "0.1.0"
 
@@ -48,12 +51,15 @@ __all__ = [
     "CostTerm",
     "EpisodeResult",
     "Info",
+    "Plan",
     "Plant",
     "Scene",
     "SceneError",
     "State",
     "StepView",
+    "Task",
     "array_cost",
+    "choose_engine",
     "contact_force",
     "control",
     "cost_term",
@@ -75,13 +81,16 @@ __all__ = [
 ]
 
 _HOME = {
-    "Controller": "control.controller",
+    "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
     "Info": "model.state",
+    "Plan": "planner.plan",
     "Plant": "plant.simulated",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",
     "State": "model.state",
+    "Task": "task.task",
+    "choose_engine": "run.choose_engine",
     "ArrayCost": "cost.term",
     "CostTerm": "cost.term",
     "array_cost": "cost.term",

@@ -44,6 +44,14 @@ class Launcher:
             wp.launch_tiled(kernel, dim=blocks, inputs=inputs, outputs=outputs, block_dim=block_dim, device=self.device)
 
 
+def step_lanes(steps: int, device: wp.DeviceLike) -> int:
+    """How many threads share the steps of a world: as many as there are on a GPU, one on the CPU.
+
+    A kernel's arguments are loaded anew for every thread, which on the CPU takes as long as many a step's work.
+    """
+    return steps if wp.get_device(device).is_cuda else 1
+
+
 def replay_address() -> int:
     """Address of the native function that replays a recorded sequence on the calling thread.
 

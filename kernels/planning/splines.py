@@ -65,25 +65,45 @@ def control_point(knots: wp.array2d[float], j: int, u: int) -> float:
     return knots[j, u]
 
 
+@wp.struct
+class SplinePlace:
+    """Where on a spline a time lies, the same for all controls."""
+
+    i: int  # knot before it
+    j: int  # knot after it
+    x: float  # share of the way between the two, in [0, 1]
+
+
 @wp.func
-def evaluate_spline(knots: wp.array2d[float], s: Spline, kind: int, u: int, tau: float) -> float:
-    """Value of control u at place τ of the spline over ``knots [P, nu]`` (Howell et al. 2022, Eqs. 15-23).
+def locate(count: int, kind: int, tau: float) -> SplinePlace:
+    """Segment of a place τ among ``count`` knots; before the first and after the last knot the end is held."""
+    last = count - 1
+    place = SplinePlace()
+    if kind == ZERO:
+        place.i = wp.clamp(int(wp.floor(tau + KNOT_TOLERANCE)), 0, last)
+        place.j = place.i
+        place.x = 0.0
+        return place
+    held = wp.clamp(tau, 0.0, float(last))
+    place.i = wp.clamp(int(wp.floor(held)), 0, wp.max(last - 1, 0))
+    place.j = wp.min(place.i + 1, last)
+    place.x = held - float(place.i)
+    return place
+
+
+@wp.func
+def evaluate_spline(knots: wp.array2d[float], s: Spline, kind: int, u: int, place: SplinePlace) -> float:
+    """Value of control u at a place of the spline over ``knots [P, nu]`` (Howell et al. 2022, Eqs. 15-23).
 
     ``CUBIC`` is the Hermite cubic with finite-difference slopes; it passes through its knots and may overshoot them.
     ``BSPLINE`` is the uniform cubic B-spline in τ, smooth to the second derivative and within the hull of its knots:
     each end point is interpolated because the control polygon goes on beyond it by reflection (natural ends).
     """
-    last = knots.shape[0] - 1
-
+    i = place.i
+    j = place.j
+    x = place.x
     if kind == ZERO:
-        return knots[wp.clamp(int(wp.floor(tau + KNOT_TOLERANCE)), 0, last), u]
-
-    # segment i, from knot i to i + 1, and the place x in [0, 1] on it
-    held = wp.clamp(tau, 0.0, float(last))
-    i = wp.clamp(int(wp.floor(held)), 0, wp.max(last - 1, 0))
-    j = wp.min(i + 1, last)
-    x = held - float(i)
-
+        return knots[i, u]
     if kind == LINEAR:
         return (1.0 - x) * knots[i, u] + x * knots[j, u]
 
@@ -148,7 +168,7 @@ def shift_knots_kernel(
     if s.even == 0:
         place = knot_place(s, s.time[p] + shift[e])
         interpolating = wp.max(interpolating, LINEAR)
-    shifted[e, p, u] = evaluate_spline(knots[e], s, interpolating, u, place)
+    shifted[e, p, u] = evaluate_spline(knots[e], s, interpolating, u, locate(knots.shape[1], interpolating, place))
 
 
 @wp.kernel
@@ -163,23 +183,26 @@ def spline_control_kernel(
     offset: wp.array[float],  # [E] time from the first knot to the present [s]
     domains: int,
     first: int,  # world of thread 0
+    lanes: int,  # threads that share the steps of a world
     # outputs
     control: wp.array3d[float],  # [T, W, nu] within the limits
 ):
-    """One thread: the controls of one world's sample at one step; all domains of a sample get the same controls."""
-    t, thread = wp.tid()
+    """One thread: the controls of one world's sample at some steps; all domains of a sample get the same controls."""
+    lane, thread = wp.tid()
     w = first + thread
 
     row = w // domains
     e = row // knots.shape[1]
     sample = row % knots.shape[1]
 
-    place = step_place[t] + offset[e] / s.knot_dt
-    if s.even == 0:
-        place = knot_place(s, step_time[t] + offset[e])
-    for u in range(control.shape[2]):
-        value = evaluate_spline(knots[e, sample], s, s.kind, u, place)
-        control[t, w, u] = wp.clamp(value, lower[u], upper[u])
+    own = knots[e, sample]
+    for t in range(lane, control.shape[0], lanes):
+        place = step_place[t] + offset[e] / s.knot_dt
+        if s.even == 0:
+            place = knot_place(s, step_time[t] + offset[e])
+        at = locate(knots.shape[2], s.kind, place)
+        for u in range(control.shape[2]):
+            control[t, w, u] = wp.clamp(evaluate_spline(own, s, s.kind, u, at), lower[u], upper[u])
 
 
 @wp.kernel
@@ -195,4 +218,5 @@ def command_kernel(
 ):
     """One thread: one control of one environment's plan at the present."""
     e, u = wp.tid()
-    command[e, u] = wp.clamp(evaluate_spline(mean[e], s, s.kind, u, knot_place(s, offset[e])), lower[u], upper[u])
+    at = locate(mean.shape[1], s.kind, knot_place(s, offset[e]))
+    command[e, u] = wp.clamp(evaluate_spline(mean[e], s, s.kind, u, at), lower[u], upper[u])

@@ -265,15 +265,18 @@ def mujoco_control_kernel(
     # outputs
     actuator: wp.array3d[wp.float64],  # [W, N, na]
 ):
-    """One thread: the actuator targets of one world and physics step, held over the control step."""
-    thread, n = wp.tid()
-    w = first + thread
-    t = step[n]
-    for a in range(matrix.shape[0]):
-        target = offset[a]
-        for i in range(matrix.shape[1]):
-            target += matrix[a, i] * control[t, w, i]
-        actuator[w, n, a] = wp.float64(target)
+    """One thread: the actuator targets of one world at all physics steps, held over each control step."""
+    w = first + wp.tid()
+    for n in range(step.shape[0]):
+        t = step[n]
+        for a in range(matrix.shape[0]):
+            if n > 0 and step[wp.max(n - 1, 0)] == t:
+                actuator[w, n, a] = actuator[w, n - 1, a]
+            else:
+                target = offset[a]
+                for i in range(matrix.shape[1]):
+                    target += matrix[a, i] * control[t, w, i]
+                actuator[w, n, a] = wp.float64(target)
 
 
 @wp.kernel
@@ -284,17 +287,19 @@ def record_mujoco_kernel(
     end: wp.array[int],  # [T] last physics step of each control step
     state: wp.array3d[wp.float64],  # [W, N, nstate]
     first: int,  # world of thread 0
+    lanes: int,  # threads that share the steps of a world
     # outputs
     joint_q: wp.array3d[float],  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
     body_q: wp.array3d[wp.transform],  # [T+1, W, nb]
     body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
 ):
-    """One thread: the state of one world after one control step, with its body poses."""
-    t, thread = wp.tid()
+    """One thread: the state of one world after some control steps, with its body poses."""
+    lane, thread = wp.tid()
     w = first + thread
-    read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
-    forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
+    for t in range(lane, end.shape[0], lanes):
+        read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
+        forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
 
 
 @wp.kernel

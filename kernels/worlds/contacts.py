@@ -16,18 +16,17 @@ def mujoco_contact_force_kernel(
     # outputs
     force: wp.array3d[wp.vec3],  # [T, W, pair] [N] on the pair's first side, world frame, mean over the physics steps
 ):
-    """One thread: the net contact force of every watched pair in one world and control step."""
-    t, thread = wp.tid()
-    w = first + thread
+    """One thread: the net contact force of every watched pair in one world, at all control steps."""
+    w = first + wp.tid()
     begin = int(0)
-    if t > 0:
-        begin = end[t - 1] + 1
-    for p in range(force.shape[2]):
-        total = wp.vec3(0.0)
-        for n in range(begin, end[t] + 1):
-            for i in range(start[p], start[p + 1], 3):
-                total -= wp.vec3(float(sensor[w, n, i]), float(sensor[w, n, i + 1]), float(sensor[w, n, i + 2]))
-        force[t, w, p] = total / float(end[t] + 1 - begin)
+    for t in range(end.shape[0]):
+        for p in range(force.shape[2]):
+            total = wp.vec3(0.0)
+            for n in range(begin, end[t] + 1):
+                for i in range(start[p], start[p + 1], 3):
+                    total -= wp.vec3(float(sensor[w, n, i]), float(sensor[w, n, i + 1]), float(sensor[w, n, i + 2]))
+            force[t, w, p] = total / float(end[t] + 1 - begin)
+        begin = end[t] + 1
 
 
 vec5 = wp.types.vector(length=5, dtype=float)

@@ -13,7 +13,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
-from warpmpc.control.controller import Controller
+from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.layout import ShapeInfo
 from warpmpc.model.state import State
@@ -278,7 +278,7 @@ def test_every_shape_can_be_drawn(loop, tmp_path, kind):
 
 KILLED = f"""
 import sys
-from warpmpc.control.controller import Controller
+from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
 from warpmpc.plant.simulated import Plant
 from warpmpc.record.recorder import Recorder

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from warpmpc.control.controller import Controller
+from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
 from warpmpc.plant.simulated import Plant
 from warpmpc.run.episode import (

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
 
-    from ..control.controller import Controller
+    from ..controller.controller import Controller
     from ..plant.batch import PlantBatch
     from ..plant.simulated import Plant
     from ..run.episode import EpisodeResult

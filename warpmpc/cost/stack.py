@@ -165,12 +165,8 @@ class Judge:
             count: How many they are, all from the first on if None.
         """
         count = self.shape.worlds - first if count is None else count
-        self._launch(
-            self.stack.code.kernel,
-            (self.shape.horizon, count),
-            [self.view, self.stack.params, self._state.weight, self.shape.rollouts, first],
-            [self.cost],
-        )
+        inputs = [self.view, self.stack.params, self._state.weight, self.shape.rollouts, first]
+        self._launch(self.stack.code.kernel, (self.shape.horizon, count), inputs, [self.cost])
 
     def launch_arrays(self) -> None:
         """Evaluate the terms over whole arrays, on the host."""

@@ -272,7 +272,7 @@ class MujocoEngine:
         """
         first, count = self.parts[part]
         inputs = [control, self._matrix, self._offset, self._step, first]
-        self._launch(mujoco_control_kernel, (count, self.steps), inputs, [self._control])
+        self._launch(mujoco_control_kernel, count, inputs, [self._control])
         self.step_physics(part)
         self._record(first, count)
 
@@ -302,13 +302,13 @@ class MujocoEngine:
         out, dim = self.trajectory, (self.shape.horizon, count)
         self._launch(
             record_mujoco_kernel,
-            dim,
-            [self._table, self.model.nq, self._end, self._state, first],
+            (1, count),
+            [self._table, self.model.nq, self._end, self._state, first, 1],
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         if self.pairs:
             inputs = [self._sensor, self._pair_start, self._end, first]
-            self._launch(mujoco_contact_force_kernel, dim, inputs, [out.contact_force])
+            self._launch(mujoco_contact_force_kernel, count, inputs, [out.contact_force])
         if self._activation.size:
             self._launch(gather_kernel, dim, [self._state, self._activation, self._end, 1, first], [out.act])
         if self._senses:

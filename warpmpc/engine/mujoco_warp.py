@@ -284,7 +284,7 @@ class MujocoWarpEngine:
         self._launch(
             record_mujoco_kernel,
             dim,
-            [self._table, self.mj_model.nq, self._end, self._state, 0],
+            [self._table, self.mj_model.nq, self._end, self._state, 0, self.shape.horizon],
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         if self._activation.size:

@@ -12,7 +12,7 @@ import warp as wp
 from ..cost.stack import Judge
 from ..kernels.planning.splines import Spline, spline_control_kernel
 from ..kernels.planning.weights import CVAR, MEAN, WORST, explain_cost_kernel, risk_kernel, sum_cost_kernel
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, step_lanes
 from ..scene.schema import Risk
 
 if TYPE_CHECKING:
@@ -113,10 +113,11 @@ class RecordedEngine:
         shape, (first, count) = self.shape, self.simulator.parts[part]
         proposal.sample(first // shape.domains, count // shape.domains)
         self.simulator.clone(self.state, first, count)
-        places = [self.grid.t, self._step_place, proposal.offset, shape.domains, first]
+        lanes = step_lanes(shape.horizon, self.device)
+        places = [self.grid.t, self._step_place, proposal.offset, shape.domains, first, lanes]
         self._launch(
             spline_control_kernel,
-            (shape.horizon, count),
+            (lanes, count),
             [proposal.knots, self._spline, *self._limits, *places],
             [self.control],
         )

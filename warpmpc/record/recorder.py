@@ -31,7 +31,7 @@ from .shapes import (
 )
 
 if TYPE_CHECKING:
-    from ..control.controller import Controller
+    from ..controller.controller import Controller
     from ..plant.simulated import Plant
 
 logger = logging.getLogger("warpmpc")

@@ -18,7 +18,7 @@ from .choose_engine import choose_engine
 from .episode import EpisodeResult, Tally
 
 if TYPE_CHECKING:
-    from ..control.controller import Controller
+    from ..controller.controller import Controller
     from ..cost.term import ArrayCost, CostTerm
     from ..plant.batch import PlantBatch
     from ..scene.schema import Scene
@@ -62,7 +62,7 @@ class Batch:
         if envs < 1 or not len(seeds):
             raise ValueError(f"a batch has at least one environment and one episode, not {envs} and {len(seeds)}")
         _refuse_drawn_bodies(scene)
-        from ..control.controller import Controller  # slow to import, and a scene may prove wrong without it
+        from ..controller.controller import Controller  # slow to import, and a scene may prove wrong without it
 
         self.seeds, self.terms = tuple(seeds), tuple(terms)
         self.envs = min(envs, len(self.seeds))

@@ -86,7 +86,7 @@ def _plan_time(
     terms: Sequence[CostTerm | ArrayCost],
 ) -> float:
     """Median wall time [s] of a plan from the start state, compilation not counted."""
-    from ..control.controller import Controller
+    from ..controller.controller import Controller
     from ..model.state import State
 
     controller = Controller(scene, engine=name, device=device, envs=envs, terms=terms, compiled=compiled)

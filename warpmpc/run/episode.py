@@ -16,7 +16,7 @@ from ..scene.overrides import split_key
 from .choose_engine import choose_engine
 
 if TYPE_CHECKING:
-    from ..control.controller import Controller
+    from ..controller.controller import Controller
     from ..cost.term import ArrayCost, CostTerm
     from ..model.state import Info
     from ..plant.simulated import Plant
@@ -210,7 +210,7 @@ class Episode:
         terms: Sequence[CostTerm | ArrayCost] = (),
         compiled: CompiledScene | None = None,
     ):
-        from ..control.controller import Controller  # slow to import, and a scene may prove wrong without them
+        from ..controller.controller import Controller  # slow to import, and a scene may prove wrong without them
         from ..plant.simulated import Plant
 
         self.seed = seed
