@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
-import types
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -114,18 +112,3 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(types.ModuleType):
-    """This package; importing its room ``control`` must not hide the function ``control`` of cost terms."""
-
-    @property
-    def control(self) -> object:
-        return importlib.import_module(".kernels.terms.view", __name__).control
-
-    @control.setter
-    def control(self, room: types.ModuleType) -> None:
-        """The import system binds the room here; whoever imports from it finds it in ``sys.modules``."""
-
-
-sys.modules[__name__].__class__ = _Package
