@@ -63,8 +63,8 @@ def controls(
     since = wp.full(envs, offset, dtype=float, device=device)
     wp.launch(
         spline_control_kernel,
-        dim=(steps, worlds - first),
-        inputs=[wp.array(knots, dtype=float, device=device), spline, *limits, *step, since, domains, first],
+        dim=(2, worlds - first),
+        inputs=[wp.array(knots, dtype=float, device=device), spline, *limits, *step, since, domains, first, 2],
         outputs=[control],
         device=device,
     )

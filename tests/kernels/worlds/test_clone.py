@@ -53,8 +53,8 @@ class Conversion:
         outputs += [wp.zeros((*shape, layout.nb), dtype=t, device="cpu") for t in (wp.transform, wp.spatial_vector)]
         states = wp.array(state, dtype=wp.float64, device="cpu")
         end = wp.array(substeps * np.arange(1, steps + 1) - 1, dtype=int, device="cpu")
-        inputs = [self.table, self.model.nq, end, states, 0]
-        wp.launch(record_mujoco_kernel, dim=(steps, worlds), inputs=inputs, outputs=outputs, device="cpu")
+        inputs = [self.table, self.model.nq, end, states, 0, 2]
+        wp.launch(record_mujoco_kernel, dim=(2, worlds), inputs=inputs, outputs=outputs, device="cpu")
         return tuple(a.numpy() for a in outputs)
 
 
@@ -150,7 +150,7 @@ def test_controls_are_mapped_and_held(seed, device):
     arrays = [wp.array(a, dtype=float, device=device) for a in (control, matrix, offset)]
     step = np.repeat(np.arange(steps), substeps)
     inputs = [*arrays, wp.array(step, dtype=int, device=device), 0]
-    wp.launch(mujoco_control_kernel, dim=(worlds, steps * substeps), inputs=inputs, outputs=[out], device=device)
+    wp.launch(mujoco_control_kernel, dim=worlds, inputs=inputs, outputs=[out], device=device)
     expected = np.einsum("ai,twi->wta", matrix.astype(np.float64), control) + offset
     np.testing.assert_allclose(out.numpy(), np.repeat(expected, substeps, axis=1), atol=1e-6)
 

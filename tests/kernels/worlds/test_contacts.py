@@ -21,7 +21,7 @@ def test_forces_are_means_over_the_physics_steps_on_the_first_of_the_pair(subste
     start = wp.array(2 + 6 * np.arange(pairs + 1), dtype=int, device=device)
     end = wp.array(substeps * np.arange(1, steps + 1) - 1, dtype=int, device=device)
     inputs = [sensor, start, end, 0]
-    wp.launch(mujoco_contact_force_kernel, dim=(steps, worlds), inputs=inputs, outputs=[force], device=device)
+    wp.launch(mujoco_contact_force_kernel, dim=worlds, inputs=inputs, outputs=[force], device=device)
     expected = -on_second.reshape(worlds, steps, substeps, pairs, 3).mean(axis=2).swapaxes(0, 1)
     np.testing.assert_allclose(force.numpy(), expected, atol=1e-6)
 
@@ -32,7 +32,7 @@ def test_steps_of_different_length_have_means_of_their_own(device):
     force = wp.zeros((3, 4, 2), dtype=wp.vec3, device=device)
     sensor = wp.array(on_second.reshape(4, -1, 6), dtype=wp.float64, device=device)
     start, end = (wp.array(a, dtype=int, device=device) for a in ([0, 3, 6], np.cumsum(counts) - 1))
-    wp.launch(mujoco_contact_force_kernel, dim=(3, 3), inputs=[sensor, start, end, 1], outputs=[force], device=device)
+    wp.launch(mujoco_contact_force_kernel, dim=3, inputs=[sensor, start, end, 1], outputs=[force], device=device)
     first = 0
     for t, count in enumerate(counts):
         mean = on_second[:, first : first + count].mean(axis=1)
