@@ -97,13 +97,16 @@ def scale_samples_kernel(
     # outputs
     z: wp.array4d[float],  # [E, S, P, nu] scaled in place
 ):
-    """Scale one number: samples grow geometrically from ``low`` to ``high``, to search near and far at once."""
-    row, p, u = wp.tid()
-    e = (first + row) // z.shape[1]
-    s = (first + row) % z.shape[1]
+    """Scale one sample: they grow geometrically from ``low`` to ``high``, to search near and far at once."""
+    row = first + wp.tid()
+    e = row // z.shape[1]
+    s = row % z.shape[1]
 
     share = float(s) / wp.max(float(z.shape[1] - 1), 1.0)
-    z[e, s, p, u] = z[e, s, p, u] * low * wp.pow(high / low, share)
+    growth = wp.pow(high / low, share)
+    for p in range(z.shape[2]):
+        for u in range(z.shape[3]):
+            z[e, s, p, u] = z[e, s, p, u] * low * growth
 
 
 @wp.kernel
@@ -165,6 +168,7 @@ def perturb_knots_kernel(
     schedule: wp.array2d[float],  # [iteration, P] factor on σ
     iteration: int,
     shaping: wp.array2d[float],  # [P, P] shaping matrix B
+    white: int,  # whether B is the identity
     z: wp.array4d[float],  # [E, S, P, nu] standard normals
     lower: wp.array[float],  # [nu]
     upper: wp.array[float],  # [nu]
@@ -190,7 +194,10 @@ def perturb_knots_kernel(
         value = null[e, u]
     elif s > 0:
         shaped = float(z[e, s, 0, u])
-        if wp.floor(float(s + 1) * constant) == wp.floor(float(s) * constant):
+        own = wp.floor(float(s + 1) * constant) == wp.floor(float(s) * constant)
+        if own and white != 0:
+            shaped = z[e, s, p, u]
+        elif own:
             shaped = float(0.0)
             for q in range(shaping.shape[1]):
                 shaped += shaping[p, q] * z[e, s, q, u]

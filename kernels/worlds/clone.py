@@ -260,6 +260,7 @@ def mujoco_control_kernel(
     control: wp.array3d[float],  # [T, W, nu]
     matrix: wp.array2d[float],  # [na, nu] actuator targets per control
     offset: wp.array[float],  # [na]
+    span: wp.array2d[int],  # [na, 2] first and one past the last control that an actuator listens to
     step: wp.array[int],  # [N] control step that each physics step belongs to
     first: int,  # world of thread 0
     # outputs
@@ -274,7 +275,7 @@ def mujoco_control_kernel(
                 actuator[w, n, a] = actuator[w, n - 1, a]
             else:
                 target = offset[a]
-                for i in range(matrix.shape[1]):
+                for i in range(span[a, 0], span[a, 1]):
                     target += matrix[a, i] * control[t, w, i]
                 actuator[w, n, a] = wp.float64(target)
 

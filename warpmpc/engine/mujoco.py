@@ -185,6 +185,9 @@ class MujocoEngine:
         self._bind_columns(world)
         self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
         self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
+        columns = [np.flatnonzero(row) for row in world.actuator_matrix]
+        spans = [(c[0], c[-1] + 1) if len(c) else (0, 0) for c in columns]
+        self._span = wp.array(np.array(spans).reshape(-1, 2), dtype=int, device="cpu")
         self.trajectory = Trajectory.allocate(shape, layout, len(pairs), "cpu")
         silence_mujoco()
 
@@ -271,7 +274,7 @@ class MujocoEngine:
             part: Which of :attr:`parts`.
         """
         first, count = self.parts[part]
-        inputs = [control, self._matrix, self._offset, self._step, first]
+        inputs = [control, self._matrix, self._offset, self._span, self._step, first]
         self._launch(mujoco_control_kernel, count, inputs, [self._control])
         self.step_physics(part)
         self._record(first, count)

@@ -56,6 +56,7 @@ class Gaussian:
 
         self.mean, self.sigma, self._shifted = zeros(*self.dim), zeros(*self.dim), zeros(*self.dim)
         self.offset, self._shift, self.null = zeros(envs), zeros(envs), zeros(envs, nu)
+        self._no_shaping = zeros(1, 1)
         self._fresh = wp.zeros(envs, dtype=int, device=self.device)
         self._sigma0 = np.tile(sigma.astype(np.float32), (envs, knots, 1))
         self._held = wp.array(held, dtype=int, device=self.device)
@@ -92,7 +93,7 @@ class Gaussian:
     def perturb(
         self,
         z: wp.array,
-        shaping: wp.array,
+        shaping: wp.array | None,
         schedule: wp.array,
         iteration: int,
         *,
@@ -106,7 +107,7 @@ class Gaussian:
 
         Args:
             z: Standard normals ``[E, S, P, nu]``.
-            shaping: Shaping matrix B ``[P, P]``.
+            shaping: Shaping matrix B ``[P, P]``, None for the identity.
             schedule: Factor on σ ``[n, P]``.
             iteration: Row of the schedule.
             null_sample: Whether the second sample asks for nothing.
@@ -115,7 +116,8 @@ class Gaussian:
             first: First of the rows e·S + s to write.
             count: Number of rows.
         """
-        noise = [self.mean, self.sigma, schedule, iteration, shaping, z]
+        matrix = self._no_shaping if shaping is None else shaping
+        noise = [self.mean, self.sigma, schedule, iteration, matrix, int(shaping is None), z]
         self._launch(
             perturb_knots_kernel,
             (count, *self.dim[1:]),

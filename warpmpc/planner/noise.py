@@ -116,7 +116,7 @@ class NoiseSource:
         else:
             self._launch(table_normal_kernel, dim, [self._table, self._shift, first], [self.z])
         if self.spread != (1.0, 1.0):
-            self._launch(scale_samples_kernel, dim, [*self.spread, first], [self.z])
+            self._launch(scale_samples_kernel, count, [*self.spread, first], [self.z])
 
     def reset(self) -> None:
         """Start the draws over, as if just constructed; capture-safe."""

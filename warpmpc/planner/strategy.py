@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..scene.errors import SceneError
+from ..scene.schema import NoiseShape
 from .distribution import Gaussian
 from .noise import NoiseKind, NoiseSource
 from .shaping import schedule, shaping_matrix
@@ -138,7 +139,9 @@ class SamplingStrategy:
             device=device,
         )
         floor = _per_control(planner.sigma_min, layout, scene, "planner.sigma_min")
-        self._shaping = wp.array(shaping_matrix(planner.noise, count), dtype=float, device=device)
+        white = planner.noise.shape is NoiseShape.IDENTITY
+        matrix = None if white else shaping_matrix(planner.noise, count)
+        self._shaping = None if white else wp.array(matrix, dtype=float, device=device)
         self._schedule = wp.array(schedule(planner.noise, count, planner.iterations), dtype=float, device=device)
         self._floor = wp.array(floor, dtype=float, device=device)
 
