@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which room of the package imports which, read from the source: python tools/rooms.py
+"""Which room of the package imports which, read from the source.
 
-Prints every import between two rooms that goes upwards or sideways, and the picture of ``docs/architecture.md``. Imports
-for type checkers alone do not count: nothing is imported there. Exit code 1 where an import goes the wrong way.
+    python tools/rooms.py
+
+Prints every import between two rooms that goes upwards or sideways, and the picture of ``docs/architecture.md``.
+Imports for type checkers alone are printed but do not count. Exit code 1 where another goes the wrong way.
 """
 
 from __future__ import annotations
