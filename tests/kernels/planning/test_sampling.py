@@ -71,7 +71,8 @@ def perturb(
     def on(a) -> wp.array:
         return wp.array(a, dtype=float, device=device)
 
-    inputs = [on(mean), on(sigma), on(schedule), iteration, on(shaping), on(z), on(lower), on(upper), on(null)]
+    matrix = [on(np.zeros((1, 1)) if shaping is None else shaping), int(shaping is None)]
+    inputs = [on(mean), on(sigma), on(schedule), iteration, *matrix, on(z), on(lower), on(upper), on(null)]
     inputs += [int(null_sample), constant, first]
     wp.launch(
         perturb_knots_kernel, dim=(envs * samples - first, knots, nu), inputs=inputs, outputs=[out], device=device
@@ -317,3 +318,10 @@ def test_shaped_noise_has_the_covariance_of_its_matrix(device):
     knots = perturb(0.0 * sigma, sigma, shaping, z, **free, device=device)[0, 1:, :, 0]
     np.testing.assert_allclose(np.cov(knots.T), 4.0 * shaping @ shaping.T, atol=4.0 * 6.0 / np.sqrt(8192))
     np.testing.assert_allclose(knots.mean(axis=0), 0.0, atol=2.0 * 5.0 / np.sqrt(8192))
+
+
+def test_white_noise_is_noise_shaped_by_the_identity(device):
+    case = {**random_knots(2, samples=12), "shaping": None}
+    white = perturb(**case, null_sample=True, constant=0.3, device=device)
+    shaped = perturb(**{**case, "shaping": np.eye(5)}, null_sample=True, constant=0.3, device=device)
+    np.testing.assert_array_equal(white, shaped)

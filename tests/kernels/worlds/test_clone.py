@@ -148,8 +148,11 @@ def test_controls_are_mapped_and_held(seed, device):
     matrix, offset = (rng.normal(size=s).astype(np.float32) for s in ((na, nu), na))
     out = wp.zeros((worlds, steps * substeps, na), dtype=wp.float64, device=device)
     arrays = [wp.array(a, dtype=float, device=device) for a in (control, matrix, offset)]
+    matrix[0, 1] = matrix[2, 0] = 0.0
+    arrays[1].assign(matrix)
+    span = wp.array([(0, 1), (0, 2), (1, 2)], dtype=int, device=device)
     step = np.repeat(np.arange(steps), substeps)
-    inputs = [*arrays, wp.array(step, dtype=int, device=device), 0]
+    inputs = [*arrays, span, wp.array(step, dtype=int, device=device), 0]
     wp.launch(mujoco_control_kernel, dim=worlds, inputs=inputs, outputs=[out], device=device)
     expected = np.einsum("ai,twi->wta", matrix.astype(np.float64), control) + offset
     np.testing.assert_allclose(out.numpy(), np.repeat(expected, substeps, axis=1), atol=1e-6)
