@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weightings: from sample costs to sample weights, the one part of a strategy in which MPPI, CEM and their kin differ."""
+"""Weightings: from sample costs to sample weights, the part of a strategy in which MPPI, CEM and their kin differ."""
 
 from __future__ import annotations
 
