@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cost term asks of the scene while it is bound: frames, contact pairs, distance fields."""
+"""What a cost term asks of the scene while it is bound: frames, sensors, scalars, contact pairs, resources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
 
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
-"""Numbers of the shapes whose distance ``kernels.clearance.shape_distance`` knows."""
+"""Numbers of the shapes whose distance ``kernels.terms.clearance.shape_distance`` knows."""
 
 
 @dataclass

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class CostTerm:
     """A cost term: a Warp function of one step of one world and its parameters.
 
-    Build one with :func:`cost_term` and hand it to :func:`warpmpc.load_scene` or :class:`warpmpc.Controller`.
+    Build one with :func:`cost_term` and hand it to :class:`warpmpc.Controller` and :class:`warpmpc.Plant`.
     """
 
     name: str
@@ -50,8 +50,8 @@ def cost_term(name: str) -> Callable[[Callable], CostTerm]:
 
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
-    (``robot/frame``), as a joint when the field's name contains ``joint``, or as the first number of a sensor
-    (``robot/sensor``) when it contains ``sensor``.
+    (``robot/frame``), as a joint when the field's name contains ``joint``, as the first number of a sensor
+    (``robot/sensor``) when it contains ``sensor``, or as a scalar of the task when it contains ``scalar``.
 
     Args:
         name: What scene files call the term.

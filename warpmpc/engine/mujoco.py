@@ -116,7 +116,7 @@ def silence_mujoco() -> None:
 
 
 class MujocoEngine:
-    """Rolls controls out with ``mujoco.rollout`` on all cores.
+    """Rolls controls out as ``mujoco.rollout`` does, part by part on whatever thread replays them.
 
     Args:
         compiled: The scene.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan step: begin → shift → n × (propose → evaluate → update) → command. Every strategy is this one step."""
+"""The plan step: begin (shift) → n × (propose → evaluate → update) → command. Every strategy is this one step."""
 
 from __future__ import annotations
 

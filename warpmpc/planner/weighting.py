@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weightings: from sample costs to sample weights, the one strategy in which MPPI, CEM and their kin differ."""
+"""Weightings: from sample costs to sample weights, the part of a strategy in which MPPI, CEM and their kin differ."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Weighting(Protocol):
     """Turns the costs of a :class:`WeightingState` into weights."""
 
     adapts_sigma: ClassVar[bool]
-    """Whether the plan step updates σ from the weighted samples."""
+    """Whether the strategy updates σ from the weighted samples."""
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""

@@ -117,7 +117,7 @@ class Plant:
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
-        envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant_batch.PlantBatch` of plants
+        envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant.batch.PlantBatch` of plants
             with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
         task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
         terms: Users' own cost terms that success or phases name.

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms import downwards only, and the picture in the docs is theirs."""
+
+from pathlib import Path
+
+from rooms import FLOOR, imports, mermaid
+
+ARCHITECTURE = Path(__file__).parents[2] / "docs" / "architecture.md"
+
+
+def test_rooms_import_downwards_only():
+    found = [i for i in imports() if not i.typing]
+    assert len(found) > 50
+    assert [f"{i.file}:{i.line}" for i in found if FLOOR[i.target] >= FLOOR[i.room]] == []
+
+
+def test_the_picture_in_the_docs_is_that_of_the_source():
+    below = [i for i in imports() if FLOOR[i.target] < FLOOR[i.room]]
+    assert f"```mermaid\n{mermaid(below)}\n```" in ARCHITECTURE.read_text(encoding="utf-8")

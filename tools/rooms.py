@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which room of the package imports which, read from the source.
+
+    python tools/rooms.py
+
+Prints every import between two rooms that goes upwards or sideways, and the picture of ``docs/architecture.md``.
+Imports for type checkers alone are printed but do not count. Exit code 1 where another goes the wrong way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FLOORS = (
+    ("cli",),
+    ("run", "record"),
+    ("controller", "plant"),
+    ("planner",),
+    ("engine",),
+    ("cost",),
+    ("task",),
+    ("model",),
+    ("scene", "launch"),
+    ("kernels",),
+)
+"""Rooms from the top floor to the bottom; rooms of one floor do not know each other."""
+FLOOR = {room: floor for floor, rooms in enumerate(reversed(FLOORS)) for room in rooms}
+
+
+@dataclass(frozen=True)
+class Import:
+    """An import between two rooms."""
+
+    file: Path
+    line: int
+    room: str
+    target: str
+    typing: bool
+    """Whether type checkers alone follow it."""
+    late: bool
+    """Whether it stands in a function."""
+
+
+def sources() -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """Every module of the package: its file and the parts of its name below ``warpmpc``."""
+    for folder, lead in ((ROOT / "warpmpc", ()), (ROOT / "kernels", ("kernels",))):
+        for file in sorted(folder.rglob("*.py")):
+            parts = (*lead, *file.relative_to(folder).with_suffix("").parts)
+            if len(parts) > 1 or parts[0] == "launch":
+                yield file, parts
+
+
+def imported(node: ast.stmt, package: tuple[str, ...]) -> Iterator[str]:
+    """Rooms that one import statement names."""
+    if isinstance(node, ast.Import):
+        names = [alias.name.split(".") for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        lead = ["warpmpc", *package[: len(package) - node.level + 1]] if node.level else []
+        names = [[*lead, *(node.module or "").split("."), alias.name] for alias in node.names]
+    else:
+        return
+    for name in names:
+        parts = [part for part in name if part]
+        if parts[0] == "warpmpc" and len(parts) > 1 and parts[1] in FLOOR:
+            yield parts[1]
+
+
+def walk(body: list[ast.stmt], *, typing: bool = False, late: bool = False) -> Iterator[tuple[ast.stmt, bool, bool]]:
+    """All statements, with whether they are for type checkers and whether they stand in a function."""
+    for node in body:
+        yield node, typing, late
+        checked = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        inside = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        for field in ("body", "orelse", "finalbody"):
+            rest = getattr(node, field, [])
+            yield from walk(rest, typing=typing or (checked and field == "body"), late=inside)
+        for handler in getattr(node, "handlers", []):
+            yield from walk(handler.body, typing=typing, late=inside)
+
+
+def imports() -> list[Import]:
+    """All imports between rooms."""
+    found = set()
+    for file, parts in sources():
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node, typing, late in walk(tree.body):
+            for target in imported(node, parts[:-1]):
+                if target != parts[0]:
+                    found.add(Import(file.relative_to(ROOT), node.lineno, parts[0], target, typing, late))
+    return sorted(found, key=lambda i: (str(i.file), i.line))
+
+
+def mermaid(found: list[Import]) -> str:
+    """The rooms as a diagram: arrows go from a room to what it imports, but for what a room below imports already."""
+    edges = {(i.room, i.target) for i in found if not i.typing}
+    below = {room: {b for a, b in edges if a == room} for room in FLOOR}
+
+    def reach(room: str) -> set[str]:
+        return below[room] | {far for near in below[room] for far in reach(near)}
+
+    direct = [(a, b) for a, b in edges if not any(b in reach(c) for c in below[a] - {b})]
+    order = [room for rooms in FLOORS for room in rooms]
+    direct.sort(key=lambda edge: (order.index(edge[0]), order.index(edge[1])))
+    return "\n".join(["graph TD", *(f"    {a} --> {b}" for a, b in direct)])
+
+
+def main() -> int:
+    """Print what there is to say; returns the exit code."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    found = imports()
+    wrong = [i for i in found if FLOOR[i.target] >= FLOOR[i.room]]
+    for i in wrong:
+        kind = "for type checkers" if i.typing else "in a function" if i.late else "at the top"
+        print(f"{i.file}:{i.line}: {i.room} imports {i.target}, which is not below it ({kind})")
+    print(mermaid([i for i in found if i not in wrong]))
+    return int(any(not i.typing for i in wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
