@@ -70,12 +70,9 @@ def play(case: tuple[str, tuple[str, ...], int]) -> np.ndarray:
     import warp as wp
 
     import warpmpc
+    from warpmpc.run.episode import Episode
 
     wp.config.log_level = wp.LOG_ERROR
-    try:
-        from warpmpc.run.episode import Episode
-    except ImportError:
-        from warpmpc.run.episode import Episode
     name, overrides, seed = case
     episode = Episode(warpmpc.load_scene(name, overrides=overrides), seed=seed, engine="mujoco")
     rows = []

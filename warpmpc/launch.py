@@ -5,13 +5,24 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import warp as wp
 import warp._src.context
 
 capturing = threading.RLock()
 """Held while launches are recorded: a recording takes in whatever any thread of the process launches meanwhile."""
+
+
+@contextmanager
+def default_device(device: wp.DeviceLike) -> Iterator[None]:
+    """Make a device Warp's default for a while, for libraries that take no device.
+
+    The default is the whole process's: threads that changed it at once could leave it changed for good.
+    """
+    with capturing, wp.ScopedDevice(device):
+        yield
 
 
 class Launcher:

@@ -134,9 +134,10 @@ class EpisodeBar(Bar):
         if not (self.due() or plant.done):
             return
         info = controller.info
+        goal = "" if plant.error is None else f"goal {plant.error.position:.3f} m  "
         numbers = (
             f"{plant.time:4.1f} s  cost {info.cost:<6.4g} η {info.eta:<4.0f} β {info.beta:<7.2g} "
-            f"goal {plant.error.position:.3f} m  plan {info.plan_ms:.0f} ms"
+            f"{goal}plan {info.plan_ms:.0f} ms"
         )
         self.draw(self._name, plant.time, numbers)
 

@@ -7,8 +7,8 @@ import inspect
 import math
 import statistics
 from enum import StrEnum
-from types import NoneType
-from typing import TYPE_CHECKING, Any, TextIO, get_args, get_origin
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, TextIO, Union, get_args, get_origin
 
 import numpy as np
 from rich import box
@@ -98,13 +98,19 @@ def print_terms() -> None:
 
 def _kind(field: FieldInfo) -> str:
     """What a key takes, in words."""
-    kinds = [kind for kind in get_args(field.annotation) if kind is not NoneType] or [field.annotation]
-    if get_origin(field.annotation) is tuple:
-        return f"[{', '.join('text' if kind is str else 'number' for kind in kinds)}]"
-    kind, metadata = kinds[0], list(field.metadata)
-    for inner in getattr(kind, "__metadata__", ()):
-        metadata += getattr(inner, "metadata", [])
-    kind = getattr(kind, "__origin__", kind)
+    kind, metadata = field.annotation, list(field.metadata)
+    while True:
+        choices = [choice for choice in get_args(kind) if choice is not NoneType]
+        if isinstance(kind, UnionType) or get_origin(kind) is Union:
+            kind = choices[0]
+        elif hasattr(kind, "__metadata__"):
+            metadata += [item for outer in kind.__metadata__ for item in getattr(outer, "metadata", [])]
+            kind = kind.__origin__
+        else:
+            break
+    if get_origin(kind) is tuple:
+        names = ["..." if choice is Ellipsis else "text" if choice is str else "number" for choice in choices]
+        return f"[{', '.join(names)}]"
     if issubclass(kind, StrEnum):
         return " | ".join(kind)
     bounds = {name: f" {sign} {getattr(m, name):g}" for m in metadata for name, sign in _SIGNS if hasattr(m, name)}
@@ -156,6 +162,12 @@ def print_check(episode: Episode, out: TextIO) -> None:
         fact("obstacle", f"{item.name}: {_shape(item)} at {_number(item.position)}")
     fact("frames", ", ".join(layout.frame_name))
     fact("goal", _goal(scene))
+    for target in scene.target:
+        fact("target", f"{target.name} at {_number(target.position)} m")
+    if scene.scalar:
+        fact("scalars", ", ".join(f"{name} = {_number(value)}" for name, value in scene.scalar.items()))
+    for phase in scene.phase:
+        fact("phase", phase.name)
     fact("planner", _planner(scene))
     shape = controller.shape
     substeps = physics_steps(scene, controller.compiled, controller.planner.grid)[0]
@@ -202,10 +214,11 @@ def _is_linear(layout: Layout, dof: int) -> bool:
 def _costs(episode: Episode) -> Table:
     table = _table("cost", "term", "weight", "best sample", "keys", right=["weight", "best sample"])
     costs = episode.controller.costs
+    task = episode.controller.task
     for label, cost in zip(costs.labels, episode.scene.cost, strict=True):
         keys = ", ".join(f"{key} = {_number(value)}" for key, value in cost.params.items())
         best = episode.controller.info.terms[label]
-        table.add_row(Text(label), Text(cost.term), f"{cost.weight:g}", f"{best:.4g}", Text(keys))
+        table.add_row(Text(label), Text(cost.term), f"{float(task[label]):g}", f"{best:.4g}", Text(keys))
     return table
 
 
@@ -286,7 +299,7 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
             str(r.seed),
             Text(r.reason, style="green" if r.success else "red"),
             f"{r.sim_time:.2f}",
-            f"{r.position_error:.3f}",
+            "-" if r.position_error is None else f"{r.position_error:.3f}",
             "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
             f"{r.max_force:.1f}",
             f"{r.time_in_contact:.2f}",
@@ -320,7 +333,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
             Text(reason, style="green" if group[0].success else "red"),
             str(len(group)),
             f"{statistics.mean(r.sim_time for r in group):.2f}",
-            f"{statistics.mean(r.position_error for r in group):.3f}",
+            "-" if group[0].position_error is None else f"{statistics.mean(r.position_error for r in group):.3f}",
             f"{statistics.mean(r.time_in_contact for r in group):.2f}",
             "" if group[0].success else _some([str(r.seed) for r in group]),
         )

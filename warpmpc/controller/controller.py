@@ -96,6 +96,7 @@ class Controller:
         self._held_q, self._held_qd = (np.tile(a, (envs, 1)) for a in (layout.joint_q, layout.joint_qd))
         self._act, self._mocap = np.tile(layout.act, (envs, 1)), np.tile(layout.mocap, (envs, 1, 1))
         self._time = np.full(envs, np.nan)  # of the last plan
+        self._now = self._time  # of the last observation, finite or not
         self._last: tuple[State, PlanReport, np.ndarray, float] | None = None
         self._info = None
 
@@ -207,9 +208,10 @@ class Controller:
         """Time since the last plan and time of the observation ``[E]`` [s]; a clock that runs back stands still."""
         dt = self.scene.timing.control_dt
         if state.time is None:
-            now = np.where(np.isnan(self._time), 0.0, self._time + dt)
+            now = np.where(np.isnan(self._now), 0.0, self._now + dt)
         else:
             now = np.broadcast_to(np.asarray(state.time, dtype=float), self.envs).copy()
+        self._now = now
         elapsed = np.where(np.isnan(self._time) | ~observed, 0.0, np.maximum(now - self._time, 0.0))
         self._time = np.where(observed, now, self._time)
         return elapsed, now

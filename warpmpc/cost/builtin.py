@@ -52,8 +52,7 @@ def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
     v = parse_keys(Distance, keys, b)
     p = costs.DistanceParams()
     p.first, p.second = (b.frame(name, "between") for name in v.between)
-    flat_goal = "goal" in v.between and b.scene.goal is not None and len(b.scene.goal.position) == 2
-    p.planar = int(v.planar or flat_goal or v.metric is Metric.GEODESIC)
+    p.planar = int(v.planar or bool(b.scene.flat_poses & {*v.between}) or v.metric is Metric.GEODESIC)
     p.field, p.near, p.lead = -1, v.near, v.lead
     if v.metric is Metric.GEODESIC:
         inflation = b.footprint(v.between[0]) if v.inflation is None else v.inflation

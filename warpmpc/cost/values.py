@@ -62,17 +62,25 @@ class TermValues:
             shape: One sample and one step for each of E environments.
             dt: Length of that step [s].
         """
-        self._trajectory = trajectory
+        self._trajectory, self._control = trajectory, control
+        self._before = control.numpy()[0].copy()
         self._judge = Judge(self._stack, trajectory, control, self._state, shape, np.array([0.0, dt]))
 
-    def __call__(self) -> list[dict[str, float]]:
-        """Value of every term after the last control, by environment."""
+    def __call__(self, times: Sequence[float]) -> list[dict[str, float]]:
+        """Value of every term after the last control, by environment.
+
+        Args:
+            times: When that control began ``[E]`` [s].
+        """
         state, task, out = self._state, self._task, self._trajectory
         envs, poses = task.envs, len(task.pose_name)
         state.pose.assign(task.block[:, : 7 * poses].reshape(envs, poses, 7))
         state.scalar.assign(task.block[:, 7 * poses : 7 * poses + len(task.scalar_name)])
         state.joint_q.assign(out.joint_q.numpy()[-1])
         state.joint_qd.assign(out.joint_qd.numpy()[-1])
+        state.start.assign(np.array(times, dtype=np.float32))
+        state.last_control.assign(self._before)
+        self._before = self._control.numpy()[0].copy()
         self._stack.refresh()
         self._stack.before_plan(state)
         self._judge.launch()

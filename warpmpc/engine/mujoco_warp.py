@@ -32,7 +32,7 @@ from ..kernels.worlds.mujoco_warp import (
     store_row_kernel,
     store_state_kernel,
 )
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, default_device
 from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
@@ -130,7 +130,7 @@ class MujocoWarpEngine:
         world = make_world(compiled, timestep=timestep, options=Options.of(scene.engine), sensors=sensors)
         self.mj_model = world.model
         try:
-            with wp.ScopedDevice(self.device):
+            with default_device(self.device):
                 _set_options(world.model, options)
                 _refuse_rk4(world.model)
                 self._put(world, layout, options, properties)

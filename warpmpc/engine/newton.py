@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, default_device
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
@@ -73,7 +73,7 @@ class NewtonEngine:
         self._launch = Launcher(self.device)
         self.dt, layout = timestep, compiled.layout
         _refuse_mujocos_own(scene, compiled)
-        with wp.ScopedDevice(self.device):
+        with default_device(self.device):
             self.model = build_model(scene, shape.worlds, self.device)
             self.solver = make_solver(self.model, scene, layout, shape, pairs)
             if properties and (changed := randomize_newton(self.model, layout, shape, properties)):

@@ -89,7 +89,7 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
     """
     engine = str(scene.engine.name) if engine == "auto" else engine
     if engine not in (*ENGINES, "auto"):
-        raise ValueError(f"no engine '{engine}'; there is: {', '.join(EngineName)}")
+        raise ValueError(f"no engine '{engine}'; there is: {', '.join(('auto', *ENGINES))}")
     if device != "auto":
         try:
             device = str(wp.get_device(device))

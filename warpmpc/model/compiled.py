@@ -116,9 +116,10 @@ def _compile(scene: Scene) -> CompiledScene:
 def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """The MuJoCo model of a Newton world, and its names of bodies, shapes and joint dofs."""
     import newton
-    import warp as wp
 
-    with wp.ScopedDevice("cpu"), tempfile.TemporaryDirectory() as folder:
+    from ..launch import default_device
+
+    with default_device("cpu"), tempfile.TemporaryDirectory() as folder:
         model = world.builder.finalize(device="cpu")
         path = Path(folder) / "scene.xml"
         solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True, save_to_mjcf=str(path))

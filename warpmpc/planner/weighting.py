@@ -169,12 +169,10 @@ class CrossEntropy:
 
     Args:
         elites: Number of best samples that carry weight.
-        sigma_min: Floor of the adapted standard deviation, in control units, one for all controls or ``[nu]``.
         alpha_sigma: Step size of the update of σ², 1 forgets the old value.
     """
 
     elites: int = 8
-    sigma_min: float | tuple[float, ...] = 0.01
     alpha_sigma: float = 1.0
 
     adapts_sigma: ClassVar[bool] = True

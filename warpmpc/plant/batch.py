@@ -101,7 +101,7 @@ class PlantBatch:
         out = self._engine.trajectory
         shown = (out.joint_q.numpy(), out.joint_qd.numpy(), out.body_q.numpy(), self._engine.sensor.swapaxes(0, 1))
         kept = [array[:, ~running] for array in shown]
-        self._worlds.step()
+        self._worlds.step([plant.time for plant in self.plants])
         for array, old in zip(shown, kept, strict=True):
             array[:, ~running] = old
         for e in np.flatnonzero(running):

@@ -48,7 +48,9 @@ class Monitor:
         return {condition.term for condition in rows if condition.term is not None}
 
     def reset(self) -> None:
-        """Begin with the first state of a run."""
+        """Begin with the first state of a run; a task that went on to other phases begins anew."""
+        if self._task.phase[self._e]:
+            self._task.reset(self._e)
         self.error = None
         self.phases: list[tuple[str, float]] = []
         """Phases that were entered after the first, and when [s]."""

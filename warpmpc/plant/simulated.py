@@ -95,11 +95,15 @@ class Worlds:
         self.terms: list[dict[str, float]] = [{} for _ in seeds]
         """Values of the cost terms that conditions name, by world."""
 
-    def step(self) -> None:
-        """Hold the controls for one control step in every world."""
+    def step(self, times: Sequence[float]) -> None:
+        """Hold the controls for one control step in every world.
+
+        Args:
+            times: Time of each world before it ``[E]`` [s].
+        """
         self.engine.run(self._replays)
         if self._values:
-            self.terms = self._values()
+            self.terms = self._values(times)
 
 
 def _stacked(draws: Sequence[Properties]) -> Properties:
@@ -224,7 +228,7 @@ class Plant:
         if control.shape != (self.layout.nu,) or not np.isfinite(control).all():
             raise ValueError(f"a control of this scene is {self.layout.nu} finite numbers, not {control}")
         self.begin(control)
-        self._worlds.step()
+        self._worlds.step([self.time])
         self.end()
 
     def move_mocap(self, name: str, pose: np.ndarray) -> None:

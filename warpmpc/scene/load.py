@@ -177,7 +177,8 @@ def check_scene(scene: Scene) -> None:
     Raises:
         SceneError: If names clash, a reference leads nowhere or sections contradict each other.
     """
-    for check in (_check_names, _check_goal, _check_robots, _check_plant, _check_randomization, _check_draws):
+    checks = (_check_names, _check_goal, _check_phases, _check_robots, _check_plant, _check_randomization, _check_draws)
+    for check in checks:
         try:
             check(scene)
         except SceneError as error:
@@ -199,6 +200,16 @@ def _check_names(scene: Scene) -> None:
             if name in owner:
                 raise SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
             owner[name] = kind
+    # targets stand among the frames; targets, scalars and weights among the values of the task
+    values = {"target": _names(scene.target), "scalar": list(scene.scalar), "cost": sorted(set(scene.cost_labels))}
+    taken: dict[str, str] = {}
+    for kind, names in values.items():
+        for name in names:
+            other = taken.get(name) or (owner.get(name) if kind == "target" else None)
+            if other is not None or (kind != "cost" and name in RESERVED):
+                what = f"taken by another {other}" if other else f"reserved, as are {', '.join(RESERVED)}"
+                raise SceneError(f"this name is {what}", key=join_key((kind, name)), found=name)
+            taken[name] = kind
     labels = [cost.label for cost in scene.cost]
     for label in labels:
         if labels.count(label) > 1:
@@ -211,6 +222,10 @@ def _check_names(scene: Scene) -> None:
 
 def _check_goal(scene: Scene) -> None:
     goal, success = scene.goal, scene.success
+    if goal is None:
+        if success.of_goal:
+            raise SceneError("there is no goal to compare with: give [goal], or conditions alone", key="success")
+        return
     if goal.object is not None and goal.object not in _names(scene.object):
         raise SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
     if goal.frame is not None:
@@ -224,6 +239,23 @@ def _check_goal(scene: Scene) -> None:
     for name in ("yaw", "rotation"):
         if getattr(success, name) is not None and goal.yaw is None and goal.rotation is None:
             raise SceneError("the goal has no orientation: give goal.yaw or goal.rotation", key=f"success.{name}")
+
+
+def _check_phases(scene: Scene) -> None:
+    known = {"target": _names(scene.target), "scalar": list(scene.scalar), "weight": scene.cost_labels}
+    for i, phase in enumerate(scene.phase):
+        key = f"phase.{phase.name}"
+        if phase.goal is not None and scene.goal is None:
+            raise SceneError("the scene has no goal that a phase could move: give [goal]", key=f"{key}.goal")
+        for kind, names in known.items():
+            for name in getattr(phase, kind):
+                if name not in names:
+                    what = "cost term" if kind == "weight" else kind
+                    raise SceneError(
+                        f"no such {what}", key=join_key(("phase", phase.name, kind, name)), found=name, allowed=names
+                    )
+        if i < len(scene.phase) - 1 and not phase.until and phase.after is None:
+            raise SceneError("this phase never ends: give until or after, or put it last", key=key)
 
 
 def _check_frame(scene: Scene, frame: str, key: str) -> None:

@@ -370,6 +370,14 @@ class Scene(Section):
     """Variant that was applied."""
 
     @property
+    def flat_poses(self) -> set[str]:
+        """The goal and the targets whose height does not matter, by name."""
+        poses = {target.name: target for target in self.target}
+        if self.goal is not None:
+            poses["goal"] = self.goal
+        return {name for name, pose in poses.items() if len(pose.position) == 2}
+
+    @property
     def cost_labels(self) -> list[str]:
         """What the cost terms are called, with a number behind those that occur again."""
         seen: dict[str, int] = {}

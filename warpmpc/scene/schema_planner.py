@@ -72,7 +72,7 @@ class Noise(Section):
     """Whether one sample asks for nothing: no speed or effort, or the observed position held."""
     anneal: tuple[Positive, Positive] | None = None
     """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
-    present, h from 0 to 1 along the horizon."""
+    present, h from 1/P at the first of P knots to 1 at the last."""
 
 
 class Temperature(Section):

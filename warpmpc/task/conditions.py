@@ -48,7 +48,7 @@ class Conditions:
     """
 
     def __init__(self, conditions: Sequence[Condition], layout: Layout, task: Task, e: int, *, scene: Scene, key: str):
-        self._layout, self._task, self._e = layout, task, e
+        self._layout, self._task, self._e, self._flat = layout, task, e, scene.flat_poses
         self._rows = []
         for i, condition in enumerate(conditions):
             where = f"{key}.{i}" if len(conditions) > 1 else key
@@ -97,8 +97,9 @@ class Conditions:
         return all(holds for bound, holds in bounds if bound is not None)
 
     def _near(self, condition: Condition, pose: np.ndarray, target: np.ndarray) -> bool:
+        axes = 2 if condition.to in self._flat else 3
         errors = (
-            (condition.distance, float(np.linalg.norm(pose[:3] - target[:3]))),
+            (condition.distance, float(np.linalg.norm((pose - target)[:axes]))),
             (condition.yaw, heading_between(pose[3:], target[3:])),
             (condition.rotation, angle_between(pose[3:], target[3:])),
         )

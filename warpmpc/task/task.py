@@ -52,14 +52,17 @@ class Task(Mapping[str, np.ndarray]):
         """Call ``listener(names)`` after every change."""
         self._listeners.append(listener)
 
-    def reset(self) -> None:
-        """Go back to the scene's own values and to its first phase."""
-        self.block[:] = self._start
-        self.phase[:] = 0
-        changed = set(self._columns)
-        for e in range(self.envs):
-            changed |= self._enter(e)
-        self._tell(changed)
+    def reset(self, e: int | None = None) -> None:
+        """Go back to the scene's own values and to its first phase.
+
+        Args:
+            e: Environment, all of them if None.
+        """
+        for row in range(self.envs) if e is None else (e,):
+            self.block[row] = self._start[row]
+            self.phase[row] = 0
+            self._enter(row)
+        self._tell(set(self._columns))
 
     def take(self, tasks: Sequence[Task]) -> None:
         """Make the present values of one-environment tasks the start of each environment, and go back to it.

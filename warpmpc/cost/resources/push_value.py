@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -159,8 +160,12 @@ def _serve() -> None:
             e, jobs = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        pickle.dump((e, [push_value(*job) for job in jobs]), sys.stdout.buffer)
-        sys.stdout.buffer.flush()
+        found = pickle.dumps((e, [push_value(*job) for job in jobs]))
+        try:
+            sys.stdout.buffer.write(found)
+            sys.stdout.buffer.flush()
+        except BrokenPipeError:  # nobody waits for it any more
+            os._exit(0)
 
 
 if __name__ == "__main__":
