@@ -6,13 +6,15 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import warp as wp
 import warp._src.context
 
 capturing = threading.RLock()
-"""Held while launches are recorded: a recording takes in whatever any thread of the process launches meanwhile."""
+"""Held while launches are recorded: a recording takes in whatever any thread of the process launches or copies then.
+Whatever else uses Warp in warpmpc, apart from replays, takes it, too; so must a program that uses Warp in other threads
+while a controller makes its first two plans."""
 
 
 @contextmanager
@@ -80,10 +82,13 @@ class Replay:
 
     Args:
         sequence: Launches with the same arguments at every call; nothing else may happen in it.
+        blocks: Whether it launches kernels that work in blocks. On the CPU Warp keeps one storage for the blocks of a
+            module, so that no two threads may run such kernels at once.
     """
 
-    def __init__(self, sequence: Callable[[], None]):
-        self.sequence = sequence
+    def __init__(self, sequence: Callable[[], None], *, blocks: bool = False):
+        self.sequence: Callable[[], None] | None = sequence
+        self._blocks = blocks
         self._graph: wp.Graph | None = None
         self._ran = False
 
@@ -91,7 +96,8 @@ class Replay:
         """Run the sequence."""
         if self._graph is None and not self.record():
             return
-        wp.capture_launch(self._graph)
+        with capturing if self._blocks else nullcontext():
+            wp.capture_launch(self._graph)
 
     @property
     def address(self) -> int:
@@ -109,4 +115,5 @@ class Replay:
                 with wp.ScopedCapture(device="cpu") as capture:
                     self.sequence()
                 self._graph = capture.graph
+                self.sequence = None  # it may hold whoever holds this
             return True

@@ -15,6 +15,8 @@ _TAKE = """
     Replay replay = (Replay)b[REPLAY];
     void** go = (void**)b[GO];
     if (id == 0) {
+        __atomic_store_n(&b[FINISHED], 0ull, __ATOMIC_SEQ_CST);
+        __atomic_store_n(&b[NEXT], 0ull, __ATOMIC_SEQ_CST);  // from here on helpers take parts
         unsigned long long woken = b[WOKEN];
         for (unsigned long long i = 1; i <= woken; ++i) release(go[i]);
     } else {

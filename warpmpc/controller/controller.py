@@ -13,6 +13,7 @@ import numpy as np
 from ..cost.stack import CostStack
 from ..engine.registry import default_engine, resolve
 from ..engine.trajectory import Shape
+from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.properties import draw_properties
 from ..model.state import Info, State
@@ -74,6 +75,16 @@ class Controller:
         self.layout = task_layout(self.compiled.layout, scene)
         self.task = task or Task(scene, envs=envs)
         """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
+        with capturing:  # nothing may be allocated while another controller records its plan
+            self._build(name, device, terms)
+        self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
+        self._warned_of_overflow = False
+        self._info: Info | tuple[Info, ...] | None = None
+        self._forget()
+
+    def _build(self, name: str, device: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
+        """Make everything that lives on the device."""
+        scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
         self.shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
         self.costs = CostStack(scene, self.layout, self.task, terms=terms, device=device)
@@ -84,10 +95,6 @@ class Controller:
         )
         self.engine = self.planner.engine
         self.graph = PlanGraph(self.planner)
-        self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
-        self._warned_of_overflow = False
-        self._info: Info | tuple[Info, ...] | None = None
-        self._forget()
 
     def _forget(self) -> None:
         layout, envs = self.layout, self.envs
@@ -127,12 +134,14 @@ class Controller:
         if not right or (lower >= upper).any():
             raise ValueError(f"limits are {self.layout.nu} finite numbers each, lower below upper")
         self._lower, self._upper = lower.copy(), upper.copy()
-        for array, values in zip(self.planner.limits, (lower, upper), strict=True):
-            array.assign(values)
+        with capturing:
+            for array, values in zip(self.planner.limits, (lower, upper), strict=True):
+                array.assign(values)
 
     def reset(self) -> None:
         """Forget every earlier plan and observation, as if just constructed; the task stays as it is."""
-        self.planner.reset()
+        with capturing:
+            self.planner.reset()
         self._forget()
 
     def step(self, state: State) -> np.ndarray:
@@ -154,11 +163,14 @@ class Controller:
         """
         start = time.perf_counter()
         q, qd = self._checked(state)
-        observed = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        act, mocap = self._more(state.act, self._act, "act"), self._more(state.mocap, self._mocap, "mocap")
+        observed = np.logical_and.reduce(
+            [np.isfinite(a).reshape(self.envs, -1).all(axis=1) for a in (q, qd, act, mocap)]
+        )
         elapsed, now = self._clock(state, observed)
         self._held_q[observed], self._held_qd[observed] = q[observed], qd[observed]
         self._seen |= observed
-        self._take_more(state, observed)
+        self._act[observed], self._mocap[observed] = act[observed], mocap[observed]
         if observed.any():
             report = self.graph(observed, elapsed, now, self._held_q, self._held_qd, self._act, self._mocap)
             command = report.command.copy()
@@ -167,7 +179,8 @@ class Controller:
         fallback = ~observed | ~np.isfinite(report.cost)
         if fallback.any():
             command[fallback] = self._safe_command(fallback)
-            self.planner.state.last_control.assign(command)
+            with capturing:
+                self.planner.state.last_control.assign(command)
             logger.warning(
                 "t = %.2f s: %s; sending the safe command",
                 np.max(now),
@@ -198,10 +211,10 @@ class Controller:
         times = first[:, None] + self.planner.knot_time
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
-            times=times if many else times[0],
+            times=times if many else times[0].copy(),
             spline=self.planner.kind,
-            lower=self._lower,
-            upper=self._upper,
+            lower=self._lower.copy(),
+            upper=self._upper.copy(),
         )
 
     def _clock(self, state: State, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -216,11 +229,14 @@ class Controller:
         self._time = np.where(observed, now, self._time)
         return elapsed, now
 
-    def _take_more(self, state: State, observed: np.ndarray) -> None:
-        """Activations and mocap poses, where the state has them."""
-        for held, value in ((self._act, state.act), (self._mocap, state.mocap)):
-            if value is not None and held.size:
-                held[observed] = np.asarray(value, dtype=np.float32).reshape(held.shape)[observed]
+    def _more(self, value: np.ndarray | None, held: np.ndarray, name: str) -> np.ndarray:
+        """Activations or mocap poses with a leading axis [E], the last ones where the state has none."""
+        if value is None:
+            return held
+        value = np.asarray(value, dtype=np.float32)
+        if value.shape not in (held.shape, held.shape[1:] if self.envs == 1 else held.shape):
+            raise ValueError(f"a state of this scene has {name} {list(held.shape[1:])}, not {list(value.shape)}")
+        return value.reshape(held.shape)
 
     def _checked(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Joint coordinates and velocities with a leading axis [E]."""
@@ -240,7 +256,8 @@ class Controller:
         held = self.layout.control_safe
         if (held >= 0).any() and not self._seen[needed].all():
             raise ValueError("the first observation is not finite: there is no position to hold yet, send nothing")
-        safe = np.where(held >= 0, self._held_q[needed][:, np.maximum(held, 0)], 0.0)
+        rest = self.layout.control_start if len(self.layout.control_start) else 0.0
+        safe = np.where(held >= 0, self._held_q[needed][:, np.maximum(held, 0)], rest)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
     def _no_report(self) -> PlanReport:

@@ -71,7 +71,10 @@ def judge_code(terms: Sequence[tuple[int, wp.Function, Any]]) -> JudgeCode:
     for i, function, params in terms:
         names[f"Params{i}"], names[f"term{i}"] = params, function
         fields.append(f"    p{i}: Params{i}")
-        calls.append(f"    cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * term{i}(s, p.p{i})")
+        # a term without weight is off, whatever it says
+        calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
+        calls.append(f"    if weight[s.e, {i}] != 0.0:")
+        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * term{i}(s, p.p{i})")
     source = _SOURCE.format(fields="\n".join(fields), calls="\n".join(calls or ["    pass"]))
     # Warp reads the source of what it compiles from the file it came from
     about = repr((source, [function.key for _, function, _ in terms]))

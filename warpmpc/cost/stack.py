@@ -201,7 +201,8 @@ class Judge:
             )
         weight = np.repeat(self._state.weight.numpy()[:, i], self.shape.rollouts)
         if device == "cpu":
-            self.cost[i].assign(np.asarray(value, dtype=np.float32) * weight)
+            value = np.where(weight == 0.0, 0.0, np.asarray(value, dtype=np.float32))  # without weight it is off
+            self.cost[i].assign((value * weight).astype(np.float32))
         else:
             weighted = value * value.new_tensor(weight)
             wp.copy(self.cost[i], wp.from_dlpack(weighted.contiguous()))

@@ -91,8 +91,6 @@ class Crew:
                 replay()
             return
         board = self._board
-        board[_AT["FINISHED"]] = 0
-        board[_AT["NEXT"]] = 0  # last: from here on helpers take parts
         self._conduct.launch()
         if board[_AT["FAILED"]]:
             board[_AT["FAILED"]] = 0

@@ -59,7 +59,7 @@ class WarningCounter:
 
 PARTS = 4
 """Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""
-LEAST_PART = 4
+LEAST_PART = 2
 """Worlds in a part, but for the last: below this, handing parts out takes longer than stepping them."""
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from ..cost.stack import Judge
+from ..kernels.planning.costs import CVAR, MEAN, WORST, explain_cost_kernel, risk_kernel, sum_cost_kernel
 from ..kernels.planning.splines import Spline, spline_control_kernel
-from ..kernels.planning.weights import CVAR, MEAN, WORST, explain_cost_kernel, risk_kernel, sum_cost_kernel
 from ..launch import Launcher, Replay, step_lanes
 from ..scene.schema import Risk
 

@@ -76,7 +76,7 @@ class PlanGraph:
         self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
         self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
         pieces = (self._unpack, self._pack)
-        self._take_in, self._give_out = pieces if cuda else map(Replay, pieces)
+        self._take_in, self._give_out = pieces if cuda else [Replay(piece, blocks=True) for piece in pieces]
         self.captured: wp.Graph | None = None
         self.capturable = plan.engine.capturable
 

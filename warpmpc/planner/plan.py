@@ -27,6 +27,10 @@ class Plan:
     upper: np.ndarray
     """Upper limits of the controls ``[nu]``."""
 
+    def __post_init__(self):
+        for array in (self.knots, self.times, self.lower, self.upper):
+            array.setflags(write=False)
+
     def at(self, time: float | np.ndarray) -> np.ndarray:
         """Control ``[nu]``, or ``[E, nu]``, at a time [s]; before and after the plan its ends are held.
 

@@ -122,7 +122,7 @@ class PlanStep:
 
     def _replayed(self, piece: Callable[[], None]) -> Callable[[], None]:
         """A piece that is launches alone; on CUDA the graph of the whole plan replays it."""
-        return piece if wp.get_device(self.device).is_cuda else Replay(piece)
+        return piece if wp.get_device(self.device).is_cuda else Replay(piece, blocks=True)
 
     def _begin(self) -> None:
         """Let resources and plans follow the observed state."""

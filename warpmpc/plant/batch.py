@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.state import State
 from ..task.task import Task
@@ -53,7 +54,8 @@ class PlantBatch:
         self.task = task or Task(self.scene, envs=len(scenes))
         if task is None:
             self.task.take([Task(scene) for scene in scenes])
-        self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms)
+        with capturing:  # nothing may be allocated while a controller records its plan
+            self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms)
         self.layout = self._worlds.layout
         self.plants = tuple(
             Plant(scene, seed=seed, compiled=self.compiled, world=(self._worlds, e))
@@ -99,7 +101,13 @@ class PlantBatch:
             self.plants[e].begin(control[e])
         # the engine steps every world; what the worlds of finished plants showed is put back
         out = self._engine.trajectory
-        shown = (out.joint_q.numpy(), out.joint_qd.numpy(), out.body_q.numpy(), self._engine.sensor.swapaxes(0, 1))
+        shown = (
+            out.joint_q.numpy(),
+            out.joint_qd.numpy(),
+            out.body_q.numpy(),
+            out.act.numpy(),
+            self._engine.sensor.swapaxes(0, 1),
+        )
         kept = [array[:, ~running] for array in shown]
         self._worlds.step([plant.time for plant in self.plants])
         for array, old in zip(shown, kept, strict=True):

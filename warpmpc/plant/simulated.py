@@ -16,7 +16,7 @@ import warp as wp
 from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
 from ..engine.trajectory import Shape
-from ..launch import Replay
+from ..launch import Replay, capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
@@ -103,7 +103,8 @@ class Worlds:
         """
         self.engine.run(self._replays)
         if self._values:
-            self.terms = self._values(times)
+            with capturing:
+                self.terms = self._values(times)
 
 
 def _stacked(draws: Sequence[Properties]) -> Properties:
@@ -156,10 +157,10 @@ class Plant:
     ):
         self.scene = scene
         self.compiled = compiled or compile_scene(scene)
-        self._worlds, self._index = world or (
-            Worlds(scene, self.compiled, [seed], task or Task(scene), terms),
-            0,
-        )
+        if world is None:
+            with capturing:  # nothing may be allocated while a controller records its plan
+                world = Worlds(scene, self.compiled, [seed], task or Task(scene), terms), 0
+        self._worlds, self._index = world
         worlds = self._worlds
         self.layout, self.task, self._engine, self.pairs = worlds.layout, worlds.task, worlds.engine, worlds.pairs
         self.properties = worlds.draws[self._index] if worlds.draws else None
@@ -173,6 +174,8 @@ class Plant:
     def reset(self) -> None:
         """Go back to the start state."""
         self._engine.initial[self._index] = self._start
+        for i, pose in enumerate(self.layout.mocap):
+            self._engine.move_mocap(self._index, i, pose)
         self._slice = 0  # of the trajectory: the start, later 1, the state after a control
         self.steps = 0
         self.contact = Contact()

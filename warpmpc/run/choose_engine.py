@@ -18,6 +18,7 @@ import warp as wp
 
 from ..engine.registry import ENGINES, resolve
 from ..model.compiled import cache_folder, compile_scene
+from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -53,6 +54,7 @@ def choose_engine(
         compiled: The scene compiled earlier; any draw of its bodies will do.
 
     Raises:
+        SceneError: If no engine can simulate the scene.
         ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
     """
     engine, device = resolve(scene, engine, device)
@@ -63,10 +65,17 @@ def choose_engine(
     times: dict[str, float] = {}
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         kept = json.loads(file.read_text())
-        times = {name: float(kept[name]) for name in choices}
+        times = {name: float(kept[name]) for name in choices if name in kept}
     if not times:
         compiled = compiled or compile_scene(scene)
-        times = {n: _plan_time(scene, compiled, n, choices[n], envs=envs, terms=terms) for n in choices}
+        refused: list[SceneError] = []
+        for n in choices:
+            try:
+                times[n] = _plan_time(scene, compiled, n, choices[n], envs=envs, terms=terms)
+            except SceneError as error:  # this engine cannot simulate the scene, another may
+                refused.append(error)
+        if not times:
+            raise refused[0]
         with contextlib.suppress(OSError):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(json.dumps(times))

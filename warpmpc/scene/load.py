@@ -206,7 +206,7 @@ def _check_names(scene: Scene) -> None:
     for kind, names in values.items():
         for name in names:
             other = taken.get(name) or (owner.get(name) if kind == "target" else None)
-            if other is not None or (kind != "cost" and name in RESERVED):
+            if other is not None or name in (RESERVED if kind != "cost" else ("goal",)):
                 what = f"taken by another {other}" if other else f"reserved, as are {', '.join(RESERVED)}"
                 raise SceneError(f"this name is {what}", key=join_key((kind, name)), found=name)
             taken[name] = kind
@@ -342,6 +342,8 @@ def _check_draws(scene: Scene) -> None:
     for i, rejection in enumerate(scene.randomize_task.reject):
         key = "randomize_task.reject" + f".{i}" * (len(scene.randomize_task.reject) > 1)
         place = rejection.place
+        if place == "goal" and scene.goal is None:
+            raise SceneError("the scene has no goal", key=f"{key}.place", found=place)
         if "/" in place:
             _check_frame(scene, place, f"{key}.place")
             if rejection.at is None:

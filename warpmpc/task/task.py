@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MethodType
 from typing import TYPE_CHECKING
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -30,6 +32,10 @@ class Task(Mapping[str, np.ndarray]):
         envs: Number of environments E.
     """
 
+    # a task is itself: two of equal values are two tasks
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
     def __init__(self, scene: Scene, *, envs: int = 1):
         self.scene, self.envs = scene, envs
         poses = {GOAL: goal_pose(scene), **{t.name: target_pose(t) for t in scene.target}}
@@ -45,12 +51,13 @@ class Task(Mapping[str, np.ndarray]):
         """All of it as one row per environment: poses, scalars, weights ``[E, 7 poses + scalars + terms]``."""
         self.phase = np.zeros(envs, dtype=int)
         """Active phase of each environment, an index into the scene's ``phase`` list, ``[E]``."""
-        self._listeners: list[Callable[[frozenset[str]], None]] = []
+        self._listeners: list[Callable[[], Callable[[frozenset[str]], None] | None]] = []
         self.reset()
 
     def on_change(self, listener: Callable[[frozenset[str]], None]) -> None:
-        """Call ``listener(names)`` after every change."""
-        self._listeners.append(listener)
+        """Call ``listener(names)`` after every change; a method for as long as its object lives."""
+        method = isinstance(listener, MethodType)
+        self._listeners.append(WeakMethod(listener) if method else lambda: listener)
 
     def reset(self, e: int | None = None) -> None:
         """Go back to the scene's own values and to its first phase.
@@ -153,8 +160,10 @@ class Task(Mapping[str, np.ndarray]):
         return self._columns[name]
 
     def _tell(self, names: set[str]) -> None:
+        self._listeners = [listener for listener in self._listeners if listener() is not None]
         for listener in self._listeners:
-            listener(frozenset(names))
+            if (call := listener()) is not None:
+                call(frozenset(names))
 
 
 def task_layout(layout: Layout, scene: Scene) -> Layout:

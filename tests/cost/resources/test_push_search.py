@@ -143,11 +143,12 @@ def test_the_process_of_a_search_ends_with_it():
     search, pushing = Search(), Pushing()
     jobs = pushing.resource._jobs(goal(0.1, 0.1).astype(np.float32))
     search.begin(5, jobs)
-    process, end, found = search._process, time.perf_counter() + 60.0, []
+    end, found = time.perf_counter() + 60.0, []
     while not found and time.perf_counter() < end:
         found = search.finished()
         time.sleep(0.01)
     assert [e for e, _ in found] == [5]
+    process = search._process
     search.stop()
     assert process.poll() is not None
     search.stop()

@@ -8,17 +8,19 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpmpc.kernels.planning.weights import (
+from warpmpc.kernels.planning.costs import (
     CVAR,
     MEAN,
     WORST,
+    explain_cost_kernel,
+    risk_kernel,
+    sum_cost_kernel,
+)
+from warpmpc.kernels.planning.weights import (
     best_weight_kernel,
     bisect_temperature_kernel,
     elite_weight_kernel,
-    explain_cost_kernel,
     importance_weight_kernel,
-    risk_kernel,
-    sum_cost_kernel,
     update_mean_kernel,
     update_sigma_kernel,
 )

@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import pickle
+import queue
 import subprocess
 import sys
 import threading
+import weakref
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from ...launch import capturing
 from .ground import CELL, Ground
 from .push_path import STEPS, PushRequest, push_value
 from .resource import Idle
@@ -21,6 +25,8 @@ from .resource import Idle
 if TYPE_CHECKING:
     from ...task.task import Task
     from .resource import Resources
+
+logger = logging.getLogger("warpmpc")
 
 MARGIN = 30
 """Cells around everything in the scene in which ways to push are searched."""
@@ -71,7 +77,12 @@ class PushValues(Idle):
     def refresh(self) -> None:
         """Take over finished searches and begin those that are wanted."""
         for e, values in self._search.finished():
-            self._take(e, self._searched.pop(e), values)
+            goal = self._searched.pop(e)
+            if values is None:
+                logger.warning("a search for ways to push failed; searching here, which holds up this plan")
+                self.settle()
+                break
+            self._take(e, goal, values)
         if np.isnan(self._shown).any():
             self.settle()
         for e in np.flatnonzero((self._wanted != self._shown).any(axis=1)):
@@ -99,41 +110,30 @@ class PushValues(Idle):
 
     def _take(self, e: int, goal: np.ndarray, values: list[tuple[np.ndarray, np.ndarray]]) -> None:
         for (params, _), (value, origin) in zip(self._readers, values, strict=True):
-            params.value[e].assign(value.astype(np.float32))
-            params.origin[e : e + 1].assign(origin[None].astype(np.float32))
+            with capturing:
+                params.value[e].assign(value.astype(np.float32))
+                params.origin[e : e + 1].assign(origin[None].astype(np.float32))
         self._shown[e] = goal
 
 
 class Search:
-    """A process that searches push values, started when it is first needed."""
+    """A process that searches push values, fed and read by a thread, both started when they are first needed."""
 
     def __init__(self):
+        self._jobs: queue.SimpleQueue | None = None
         self._process: subprocess.Popen | None = None
-        self._done: list[tuple[int, list]] = []
+        self._done: list[tuple[int, list | None]] = []
         self._lock = threading.Lock()
 
     def begin(self, e: int, jobs: list[tuple]) -> None:
         """Begin the search for one environment; returns at once."""
-        if self._process is None:
-            command = [sys.executable, "-m", __name__]
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-            threading.Thread(target=self._collect, args=[self._process], daemon=True).start()
-        pickle.dump((e, jobs), self._process.stdin)
-        self._process.stdin.flush()
+        if self._jobs is None:
+            self._jobs = queue.SimpleQueue()
+            threading.Thread(target=_feed, args=[self._jobs, weakref.ref(self)], daemon=True).start()
+        self._jobs.put((e, jobs))
 
-    def _collect(self, process: subprocess.Popen) -> None:
-        """Gather what the process finds until it ends."""
-        while True:
-            try:
-                found = pickle.load(process.stdout)
-            except (EOFError, pickle.UnpicklingError):
-                return
-            with self._lock:
-                if process is self._process:
-                    self._done.append(found)
-
-    def finished(self) -> list[tuple[int, list]]:
-        """Environment and values of the searches that have ended since the last call."""
+    def finished(self) -> list[tuple[int, list | None]]:
+        """Environment and values of the searches that have ended since the last call; None for one that failed."""
         with self._lock:
             done, self._done = self._done, []
         return done
@@ -141,13 +141,45 @@ class Search:
     def stop(self) -> None:
         """Give up what is being searched for."""
         with self._lock:
-            process, self._process, self._done = self._process, None, []
+            jobs, process = self._jobs, self._process
+            self._jobs, self._process, self._done = None, None, []
+        if jobs is not None:
+            jobs.put(None)
         if process is not None:
             process.kill()
             process.wait()
 
     def __del__(self):
         self.stop()
+
+
+def _feed(jobs: queue.SimpleQueue, search: weakref.ref[Search]) -> None:
+    """Hand jobs to the process in turn and gather what it finds, until told to stop."""
+    command = [sys.executable, "-m", __name__]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def owner() -> Search | None:
+        """The search, while it still wants what this thread finds."""
+        found = search()
+        return found if found is not None and found._jobs is jobs else None
+
+    if (found := owner()) is not None:
+        found._process = process
+    del found
+    while (job := jobs.get()) is not None:
+        try:
+            pickle.dump(job, process.stdin)
+            process.stdin.flush()
+            e, values = pickle.load(process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            e, values = job[0], None
+        if (found := owner()) is None:
+            break
+        with found._lock:
+            found._done.append((e, values))
+        del found
+    process.kill()
+    process.wait()
 
 
 def _serve() -> None:

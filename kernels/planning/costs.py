@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From stage costs to sample costs: sums over terms and steps, risk over domains, what each term adds.
+
+A module of its own, without kernels that work in blocks: several threads launch these at once on the CPU, and Warp's
+storage for blocks is one per module there.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+MEAN = wp.constant(0)
+WORST = wp.constant(1)
+CVAR = wp.constant(2)
+
+
+@wp.kernel
+def sum_cost_kernel(
+    # inputs
+    stage_cost: wp.array3d[float],  # [term, T, W] cost of one term, step and world
+    diverged: wp.array[int],  # [W] nonzero where the physics failed
+    step_weight: wp.array[float],  # [T] γ^t, or whatever the time grid says
+    first: int,  # world of thread 0
+    # outputs
+    rollout_cost: wp.array[float],  # [W] +inf where the world diverged
+):
+    """One thread: one world's stage costs over terms and steps, S_w = Σ_t γ^t Σ_i c_i (Pezzato et al. 2025, Eq. 5)."""
+    w = first + wp.tid()
+
+    total = float(0.0)
+    for t in range(stage_cost.shape[1]):
+        for i in range(stage_cost.shape[0]):
+            total += step_weight[t] * stage_cost[i, t, w]
+
+    # a world that diverged must never look cheap
+    rollout_cost[w] = wp.where(wp.isfinite(total) and diverged[w] == 0, total, wp.inf)
+
+
+@wp.func
+def tail_part(rollout_cost: wp.array[float], first: int, domains: int, d: int, tail: float) -> float:
+    """How much of domain d belongs to the ``tail`` worst ones of a sample, in [0, 1]; rank by counting: D is small."""
+    cost = rollout_cost[first + d]
+    rank = int(0)
+    for other in range(domains):
+        rival = rollout_cost[first + other]
+        if rival > cost or (rival == cost and other < d):
+            rank += 1
+    return wp.clamp(tail - float(rank), 0.0, 1.0)
+
+
+@wp.func
+def domain_share(rollout_cost: wp.array[float], first: int, domains: int, d: int, mode: int, alpha: float) -> float:
+    """Share of domain d in the cost that ``risk_kernel`` gives its sample; the shares add up to one."""
+    if mode == MEAN:
+        return 1.0 / float(domains)
+    tail = float(1.0)
+    if mode == CVAR:
+        tail = wp.max(alpha * float(domains), 1.0)
+    return tail_part(rollout_cost, first, domains, d, tail) / tail
+
+
+@wp.kernel
+def explain_cost_kernel(
+    # inputs
+    stage_cost: wp.array3d[float],  # [term, T, W]
+    rollout_cost: wp.array[float],  # [W]
+    best: wp.array[int],  # [E] sample to explain
+    step_weight: wp.array[float],  # [T]
+    samples: int,
+    domains: int,
+    mode: int,
+    alpha: float,
+    # outputs
+    term_cost: wp.array2d[float],  # [E, term]
+):
+    """One thread: what one term adds to the cost of one environment's best sample, over its steps and domains."""
+    e, i = wp.tid()
+    first = (e * samples + best[e]) * domains
+    total = float(0.0)
+    for d in range(domains):
+        part = float(0.0)
+        for t in range(stage_cost.shape[1]):
+            part += step_weight[t] * stage_cost[i, t, first + d]
+        total += domain_share(rollout_cost, first, domains, d, mode, alpha) * part
+    term_cost[e, i] = total
+
+
+@wp.kernel
+def risk_kernel(
+    # inputs
+    rollout_cost: wp.array[float],  # [W]
+    observed: wp.array[int],  # [E] whether there is an observation to plan from
+    domains: int,
+    mode: int,
+    alpha: float,
+    row: int,  # e·S + s of thread 0
+    # outputs
+    sample_cost: wp.array2d[float],  # [E, S]
+):
+    """Reduce one sample's costs over its domains: their mean, the worst, or the mean of the worst share α (CVaR).
+
+    α = 1 is the mean, α ≤ 1/D the worst; in between a domain may count in part (Rockafellar and Uryasev 2002). One
+    diverged domain makes the sample +inf in every mode. Where there is no observation all samples are: nothing is
+    learned from what was rolled out then.
+    """
+    thread = wp.tid()
+    e = (row + thread) // sample_cost.shape[1]
+    s = (row + thread) % sample_cost.shape[1]
+
+    first = (row + thread) * domains
+    worst = float(-wp.inf)
+    total = float(0.0)
+    finite = bool(True)
+    for d in range(domains):
+        cost = rollout_cost[first + d]
+        finite = finite and wp.isfinite(cost)
+        worst = wp.max(worst, cost)
+        total += cost
+
+    risk = float(worst)
+    if mode == MEAN:
+        risk = total / float(domains)
+    elif mode == CVAR and domains > 1:
+        # the k worst domains count, the last of them in part; rank by counting: D is small
+        tail = alpha * float(domains)
+        if tail > 1.0:
+            excess = float(0.0)
+            for d in range(domains):
+                excess += tail_part(rollout_cost, first, domains, d, tail) * rollout_cost[first + d]
+            risk = excess / tail
+
+    sample_cost[e, s] = wp.where(finite and observed[e] != 0, risk, wp.inf)
