@@ -10,11 +10,11 @@ from judging import Judging
 from push_scenes import YAWS, block
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, layout_of, make_scene
-from test_geodesic import around_corners
+from ways import around_corners
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.task.task import Task
 
 KEYS = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
@@ -37,7 +37,7 @@ class Pushing(Judging):
             goal={"object": "box", "position": (0.0, 0.0), "yaw": 0.0},
             cost=[{**KEYS, **cost} for cost in costs],
         )
-        super().__init__(scene, Shape(2, SAMPLES, 1, 1), device=device)
+        super().__init__(scene, BatchSize(2, SAMPLES, 1, 1), device=device)
         self.aim(*(goals if len(goals) == 2 else 2 * goals))
 
     def aim(self, *goals) -> None:

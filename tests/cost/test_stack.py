@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from judging import Judging
 from small_scenes import BOX, WALL, make_scene
-from test_geodesic import INFLATION, around_corners
+from ways import INFLATION, around_corners
 
 from warpmpc import SceneError
 from warpmpc.cost.resources.guide import Guides
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 
 SIDE = {"name": "wall", "shape": "box", "size": (0.4, 2.0, 0.5), "position": (0.0, 0.0, 0.25)}
@@ -26,7 +26,7 @@ class Scenery(Judging):
             goal={"object": "box", "position": (-1.2, 0.4)},
             cost=costs,
         )
-        super().__init__(scene, Shape(2, 1, 1, 1))
+        super().__init__(scene, BatchSize(2, 1, 1, 1))
         self.trajectory.body_q.numpy()[..., 6] = 1.0
         self.goal(*[(-1.2, 0.4)] * 2)
 

@@ -11,7 +11,7 @@ from small_scenes import make_scene
 
 import warpmpc
 from warpmpc import SceneError
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 
 
 @wp.struct
@@ -148,7 +148,7 @@ def test_a_users_term_knows_the_time_the_step_and_the_tasks_scalars():
         cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "speed"}],
         planner={"samples": 4, "horizon": 3, "dt": (0.04, 0.04, 0.12)},
     )
-    judging = Judging(scene, Shape(2, 4, 1, 3), terms=[clock])
+    judging = Judging(scene, BatchSize(2, 4, 1, 3), terms=[clock])
     twist = np.random.default_rng(0).normal(size=judging.trajectory.body_qd.numpy().shape).astype(np.float32)
     judging.trajectory.body_qd.assign(twist)
     judging.state.start.assign(np.array([5.0, 9.0], np.float32))
@@ -162,4 +162,4 @@ def test_a_users_term_knows_the_time_the_step_and_the_tasks_scalars():
 def test_a_scalar_that_is_not_there_is_named():
     scene = make_scene(scalar={"speed": 3.0}, cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "sped"}])
     with pytest.raises(SceneError, match=r"cost\.clock\.scalar_speed.*no such scalar.*Did you mean 'speed'"):
-        Judging(scene, Shape(1, 4, 1, 3), terms=[clock])
+        Judging(scene, BatchSize(1, 4, 1, 3), terms=[clock])

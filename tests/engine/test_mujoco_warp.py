@@ -27,7 +27,7 @@ from native_robots import (
 from warpmpc import SceneError
 from warpmpc.engine.mujoco_warp import MujocoWarpEngine
 from warpmpc.engine.newton import NewtonEngine
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 
 STEPS = 50
 
@@ -56,7 +56,7 @@ def warp_engine(scene, compiled, model, *, steps=STEPS, samples=1, **options) ->
     return MujocoWarpEngine(
         scene,
         compiled,
-        Shape(1, samples, 1, steps),
+        BatchSize(1, samples, 1, steps),
         substeps=[1] * steps,
         timestep=model.opt.timestep,
         device="cpu",
@@ -123,6 +123,6 @@ def test_newtons_other_solvers_name_what_they_lack(tmp_path):
     scene = scene.model_copy(update={"engine": scene.engine.model_copy(update={"solver": "xpbd"})})
     with pytest.raises(SceneError, match=r"actuators of the file.*tendons") as error:
         NewtonEngine(
-            scene, compiled_native(path), Shape(1, 1, 1, 2), substeps=[1, 1], timestep=0.005, pairs=(), device="cpu"
+            scene, compiled_native(path), BatchSize(1, 1, 1, 2), substeps=[1, 1], timestep=0.005, pairs=(), device="cpu"
         )
     assert error.value.key == "engine.solver"

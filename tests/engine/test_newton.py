@@ -23,7 +23,7 @@ from warpmpc import (
 )
 from warpmpc.engine.mujoco_warp import MujocoWarpEngine
 from warpmpc.engine.newton import NewtonEngine
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.newton_model import build_model
 from warpmpc.model.pairs import Pair
@@ -53,7 +53,7 @@ def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3,
     return engine(
         scene,
         compiled(scene),
-        Shape(envs, samples, 1, horizon),
+        BatchSize(envs, samples, 1, horizon),
         substeps=[substeps] * horizon,
         timestep=0.04 / substeps,
         pairs=pairs,

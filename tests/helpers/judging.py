@@ -10,7 +10,8 @@ from small_scenes import layout_of
 from warpmpc import Scene
 from warpmpc.cost.stack import CostStack, Judge
 from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.engine.trajectory import Shape, Trajectory
+from warpmpc.engine.trajectory import Trajectory
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import Task
 
@@ -18,7 +19,7 @@ from warpmpc.task.task import Task
 class Judging:
     """The terms of a scene, bound, with rollouts of zeros to judge and a task to change."""
 
-    def __init__(self, scene: Scene, shape: Shape, *, terms=(), device: str = "cpu"):
+    def __init__(self, scene: Scene, shape: BatchSize, *, terms=(), device: str = "cpu"):
         self.scene, self.shape, self.layout, self.device = scene, shape, layout_of(scene), device
         self.task = Task(scene, envs=shape.envs)
         self.stack = CostStack(scene, self.layout, self.task, terms=terms, device=device)

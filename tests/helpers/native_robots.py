@@ -15,7 +15,7 @@ import warp as wp
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoEngine
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import CompiledScene, compile_scene
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def plain_rollout(model: mujoco.MjModel, data: mujoco.MjData, control: np.ndarra
 
 def mujoco_engine(compiled: CompiledScene, steps: int, timestep: float, **options) -> MujocoEngine:
     """The engine ``mujoco`` with one world and one physics step per control."""
-    return MujocoEngine(compiled, Shape(1, 1, 1, steps), substeps=[1] * steps, timestep=timestep, **options)
+    return MujocoEngine(compiled, BatchSize(1, 1, 1, steps), substeps=[1] * steps, timestep=timestep, **options)
 
 
 def roll(engine, compiled: CompiledScene, control: np.ndarray) -> Trajectory:

@@ -6,7 +6,7 @@ from judging import Judging
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, DISC, WALL, make_scene
 
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 
 TURN = (0.2, -0.4, 0.1, 0.9)
 OBSTACLES = [
@@ -16,7 +16,7 @@ OBSTACLES = [
     {"name": "pill", "shape": "capsule", "size": (0.1, 0.5), "position": (0.5, 1.0, 0.2), "rotation": (0, 0.6, 0, 0.8)},
     {"name": "slope", "shape": "plane", "position": (0.0, 0.0, -2.0), "rotation": TURN},
 ]
-SHAPE = Shape(2, 3, 2, 5)
+SHAPE = BatchSize(2, 3, 2, 5)
 
 
 class Rollouts(Judging):

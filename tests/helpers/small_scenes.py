@@ -13,7 +13,7 @@ import warp as wp
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoEngine
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import CompiledScene, compile_scene
 from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import task_layout
@@ -90,7 +90,7 @@ def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, subste
     """An engine over a small scene."""
     return MujocoEngine(
         compiled(scene),
-        Shape(envs, samples, domains, horizon),
+        BatchSize(envs, samples, domains, horizon),
         substeps=[substeps] * horizon if isinstance(substeps, int) else substeps,
         timestep=scene.timing.control_dt / (substeps if isinstance(substeps, int) else substeps[0]),
         **options,

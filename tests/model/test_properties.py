@@ -9,7 +9,7 @@ import pytest
 from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.mujoco_model import make_world
 from warpmpc.model.newton_model import build_model
 from warpmpc.model.properties import Properties, draw_properties
@@ -154,7 +154,7 @@ def test_newtons_model_is_drawn_like_mujocos(kind):
     thing = {"name": "thing", "shape": kind, "size": size, "mass": 2.0, "position": (2.0, 0.0, 0.5)}
     rules = {"thing": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.02}}}
     scene = make_scene(object=[thing], randomize=rules)
-    layout, shape = compiled(scene).layout, Shape(1, 3, 1, 1)
+    layout, shape = compiled(scene).layout, BatchSize(1, 3, 1, 1)
     properties = draw_properties(scene, layout, 3, seed=5)
     world = make_world(compiled(scene), timestep=0.01)
     expected = randomized_arrays(world, properties, np.arange(3))

@@ -7,7 +7,7 @@ from small_scenes import BOX, DISC, compiled, layout_of, make_scene
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.engine.trajectory import Shape
+from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.properties import draw_properties
 from warpmpc.planner.step import PlanStep
 from warpmpc.task.task import Task
@@ -31,7 +31,7 @@ class Planning:
         scene = make_scene(planner=planner, **sections)
         self.scene, self.layout = scene, layout_of(scene)
         planner = scene.planner
-        shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
+        shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
         draws = planner.domains if planner.domains > 1 else planner.samples
         self.costs = CostStack(scene, self.layout, Task(scene, envs=envs))
         properties = draw_properties(scene, self.layout, draws, seed=seed)

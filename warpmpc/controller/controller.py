@@ -12,8 +12,8 @@ import numpy as np
 
 from ..cost.stack import CostStack
 from ..engine.registry import default_engine, resolve
-from ..engine.trajectory import Shape
 from ..launch import capturing
+from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.properties import draw_properties
 from ..model.state import Info, State
@@ -86,7 +86,7 @@ class Controller:
         """Make everything that lives on the device."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
-        self.shape = Shape(envs, planner.samples, planner.domains, planner.horizon)
+        self.shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
         self.costs = CostStack(scene, self.layout, self.task, terms=terms, device=device)
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None

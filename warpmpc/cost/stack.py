@@ -20,7 +20,8 @@ from .kernel import judge_code
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Shape, Trajectory
+    from ..engine.trajectory import Trajectory
+    from ..model.batch_size import BatchSize
     from ..model.layout import Layout
     from ..scene.schema import Cost, Scene
     from ..task.observed import ObservedState
@@ -136,7 +137,7 @@ class Judge:
         trajectory: Trajectory,
         control: wp.array,
         state: ObservedState,
-        shape: Shape,
+        shape: BatchSize,
         step_end: np.ndarray,
     ):
         layout, device = stack.layout, stack.device

@@ -13,7 +13,8 @@ from ..task.observed import ObservedState
 from .stack import CostStack, Judge
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Shape, Trajectory
+    from ..engine.trajectory import Trajectory
+    from ..model.batch_size import BatchSize
     from ..model.layout import Layout
     from ..scene.schema import Scene
     from ..task.task import Task
@@ -53,7 +54,7 @@ class TermValues:
         self.pairs = self._stack.pairs
         """Contacts that the terms watch; the trajectory's first ones."""
 
-    def attach(self, trajectory: Trajectory, control: wp.array, shape: Shape, dt: float) -> None:
+    def attach(self, trajectory: Trajectory, control: wp.array, shape: BatchSize, dt: float) -> None:
         """Read these one-step trajectories from now on.
 
         Args:

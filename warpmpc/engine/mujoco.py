@@ -28,12 +28,13 @@ from ..kernels.worlds.clone import (
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
 from ..launch import Launcher, Replay
+from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import randomize_model
 from .crew import Crew
-from .trajectory import ObservedState, Shape, Trajectory
+from .trajectory import ObservedState, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -137,7 +138,7 @@ class MujocoEngine:
     def __init__(
         self,
         compiled: CompiledScene,
-        shape: Shape,
+        shape: BatchSize,
         *,
         substeps: Sequence[int],
         timestep: float,

@@ -33,13 +33,14 @@ from ..kernels.worlds.mujoco_warp import (
     store_state_kernel,
 )
 from ..launch import Launcher, Replay, default_device
+from ..model.batch_size import BatchSize
 from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import pair_table
 from ..model.randomize import batched_arrays
 from ..scene.errors import SceneError
-from .trajectory import ObservedState, Shape, Trajectory
+from .trajectory import ObservedState, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -114,7 +115,7 @@ class MujocoWarpEngine:
         self,
         scene: Scene,
         compiled: CompiledScene,
-        shape: Shape,
+        shape: BatchSize,
         *,
         substeps: Sequence[int],
         timestep: float,

@@ -13,12 +13,13 @@ import warp as wp
 
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
 from ..launch import Launcher, Replay, default_device
+from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
 from ..scene.errors import SceneError
 from .newton_solver import make_solver
-from .trajectory import ObservedState, Shape, Trajectory
+from .trajectory import ObservedState, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -60,7 +61,7 @@ class NewtonEngine:
         self,
         scene: Scene,
         compiled: CompiledScene,
-        shape: Shape,
+        shape: BatchSize,
         *,
         substeps: Sequence[int],
         timestep: float,

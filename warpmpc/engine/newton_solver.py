@@ -17,9 +17,9 @@ from ..scene.schema import Scene, Solver
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ..model.batch_size import BatchSize
     from ..model.layout import Layout
     from ..model.pairs import Pair
-    from .trajectory import Shape
 
 PIPELINE_OVERFLOW = 1 << 30
 """Capacity bit of Newton's own contact pipeline."""
@@ -33,7 +33,7 @@ _NOT_FOR_SCENES = (
 class PipelineSolver:
     """A solver fed by Newton's collision pipeline: XPBD, Featherstone, semi-implicit, Steel, Kamino."""
 
-    def __init__(self, model: newton.Model, scene: Scene, layout: Layout, shape: Shape, pairs: tuple[Pair, ...]):
+    def __init__(self, model: newton.Model, scene: Scene, layout: Layout, shape: BatchSize, pairs: tuple[Pair, ...]):
         name, self._maximal = _PIPELINE_SOLVERS[scene.engine.solver]
         cls = getattr(newton.solvers, name)
         self.model = model
@@ -119,7 +119,7 @@ _PIPELINE_SOLVERS = {
 
 
 def make_solver(
-    model: newton.Model, scene: Scene, layout: Layout, shape: Shape, pairs: tuple[Pair, ...]
+    model: newton.Model, scene: Scene, layout: Layout, shape: BatchSize, pairs: tuple[Pair, ...]
 ) -> PipelineSolver:
     """The solver a scene asks for.
 

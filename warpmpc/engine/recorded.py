@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..cost.stack import CostStack
+    from ..model.batch_size import BatchSize
     from ..scene.schema import Planner
     from ..task.observed import ObservedState
     from .timegrid import TimeGrid
-    from .trajectory import Proposal, Shape, Simulator
+    from .trajectory import Proposal, Simulator
 
 RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
 
@@ -53,7 +54,7 @@ class RecordedEngine:
         simulator: Simulator,
         costs: CostStack,
         state: ObservedState,
-        shape: Shape,
+        shape: BatchSize,
         grid: TimeGrid,
         spline: Spline,
         limits: tuple[wp.array, wp.array],

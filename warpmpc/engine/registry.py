@@ -18,12 +18,13 @@ from .recorded import RecordedEngine
 if TYPE_CHECKING:
     from ..cost.stack import CostStack
     from ..kernels.planning.splines import Spline
+    from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
     from .timegrid import TimeGrid
-    from .trajectory import Engine, Shape
+    from .trajectory import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class EngineRequest:
 
     scene: Scene
     compiled: CompiledScene
-    shape: Shape
+    shape: BatchSize
     """Sizes of the batch."""
     grid: TimeGrid
     """Times and weights of the steps of a rollout."""

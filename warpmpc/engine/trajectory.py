@@ -14,27 +14,8 @@ from ..task.observed import ObservedState
 
 if TYPE_CHECKING:
     from ..launch import Replay
+    from ..model.batch_size import BatchSize
     from ..model.layout import Layout
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Sizes of a batch of rollouts: E environments × S samples × D domains, T control steps."""
-
-    envs: int
-    samples: int
-    domains: int
-    horizon: int
-
-    @property
-    def rollouts(self) -> int:
-        """Rollouts per environment, K = S·D."""
-        return self.samples * self.domains
-
-    @property
-    def worlds(self) -> int:
-        """Worlds in all, W = E·S·D; world w = (e·S + s)·D + d."""
-        return self.envs * self.rollouts
 
 
 @dataclass(frozen=True)
@@ -52,7 +33,7 @@ class Trajectory:
     sensor: wp.array  # [T, W, ns] what the sensors that terms read show at the last physics step; zero for others
 
     @classmethod
-    def allocate(cls, shape: Shape, layout: Layout, pairs: int, device: str) -> Trajectory:
+    def allocate(cls, shape: BatchSize, layout: Layout, pairs: int, device: str) -> Trajectory:
         """Storage for the rollouts of a scene on a device."""
         t, w = shape.horizon + 1, shape.worlds
         return cls(

@@ -16,7 +16,7 @@ from .pairs import Pair
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from ..scene.schema import Engine
+    from ..scene.schema import EngineSettings
     from .layout import Layout
 
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
@@ -70,7 +70,7 @@ class Options:
     """Ratio of friction to normal constraint impedance, else 1."""
 
     @classmethod
-    def of(cls, engine: Engine, **changes: object) -> Options:
+    def of(cls, engine: EngineSettings, **changes: object) -> Options:
         """The options of a scene's ``engine`` table, with some changed."""
         return replace(cls(*(getattr(engine, item.name) for item in fields(cls))), **changes)
 

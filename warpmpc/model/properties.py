@@ -13,8 +13,8 @@ from ..kernels.worlds.randomize import normal_offset_kernel, uniform_scale_kerne
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Shape
     from ..scene.schema import Scene
+    from .batch_size import BatchSize
     from .layout import Layout
 
 
@@ -32,7 +32,7 @@ class Properties:
         """Number of draws."""
         return len(self.mass)
 
-    def of_worlds(self, shape: Shape) -> np.ndarray:
+    def of_worlds(self, shape: BatchSize) -> np.ndarray:
         """Draw of every world ``[W]``: its domain's when there are several, else its sample's, else its environment's.
 
         Raises:

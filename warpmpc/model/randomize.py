@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 if TYPE_CHECKING:
     import newton
 
-    from ..engine.trajectory import Shape
+    from .batch_size import BatchSize
     from .layout import Layout
     from .mujoco_model import MujocoWorld
     from .properties import Properties
@@ -163,7 +163,7 @@ _CONSTANTS = (
 """Arrays that MuJoCo derives from masses and inertias."""
 
 
-def batched_arrays(world: MujocoWorld, properties: Properties, shape: Shape) -> dict[str, np.ndarray]:
+def batched_arrays(world: MujocoWorld, properties: Properties, shape: BatchSize) -> dict[str, np.ndarray]:
     """Arrays of a MuJoCo model that differ between worlds, ``[W, ...]`` each.
 
     Args:
@@ -189,7 +189,7 @@ def batched_arrays(world: MujocoWorld, properties: Properties, shape: Shape) -> 
     return {name: values[row] for name, values in every.items() if np.ptp(values, axis=0).any()}
 
 
-def randomize_newton(model: newton.Model, layout: Layout, shape: Shape, properties: Properties) -> int:
+def randomize_newton(model: newton.Model, layout: Layout, shape: BatchSize, properties: Properties) -> int:
     """Write every world's own mass, inertia, friction and sizes; returns what changed, as ``newton.ModelFlags``.
 
     Args:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from ..cost.stack import CostStack
-    from ..engine.trajectory import Shape
+    from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
     from ..scene.schema import Scene
@@ -55,7 +55,7 @@ class PlanStep:
         scene: Scene,
         compiled: CompiledScene,
         costs: CostStack,
-        shape: Shape,
+        shape: BatchSize,
         *,
         engine: str,
         seed: int = 0,

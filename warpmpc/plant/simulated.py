@@ -15,8 +15,8 @@ import warp as wp
 
 from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
-from ..engine.trajectory import Shape
 from ..launch import Replay, capturing
+from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
 from ..model.pairs import collision_pairs
@@ -73,7 +73,7 @@ class Worlds:
         supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
         self.pairs = collision_pairs(self.layout, supports)
         self.first_pair = len(watching)
-        shape, dt = Shape(len(seeds), 1, 1, 1), scene.timing.control_dt
+        shape, dt = BatchSize(len(seeds), 1, 1, 1), scene.timing.control_dt
         substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
         self.engine = MujocoEngine(
             compiled,

@@ -22,8 +22,8 @@ from .schema_bodies import (
     ShapeKind,
 )
 from .schema_planner import (
-    Engine,
     EngineName,
+    EngineSettings,
     Growing,
     Method,
     Noise,
@@ -59,8 +59,8 @@ __all__ = [
     "Draw",
     "Drive",
     "DriveMode",
-    "Engine",
     "EngineName",
+    "EngineSettings",
     "Frame",
     "Goal",
     "Ground",
@@ -75,8 +75,8 @@ __all__ = [
     "Obstacle",
     "Phase",
     "Planner",
-    "Plant",
     "PlantNoise",
+    "PlantSettings",
     "Pose",
     "Randomization",
     "RandomizeTask",
@@ -190,7 +190,7 @@ class PlantNoise(Section):
     """Velocities [m/s or rad/s]."""
 
 
-class Plant(Section):
+class PlantSettings(Section):
     """How the simulated plant differs from the planner's worlds."""
 
     substeps: Count | None = None
@@ -358,8 +358,8 @@ class Scene(Section):
     """Parts of the task, one after the other."""
     cost: tuple[Cost, ...] = Field(min_length=1)
     planner: Planner = Planner()
-    engine: Engine = Engine()
-    plant: Plant = Plant()
+    engine: EngineSettings = EngineSettings()
+    plant: PlantSettings = PlantSettings()
     randomize: dict[str, Randomization] = Field(default_factory=dict)
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()

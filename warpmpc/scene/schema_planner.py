@@ -219,7 +219,7 @@ class Cone(StrEnum):
     ELLIPTIC = "elliptic"
 
 
-class Engine(Section):
+class EngineSettings(Section):
     """The physics of the rollouts.
 
     What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 from small_scenes import compiled, make_scene
+from ways import INFLATION, around_corners
 
 from warpmpc.cost.resources.geodesic import Grid
 from warpmpc.cost.resources.guide import FieldRequest, Guide
-
-INFLATION = 0.2
 
 
 def wall(name="wall", *, size=(0.4, 2.0, 0.5), position=(0.0, 0.0, 0.25), yaw=0.0) -> dict:
@@ -39,29 +38,6 @@ def at(grid: Grid, field: np.ndarray, p) -> float:
 
     axes = (grid.points[:, 0, 1], grid.points[0, :, 0])
     return float(RegularGridInterpolator(axes, field)(np.asarray(p)[::-1])[0])
-
-
-def around_corners(a, b, corners: list, radius: float) -> float:
-    """Length of the shortest path from a to b that passes above rounded corners, left to right."""
-    length, here, direction = 0.0, np.asarray(a, float), None
-    arc = 0.0
-    for corner in corners:
-        away = np.asarray(corner) - here
-        d = np.linalg.norm(away)
-        # tangent above the circle about the corner
-        heading = math.atan2(away[1], away[0])
-        if direction is None:
-            heading += math.asin(radius / d)
-            length += math.sqrt(d * d - radius * radius)
-        else:
-            length += d  # between two circles of the same radius
-            arc += radius * (direction - heading)
-        direction, here = heading, np.asarray(corner, float)
-    away = np.asarray(b) - here
-    d = np.linalg.norm(away)
-    heading = math.atan2(away[1], away[0]) - math.asin(radius / d)
-    arc += radius * (direction - heading)
-    return length + arc + math.sqrt(d * d - radius * radius)
 
 
 @pytest.mark.parametrize(("x", "y"), [(1.0, 0.8), (1.5, 0.3), (2.0, 0.9)])
