@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage costs to the cost of a sample against float64 references, and what a diverged world may not do."""
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpmpc.kernels.planning.costs import (
+    CVAR,
+    MEAN,
+    WORST,
+    explain_cost_kernel,
+    risk_kernel,
+    sum_cost_kernel,
+)
+
+INF = np.inf
+
+
+def on(device: str, array, dtype=float) -> wp.array:
+    """Copy of an array-like on the device."""
+    return wp.array(np.asarray(array), dtype=dtype, device=device)
+
+
+def discounted(stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, device: str) -> np.ndarray:
+    """Rollout costs [W] of stage costs [term, T, W]."""
+    out = wp.empty(stage_cost.shape[2], dtype=float, device=device)
+    weight = float(discount) ** np.arange(stage_cost.shape[1])
+    inputs = [on(device, stage_cost), on(device, diverged, int), on(device, weight), 0]
+    wp.launch(sum_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+def risk(cost: np.ndarray, *, mode: int, alpha: float = 1.0, device: str) -> np.ndarray:
+    """Sample costs [E, S] of rollout costs [E, S, D]."""
+    out = wp.empty(cost.shape[:2], dtype=float, device=device)
+    observed = wp.full(len(cost), 1, dtype=int, device=device)
+    inputs = [on(device, cost.ravel()), observed, cost.shape[2], mode, alpha, 0]
+    wp.launch(risk_kernel, dim=out.size, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+# discounted sums
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.95, 0.0])
+def test_discounted_sum_matches_the_reference(discount, device):
+    stage = np.random.default_rng(0).uniform(size=(3, 12, 17))
+    total = np.einsum("itw,t->w", stage, discount ** np.arange(12))
+    np.testing.assert_allclose(discounted(stage, np.zeros(17), discount=discount, device=device), total, rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [np.nan, INF, -INF])
+def test_a_non_finite_stage_cost_makes_its_world_infinite_and_no_other(bad, device):
+    stage = np.ones((2, 4, 3))
+    stage[1, 2, 1] = bad
+    np.testing.assert_array_equal(discounted(stage, np.zeros(3), discount=1.0, device=device), [8.0, INF, 8.0])
+
+
+def test_a_world_flagged_as_diverged_is_infinite_though_it_looks_cheap(device):
+    cost = discounted(np.zeros((1, 4, 3)), np.array([0, 1, 0]), discount=1.0, device=device)
+    np.testing.assert_array_equal(cost, [0.0, INF, 0.0])
+
+
+def test_steps_count_by_their_weights_and_only_the_worlds_asked_for_are_summed(device):
+    rng = np.random.default_rng(1)
+    stage, weight = rng.normal(size=(2, 5, 7)), rng.uniform(size=5)
+    out = wp.full(7, -1.0, dtype=float, device=device)
+    inputs = [on(device, stage), on(device, np.zeros(7), int), on(device, weight), 3]
+    wp.launch(sum_cost_kernel, dim=4, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy()[:3], -1.0)
+    np.testing.assert_allclose(out.numpy()[3:], np.einsum("itw,t->w", stage, weight)[3:], atol=1e-5)
+
+
+@pytest.mark.parametrize(("mode", "alpha"), [(MEAN, 1.0), (WORST, 1.0), (CVAR, 0.3), (CVAR, 0.5), (CVAR, 0.01)])
+@pytest.mark.parametrize("domains", [1, 4, 5])
+@pytest.mark.parametrize("seed", range(2))
+def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains, mode, alpha, device):
+    rng = np.random.default_rng(seed)
+    envs, samples, terms, steps = 2, 3, 4, 6
+    stage = rng.normal(size=(terms, steps, envs * samples * domains)).astype(np.float32)
+    weight = rng.uniform(size=steps)
+    rollout = np.einsum("itw,t->w", stage.astype(np.float64), weight)
+    cost = risk(rollout.reshape(envs, samples, domains), mode=mode, alpha=alpha, device=device)
+    found = wp.zeros((envs, terms), dtype=float, device=device)
+    best = [2, 1]
+    inputs = [on(device, stage), on(device, rollout), on(device, best, int), on(device, weight)]
+    inputs += [samples, domains, mode, alpha]
+    wp.launch(explain_cost_kernel, dim=found.shape, inputs=inputs, outputs=[found], device=device)
+    np.testing.assert_allclose(found.numpy().sum(axis=1), [cost[e, s] for e, s in enumerate(best)], atol=2e-5)
+    if mode == MEAN:
+        parts = np.einsum("itw,t->iw", stage.astype(np.float64), weight).reshape(terms, envs, samples, domains)
+        expected = np.stack([parts[:, e, s].mean(axis=1) for e, s in enumerate(best)])
+        np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
+
+
+# risk over domains
+
+
+def test_samples_of_an_environment_without_an_observation_are_infinite(device):
+    out = wp.zeros((3, 4), dtype=float, device=device)
+    inputs = [on(device, np.ones(12)), on(device, [1, 0, 1], int), 1, MEAN, 1.0, 1]
+    wp.launch(risk_kernel, dim=11, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), [[0.0, 1.0, 1.0, 1.0], [INF] * 4, [1.0] * 4])  # row 0 is another part
+
+
+def reference_cvar(cost: np.ndarray, alpha: float) -> float:
+    """CVaR of costs [D] as the minimum of Rockafellar and Uryasev, reached at one of the costs."""
+    return min(v + np.maximum(cost - v, 0.0).mean() / alpha for v in cost)
+
+
+@pytest.mark.parametrize("domains", [1, 2, 5, 8])
+@pytest.mark.parametrize("alpha", [0.01, 0.2, 0.3, 0.5, 1.0])
+def test_risk_matches_the_reference(domains, alpha, device):
+    cost = np.random.default_rng(domains).normal(size=(2, 7, domains)).astype(np.float32)
+    wide = cost.astype(np.float64)
+    np.testing.assert_allclose(risk(cost, mode=MEAN, device=device), wide.mean(axis=2), rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(risk(cost, mode=WORST, device=device), cost.max(axis=2))
+    expected = np.apply_along_axis(reference_cvar, 2, wide, alpha)
+    np.testing.assert_allclose(risk(cost, mode=CVAR, alpha=alpha, device=device), expected, rtol=1e-5, atol=1e-5)
+
+
+@given(seed=st.integers(0, 2**31 - 1), alpha=st.floats(0.01, 1.0), domains=st.integers(1, 6), ties=st.booleans())
+def test_cvar_lies_between_mean_and_worst_whatever_the_order_of_domains(seed, alpha, domains, ties, device):
+    rng = np.random.default_rng(seed)
+    cost = rng.normal(size=(1, 3, domains)).astype(np.float32)
+    cost = np.round(cost) if ties else cost
+    cvar = risk(cost, mode=CVAR, alpha=alpha, device=device)
+    assert np.all(cvar >= risk(cost, mode=MEAN, device=device) - 1e-5)
+    assert np.all(cvar <= risk(cost, mode=WORST, device=device) + 1e-5)
+    mixed = rng.permuted(cost, axis=2)
+    np.testing.assert_allclose(risk(mixed, mode=CVAR, alpha=alpha, device=device), cvar, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", [MEAN, WORST, CVAR])
+def test_one_domain_is_a_plain_copy(mode, device):
+    cost = np.random.default_rng(1).normal(size=(2, 50, 1)).astype(np.float32)
+    cost[0, 3] = INF
+    np.testing.assert_array_equal(risk(cost, mode=mode, alpha=0.37, device=device), cost[:, :, 0])
+
+
+@pytest.mark.parametrize("mode", [MEAN, WORST, CVAR])
+def test_any_diverged_domain_condemns_its_sample_only(mode, device):
+    cost = np.ones((2, 3, 4))
+    cost[1, 0, 2] = INF
+    cost[0, 2, :3] = INF
+    expected = np.ones((2, 3))
+    expected[[1, 0], [0, 2]] = INF
+    np.testing.assert_array_equal(risk(cost, mode=mode, alpha=0.5, device=device), expected)
