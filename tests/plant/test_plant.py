@@ -7,6 +7,7 @@ from small_scenes import BOX, DISC, WALL, chain_scene, compiled, make_scene
 
 from warpmpc import Plant, SceneError
 from warpmpc.model.pairs import Pair
+from warpmpc.task.task import Task
 
 FAR_BOX = {**BOX, "position": (3.0, 3.0, 0.1)}
 STILL = np.zeros(3)
@@ -230,3 +231,10 @@ def test_what_an_object_lies_on_is_no_collision_of_its_own(support):
     assert (weight == 0.0) if support else (weight > 5.0)  # [N] of 9.8
     assert (plant.contact.time == 0.0) == support
     assert "base-table" in plant.contact.forces
+
+
+@pytest.mark.parametrize(("plants", "envs"), [(1, 2), (2, 1), (3, 2)])
+def test_plants_refuse_a_task_of_another_number_of_environments(plants, envs):
+    scene = make_scene()
+    with pytest.raises(ValueError, match=f"{plants} plants share a task of {envs} environments"):
+        Plant(scene, envs=plants, task=Task(scene, envs=envs))

@@ -35,6 +35,7 @@ class PlantBatch:
 
     Raises:
         SceneError: If a kick has the wrong number of values.
+        ValueError: If the task has more or fewer environments than there are plants.
     """
 
     plants: tuple[Plant, ...]

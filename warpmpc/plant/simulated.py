@@ -51,6 +51,9 @@ class Worlds:
         seeds: Seeds of the plants' properties.
         task: What the plants' runs want, one environment for each of them.
         terms: Users' own cost terms that conditions name.
+
+    Raises:
+        ValueError: If the task has more or fewer environments than there are plants.
     """
 
     def __init__(
@@ -61,6 +64,10 @@ class Worlds:
         task: Task,
         terms: Sequence[CostTerm | ArrayCost] = (),
     ):
+        if task.envs != len(seeds):
+            raise ValueError(
+                f"{len(seeds)} plants share a task of {task.envs} environments: say Plant(scene, envs={task.envs}, ...)"
+            )
         self.task = task
         self.layout = task_layout(compiled.layout, scene)
         self.draws = None
@@ -131,7 +138,7 @@ class Plant:
 
     Raises:
         SceneError: If a kick has the wrong number of values.
-        ValueError: If there is to be less than one plant.
+        ValueError: If there is to be less than one plant, or not one for each environment of the task.
     """
 
     def __new__(cls, scene: Scene, *, seed: int = 0, envs: int = 1, **keys: object) -> Plant | PlantBatch:
