@@ -6,6 +6,7 @@ import pytest
 from small_scenes import BOX, compiled, layout_of, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State
+from warpmpc.scene.load import check_scene
 from warpmpc.task.task import Task
 
 COST = [
@@ -200,6 +201,22 @@ def test_a_phase_changes_what_it_names_and_the_rest_stays():
     np.testing.assert_allclose(task["speed"], 0.7)
     with pytest.raises(IndexError, match="3 phases"):
         task.enter_phase(3)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"scalar": {"sped": 1.0}}, r"phase\.first\.scalar\.sped.*no such scalar.*Did you mean 'speed'"),
+        ({"target": {"gat": {"position": (0.0, 0.0, 0.0)}}}, r"phase\.first\.target\.gat.*no such target"),
+        ({"weight": {"efort": 1.0}}, r"phase\.first\.weight\.efort.*no such cost term"),
+        ({"after": None}, r"phase\.first.*never ends: give until or after"),
+        ({"name": "last"}, r"phase\.last\.name.*taken by an earlier phase"),
+    ],
+)
+def test_phases_that_cannot_be_are_refused_by_name(entry, message):
+    scene = make_scene(**SECTIONS, phase=[{"name": "first", "after": 1.0, **entry}, {"name": "last"}])
+    with pytest.raises(SceneError, match=f"(?s){message}"):
+        check_scene(scene)
 
 
 def test_phases_follow_one_another_in_closed_loop():

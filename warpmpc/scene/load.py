@@ -245,6 +245,8 @@ def _check_phases(scene: Scene) -> None:
     known = {"target": _names(scene.target), "scalar": list(scene.scalar), "weight": scene.cost_labels}
     for i, phase in enumerate(scene.phase):
         key = f"phase.{phase.name}"
+        if phase.name in _names(scene.phase[:i]):
+            raise SceneError("this name is taken by an earlier phase", key=f"{key}.name", found=phase.name)
         if phase.goal is not None and scene.goal is None:
             raise SceneError("the scene has no goal that a phase could move: give [goal]", key=f"{key}.goal")
         for kind, names in known.items():
