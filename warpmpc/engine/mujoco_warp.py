@@ -349,12 +349,10 @@ def _refuse_rk4(model: mujoco.MjModel) -> None:
     """MuJoCo Warp's RK4 takes activations otherwise than MuJoCo does: 1e-3 apart after 50 steps of a quadrotor.
 
     Raises:
-        NotImplementedError: If a model needs both.
+        ValueError: If a model needs both.
     """
     if model.na and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
-        raise NotImplementedError(
-            "RK4 with actuators that have activations: set engine.integrator to euler or implicitfast"
-        )
+        raise ValueError("RK4 with actuators that have activations: set engine.integrator to euler or implicitfast")
 
 
 def contact_bound(model: mujoco.MjModel) -> int:
