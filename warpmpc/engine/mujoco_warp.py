@@ -32,7 +32,7 @@ from ..kernels.worlds.mujoco_warp import (
     store_row_kernel,
     store_state_kernel,
 )
-from ..launch import Launcher, Replay, default_device
+from ..launch import Launcher, default_device
 from ..model.batch_size import BatchSize
 from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
@@ -40,7 +40,7 @@ from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import pair_table
 from ..model.randomize import batched_arrays
 from ..scene.errors import SceneError
-from .trajectory import ObservedState, Trajectory
+from .trajectory import ObservedState, OnePart, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -88,7 +88,7 @@ OPTIONS = (*_CAPACITIES, _GRAPH_CONDITIONAL, *_ENUMS, *_NUMBERS, *_FLAGS)
 """What a scene may say under ``engine.options``."""
 
 
-class MujocoWarpEngine:
+class MujocoWarpEngine(OnePart):
     """Rolls out W worlds of one MuJoCo model with MuJoCo Warp.
 
     Everything after construction is a fixed sequence of launches without host synchronization or allocation, so that
@@ -205,20 +205,6 @@ class MujocoWarpEngine:
         if self._activation.size:
             dim = (count, self._activation.size)
             self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
-
-    @property
-    def parts(self) -> list[tuple[int, int]]:
-        """First world and number of worlds of the only part."""
-        return [(0, self.shape.worlds)]
-
-    def run(self, replays: Sequence[Replay]) -> None:
-        """Run the only part's sequence of launches as it is: the solver does more than launch kernels."""
-        for replay in replays:
-            replay.sequence()
-
-    def rollout_part(self, control: wp.array, part: int) -> None:
-        """Roll controls out; there is but one part."""
-        self.rollout(control)
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""

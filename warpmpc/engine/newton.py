@@ -12,14 +12,14 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
-from ..launch import Launcher, Replay, default_device
+from ..launch import Launcher, default_device
 from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
 from ..scene.errors import SceneError
 from .newton_solver import make_solver
-from .trajectory import ObservedState, Trajectory
+from .trajectory import ObservedState, OnePart, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -33,7 +33,7 @@ LARGEST_SPEED = 1.0e10
 """Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
 
 
-class NewtonEngine:
+class NewtonEngine(OnePart):
     """Rolls out W worlds of one replicated Newton model.
 
     Slice t of the trajectory is the memory of a ``newton.State``: the solver writes its result straight into the
@@ -133,20 +133,6 @@ class NewtonEngine:
             [self._table, state.joint_q, state.joint_qd, self.shape.rollouts, first],
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
-
-    @property
-    def parts(self) -> list[tuple[int, int]]:
-        """First world and number of worlds of the only part."""
-        return [(0, self.shape.worlds)]
-
-    def run(self, replays: Sequence[Replay]) -> None:
-        """Run the only part's sequence of launches as it is: its solvers do more than launch kernels."""
-        for replay in replays:
-            replay.sequence()
-
-    def rollout_part(self, control: wp.array, part: int) -> None:
-        """Roll controls out; there is but one part."""
-        self.rollout(control)
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""

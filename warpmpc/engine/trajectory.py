@@ -77,6 +77,26 @@ class Simulator(Protocol):
         """Release threads and memory."""
 
 
+class OnePart:
+    """A simulator whose worlds are one part, because its solver steps all of them in one model."""
+
+    shape: BatchSize
+
+    @property
+    def parts(self) -> list[tuple[int, int]]:
+        """First world and number of worlds of the only part."""
+        return [(0, self.shape.worlds)]
+
+    def run(self, replays: Sequence[Replay]) -> None:
+        """Run the only part's sequence of launches as it is: solvers do more than launch kernels."""
+        for replay in replays:
+            replay.sequence()
+
+    def rollout_part(self, control: wp.array, part: int) -> None:
+        """Roll controls out; there is but one part."""
+        self.rollout(control)
+
+
 class Proposal(Protocol):
     """Where an engine gets its knots from."""
 
