@@ -24,7 +24,7 @@ FLOORS = (
     ("planner",),
     ("engine",),
     ("cost",),
-    ("task",),
+    ("task", "bake"),
     ("model",),
     ("scene", "launch"),
     ("kernels",),

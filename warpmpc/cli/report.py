@@ -37,7 +37,12 @@ if TYPE_CHECKING:
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file."""
 
-_UNITS = {"velocity": ("m/s", "rad/s"), "position": ("m", "rad"), "effort": ("N", "N·m")}
+_UNITS = {
+    "velocity": ("m/s", "rad/s"),
+    "acceleration": ("m/s²", "rad/s²"),
+    "position": ("m", "rad"),
+    "effort": ("N", "N·m"),
+}
 """Unit of a control by drive mode, along a linear and an angular axis."""
 
 

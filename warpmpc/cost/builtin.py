@@ -38,6 +38,7 @@ from .keys import (
     Robots,
     Yaw,
 )
+from .native import general as native
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
 from .resources.push_path import PushRequest
@@ -282,16 +283,25 @@ def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
 BUILTIN = {
     term.name: term
     for term in (
-        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance),
+        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance, native.distance),
         CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw),
         CostTerm("push_alignment", pushing.push_alignment, pushing.PushAlignmentParams, _push_alignment, PushAlignment),
         CostTerm("push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath),
         CostTerm("contact_force", costs.contact_cost, costs.ContactForceParams, _contact_force, ContactForce),
-        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots),
-        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots),
-        CostTerm("joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit),
-        CostTerm("joint_velocity", costs.joint_velocity_cost, costs.JointVelocityParams, _joint_velocity, Joints),
-        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints),
+        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots, native.control_effort),
+        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots, native.control_rate),
+        CostTerm(
+            "joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit, native.joint_limit
+        ),
+        CostTerm(
+            "joint_velocity",
+            costs.joint_velocity_cost,
+            costs.JointVelocityParams,
+            _joint_velocity,
+            Joints,
+            native.joint_velocity,
+        ),
+        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints, native.posture),
         CostTerm(
             "obstacle_clearance",
             clearance.obstacle_clearance,
@@ -322,7 +332,7 @@ BUILTIN = {
             FingerAlignment,
         ),
         CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
-        CostTerm("height", costs.height, costs.HeightParams, _height, Height),
+        CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
     )
 }

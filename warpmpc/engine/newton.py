@@ -183,6 +183,14 @@ def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
     Raises:
         SceneError: If there is such a thing.
     """
+    if "acceleration" in compiled.layout.actuator_mode:
+        raise SceneError(
+            "drives of this mode are actuators of MuJoCo, which this solver does not simulate",
+            key="engine.solver",
+            file=scene.path,
+            found=str(scene.engine.solver),
+            allowed=["mujoco"],
+        )
     if not compiled.natives:
         return
     layout, model = compiled.layout, compiled.spec().compile()

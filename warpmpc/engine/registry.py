@@ -200,5 +200,12 @@ def _make_newton(request: EngineRequest) -> Engine:
     return _recorded(request, NewtonEngine(*scene_of, **common))
 
 
+def _make_kinematic(request: EngineRequest) -> Engine:
+    from .kinematic import KinematicEngine
+
+    return KinematicEngine(request)
+
+
 register(EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, make=_make_mujoco))
 register(EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, make=_make_newton))
+register(EngineEntry(name=str(EngineName.KINEMATIC), cuda=True, cpu=True, make=_make_kinematic))

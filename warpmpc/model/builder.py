@@ -34,6 +34,7 @@ from .layout import (
     Entity,
     Layout,
     ShapeInfo,
+    accelerator,
 )
 from .native import NativeRobots, add_native
 
@@ -329,6 +330,7 @@ def _layout(
     shapes = tuple(_shape_info(builder, i, owner.get(i, ""), meshes) for i in range(builder.shape_count))
     poses = [np.array(x, dtype=np.float32) for x in (builder.joint_X_p, builder.joint_X_c)]
     start = {name: np.array(getattr(builder, name), dtype=np.float32) for name in ("joint_q", "joint_qd")}
+    natives.activations += [accelerator(a["dof"]) for a in actuators.actuator if a["mode"] == "acceleration"]
     return Layout(
         joint_name=tuple(builder.joint_label),
         joint_type=np.array(builder.joint_type, dtype=np.int32),

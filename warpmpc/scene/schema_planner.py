@@ -190,6 +190,7 @@ class EngineName(StrEnum):
     AUTO = "auto"
     MUJOCO = "mujoco"
     NEWTON = "newton"
+    KINEMATIC = "kinematic"
 
 
 class Solver(StrEnum):
