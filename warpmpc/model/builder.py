@@ -344,6 +344,7 @@ def _layout(
         dof_axis=axes,
         dof_lower=np.array(builder.joint_limit_lower, dtype=np.float32),
         dof_upper=np.array(builder.joint_limit_upper, dtype=np.float32),
+        dof_speed=np.array(builder.joint_velocity_limit, dtype=np.float32),
         dof_coord=dof_coord,
         dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
         body_name=tuple(builder.body_label),

@@ -107,6 +107,7 @@ class Layout:
     dof_axis: np.ndarray  # [nv, 3]
     dof_lower: np.ndarray  # [nv]
     dof_upper: np.ndarray  # [nv]
+    dof_speed: np.ndarray  # [nv] greatest velocity by the asset [m/s or rad/s], 1e6 where it says nothing
     dof_coord: np.ndarray  # [nv] joint coordinate of a dof, -1 for those of free and ball joints
     dof_name: tuple[str, ...]  # [nv] robot/axis, empty for those of free and ball joints
     body_name: tuple[str, ...]
