@@ -24,6 +24,7 @@ from .arm_keys import (
     Stop,
 )
 from .joints import joint_dofs
+from .native import arm as native
 from .term import CostTerm, parse_keys
 
 if TYPE_CHECKING:
@@ -210,13 +211,41 @@ def _smoothness(keys: dict[str, Any], b: Binding) -> costs.SmoothnessParams:
 
 
 TERMS = (
-    CostTerm("pose", costs.pose, costs.PoseParams, _pose, Pose),
-    CostTerm("stop", costs.stop, costs.StopParams, _stop, Stop),
-    CostTerm("manipulability", costs.manipulability, costs.ManipulabilityParams, _manipulability, Manipulability),
-    CostTerm("joint_bounds", costs.joint_bounds, costs.JointBoundsParams, _joint_bounds, JointBounds),
-    CostTerm("null_posture", costs.null_posture, costs.NullPostureParams, _null_posture, NullPosture),
-    CostTerm("path_deviation", costs.path_deviation, costs.PathDeviationParams, _path_deviation, PathDeviation),
-    CostTerm("speed", costs.speed, costs.SpeedParams, _speed, Speed),
-    CostTerm("smoothness", costs.smoothness, costs.SmoothnessParams, _smoothness, Smoothness),
+    CostTerm("pose", costs.pose, costs.PoseParams, _pose, Pose, native.pose),
+    CostTerm("stop", costs.stop, costs.StopParams, _stop, Stop, native.stop),
+    CostTerm(
+        "manipulability",
+        costs.manipulability,
+        costs.ManipulabilityParams,
+        _manipulability,
+        Manipulability,
+        native.manipulability,
+    ),
+    CostTerm(
+        "joint_bounds",
+        costs.joint_bounds,
+        costs.JointBoundsParams,
+        _joint_bounds,
+        JointBounds,
+        native.joint_bounds,
+    ),
+    CostTerm(
+        "null_posture",
+        costs.null_posture,
+        costs.NullPostureParams,
+        _null_posture,
+        NullPosture,
+        native.null_posture,
+    ),
+    CostTerm(
+        "path_deviation",
+        costs.path_deviation,
+        costs.PathDeviationParams,
+        _path_deviation,
+        PathDeviation,
+        native.path_deviation,
+    ),
+    CostTerm("speed", costs.speed, costs.SpeedParams, _speed, Speed, native.speed),
+    CostTerm("smoothness", costs.smoothness, costs.SmoothnessParams, _smoothness, Smoothness, native.smoothness),
 )
 """Terms of an arm."""
