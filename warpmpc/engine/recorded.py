@@ -86,16 +86,11 @@ class RecordedEngine:
         """Capacity bits of every world, ``[W]``."""
         return self.simulator.trajectory.overflow
 
-    @property
-    def capturable(self) -> bool:
-        """Whether a CUDA graph can hold an evaluation."""
-        return self._on_gpu and self.costs.capturable
-
     def evaluate(self, proposal: Proposal) -> None:
         """Roll proposed knots out from the observed state and judge them, into :attr:`cost`.
 
-        Capture-safe where :attr:`capturable`. On the CPU every part of the worlds is a sequence of its own, replayed by
-        whatever thread takes it.
+        Capture-safe but for terms over whole arrays. On the CPU every part of the worlds is a sequence of its own,
+        replayed by whatever thread takes it.
         """
         if self._on_gpu:
             self._take(proposal, 0)

@@ -110,9 +110,8 @@ class Proposal(Protocol):
 class Engine(Protocol):
     """Turns knots into costs, and chosen worlds into trajectories."""
 
-    name: str
+    name: str  # of its entry in the registry, which says what it can do
     device: str
-    capturable: bool
     cost: wp.array  # [E, S] cost of every sample, +inf where it diverged
     term_cost: wp.array  # [E, term] of the samples explained last
     diverged: wp.array  # [W] nonzero where the physics failed

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..engine.registry import EngineRequest, make_engine
+from ..engine.registry import ENGINES, EngineRequest, make_engine
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
@@ -88,6 +88,9 @@ class PlanStep:
                 properties=properties,
             ),
         )
+        on_gpu = wp.get_device(self.device).is_cuda
+        self.capturable = ENGINES[engine].capturable and costs.capturable and on_gpu
+        """Whether a CUDA graph can hold a plan."""
         self.strategy = SamplingStrategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         self._spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
