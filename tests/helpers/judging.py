@@ -10,8 +10,8 @@ from small_scenes import layout_of
 from warpmpc import Scene
 from warpmpc.cost.stack import CostStack, Judge
 from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.engine.trajectory import Trajectory
 from warpmpc.model.batch_size import BatchSize
+from warpmpc.model.trajectory import Trajectory
 from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import Task
 

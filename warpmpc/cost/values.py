@@ -13,9 +13,9 @@ from ..task.observed import ObservedState
 from .stack import CostStack, Judge
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Trajectory
     from ..model.batch_size import BatchSize
     from ..model.layout import Layout
+    from ..model.trajectory import Trajectory
     from ..scene.schema import Scene
     from ..task.task import Task
     from .term import ArrayCost, CostTerm

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
     from ..scene.schema import Planner
     from ..task.observed import ObservedState
+    from .protocol import Proposal, Simulator
     from .timegrid import TimeGrid
-    from .trajectory import Proposal, Simulator
 
 RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
+    from .protocol import Engine
     from .timegrid import TimeGrid
-    from .trajectory import Engine
 
 
 @dataclass(frozen=True, kw_only=True)

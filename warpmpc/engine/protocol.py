@@ -1,52 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What engines write and costs read: the recorded rollouts of all worlds."""
+"""What plans ask of an engine, and a recording engine of a simulator."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
 
-from ..task.observed import ObservedState
-
 if TYPE_CHECKING:
     from ..launch import Replay
     from ..model.batch_size import BatchSize
-    from ..model.layout import Layout
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Recorded rollouts. Slice t of the state arrays is the state after t controls; slice 0 the observed state."""
-
-    joint_q: wp.array  # [T+1, W, nq]
-    joint_qd: wp.array  # [T+1, W, nv]
-    body_q: wp.array  # [T+1, W, nb] transform
-    body_qd: wp.array  # [T+1, W, nb] spatial vector: linear velocity of the centre of mass, angular velocity
-    contact_force: wp.array  # [T, W, pairs] vec3 [N], world frame, on the first of the pair
-    diverged: wp.array  # [W] nonzero where the world blew up
-    overflow: wp.array  # [W] bits of the solver's capacities that did not suffice
-    act: wp.array  # [T+1, W, na] activations
-    sensor: wp.array  # [T, W, ns] what the sensors that terms read show at the last physics step; zero for others
-
-    @classmethod
-    def allocate(cls, shape: BatchSize, layout: Layout, pairs: int, device: str) -> Trajectory:
-        """Storage for the rollouts of a scene on a device."""
-        t, w = shape.horizon + 1, shape.worlds
-        return cls(
-            joint_q=wp.zeros((t, w, layout.nq), dtype=float, device=device),
-            joint_qd=wp.zeros((t, w, layout.nv), dtype=float, device=device),
-            body_q=wp.zeros((t, w, layout.nb), dtype=wp.transform, device=device),
-            body_qd=wp.zeros((t, w, layout.nb), dtype=wp.spatial_vector, device=device),
-            contact_force=wp.zeros((t - 1, w, pairs), dtype=wp.vec3, device=device),
-            diverged=wp.zeros(w, dtype=int, device=device),
-            overflow=wp.zeros(w, dtype=int, device=device),
-            act=wp.zeros((t, w, layout.na), dtype=float, device=device),
-            sensor=wp.zeros((t - 1, w, layout.ns), dtype=float, device=device),
-        )
+    from ..model.trajectory import Trajectory
+    from ..task.observed import ObservedState
 
 
 class Simulator(Protocol):
