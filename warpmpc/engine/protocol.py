@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
 import warp as wp
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ class Simulator(Protocol):
         """Run one sequence of launches for every part, on as many threads as there are."""
 
     def rollout(self, control: wp.array) -> None:
-        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`."""
+        """Roll controls [T, W, nu] of all worlds, such as the trajectory's own, out into :attr:`trajectory`."""
 
     def rollout_part(self, control: wp.array, part: int) -> None:
         """Roll controls [T, W, nu] of the worlds of one part out."""
@@ -90,8 +89,8 @@ class Engine(Protocol):
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of one sample of every environment ``[E]``, into :attr:`term_cost`."""
 
-    def record(self, worlds: Sequence[int]) -> np.ndarray:
-        """Body poses ``[T+1, n, nb, 7]`` of some worlds of the last evaluation, on the host."""
+    def record(self, worlds: Sequence[int]) -> Trajectory:
+        """What became of some worlds in the last evaluation, on the host: see :meth:`Trajectory.of_worlds`."""
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""

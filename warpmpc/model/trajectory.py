@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
+
+from ..launch import capturing
 
 if TYPE_CHECKING:
     from .batch_size import BatchSize
@@ -15,7 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Recorded rollouts. Slice t of the state arrays is the state after t controls; slice 0 the observed state."""
+    """Recorded rollouts. Slice t of the state arrays is the state after t controls; slice 0 the observed state.
+
+    Engines write into arrays on their device; what :meth:`of_worlds` returns are NumPy arrays, whose last axis takes
+    the seven numbers of a pose, the six of a twist or the three of a force.
+    """
 
     joint_q: wp.array  # [T+1, W, nq]
     joint_qd: wp.array  # [T+1, W, nv]
@@ -26,6 +34,7 @@ class Trajectory:
     overflow: wp.array  # [W] bits of the solver's capacities that did not suffice
     act: wp.array  # [T+1, W, na] activations
     sensor: wp.array  # [T, W, ns] what the sensors that terms read show at the last physics step; zero for others
+    control: wp.array  # [T, W, nu] what a plan's engine rolls out
 
     @classmethod
     def allocate(cls, shape: BatchSize, layout: Layout, pairs: int, device: str) -> Trajectory:
@@ -41,4 +50,20 @@ class Trajectory:
             overflow=wp.zeros(w, dtype=int, device=device),
             act=wp.zeros((t, w, layout.na), dtype=float, device=device),
             sensor=wp.zeros((t - 1, w, layout.ns), dtype=float, device=device),
+            control=wp.zeros((t - 1, w, layout.nu), dtype=float, device=device),
         )
+
+    def of_worlds(self, worlds: Sequence[int]) -> Trajectory:
+        """A copy of some worlds' rollouts on the host, W being as many as they are and in their order."""
+        rows, on_host = np.asarray(worlds, dtype=np.int32), self.joint_q.device.is_cpu
+
+        def chosen(array: wp.array) -> np.ndarray:
+            axis = min(array.ndim - 1, 1)
+            if on_host:
+                return array.numpy().take(rows, axis=axis)
+            # gathered over there: all worlds together may be hundreds of megabytes
+            return wp.indexedarray(array, [index if i == axis else None for i in range(array.ndim)]).numpy()
+
+        with capturing:
+            index = None if on_host else wp.array(rows, dtype=int, device=self.joint_q.device)
+            return Trajectory(**{field.name: chosen(getattr(self, field.name)) for field in fields(self)})

@@ -11,7 +11,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
@@ -93,7 +92,7 @@ class Worlds:
             options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
-        self.control = wp.zeros((1, len(seeds), self.layout.nu), dtype=float, device="cpu")
+        self.control = self.engine.trajectory.control
         """Controls of all worlds ``[1, E, nu]``."""
         if self._values:
             self._values.attach(self.engine.trajectory, self.control, shape, dt)
