@@ -53,6 +53,8 @@ class TermValues:
         self._judge: Judge | None = None
         self.pairs = self._stack.pairs
         """Contacts that the terms watch; the trajectory's first ones."""
+        self.sensors = self._stack.sensors
+        """Sensors that the terms read."""
 
     def attach(self, trajectory: Trajectory, control: wp.array, shape: BatchSize, dt: float) -> None:
         """Read these one-step trajectories from now on.

@@ -72,7 +72,7 @@ class Worlds:
         self.draws = None
         if scene.plant.randomize:
             self.draws = [draw_properties(scene, self.layout, 1, seed=2 * seed + 1) for seed in seeds]
-        self.monitors = [Monitor(scene, self.layout, task, e) for e in range(len(seeds))]
+        self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
         watched = self.monitors[0].watched_terms
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
         watching = self._values.pairs if self._values else ()
@@ -312,7 +312,7 @@ class Plant:
         self._history.append(self.state)
         terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]
-        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.steps)
+        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.time)
 
     def _measured(self) -> np.ndarray:
         """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""
