@@ -66,9 +66,9 @@ def planned(scene, *, envs: int = 1, terms=(), seed: int = 0, device: str = "cpu
     mpc.step(state)
     mpc.planner.state.last_control.assign(acting)  # as the samples saw it
     engine, shape = mpc.engine, mpc.shape
-    trajectory, control = engine.rollouts(range(shape.worlds))
+    trajectory = engine.rollouts(range(shape.worlds))
     whole = BatchSize(envs, shape.samples, 1, shape.horizon)
-    judge = Judge(mpc.costs, trajectory, control, engine.state, whole, mpc.planner.grid.t)
+    judge = Judge(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
     judge.launch()
     expected = (judge.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
     return mpc, expected
@@ -102,7 +102,7 @@ def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch(
         mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2)
         assert mpc.engine.records
         check(mpc, expected)
-        plain, _ = mpc.engine.rollouts(range(mpc.shape.worlds))
+        plain = mpc.engine.rollouts(range(mpc.shape.worlds))
         recorded = mpc.engine.recorded
         for name in ("joint_q", "body_q", "body_qd"):
             a, b = getattr(plain, name).numpy()[1:], getattr(recorded, name).numpy()[1:]

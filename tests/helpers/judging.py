@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-import warp as wp
 from small_scenes import layout_of
 
 from warpmpc import Scene
 from warpmpc.cost.stack import CostStack, Judge
 from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.engine.trajectory import Trajectory
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.layout import Layout
+from warpmpc.model.trajectory import Trajectory
 from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import Task
 
@@ -26,7 +25,7 @@ class Judging:
         self.task = Task(scene, envs=shape.envs)
         self.stack = CostStack(scene, self.layout, self.task, terms=terms, device=device)
         self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), device)
-        self.control = wp.zeros((shape.horizon, shape.worlds, self.layout.nu), dtype=float, device=device)
+        self.control = self.trajectory.control
         self.state = ObservedState.allocate(self.layout, self.task, device)
         self.judge = self.judge_with(self.stack)
 

@@ -175,7 +175,7 @@ def print_check(episode: Episode, out: TextIO) -> None:
         fact("phase", phase.name)
     fact("planner", _planner(scene))
     shape = controller.shape
-    substeps = physics_steps(scene, controller.compiled, controller.planner.grid)[0]
+    substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.planner.grid).count
     steps = shape.worlds * sum(substeps)
     each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")

@@ -40,6 +40,8 @@ class Controller:
         engine: Name of an engine, or ``"auto"``: the scene's, else ``mujoco`` on the CPU and ``newton`` on a GPU. To
             take the faster one on this machine, ask :func:`warpmpc.choose_engine`.
         device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``.
+        strategy: Name of a strategy, your own ones among them (:func:`warpmpc.planner.registry.register`), or
+            ``"auto"``: the scene's ``planner.method``.
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
         envs: Number of environments E.
         task: What the run wants, shared with its plant; one of its own if None.
@@ -48,7 +50,7 @@ class Controller:
 
     Raises:
         SceneError: If the scene names anything that does not exist.
-        ValueError: If the engine or device is unknown or not to be had here.
+        ValueError: If the engine, device or strategy is unknown or not to be had here.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Controller:
         *,
         engine: str = "auto",
         device: str = "auto",
+        strategy: str = "auto",
         seed: int = 0,
         envs: int = 1,
         task: Task | None = None,
@@ -76,14 +79,14 @@ class Controller:
         self.task = task or Task(scene, envs=envs)
         """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
         with capturing:  # nothing may be allocated while another controller records its plan
-            self._build(name, device, terms)
+            self._build(name, device, strategy, terms)
         self._layout_speed = self.layout.activation_speed
         self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
         self._warned_of_overflow = False
         self._info: Info | tuple[Info, ...] | None = None
         self._forget()
 
-    def _build(self, name: str, device: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
+    def _build(self, name: str, device: str, strategy: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
         """Make everything that lives on the device."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
@@ -92,7 +95,14 @@ class Controller:
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
         self.planner = PlanStep(
-            scene, self.compiled, self.costs, self.shape, engine=name, seed=seed, properties=properties
+            scene,
+            self.compiled,
+            self.costs,
+            self.shape,
+            engine=name,
+            strategy=strategy,
+            seed=seed,
+            properties=properties,
         )
         self.engine = self.planner.engine
         self.graph = PlanGraph(self.planner)

@@ -39,15 +39,15 @@ from ..kernels.worlds.kinematic import (
 from ..launch import Launcher, Replay, capturing
 from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
+from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from .crew import Crew
 from .kinematic_kernel import make_kernel
-from .trajectory import Trajectory
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
+    from .protocol import Proposal
     from .registry import EngineRequest
-    from .trajectory import Proposal
 
 MODES = {"velocity": int(VELOCITY), "position": int(POSITION), "acceleration": int(ACCELERATION)}
 PARTS = 4
@@ -103,11 +103,6 @@ class KinematicEngine:
         self._crew = Crew(self.threads, len(self.parts))
 
     @property
-    def capturable(self) -> bool:
-        """Whether a CUDA graph can hold an evaluation."""
-        return self._on_gpu and self.costs.capturable
-
-    @property
     def threads(self) -> int:
         """CPU threads that share the samples."""
         return 1 if self._on_gpu else self.request.scene.engine.threads or len(os.sched_getaffinity(0))
@@ -157,8 +152,8 @@ class KinematicEngine:
         self.recorded = out = Trajectory.allocate(recorded, layout, 0, self.device)
         work.record_q, work.record_qd = out.joint_q, out.joint_qd
         work.record_body_q, work.record_body_qd = out.body_q, out.body_qd
-        work.control = wp.zeros((shape.horizon, recorded.worlds, layout.nu), dtype=float, device=self.device)
-        self.judge = Judge(self.costs, out, work.control, self.state, recorded, self.request.grid.t)
+        work.control = out.control
+        self.judge = Judge(self.costs, out, out.control, self.state, recorded, self.request.grid.t)
         self._staged = wp.array(staged, dtype=int, device=self.device)
 
     def _split(self) -> tuple[list[tuple[int, int, int, int]], int]:
@@ -182,7 +177,7 @@ class KinematicEngine:
     def evaluate(self, proposal: Proposal) -> None:
         """Roll proposed knots out from the observed state and judge them, into :attr:`cost`.
 
-        Capture-safe where :attr:`capturable`. On the CPU every part of the samples is a sequence of its own.
+        Capture-safe on CUDA. On the CPU every part of the samples is a sequence of its own.
         """
         if self._on_gpu:
             self._taps(proposal)
@@ -227,29 +222,25 @@ class KinematicEngine:
         inputs = [self._work.total, sample, self.shape.samples]
         self._launch(explain_total_kernel, self.term_cost.shape, inputs, [self.term_cost])
 
-    def rollouts(self, worlds: Sequence[int]) -> tuple[Trajectory, wp.array]:
+    def rollouts(self, worlds: Sequence[int]) -> Trajectory:
         """Some rollouts of the last evaluation, by the plain kernels that the baked source is tested against.
 
         Args:
             worlds: Which worlds.
-
-        Returns:
-            What was rolled out, and the controls ``[T, n, nu]`` that led to it.
         """
         shape, layout = self.shape, self.layout
         with capturing:
             out = Trajectory.allocate(BatchSize(1, len(worlds), 1, shape.horizon), layout, 0, self.device)
-            control = wp.zeros((shape.horizon, len(worlds), layout.nu), dtype=float, device=self.device)
             table = joint_table(layout, self.device, worlds=len(worlds))
             chosen = wp.array(list(worlds), dtype=int, device=self.device)
             inputs = [table, drives(layout, self.device), self._work, shape.samples, chosen]
-            outputs = [control, out.joint_q, out.joint_qd, out.body_q, out.body_qd]
+            outputs = [out.control, out.joint_q, out.joint_qd, out.body_q, out.body_qd]
             self._launch(kinematic_rollout_kernel, len(worlds), inputs, outputs)
-        return out, control
+        return out
 
-    def record(self, worlds: Sequence[int]) -> np.ndarray:
-        """Body poses ``[T+1, n, nb, 7]`` of some worlds of the last evaluation, on the host."""
-        return self.rollouts(worlds)[0].body_q.numpy()
+    def record(self, worlds: Sequence[int]) -> Trajectory:
+        """What became of some worlds in the last evaluation, on the host."""
+        return self.rollouts(worlds).of_worlds(range(len(worlds)))
 
     @property
     def total(self) -> wp.array:

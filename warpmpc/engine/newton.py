@@ -17,9 +17,10 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
+from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from .newton_solver import make_solver
-from .trajectory import ObservedState, OnePart, Trajectory
+from .protocol import OnePart
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
+    from ..task.observed import ObservedState
 
 _MODES = {"velocity": 0, "position": 1, "effort": 2}
 LARGEST_SPEED = 1.0e10
