@@ -18,6 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
+from . import arm
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -289,6 +290,7 @@ BUILTIN = {
         CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
         CostTerm("height", costs.height, costs.HeightParams, _height, Height),
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
+        *arm.TERMS,
     )
 }
 """Built-in terms by name."""
