@@ -74,30 +74,6 @@ def angular_first(twist: wp.spatial_vector) -> wp.spatial_vector:
 
 
 @wp.func
-def among_axes(
-    chain: Chain, near: wp.vec3, joint_q: wp.array3d[float], body_q: wp.array3d[wp.transform], t: int, w: int
-) -> wp.vec3:
-    """The point with the least squared distance from all axes that turn, ``near`` if there is none [m].
-
-    About it Σ ‖a × (c - p)‖² is least. Where the axes leave it free, as parallel ones do, it stays near ``near``.
-    """
-    h = wp.spatial_matrix(0.0)
-    g = wp.spatial_vector()
-    for c in range(chain.column.shape[0]):
-        i = chain.column[c]
-        if chain.turns[i] != 0:
-            a = joint_axis(chain, i, joint_q, body_q, t, w)
-            across = wp.identity(n=3, dtype=float) - wp.outer(a.direction, a.direction)
-            miss = across * (a.point - near)
-            for r in range(3):
-                g[r] += miss[r]
-                for k in range(3):
-                    h[r, k] += across[r, k]
-    x = ldlt_solve(h, 3, 1.0e-3, g)
-    return near + wp.vec3(x[0], x[1], x[2])
-
-
-@wp.func
 def ldlt(m: wp.spatial_matrix, n: int) -> wp.spatial_matrix:
     """Factor the leading n × n block of a symmetric positive semidefinite matrix: D on the diagonal, L below it.
 
@@ -107,15 +83,14 @@ def ldlt(m: wp.spatial_matrix, n: int) -> wp.spatial_matrix:
     for k in range(n):
         d = wp.max(f[k, k], 0.0)
         f[k, k] = d
+        inverse = wp.where(d > 0.0, 1.0 / d, 0.0)
         for i in range(k + 1, n):
             below = f[i, k]
-            if d > 0.0:
-                for j in range(k + 1, i):
-                    f[i, j] -= below * f[j, k]
-                f[i, i] -= below * below / d
-                f[i, k] = below / d
-            else:
-                f[i, k] = 0.0
+            share = below * inverse
+            for j in range(k + 1, i):
+                f[i, j] -= below * f[j, k]
+            f[i, i] -= below * share
+            f[i, k] = share
     return f
 
 
@@ -130,22 +105,18 @@ def root_determinant(m: wp.spatial_matrix, n: int) -> float:
 
 
 @wp.func
-def ldlt_solve(m: wp.spatial_matrix, n: int, damping: float, b: wp.spatial_vector) -> wp.spatial_vector:
-    """Solve (M + damping · I) x = b, for the leading n × n block of a symmetric positive semidefinite matrix."""
-    damped = m
-    for k in range(n):
-        damped[k, k] = m[k, k] + damping
-    f = ldlt(damped, n)
+def solve_damped(m: wp.spatial_matrix, damping: float, b: wp.spatial_vector) -> wp.spatial_vector:
+    """Solve (M + damping · I) x = b for a symmetric positive semidefinite matrix."""
+    f = ldlt(m + damping * wp.identity(n=6, dtype=float), 6)
     x = b
-    for i in range(n):
+    for i in range(6):
         for j in range(i):
             x[i] -= f[i, j] * x[j]
-    for i in range(n):
+    for i in range(6):
         x[i] = wp.where(f[i, i] > 0.0, x[i] / f[i, i], 0.0)
-    for r in range(n):
-        i = n - 1 - r
-        for j in range(i + 1, n):
-            x[i] -= f[j, i] * x[j]
+    for r in range(6):
+        for j in range(6 - r, 6):
+            x[5 - r] -= f[j, 5 - r] * x[j]
     return x
 
 
@@ -155,13 +126,13 @@ def manipulability_of(
 ) -> float:
     """√det(J Jᵀ) of a chain's Jacobian about a point (Yoshikawa 1985), √det(Jᵀ J) for fewer than six axes.
 
-    det(J Jᵀ) is the same about every point, so it is taken about the one that lies best among the axes: about a
-    distant one angular and linear rows are nearly dependent, which float32 cannot tell from a singular posture.
+    det(J Jᵀ) is the same about every point, so it is taken about the joint half-way along the chain: about a distant
+    point angular and linear rows are nearly dependent, which float32 cannot tell from a singular posture.
     """
     n = chain.column.shape[0]
     gram = wp.spatial_matrix(0.0)
     if n >= 6:
-        c = among_axes(chain, at, joint_q, body_q, t, w)
+        c = joint_axis(chain, chain.column[n // 2], joint_q, body_q, t, w).point
         for i in range(n):
             column = angular_first(jacobian_column(chain, i, c, joint_q, body_q, t, w))
             gram += wp.outer(column, column)

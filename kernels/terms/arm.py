@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..geometry.jacobian import Chain, jacobian_column, ldlt_solve, manipulability_of
+from ..geometry.jacobian import Chain, jacobian_column, manipulability_of, solve_damped
 from .view import (
     StepView,
     control,
@@ -213,7 +213,7 @@ def null_posture(s: StepView, p: NullPostureParams) -> float:
         column = jacobian_column(p.chain, i, at, s.joint_q, s.body_q, s.t, s.w)
         gram += wp.outer(column, column)
         moved += column * (joint_position(s, p.chain.coord[p.chain.column[i]]) - p.target[i])
-    x = ldlt_solve(gram, 6, p.damping, moved)
+    x = solve_damped(gram, p.damping, moved)
     total = float(0.0)
     for i in range(n):
         column = jacobian_column(p.chain, i, at, s.joint_q, s.body_q, s.t, s.w)

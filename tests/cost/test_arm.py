@@ -3,10 +3,13 @@
 
 import numpy as np
 import pytest
-from arm_rollouts import ARM, DT, MOBILE, ROBOTS, ArmRollouts
+from arm_rollouts import ARM, DT, MOBILE, ROBOTS, SHAPE, ArmRollouts
+from judging import Judging
 from scipy.spatial.transform import Rotation
+from small_scenes import chain_scene
 
 from warpmpc import SceneError
+from warpmpc.scene.schema import Cost
 
 ARM_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
 SPEED = np.array([2.175] * 4 + [2.61] * 3)
@@ -225,6 +228,24 @@ def test_a_joint_that_brakes_as_hard_as_it_can_pays_nothing_and_a_faster_one_doe
     np.testing.assert_allclose(r.value(), 0.0, atol=1e-10)
     r.trajectory.joint_qd.assign(1.1 * qd)
     np.testing.assert_allclose(r.value(), np.broadcast_to((0.2 * left[:, None]) ** 2, (r.t, r.w)), rtol=1e-3)
+
+
+@pytest.mark.parametrize("term", ["pose", "path_deviation"])
+def test_a_goal_without_a_height_is_compared_in_the_plane(term):
+    r = ArmRollouts(ARM, {"term": term, "of": "arm/tip"}, flat=True)
+    before = r.value()
+    assert before.min() > 0.0
+    goal = r.goal.copy()
+    goal[:, 2] += 3.0
+    r.set_goal(goal)
+    np.testing.assert_array_equal(r.value(), before)
+
+
+def test_a_ball_joint_has_no_axes_for_a_jacobian(tmp_path):
+    scene = chain_scene(tmp_path)
+    cost = Cost.model_validate({"term": "manipulability", "of": "chain/head"})
+    with pytest.raises(SceneError, match=r"cost\.manipulability\.of: a ball joint moves this frame.*neck"):
+        Judging(scene.model_copy(update={"cost": (cost,)}), SHAPE)
 
 
 @pytest.mark.parametrize(

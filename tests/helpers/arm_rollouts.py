@@ -37,9 +37,17 @@ ROBOTS = {"arm": ARM, "mobile": MOBILE}
 class ArmRollouts(Judging):
     """Random rollouts of a robot whose frame ``arm/tip`` is to come to a goal past a target ``gate``."""
 
-    def __init__(self, robot: dict, *costs: dict, seed: int = 0, device: str = "cpu", accelerations: bool = False):
+    def __init__(
+        self,
+        robot: dict,
+        *costs: dict,
+        seed: int = 0,
+        device: str = "cpu",
+        accelerations: bool = False,
+        flat: bool = False,
+    ):
         planner = {"samples": 3, "horizon": SHAPE.horizon, "dt": tuple(DT)}
-        goal = {"frame": "arm/tip", "position": (0.5, 0.3, 0.4)}
+        goal = {"frame": "arm/tip", "position": (0.5, 0.3) if flat else (0.5, 0.3, 0.4)}
         target = [{"name": "gate", "position": (0.4, -0.2, 0.6), "rotation": (0.1, 0.2, 0.3, 0.9)}]
         scene = make_scene(robot=[robot], ground=None, goal=goal, target=target, cost=costs, planner=planner)
         layout = layout_of(scene)

@@ -53,7 +53,7 @@ class FrameChain(Section):
     of: str
     """Frame of a robot."""
     joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Those of them that count, ``robot/joint`` or the joint's own name; all when left out."""
+    """Joints that count of those that move the frame, ``robot/joint`` or the joint's own name; all when left out."""
 
 
 class Manipulability(FrameChain):
