@@ -28,6 +28,17 @@ NATIVE = [
     {"term": "control_effort", "weight": 0.02},
     {"term": "control_rate", "weight": 0.03},
 ]
+ARM = [
+    {"term": "pose", "of": "arm/tool", "position": (3.0, 2.0, 1.0), "rotation": (0.5, 0.0, 0.2)},
+    {"term": "stop", "acceleration": 0.4},
+    {"term": "manipulability", "of": "arm/tool", "least": 0.2},
+    {"term": "manipulability", "name": "step", "of": "arm/tool", "least": 0.1, "form": "step"},
+    {"term": "joint_bounds", "margin": 0.3, "velocity": 0.4, "acceleration": 1.0, "jerk": 10.0},
+    {"term": "null_posture", "of": "arm/tool"},
+    {"term": "path_deviation", "of": "arm/tool", "start": "arm"},
+    {"term": "speed", "of": "arm/tool", "linear": 0.1, "angular": 0.2},
+    {"term": "smoothness", "acceleration": 0.01, "jerk": 1e-4},
+]
 WARP = [{"term": "orientation", "of": "arm/tool", "to": "goal", "weight": 3.0}]
 
 
@@ -88,6 +99,16 @@ def test_baked_rollouts_cost_what_the_plain_kernels_say(robot):
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= len(NATIVE) - 1  # not every arm has limits within reach
         check(mpc, expected)
+
+
+@pytest.mark.parametrize("robot", ["panda", "mobile_panda"])
+@pytest.mark.parametrize("mode", ["acceleration", "velocity"])
+def test_terms_of_an_arm_cost_what_the_plain_kernels_say(robot, mode):
+    for seed in range(3):
+        mpc, expected = planned(scene_of(robot, mode, ARM), seed=seed)
+        assert not mpc.engine.records
+        assert (expected.max(axis=1) > 0.0).sum() >= len(ARM) - 1  # the wide reach of a mobile arm
+        check(mpc, expected, 2e-4)  # manipulability and null space lose digits in single precision
 
 
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])

@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..kernels.geometry.kinematics import FREE
 from ..kernels.terms.view import TASK_BODY
+from ..model.layout import IDENTITY
 from .lines import Lines, Matrix, Operand, Vector
 from .tree import Given, Place, Tree
 
@@ -79,6 +81,20 @@ class StateCode:
     def frame(self, index: int) -> FrameCode:
         """A frame of the layout."""
         return self._cached(("frame", index), lambda: self._frame(index))
+
+    def body_point(self, body: int, at: np.ndarray) -> Vector:
+        """A point of a body, given in its own frame, in the world's [m]."""
+        place = self.tree.place(body)
+        key = ("point", body, *np.asarray(at, dtype=float).tolist())
+        return self._cached(key, lambda: self.tree.point(place, np.asarray(at, dtype=float)))
+
+    def free_start(self, body: int) -> int | None:
+        """First joint coordinate of a body that moves freely, whose pose these coordinates are; None for others."""
+        layout = self.layout
+        joint = int(np.flatnonzero(layout.joint_child == body)[0])
+        free = int(layout.joint_type[joint]) == int(FREE) and int(layout.joint_parent[joint]) < 0
+        anchors = np.stack([layout.joint_pose_parent[joint], layout.joint_pose_child[joint]])
+        return int(layout.joint_q_start[joint]) if free and (anchors == IDENTITY).all() else None
 
     def velocity(self, index: int) -> tuple[Vector, Vector]:
         """Velocity of a frame's origin [m/s], and its angular velocity [rad/s]."""
