@@ -37,6 +37,7 @@ def self_pairs(
     layout: Layout,
     spheres: Spheres,
     *,
+    margin: float = 0.0,
     ignore: Collection[tuple[int, int]] = (),
     include: Collection[tuple[int, int]] = (),
 ) -> list[tuple[int, int]]:
@@ -52,6 +53,7 @@ def self_pairs(
     Args:
         layout: Layout of the scene.
         spheres: Spheres of the robots.
+        margin: Spheres that are closer than this count as overlapping [m].
         ignore: Pairs of bodies to leave out besides.
         include: Pairs of bodies to add, whatever is said above.
     """
@@ -69,13 +71,22 @@ def self_pairs(
         links = (link[bodies[0]], link[bodies[1]])
         if {*bodies} in ignore or links[0] == links[1] or above[links[0]] == links[1] or above[links[1]] == links[0]:
             continue
-        overlap = _overlap(spheres, centre, a, b)
+        overlap = _overlap(spheres, centre, a, b, margin)
         often = np.flatnonzero(overlap[1:])
         if len(often) >= _ALWAYS * _POSTURES or (overlap[0] and not _touch(layout, bodies, poses[:1])):
             continue
         if len(often) < _OFTEN * _POSTURES or _touch(layout, bodies, poses[1 + often[:_LOOKS]]):
             pairs.append((a, b))
     return pairs
+
+
+def moving_bodies(layout: Layout) -> set[int]:
+    """Bodies that a joint moves in the world."""
+    moving: set[int] = set()
+    for kind, up, child in zip(layout.joint_type, layout.joint_parent, layout.joint_child, strict=True):
+        if kind != _FIXED or up in moving:
+            moving.add(int(child))
+    return moving
 
 
 def _rigid(layout: Layout, covered: Collection[int]) -> tuple[dict[int, int], dict[int, int]]:
@@ -127,11 +138,11 @@ def _turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
 
 
-def _overlap(spheres: Spheres, centre: np.ndarray, a: int, b: int) -> np.ndarray:
-    """Whether spheres of two groups overlap ``[postures]``."""
+def _overlap(spheres: Spheres, centre: np.ndarray, a: int, b: int, margin: float) -> np.ndarray:
+    """Whether spheres of two groups are closer than a margin ``[postures]``."""
     first, second = (slice(g.first, g.first + g.count) for g in (spheres.groups[a], spheres.groups[b]))
     apart = np.linalg.norm(centre[:, first, None] - centre[:, None, second], axis=3)
-    return (apart < spheres.radius[first, None] + spheres.radius[second]).any(axis=(1, 2))
+    return (apart < spheres.radius[first, None] + spheres.radius[second] + margin).any(axis=(1, 2))
 
 
 def _touch(layout: Layout, bodies: tuple[int, int], poses: np.ndarray) -> bool:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from .hulls import SPACING, Hull, directions, shape_hull, thinned
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .layout import Layout
+    from .layout import Layout, ShapeInfo
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,26 @@ def fit_spheres(
             rows[body] = np.array(given[body], dtype=np.float64).reshape(-1, 4)
             continue
         shapes = [s for s in layout.shapes if s.body == body and s.collides and s.kind != "plane"]
-        hulls = [shape_hull(layout, shape, SPACING) for shape in shapes]
-        if hulls:
-            rows[body] = _cover(hulls, overhang, most)
+        if shapes:
+            rows[body] = _fitted(layout, shapes, overhang, most)
     return Spheres.of({body: r for body, r in rows.items() if len(r)})
+
+
+_known: dict[bytes, np.ndarray] = {}
+"""Spheres of shapes that were covered before: a controller and its plant ask for the same ones."""
+
+
+def _fitted(layout: Layout, shapes: Sequence[ShapeInfo], overhang: float, most: int) -> np.ndarray:
+    """Spheres of the shapes of a body ``[n, 4]``."""
+    key = hashlib.sha256(repr((overhang, most)).encode())
+    for shape in shapes:
+        key.update(repr((shape.kind, shape.pose, shape.scale)).encode())
+        if shape.mesh is not None:
+            key.update(layout.meshes[shape.mesh][0].tobytes())
+    if key.digest() not in _known:
+        hulls = [shape_hull(layout, shape, SPACING) for shape in shapes]
+        _known[key.digest()] = _cover(hulls, overhang, most)
+    return _known[key.digest()]
 
 
 _POINTS = 300
