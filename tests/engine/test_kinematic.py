@@ -39,10 +39,22 @@ ARM = [
     {"term": "speed", "of": "arm/tool", "linear": 0.1, "angular": 0.2},
     {"term": "smoothness", "acceleration": 0.01, "jerk": 1e-4},
 ]
+OBSTACLES = [
+    {"name": "block", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (0.4, 0.1, 0.3), "movable": True},
+    {"name": "turned", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (-0.3, 0.3, 0.4), "rotation": (0.2, 0.0, 0.4, 0.9)},
+    {"name": "ball", "shape": "sphere", "size": (0.1,), "position": (0.2, -0.3, 0.6)},
+    {"name": "pillar", "shape": "cylinder", "size": (0.06, 0.8), "position": (0.4, -0.4, 0.4)},
+    {"name": "rail", "shape": "capsule", "size": (0.04, 0.5), "position": (0.5, 0.3, 0.6), "rotation": (0.6, 0.0, 0.0, 0.8)},
+]  # fmt: skip
+COLLISION = [
+    {"term": "self_collision", "margin": 0.15},
+    {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},
+    {"term": "world_collision", "name": "hit", "form": "binary", "margin": 0.02},
+]
 WARP = [{"term": "orientation", "of": "arm/tool", "to": "goal", "weight": 3.0}]
 
 
-def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, **planner):
+def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, obstacles: list = (), **planner):
     asset, link, joints = ROBOTS[robot]
     drive = {"mode": mode, "damping": 100.0, "stiffness": 100.0 if mode == "position" else 0.0, "limit": 3.0}
     return make_scene(
@@ -56,6 +68,7 @@ def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, **plan
             }
         ],
         object=[BOX],
+        obstacle=obstacles,
         goal={"frame": "arm/tool", "position": (0.5, 0.3, 0.4), "rotation": (1.0, 0.0, 0.0, 0.0)},
         cost=cost,
         planner={"samples": 37, "horizon": 11, "dt": GROWING, "noise": {"sigma": 0.8, "redraw": True}, **planner},
@@ -109,6 +122,15 @@ def test_terms_of_an_arm_cost_what_the_plain_kernels_say(robot, mode):
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= len(ARM) - 1  # the wide reach of a mobile arm
         check(mpc, expected, 2e-4)  # manipulability and null space lose digits in single precision
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_collisions_cost_what_the_plain_kernels_say(robot):
+    for seed in range(3):
+        mpc, expected = planned(scene_of(robot, cost=COLLISION, obstacles=OBSTACLES), envs=2, seed=seed)
+        assert not mpc.engine.records
+        assert (expected.max(axis=1) > 0.0).sum() >= 2
+        check(mpc, expected)
 
 
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])

@@ -39,6 +39,8 @@ class Binding:
     pairs: list[Pair] = field(default_factory=list)
     sensors: list[str] = field(default_factory=list)
     """Names of the sensors that terms read, ``robot/sensor``."""
+    kept: list[object] = field(default_factory=list)
+    """What must live as long as the terms, such as meshes."""
 
     def __post_init__(self):
         self.resources = Resources(self.scene, self.layout)
@@ -143,6 +145,20 @@ class Binding:
         if shape.kind not in PRIMITIVES:
             raise SceneError("an outline needs a primitive shape", key=where, file=self.file, found=shape.kind)
         return shape
+
+    def require_still(self, key: str = "") -> None:
+        """For terms that know obstacles only where they are at the start.
+
+        Raises:
+            SceneError: If an obstacle moves with the task.
+        """
+        if self.layout.movable:
+            raise SceneError(
+                "this term does not follow obstacles that move with the task: take world_collision, or leave out "
+                f"movable of obstacle '{self.layout.movable[0]}'",
+                key=f"{self.key}.{key}" if key else self.key,
+                file=self.file,
+            )
 
     @property
     def supports(self) -> set[str]:

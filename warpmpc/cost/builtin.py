@@ -18,7 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import arm
+from . import arm, collision
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -58,6 +58,7 @@ def _distance(keys: dict[str, Any], b: Binding) -> costs.DistanceParams:
     p.planar = int(v.planar or bool(b.scene.flat_poses & {*v.between}) or v.metric is Metric.GEODESIC)
     p.field, p.near, p.lead = -1, v.near, v.lead
     if v.metric is Metric.GEODESIC:
+        b.require_still("metric")
         inflation = b.footprint(v.between[0]) if v.inflation is None else v.inflation
         p.field = b.resources.get(Guides).request(p, p.second, inflation)
     return p
@@ -76,6 +77,7 @@ def _push_alignment(keys: dict[str, Any], b: Binding) -> pushing.PushAlignmentPa
     p.pusher, p.object, p.goal = b.frame(v.pusher, "pusher"), b.frame(v.object, "object"), b.frame(v.goal, "goal")
     p.near, p.slack, p.field = v.near, v.slack, -1
     if v.metric is Metric.GEODESIC:
+        b.require_still("metric")
         inflation = b.footprint(v.object) if v.inflation is None else v.inflation
         p.field = b.resources.get(Guides).request(p, p.goal, inflation)
     return p
@@ -87,6 +89,7 @@ _LEAST_ARM = 0.4
 
 def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     v = parse_keys(PushPath, keys, b)
+    b.require_still()
     shape = b.object_shape(v.object, "object")
     p = pushing.PushPathParams()
     p.pusher, p.object = b.frame(v.pusher, "pusher"), b.frame(v.object, "object")
@@ -155,6 +158,7 @@ def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
 
 def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> clearance.ObstacleClearanceParams:
     v = parse_keys(ObstacleClearance, keys, b)
+    b.require_still()
     if v.to not in ("surface", "centre"):
         raise SceneError("wrong value", key=f"{b.key}.to", file=b.file, found=v.to, allowed=["surface", "centre"])
     shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
@@ -171,6 +175,7 @@ def _obstacle_clearance(keys: dict[str, Any], b: Binding) -> clearance.ObstacleC
 
 def _outline_clearance(keys: dict[str, Any], b: Binding) -> clearance.OutlineClearanceParams:
     v = parse_keys(OutlineClearance, keys, b)
+    b.require_still()
     p = clearance.OutlineClearanceParams()
     p.of, p.within = b.frame(v.of, "of"), v.within
     layout = b.layout
@@ -301,6 +306,7 @@ BUILTIN = {
         CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
         *arm.TERMS,
+        *collision.TERMS,
     )
 }
 """Built-in terms by name."""

@@ -71,7 +71,7 @@ class CostStack:
             self.terms.append((term, bound))
         self.pairs = tuple(binding.pairs)
         self.sensors = tuple(dict.fromkeys(binding.sensors))
-        self.resources = binding.resources
+        self.resources, self._kept = binding.resources, binding.kept
         self._launch = Launcher(device)
         self._table = joint_table(layout, device)
         for resource in self.resources:

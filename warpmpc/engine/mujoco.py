@@ -170,7 +170,7 @@ class MujocoEngine:
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
         self.initial = np.zeros((shape.worlds, nstate))
-        self._control_spec = CONTROL | (MOCAP if layout.nm else 0)
+        self._control_spec = CONTROL | (MOCAP if layout.nm or layout.movable else 0)
         self.control = np.tile(self._control_at_rest(world.model), (shape.worlds, self.steps, 1))
         self.state = np.zeros((shape.worlds, self.steps, nstate))
         self.sensor = np.zeros((shape.worlds, self.steps, world.model.nsensordata))
@@ -185,6 +185,7 @@ class MujocoEngine:
         self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
         self._table = joint_table(layout, "cpu", worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
         self._bind_columns(world)
+        self._obstacle_pose = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device="cpu")
         self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
         self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
         columns = [np.flatnonzero(row) for row in world.actuator_matrix]
@@ -206,7 +207,7 @@ class MujocoEngine:
             return wp.array(values, dtype=int, device="cpu")
 
         self._activation = upload(1 + world.model.nq + world.model.nv + world.activation)
-        self._mocap = upload(world.mocap)
+        self._mocap, self._movable = upload(world.mocap), upload(world.movable)
         self._sensors = upload(world.sensor)
         self._senses = bool((world.sensor >= 0).any())
         self._pair_start = upload(self._pair_sensor)
@@ -231,7 +232,13 @@ class MujocoEngine:
         if self._mocap.size:
             dim = (count, self._mocap.size)
             self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [self.mocap_pose])
-            self._write_mocap(first, count)
+            self._write_mocap(self.mocap_pose, self._mocap, first, count)
+        if self._movable.size:
+            poses = state.pose[:, state.pose.shape[1] - self._movable.size :]
+            self._launch(
+                clone_mocap_kernel, (count, self._movable.size), [poses, rollouts, first], [self._obstacle_pose]
+            )
+            self._write_mocap(self._obstacle_pose, self._movable, first, count)
         self._launch(
             clone_state_kernel,
             count,
@@ -245,8 +252,8 @@ class MujocoEngine:
             self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
             self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self._initial])
 
-    def _write_mocap(self, first: int, count: int) -> None:
-        inputs = [self.mocap_pose, self._mocap, self.model.nu, self.model.nmocap, first]
+    def _write_mocap(self, poses: wp.array, order: wp.array, first: int, count: int) -> None:
+        inputs = [poses, order, self.model.nu, self.model.nmocap, first]
         self._launch(mujoco_mocap_kernel, (count, self.steps), inputs, [self._control])
 
     @property
@@ -257,7 +264,12 @@ class MujocoEngine:
     def move_mocap(self, world: int, index: int, pose: np.ndarray) -> None:
         """Put one mocap body of one world at a pose (x, y, z, qx, qy, qz, qw)."""
         self.mocap_pose.numpy()[world, index] = pose
-        self._write_mocap(world, 1)
+        self._write_mocap(self.mocap_pose, self._mocap, world, 1)
+
+    def place_obstacles(self, world: int, poses: np.ndarray) -> None:
+        """Put the movable obstacles of one world at poses ``[n, 7]``."""
+        self._obstacle_pose.numpy()[world] = poses
+        self._write_mocap(self._obstacle_pose, self._movable, world, 1)
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""

@@ -182,7 +182,8 @@ class MujocoWarpEngine(OnePart):
         self._sensor = wp.zeros((shape.worlds, steps, model.nsensordata), dtype=wp.float64, device=self.device)
         self._end = upload(np.arange(steps))
         self._activation = upload(1 + model.nq + model.nv + world.activation)
-        self._mocap, self._sensors = upload(world.mocap), upload(world.sensor)
+        self._mocap, self._movable, self._sensors = upload(world.mocap), upload(world.movable), upload(world.sensor)
+        self._obstacle_pose = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device=self.device)
         shapes = np.full(model.ngeom, -1)
         for s, name in enumerate(compiled.geom_name):
             if name:
@@ -193,11 +194,16 @@ class MujocoWarpEngine(OnePart):
         """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it."""
         count = self.shape.worlds - first if count is None else count
         out, rollouts = self.trajectory, self.shape.rollouts
-        if self._mocap.size:
-            dim, poses = (count, self._mocap.size), self._table.mocap_pose
-            self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [poses])
-            placed = [self.data.mocap_pos, self.data.mocap_quat]
-            self._launch(place_mocap_kernel, dim, [poses, self._mocap, first], placed)
+        obstacles = state.pose[:, state.pose.shape[1] - self._movable.size :]
+        moved = (
+            (self._mocap, state.mocap, self._table.mocap_pose),
+            (self._movable, obstacles, self._obstacle_pose),
+        )
+        for order, wanted, poses in moved:
+            if order.size:
+                dim, placed = (count, order.size), [self.data.mocap_pos, self.data.mocap_quat]
+                self._launch(clone_mocap_kernel, dim, [wanted, rollouts, first], [poses])
+                self._launch(place_mocap_kernel, dim, [poses, order, first], placed)
         self._launch(
             clone_state_kernel,
             count,

@@ -180,7 +180,7 @@ class NewtonEngine(OnePart):
 
 
 def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
-    """What MJCF files bring and Newton's own solvers do not simulate is an error, not an omission.
+    """What Newton's own solvers do not simulate, of MJCF files and obstacles that move, is an error, not an omission.
 
     Raises:
         SceneError: If there is such a thing.
@@ -192,6 +192,13 @@ def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
             file=scene.path,
             found=str(scene.engine.solver),
             allowed=["mujoco"],
+        )
+    if compiled.layout.movable:
+        raise SceneError(
+            "this solver does not move obstacles: leave out movable, or take the solver mujoco",
+            key=f"obstacle.{compiled.layout.movable[0]}.movable",
+            file=scene.path,
+            found=True,
         )
     if not compiled.natives:
         return

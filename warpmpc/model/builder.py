@@ -250,7 +250,8 @@ def _add_object(builder, item: Object, scene: Scene) -> Entity:
 
 def _add_obstacle(builder, item: Obstacle, scene: Scene) -> Entity:
     pose = _transform(item.position, item.rotation)
-    return Entity(item.name, "obstacle", shapes=(_add_shape(builder, WORLD, item, scene, pose, mass=0.0),))
+    shape = _add_shape(builder, WORLD, item, scene, pose, mass=0.0)
+    return Entity(item.name, "obstacle", shapes=(shape,), movable=item.movable)
 
 
 def _add_shape(builder, body: int, item: Object | Obstacle, scene: Scene, pose: wp.transform, *, mass: float) -> int:

@@ -25,6 +25,7 @@ import platformdirs
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
+from .movable import with_movable
 
 if TYPE_CHECKING:
     import mujoco
@@ -141,7 +142,7 @@ def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[
             continue
         one_axis = mj.jnt_type[i] in (2, 3)  # slide or hinge; free and ball joints are found by their first dof
         joints[dof if one_axis else world.layout.joint_qd_start[joint]] = mj.joint(i).name
-    return mjcf, tuple(bodies), tuple(geoms), tuple(joints)
+    return with_movable(mjcf, world.layout, geoms), tuple(bodies), tuple(geoms), tuple(joints)
 
 
 _HELPER = "helper"

@@ -33,6 +33,8 @@ class Entity:
     """Its bodies, root first; empty when it is fixed to the world."""
     shapes: tuple[int, ...] = ()
     joints: tuple[int, ...] = ()
+    movable: bool = False
+    """An obstacle whose pose is one of the task's."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,11 @@ class Layout:
     def nm(self) -> int:
         """Number of mocap bodies: moved by whoever observes, not by the physics."""
         return len(self.mocap_name)
+
+    @property
+    def movable(self) -> tuple[str, ...]:
+        """Obstacles that move with the task, the last of its poses in this order."""
+        return tuple(entity.name for entity in self.entities if entity.movable)
 
     @property
     def ns(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from ..scene.errors import SceneError
 from .compiled import CompiledScene
 from .layout import accelerator
+from .movable import movable_body
 from .pairs import Pair
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class MujocoWorld:
     joint_qd: np.ndarray  # [nj] first qvel of each joint
     activation: np.ndarray  # [na] activation of the model behind each of the layout's
     mocap: np.ndarray  # [nm] mocap body of the model behind each of the layout's
+    movable: np.ndarray  # [n] mocap body of the model behind each obstacle that moves with the task
     sensor: np.ndarray  # [ns] number of the model's sensors behind each of the layout's, -1 where it is left out
     pair_sensor: np.ndarray  # [pairs + 1] first contact sensor of each pair, counted from the first of all
     bodies: dict[str, tuple[int, ...]]  # entity → body ids
@@ -221,15 +223,16 @@ def _actuators(model: mujoco.MjModel, compiled: CompiledScene) -> tuple[np.ndarr
     return matrix, offset
 
 
-def _states(model: mujoco.MjModel, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Activation and mocap body of the model behind each of the layout's."""
+def _states(model: mujoco.MjModel, layout: Layout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Activation, mocap body and movable obstacle of the model behind each of the layout's."""
     first: dict[str, int] = {}
     activation = []
     for name in layout.activation_name:
         activation.append(model.actuator(name).actadr[0] + first.get(name, 0))
         first[name] = first.get(name, 0) + 1
     mocap = [model.body(name).mocapid[0] for name in layout.mocap_name]
-    return np.array(activation, dtype=np.int32), np.array(mocap, dtype=np.int32)
+    movable = [model.body(movable_body(name)).mocapid[0] for name in layout.movable]
+    return tuple(np.array(found, dtype=np.int32) for found in (activation, mocap, movable))
 
 
 def _sensors(model: mujoco.MjModel, layout: Layout) -> np.ndarray:

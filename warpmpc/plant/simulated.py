@@ -252,8 +252,11 @@ class Plant:
         self._engine.move_mocap(self._index, names.index(name), pose)
 
     def begin(self, control: np.ndarray) -> None:
-        """The part of :meth:`apply` before the engine's step: kicks and the control ``[nu]``."""
+        """The part of :meth:`apply` before the engine's step: kicks, movable obstacles and the control ``[nu]``."""
         self._disturb()
+        if self.layout.movable:
+            poses = [self.task.pose(name, self._index) for name in self.layout.movable]
+            self._engine.place_obstacles(self._index, np.array(poses))
         self._worlds.control.numpy()[0, self._index] = control
 
     def end(self) -> None:

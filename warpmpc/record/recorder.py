@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
-from ..model.layout import WORLD
+from ..model.layout import IDENTITY, WORLD
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
@@ -98,7 +99,7 @@ class Recorder:
         self._controller, self._plant, self._fan = controller, plant, fan
         self._layout, scene = plant.layout, plant.scene
         self._dt = scene.timing.control_dt
-        self._goal = np.full(7, np.nan)
+        self._poses: dict[str, np.ndarray] = {}
         self._frames = _acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
         wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
@@ -122,7 +123,7 @@ class Recorder:
         self._failed = False
         self._recording.send_recording_name(scene.title or scene.name)
         self._draw_scene(2.0 * radius)
-        self._draw_goal()
+        self._draw_poses()
         self._take_state()
         self._send()
 
@@ -147,7 +148,7 @@ class Recorder:
             raise ValueError("log comes after controller.step and plant.apply")
         if self._failed:
             return
-        self._draw_goal()
+        self._draw_poses()
         self._take_plan(np.asarray(control, dtype=np.float64))
         self._take_state()
         if len(self._plans) >= ROWS:
@@ -171,6 +172,8 @@ class Recorder:
                 parent = entity_path("scene", entity.name) if shape.body == WORLD else self._bodies[shape.body]
                 if entity.kind != "robot":
                     shape = resized(shape, properties)
+                if entity.movable:  # the entity is where the task puts it, its shape at its origin
+                    shape = replace(shape, pose=IDENTITY)
                 draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
         goal = self._plant.scene.goal
         if goal is not None and goal.object is not None:
@@ -208,15 +211,18 @@ class Recorder:
         """The goal the controller plans for, ``[7]``."""
         return self._controller.task.pose(GOAL)
 
-    def _draw_goal(self) -> None:
-        pose = self._goal_pose
-        if np.array_equal(pose, self._goal):
-            return
-        self._goal = pose.copy()
-        # the plan that saw this goal was made one control before the state now reached
-        indexes = self._indexes([max(self._plant.steps - 1, 0)])
-        columns = rr.Transform3D.columns(translation=pose[None, :3], quaternion=pose[None, 3:])
-        self._recording.send_columns("/goal", indexes, columns)
+    def _draw_poses(self) -> None:
+        """The goal and the obstacles that move with the task, where they are new."""
+        poses = {"/goal": self._goal_pose}
+        poses |= {entity_path("scene", name): self._controller.task.pose(name) for name in self._layout.movable}
+        for at, pose in poses.items():
+            if at in self._poses and np.array_equal(pose, self._poses[at]):
+                continue
+            self._poses[at] = pose.copy()
+            # the plan that saw this pose was made one control before the state now reached
+            indexes = self._indexes([max(self._plant.steps - 1, 0)])
+            columns = rr.Transform3D.columns(translation=pose[None, :3], quaternion=pose[None, 3:])
+            self._recording.send_columns(at, indexes, columns)
 
     def _take_state(self) -> None:
         plant, body_q = self._plant, self._plant.body_q

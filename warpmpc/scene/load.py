@@ -200,8 +200,14 @@ def _check_names(scene: Scene) -> None:
             if name in owner:
                 raise SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
             owner[name] = kind
-    # targets stand among the frames; targets, scalars and weights among the values of the task
-    values = {"target": _names(scene.target), "scalar": list(scene.scalar), "cost": sorted(set(scene.cost_labels))}
+    # targets stand among the frames; targets, movable obstacles, scalars and weights among the values of the task
+    movable = [obstacle.name for obstacle in scene.obstacle if obstacle.movable]
+    values = {
+        "target": _names(scene.target),
+        "obstacle": movable,
+        "scalar": list(scene.scalar),
+        "cost": sorted(set(scene.cost_labels)),
+    }
     taken: dict[str, str] = {}
     for kind, names in values.items():
         for name in names:

@@ -145,6 +145,9 @@ class Robot(Section):
     """Whether its shapes touch planes; switch off for bases that glide on their joints."""
     armature: NonNegatives | None = None
     """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
+    spheres: dict[str, tuple[tuple[Finite, Finite, Finite, Positive], ...]] = Field(default_factory=dict)
+    """Spheres (x, y, z, radius) [m] in a link's frame that collision terms take in place of fitted ones, by link; an
+    empty list leaves the link out."""
     gravity_compensation: Flag = False
     """Whether gravity on its links is cancelled, as the controllers of most arms do."""
 
@@ -200,11 +203,19 @@ class Object(_Shape):
 
 
 class Obstacle(_Shape):
-    """A thing that stays where it is."""
+    """A thing that stays where it is, or where the task puts it."""
 
     support: Flag = False
     """Whether what moves is on top of it, as on a table: paths seen from above and objects' clearance leave it out.
     Not for one that a mobile base has to go around."""
+    movable: Flag = False
+    """Whether its pose is one of the task's, which may change between plans: ``task["name"] = pose``."""
+
+    @model_validator(mode="after")
+    def _moves(self) -> Obstacle:
+        if self.movable and self.shape is ShapeKind.PLANE:
+            raise ValueError("a plane cannot move: leave out movable, or make it a box")
+        return self
 
 
 class Ground(Section):

@@ -24,7 +24,8 @@ POSE = 7
 class Task(Mapping[str, np.ndarray]):
     """The task of one run, or of E of them: ``task["goal"] = pose`` takes effect at the next plan.
 
-    Names are those of the scene: ``goal``, its targets, its scalars, and its cost terms, whose value is their weight.
+    Names are those of the scene: ``goal``, its targets, its movable obstacles, its scalars, and its cost terms, whose
+    value is their weight.
     A controller, its plant and a recorder that share one task all see what changes.
 
     Args:
@@ -39,6 +40,7 @@ class Task(Mapping[str, np.ndarray]):
     def __init__(self, scene: Scene, *, envs: int = 1):
         self.scene, self.envs = scene, envs
         poses = {GOAL: goal_pose(scene), **{t.name: target_pose(t) for t in scene.target}}
+        poses |= {o.name: np.array([*o.position, *o.rotation], np.float32) for o in scene.obstacle if o.movable}
         weights = {label: cost.weight for label, cost in zip(scene.cost_labels, scene.cost, strict=True)}
         self.pose_name, self.scalar_name, self.weight_name = tuple(poses), tuple(scene.scalar), tuple(weights)
         self._columns = {name: slice(POSE * i, POSE * (i + 1)) for i, name in enumerate(poses)}
@@ -167,12 +169,13 @@ class Task(Mapping[str, np.ndarray]):
 
 
 def task_layout(layout: Layout, scene: Scene) -> Layout:
-    """A compiled scene's layout with the scene's targets among its frames, and the goal only where there is one."""
+    """A compiled scene's layout with the task's poses as frames: targets, movable obstacles, a goal if there is one."""
     frames = list(zip(layout.frame_name, layout.frame_body, layout.frame_pose, strict=True))
-    if scene.goal is None:
-        frames = [frame for frame in frames if frame[0] != GOAL]
+    left_out = {*layout.movable, *([GOAL] if scene.goal is None else [])}
+    frames = [frame for frame in frames if frame[0] not in left_out]
     identity = np.array([0.0] * 6 + [1.0], dtype=np.float32)
-    frames += [(target.name, GOAL_BODY - 1 - i, identity) for i, target in enumerate(scene.target)]
+    more = (*(target.name for target in scene.target), *layout.movable)
+    frames += [(name, GOAL_BODY - 1 - i, identity) for i, name in enumerate(more)]
     names, bodies, poses = zip(*frames, strict=True)
     return layout.replace(
         frame_name=names, frame_body=np.array(bodies, dtype=np.int32), frame_pose=np.array(poses, dtype=np.float32)

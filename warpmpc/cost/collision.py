@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The collision terms: their keys in scene files, and how they become spheres, pairs and obstacles."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import warp as wp
+from pydantic import BeforeValidator, Field
+
+from ..kernels.terms import collision
+from ..model.layout import WORLD, Entity
+from ..model.link_pairs import moving_bodies, self_pairs
+from ..model.spheres import Spheres, fit_spheres
+from ..scene.errors import SceneError
+from ..scene.types import NonNegative, Positive, Section
+from .binding import PRIMITIVES
+from .native import collision as native
+from .term import CostTerm, parse_keys
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..model.layout import ShapeInfo
+    from .binding import Binding
+
+Names = Annotated[tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v), Field(min_length=1)]
+
+
+class CollisionForm(StrEnum):
+    """What a collision costs."""
+
+    DISTANCE = "distance"
+    BINARY = "binary"
+
+
+class SelfCollision(Section):
+    """Deepest penetration of a robot's links into each other, as spheres: max(0, margin + depth) [m]."""
+
+    of: str | None = None
+    """Robot; all robots, also against each other, when left out."""
+    margin: NonNegative = 0.0
+    """Links closer than this cost something [m]."""
+    ignore: tuple[tuple[str, str], ...] = ()
+    """Pairs of links, ``robot/link`` or the link's own name, that are left out besides those that cannot collide."""
+    include: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that count in any case."""
+    overhang: Positive = 0.03
+    """How far the spheres may stick out of the links [m]: less takes more spheres."""
+
+
+class WorldCollision(Section):
+    """Least distance of a robot's links, as spheres, from obstacles: max(0, margin - d) [m], or 1 if d < margin."""
+
+    of: str | None = None
+    """Robot; all robots when left out."""
+    links: Names | None = None
+    """Links, ``robot/link`` or the link's own name; all that joints move when left out."""
+    against: Names = ("obstacles",)
+    """Obstacles, objects, ``ground``, or the groups obstacles and objects."""
+    form: CollisionForm = CollisionForm.DISTANCE
+    """distance: max(0, margin - d); binary: 1 if d < margin, else 0."""
+    margin: NonNegative = 0.0
+    """Obstacles closer than this cost something [m]."""
+    swept: bool = False
+    """Look at the straight way of every sphere from the step before, so that no thin wall is jumped over."""
+    overhang: Positive = 0.03
+    """How far the spheres may stick out of the links [m]: less takes more spheres."""
+
+
+def _robots(of: str | None, b: Binding) -> list[Entity]:
+    robots = [entity for entity in b.layout.entities if entity.kind == "robot"]
+    if of is None:
+        return robots
+    names = [robot.name for robot in robots]
+    if of not in names:
+        raise SceneError("no such robot", key=f"{b.key}.of", file=b.file, found=of, allowed=names)
+    return [robots[names.index(of)]]
+
+
+def _link(name: str, bodies: Sequence[int], b: Binding, key: str) -> int:
+    """Body of a link, by ``robot/link`` or the link's own name where unique."""
+    full = {b.layout.body_name[body]: body for body in bodies}
+    found = [body for label, body in full.items() if name in (label, label.partition("/")[2])]
+    if len(found) != 1:
+        what = "several links have this name" if found else "no such link"
+        raise SceneError(what, key=key, file=b.file, found=name, allowed=full)
+    return found[0]
+
+
+def _spheres(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b: Binding) -> Spheres:
+    """Spheres of some bodies: the scene's own where it has them, else fitted ones."""
+    given = {}
+    for robot in robots:
+        for name, rows in next(r for r in b.scene.robot if r.name == robot.name).spheres.items():
+            given[_link(name, robot.bodies, b, f"robot.{robot.name}.spheres.{name}")] = rows
+    spheres = fit_spheres(b.layout, bodies, overhang=overhang, given=given)
+    if not len(spheres):
+        raise SceneError(
+            f"these links have no shape that collides: give them spheres = {{ link = [[x, y, z, radius]] }} in "
+            f"[[robot]] '{robots[0].name}'",
+            key=b.key,
+            file=b.file,
+            found=[b.layout.body_name[body] for body in bodies],
+        )
+    return spheres
+
+
+def _table(spheres: Spheres, b: Binding) -> collision.SphereTable:
+    groups = spheres.groups
+    table = collision.SphereTable()
+    table.centre, table.radius = b.array(spheres.centre, wp.vec3), b.array(spheres.radius, float)
+    for name in ("body", "first", "count"):
+        setattr(table, name, b.array([getattr(group, name) for group in groups], int))
+    table.bound_centre = b.array(np.array([group.centre for group in groups], dtype=np.float32), wp.vec3)
+    table.bound_radius = b.array([group.radius for group in groups], float)
+    return table
+
+
+def _self_collision(keys: dict[str, Any], b: Binding) -> collision.SelfCollisionParams:
+    v = parse_keys(SelfCollision, keys, b)
+    robots = _robots(v.of, b)
+    bodies = [body for robot in robots for body in robot.bodies]
+    spheres = _spheres(robots, bodies, v.overhang, b)
+    named = {}
+    for key in ("ignore", "include"):
+        named[key] = [tuple(_link(name, bodies, b, f"{b.key}.{key}") for name in pair) for pair in getattr(v, key)]
+        for names, pair in zip(getattr(v, key), named[key], strict=True):
+            covered = {group.body for group in spheres.groups}
+            if pair[0] == pair[1] or not {*pair} <= covered:
+                what = "a link does not collide with itself" if pair[0] == pair[1] else "a link without spheres"
+                raise SceneError(what, key=f"{b.key}.{key}", file=b.file, found=list(names))
+    pairs = np.array(self_pairs(b.layout, spheres, margin=v.margin, **named), dtype=np.int32).reshape(-1, 2)
+    p = collision.SelfCollisionParams()
+    p.spheres, p.margin = _table(spheres, b), v.margin
+    p.first, p.second = (b.array(np.ascontiguousarray(side), int) for side in pairs.T)
+    return p
+
+
+def _obstacles(names: Sequence[str], b: Binding) -> list[tuple[int, ShapeInfo]]:
+    """Colliding shapes of entities, each with its body: a pose of the task for those that move with it."""
+    shapes = []
+    for name in dict.fromkeys(names):
+        try:
+            entities = b.layout.group(name)
+        except SceneError as error:
+            raise SceneError(
+                "no such obstacle or object",
+                key=f"{b.key}.against",
+                file=b.file,
+                found=name,
+                allowed=["obstacles", "objects", *(e.name for e in b.layout.entities if e.kind != "robot")],
+            ) from error
+        for entity in entities:
+            if entity.kind == "robot":
+                raise SceneError(
+                    "a robot is no obstacle: self_collision knows of links against links",
+                    key=f"{b.key}.against",
+                    file=b.file,
+                    found=name,
+                )
+            own = [b.layout.shapes[i] for i in entity.shapes]
+            shapes += [(_body_of(entity, shape, b), shape) for shape in own if shape.collides]
+    return shapes
+
+
+def _body_of(entity: Entity, shape: ShapeInfo, b: Binding) -> int:
+    return int(b.layout.frame_body[b.layout.frame(entity.name)]) if entity.movable else shape.body
+
+
+def _world_collision(keys: dict[str, Any], b: Binding) -> collision.WorldCollisionParams:
+    v = parse_keys(WorldCollision, keys, b)
+    robots = _robots(v.of, b)
+    bodies = [body for robot in robots for body in robot.bodies]
+    if v.links is not None:
+        bodies = [_link(name, bodies, b, f"{b.key}.links") for name in v.links]
+    else:
+        moving = moving_bodies(b.layout)
+        bodies = [body for body in bodies if body in moving]
+    p = collision.WorldCollisionParams()
+    p.spheres = _table(_spheres(robots, bodies, v.overhang, b), b)
+    p.margin, p.binary, p.swept = v.margin, int(v.form is CollisionForm.BINARY), int(v.swept)
+    obstacles = _obstacles(v.against, b)
+    kinds = [_KINDS.get(shape.kind) for _, shape in obstacles]
+    if None in kinds:
+        found = obstacles[kinds.index(None)][1]
+        raise SceneError(
+            f"no distance to a shape of this kind: it takes {', '.join(_KINDS)}",
+            key=f"{b.key}.against",
+            file=b.file,
+            found=f"{found.entity}: {found.kind}",
+        )
+    p.body, p.kind = (b.array(np.array(x, dtype=np.int32), int) for x in ([body for body, _ in obstacles], kinds))
+    poses = [_local(body, shape) for body, shape in obstacles]
+    p.pose = b.array(np.array(poses, dtype=np.float32).reshape(-1, 7), wp.transform)
+    p.size = b.array(np.array([_size(s, b) for _, s in obstacles], dtype=np.float32).reshape(-1, 3), wp.vec3)
+    p.mesh = b.array(np.array([_mesh(shape, b) for _, shape in obstacles], dtype=np.uint64), wp.uint64)
+    return p
+
+
+_KINDS = {**PRIMITIVES, "mesh": int(collision.MESH)}
+
+
+def _local(body: int, shape: ShapeInfo) -> tuple[float, ...]:
+    """Pose of a shape in its body's frame; one that moves with the task is its own body."""
+    return shape.pose if body >= WORLD else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def _size(shape: ShapeInfo, b: Binding) -> tuple[float, ...]:
+    """Half extents or (radius, half length); of a mesh the greatest depth there can be within it."""
+    if shape.kind != "mesh":
+        return shape.scale
+    points = b.layout.meshes[shape.mesh][0] * np.array(shape.scale)
+    return (0.5 * float(np.ptp(points, axis=0).min()) + 1e-4, 0.0, 0.0)
+
+
+def _mesh(shape: ShapeInfo, b: Binding) -> int:
+    """Identifier of the convex hull of a mesh on the device, 0 for other shapes."""
+    if shape.kind != "mesh":
+        return 0
+    import trimesh
+
+    points, _ = b.layout.meshes[shape.mesh]
+    hull = trimesh.convex.convex_hull(points.astype(np.float64) * np.array(shape.scale))
+    mesh = wp.Mesh(
+        points=b.array(hull.vertices.astype(np.float32), wp.vec3),
+        indices=b.array(hull.faces.astype(np.int32).ravel(), int),
+    )
+    b.kept.append(mesh)
+    return mesh.id
+
+
+TERMS = (
+    CostTerm(
+        "self_collision",
+        collision.self_collision,
+        collision.SelfCollisionParams,
+        _self_collision,
+        SelfCollision,
+        native.self_collision,
+    ),
+    CostTerm(
+        "world_collision",
+        collision.world_collision,
+        collision.WorldCollisionParams,
+        _world_collision,
+        WorldCollision,
+        native.world_collision,
+    ),
+)
