@@ -14,6 +14,15 @@ METHODS = {
     "predictive_sampling": {"method": "predictive_sampling", "spline": "cubic", "knots": 3},
     "cem": {"method": "cem", "sigma_min": (0.05,)},
     "dial": {"method": "mppi", "iterations": 3, "noise": {"anneal": (0.5, 0.5), "redraw": True}},
+    "storm": {
+        "method": "mppi",
+        "iterations": 2,
+        "step_size": 0.98,
+        "covariance": {"form": "full", "step_size": 0.7, "kappa": 0.005},
+        "noise": {"redraw": False},
+    },
+    "one sigma": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}},
+    "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}},
 }
 
 

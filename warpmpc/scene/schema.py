@@ -35,6 +35,7 @@ from .schema_planner import (
     SplineKind,
     Temperature,
 )
+from .schema_sampling import Covariance, CovarianceForm
 from .types import (
     Count,
     Finite,
@@ -56,6 +57,8 @@ from .types import (
 __all__ = [
     "Condition",
     "Cost",
+    "Covariance",
+    "CovarianceForm",
     "Draw",
     "Drive",
     "DriveMode",
