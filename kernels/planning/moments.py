@@ -169,3 +169,34 @@ def sweep_spread_kernel(
         if w != 0.0:
             add_products(knots, mean, w, e, s, deviation, products)
     total[e] = total_weight
+
+
+@wp.kernel
+def keep_best_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    # outputs
+    best: wp.array2d[float],  # [E, P·nu]
+):
+    """Keep the best sample of one environment, one block each, the first of equally good ones.
+
+    What was kept before stays where every sample diverged.
+    """
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    least = float(wp.inf)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]):
+            least = wp.min(least, cost[e, s])
+    least = wp.tile_extract(wp.tile_min(wp.tile(least)), 0)
+    candidate = int(samples)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and cost[e, s] == least:
+            candidate = wp.min(candidate, s)
+    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
+
+    if winner < samples:
+        for c in range(lane, best.shape[1], wp.block_dim()):
+            best[e, c] = knots[e, winner, c]

@@ -19,10 +19,11 @@ METHODS = {
         "iterations": 2,
         "step_size": 0.98,
         "covariance": {"form": "full", "step_size": 0.7, "kappa": 0.005},
-        "noise": {"redraw": False},
+        "noise": {"null_share": 0.2, "redraw": False},
+        "keep_best": True,
     },
-    "one sigma": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}},
-    "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}},
+    "one sigma, best": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}, "execute": "best"},
+    "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}, "keep_best": True},
 }
 
 

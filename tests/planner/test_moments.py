@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from warpmpc.kernels.planning.moments import spread_kernel, update_mean_kernel
 from warpmpc.planner.moments import SampleMoments
 
+INF = np.inf
+
 
 def moments_of(knots, weight, *, full: bool = False, device: str) -> SampleMoments:
     """Moments of knots [E, S, P, nu] with weights [E, S]."""
@@ -116,3 +118,15 @@ def test_the_new_mean_is_within_the_samples_it_came_from(seed, alpha, device):
     new = updated_mean(knots, rng.uniform(size=(1, 10)), mean, alpha=alpha, device=device)
     assert np.all(new <= np.maximum(knots.max(axis=1), mean) + 1e-5)
     assert np.all(new >= np.minimum(knots.min(axis=1), mean) - 1e-5)
+
+
+def test_the_best_sample_is_kept_until_a_better_one_is_finite(device):
+    knots, weight, _ = some_samples(0, 6)
+    moments = moments_of(knots, weight, device=device)
+    best = wp.full((2, 5, 3), 9.0, dtype=float, device=device)
+    for cost, expected in (
+        ([[INF] * 6, [3.0, 2.0, 2.0, INF, np.nan, 2.5]], [np.full((5, 3), 9.0), knots[1, 1]]),
+        ([[1.0, -INF, 0.5, 2.0, 2.0, 2.0], [INF] * 6], [knots[0, 2], knots[1, 1]]),
+    ):
+        moments.keep_best(wp.array(cost, dtype=float, device=device), best)
+        np.testing.assert_array_equal(best.numpy(), np.asarray(expected, dtype=np.float32))

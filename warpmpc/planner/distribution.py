@@ -81,6 +81,10 @@ class Gaussian:
         """Standard deviation of the knots, ``[E, P, nu]``."""
         return self.covariance.sigma
 
+    def carry(self, knots: wp.array) -> None:
+        """Let other knots ``[E, P, nu]`` start and move on as the mean does."""
+        self._plans.append(knots)
+
     def reset(self) -> None:
         """Forget every earlier plan: the next one begins with what is observed then."""
         for plan in self._plans:

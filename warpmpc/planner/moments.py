@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from ..kernels.planning.moments import (
+    keep_best_kernel,
     spread_kernel,
     sweep_mean_kernel,
     sweep_spread_kernel,
@@ -58,3 +59,8 @@ class SampleMoments:
             self._launch(sweep_spread_kernel, mean.shape[0], inputs, [self._deviation, *outputs])
         else:
             self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=BLOCK_DIM)
+
+    def keep_best(self, cost: wp.array, best: wp.array) -> None:
+        """Write the sample of lowest cost ``[E, S]`` into ``best [E, P, nu]``, unless all diverged; capture-safe."""
+        inputs, outputs = [cost, self._knots], [self._flat(best)]
+        self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=BLOCK_DIM)

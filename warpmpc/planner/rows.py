@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that are not drawn."""
+"""Samples that are not drawn: null particles, the best sample so far, sequences of a library."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 import warp as wp
 
 from ..kernels.planning.proposals import null_rows_kernel
@@ -74,3 +75,46 @@ class NullRows:
     def before_plan(self) -> None:
         """Write what asks for nothing now; capture-safe."""
         self._launch(null_rows_kernel, self._knots.shape[:3], [self._null], [self._knots])
+
+
+class BestRow:
+    """The best sample so far, which moves on with the plan.
+
+    Args:
+        distribution: What the plan moves on with.
+        among: Whether it is one of the samples, and not just kept.
+    """
+
+    knots: wp.array3d[float]
+    """Its knots ``[E, P, nu]``."""
+
+    def __init__(self, distribution: Gaussian, *, among: bool):
+        self.count, self._distribution = int(among), distribution
+        if not among:
+            self.bind(wp.zeros((1, *distribution.dim), dtype=float, device=distribution.device))
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[1, E, P, nu]`` to write."""
+        self.knots = knots[0]
+        self._distribution.carry(self.knots)
+
+    def before_plan(self) -> None:
+        """Nothing: the distribution has moved it on."""
+
+
+class LibraryRows:
+    """Sequences of a library, the same at every plan.
+
+    Args:
+        sequences: Their knots ``[n, P, nu]``.
+    """
+
+    def __init__(self, sequences: np.ndarray):
+        self.count, self._sequences = len(sequences), sequences
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Fill the knots ``[n, E, P, nu]``, once and for all."""
+        knots.assign(np.broadcast_to(self._sequences[:, None], knots.shape).astype(np.float32))
+
+    def before_plan(self) -> None:
+        """Nothing: they stay as they are."""

@@ -10,12 +10,13 @@ import numpy as np
 import warp as wp
 
 from ..scene.errors import SceneError
-from ..scene.schema import NoiseShape
+from ..scene.schema import Execute, NoiseShape
 from .covariance import Covariance, covariance_form
 from .distribution import Gaussian
+from .library import library
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
-from .rows import FixedRows, NullRows
+from .rows import BestRow, FixedRows, LibraryRows, NullRows
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
 
@@ -84,7 +85,7 @@ class SamplingStrategy:
     """Samples about a mean, weighs them by cost, moves mean and covariance to the weighted samples.
 
     MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
-    several iterations, STORM is MPPI with a step size and an adapted covariance.
+    several iterations, STORM is MPPI with a step size, an adapted covariance and its fixed rows.
 
     Args:
         scene: The scene.
@@ -96,7 +97,7 @@ class SamplingStrategy:
         seed: Seed of the noise.
 
     Raises:
-        SceneError: If a list has the wrong number of values or keys contradict each other.
+        SceneError: If a list has the wrong number of values, keys contradict each other or a library does not fit.
     """
 
     def __init__(
@@ -132,9 +133,9 @@ class SamplingStrategy:
         )
         self.distribution = Gaussian(state, spline, limits, covariance=covariance, held=layout.control_safe, rest=rest)
         self.offset = self.distribution.offset
-        nulls = NullRows(int(planner.noise.null_sample), self.distribution.null)
-        self._fixed = FixedRows([nulls], self.distribution)
-        self.mean = self.distribution.mean
+        self._best = self._best_row(scene)
+        self._fixed = self._fixed_rows(scene, samples, spline.time.numpy(), nu)
+        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
         white, redraw = planner.noise.shape is NoiseShape.IDENTITY, planner.noise.redraw
@@ -151,6 +152,25 @@ class SamplingStrategy:
             constant=planner.noise.constant,
             device=device,
         )
+
+    def _best_row(self, scene: Scene) -> BestRow | None:
+        """The best sample so far, if it is tried again or carried out."""
+        planner = scene.planner
+        if planner.keep_best or planner.execute is Execute.BEST:
+            return BestRow(self.distribution, among=planner.keep_best)
+        return None
+
+    def _fixed_rows(self, scene: Scene, samples: int, knot_time: np.ndarray, nu: int) -> FixedRows:
+        """The samples that a scene does not want drawn."""
+        noise = scene.planner.noise
+        nulls = max(int(noise.null_sample), round(noise.null_share * samples))
+        rows = [NullRows(nulls, self.distribution.null)]
+        rows += [self._best] if self._best else []
+        fixed = FixedRows([*rows, LibraryRows(library(scene, knot_time, nu))], self.distribution)
+        if fixed.count + 1 > samples:
+            message = f"the mean and {fixed.count} fixed samples (null, best, library) are more than there are samples"
+            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
+        return fixed
 
     def reset(self) -> None:
         """Forget every earlier plan."""
@@ -183,6 +203,8 @@ class SamplingStrategy:
         """Weigh the samples, then move the mean, and then the covariance where it is adapted; capture-safe."""
         self.weighting.launch(self.weights)
         self.distribution.follow(self.moments, iteration, step_size=self._planner.step_size)
+        if self._best:
+            self.moments.keep_best(self.weights.cost, self._best.knots)
 
 
 def _shaping(scene: Scene, knots: int) -> np.ndarray:

@@ -35,7 +35,7 @@ from .schema_planner import (
     SplineKind,
     Temperature,
 )
-from .schema_sampling import Covariance, CovarianceForm
+from .schema_sampling import Covariance, CovarianceForm, Execute
 from .types import (
     Count,
     Finite,
@@ -64,6 +64,7 @@ __all__ = [
     "DriveMode",
     "EngineName",
     "EngineSettings",
+    "Execute",
     "Frame",
     "Goal",
     "Ground",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of what samples are drawn from."""
+"""The types of what samples are drawn from and of what becomes of them."""
 
 from __future__ import annotations
 
@@ -32,3 +32,10 @@ class Covariance(Section):
     """Step α_σ of the covariance towards the spread of the weighted samples [S5]; ``planner.step_size`` if left out."""
     kappa: NonNegatives = (0.0,)
     """Variance κ that is added whenever the plan moves on, in control units squared, one value or one per control."""
+
+
+class Execute(StrEnum):
+    """What is carried out of what was planned."""
+
+    MEAN = "mean"
+    BEST = "best"
