@@ -26,9 +26,11 @@ _ROUNDED = """
     for (int p = begin; p < end; ++p) {
         const float* row = shaping.data + (size_t)p * shaping.shape[1];
         float* to = out + p * nu;
-        for (int u = 0; u < nu; ++u) to[u] = 0.0f;
-        for (int q = 0; q < shaping.shape[1]; ++q)
-            for (int u = 0; u < nu; ++u) to[u] = to[u] + row[q] * in[q * nu + u];
+        for (int u = 0; u < nu; ++u) {
+            float sum = 0.0f;
+            for (int q = 0; q < shaping.shape[1]; ++q) sum = sum + row[q] * in[q * nu + u];
+            to[u] = sum;
+        }
     }
 """
 )
