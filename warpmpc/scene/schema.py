@@ -35,6 +35,7 @@ from .schema_planner import (
     SplineKind,
     Temperature,
 )
+from .schema_sampling import Covariance, CovarianceForm, Execute
 from .types import (
     Count,
     Finite,
@@ -56,11 +57,14 @@ from .types import (
 __all__ = [
     "Condition",
     "Cost",
+    "Covariance",
+    "CovarianceForm",
     "Draw",
     "Drive",
     "DriveMode",
     "EngineName",
     "EngineSettings",
+    "Execute",
     "Frame",
     "Goal",
     "Ground",
