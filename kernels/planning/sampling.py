@@ -69,6 +69,28 @@ def table_normal_kernel(
 
 
 @wp.kernel
+def started_normal_kernel(
+    # inputs
+    normal: wp.array2d[float],  # [S, P·nu] standard normals of the table
+    shift: wp.array2d[float],  # [E, P·nu] where each column starts, as a share of its length
+    columns: int,  # that are drawn
+    first: int,  # row e·S + s of thread 0
+    lanes: int,  # threads that share the columns of a row
+    # outputs
+    z: wp.array3d[float],  # [E, S, P·nu] standard normals
+):
+    """One thread: some columns of one sample, each read from a start of its own on (Wang and Hickernell 2000)."""
+    row, lane = wp.tid()
+    samples = normal.shape[0]
+    e = (first + row) // samples
+    s = (first + row) % samples
+
+    for column in range(lane, columns, lanes):
+        from_start = s + int(shift[e, column] * float(samples))
+        z[e, s, column] = normal[wp.where(from_start < samples, from_start, from_start - samples), column]
+
+
+@wp.kernel
 def random_normal_kernel(
     # inputs
     counter: wp.array[int],  # [E] draws made so far

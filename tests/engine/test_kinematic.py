@@ -39,13 +39,14 @@ ARM = [
     {"term": "speed", "of": "arm/tool", "linear": 0.1, "angular": 0.2},
     {"term": "smoothness", "acceleration": 0.01, "jerk": 1e-4},
 ]
+TURN = (0.2, 0.0, 0.4, 0.9)
 OBSTACLES = [
     {"name": "block", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (0.4, 0.1, 0.3), "movable": True},
-    {"name": "turned", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (-0.3, 0.3, 0.4), "rotation": (0.2, 0.0, 0.4, 0.9)},
+    {"name": "turned", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (-0.3, 0.3, 0.4), "rotation": TURN},
     {"name": "ball", "shape": "sphere", "size": (0.1,), "position": (0.2, -0.3, 0.6)},
     {"name": "pillar", "shape": "cylinder", "size": (0.06, 0.8), "position": (0.4, -0.4, 0.4)},
-    {"name": "rail", "shape": "capsule", "size": (0.04, 0.5), "position": (0.5, 0.3, 0.6), "rotation": (0.6, 0.0, 0.0, 0.8)},
-]  # fmt: skip
+    {"name": "rail", "shape": "capsule", "size": (0.04, 0.5), "position": (0.5, 0.3, 0.6), "rotation": TURN},
+]
 COLLISION = [
     {"term": "self_collision", "margin": 0.15},
     {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},

@@ -12,6 +12,7 @@ from warpmpc.kernels.planning.sampling import (
     random_normal_kernel,
     random_shift_kernel,
     scale_samples_kernel,
+    started_normal_kernel,
     table_normal_kernel,
 )
 from warpmpc.launch import Launcher, step_lanes
@@ -44,13 +45,15 @@ class NoiseSource:
     """Standard normals ``z [E, S, P, nu]`` and shaped noise B z, drawn once or anew at every :meth:`advance`.
 
     Drawn once, noise is shaped once, too; the same Halton or Sobol table serves every environment and the plan step is
-    deterministic; pseudo-random numbers differ between environments. Redrawn, a table is rotated at random per
-    environment and draw (Cranley and Patterson 1976), which keeps its low discrepancy; counters on the device make a
-    replayed CUDA graph draw anew.
+    deterministic; pseudo-random numbers differ between environments. Redrawn, the columns of a table are rotated at
+    random per environment and draw (Cranley and Patterson 1976), or read from starts of their own (Wang and Hickernell
+    2000), which needs no new normals; both keep its low discrepancy. Counters on the device make a replayed CUDA graph
+    draw anew.
 
     Args:
         source: Halton or Sobol points through the inverse normal distribution, or pseudo-random normals.
         redraw: Draw anew at every launch, else keep the first draw.
+        starts: Redraw a table by other starts instead of rotations.
         seed: Seed of table, rotations and pseudo-random numbers.
         envs: Number of environments E.
         samples: Number of samples S.
@@ -73,6 +76,7 @@ class NoiseSource:
         *,
         source: NoiseKind,
         redraw: bool = False,
+        starts: bool = False,
         seed: int = 0,
         envs: int = 1,
         samples: int,
@@ -104,7 +108,18 @@ class NoiseSource:
             table = low_discrepancy_table(self.source, samples=samples, columns=columns, seed=seed)
             self._table = wp.array(table, dtype=float, device=self.device)
             self._shift = wp.zeros((envs, columns), dtype=float, device=self.device)
+        self._normal: wp.array | None = None
         self.draw(0, envs * samples)
+        if starts and self._table is not None:
+            self._keep_normals()
+
+    def _keep_normals(self) -> None:
+        """Take the normals of the table itself, before they are scaled; redraws read them from other starts on."""
+        _, samples, knots, nu = self.z.shape
+        plain = wp.zeros((1, samples, knots, nu), dtype=float, device=self.device)
+        inputs = [self._table, self._shift, 0]
+        self._launch(table_normal_kernel, (samples, self._drawn_knots, nu), inputs, [plain])
+        self._normal = plain.reshape((samples, knots * nu))
 
     def advance(self, observed: wp.array[int]) -> None:
         """Go on to the next draw if the source redraws; capture-safe.
@@ -128,8 +143,14 @@ class NoiseSource:
         dim = (count, self._drawn_knots, self.z.shape[3])
         if self._table is None:
             self._launch(random_normal_kernel, dim, [self._counter, self.seed, first], [self.z])
-        else:
+        elif self._normal is None:
             self._launch(table_normal_kernel, dim, [self._table, self._shift, first], [self.z])
+        else:
+            envs, samples, knots, nu = self.z.shape
+            columns = self._drawn_knots * nu
+            lanes = step_lanes(columns, self.device)
+            inputs = [self._normal, self._shift, columns, first, lanes]
+            self._launch(started_normal_kernel, (count, lanes), inputs, [self.z.reshape((envs, samples, knots * nu))])
         if self.spread != (1.0, 1.0):
             self._launch(scale_samples_kernel, count, [*self.spread, first], [self.z])
         if self.noise is not self.z:

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..scene.errors import SceneError
-from ..scene.schema import Execute, NoiseShape
+from ..scene.schema import Execute, NoiseShape, Renewal
 from .covariance import Covariance, covariance_form
 from .distribution import Gaussian
 from .library import library
@@ -148,6 +148,7 @@ class SamplingStrategy:
             knots=count,
             nu=nu,
             spread=planner.noise.spread,
+            starts=planner.noise.renewal is Renewal.START,
             shaping=None if white else _shaping(scene, count),
             constant=planner.noise.constant,
             device=device,
