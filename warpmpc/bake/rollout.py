@@ -39,6 +39,7 @@ class RolloutSource:
         state: What the terms asked for.
         terms: Terms that are summed on the way.
         spline: Kind of spline from knots to controls.
+        knots: Knots of a sample.
         lanes: Samples in a number on a CPU.
         records: Whether all states are written down, for terms that are not summed on the way.
     """
@@ -46,6 +47,7 @@ class RolloutSource:
     state: StateCode
     terms: tuple[TermSource, ...]
     spline: int
+    knots: int
     lanes: int
     records: bool
 
@@ -81,8 +83,11 @@ const int groups = (samples + {self.lanes - 1}) / {self.lanes};
 const int e = group / groups, from = (group % groups) * {self.lanes};
 const int row = e * samples + from, count = samples - from < {self.lanes} ? samples - from : {self.lanes};
 {_POINTERS}
-I base;
-for (int l = 0; l < {self.lanes}; ++l) base[l] = (l < count ? l : count - 1) * knots * controls;
+T knot[{self.knots * self._layout.nu}]; // of these samples, side by side
+for (int l = 0; l < {self.lanes}; ++l) {{
+const float* own = theta + (l < count ? l : count - 1) * knots * controls;
+for (int i = 0; i < {self.knots * self._layout.nu}; ++i) knot[i][l] = own[i];
+}}
 {once}
 {self._totals()}
 {start_cpu(self._drives, self._layout.nu)}
@@ -90,7 +95,7 @@ for (int h = {first}; h < steps; ++h) {{
 const bool live = h >= 0, seen = true;
 const int at = h < 0 ? 0 : h;
 {_STEP}
-{self._controls("VGATHER(theta + tap[{tap}] * controls + {u}, base)")}
+{self._controls("knot[tap[{tap}] * controls + {u}]")}
 {motion_cpu(self._drives, self._layout.actuator_matrix)}
 {step}
 }}

@@ -142,8 +142,9 @@ class KinematicEngine:
                 staged.append(i)
             else:
                 baked.append(TermSource(i, code.lines, value))
-        kind = self.request.spline.kind
-        return RolloutSource(writer, tuple(baked), kind, self.lanes, bool(staged)).write(), staged
+        spline = self.request.spline
+        source = RolloutSource(writer, tuple(baked), spline.kind, len(spline.time), self.lanes, bool(staged))
+        return source.write(), staged
 
     def _bind(self, staged: list[int]) -> None:
         """The record that terms without baked source read, as long as there are any, and what all terms see."""

@@ -160,6 +160,8 @@ _SQUARE = {
     int(PLANE): "inside = VMIN(inside, z);",
 }
 """From a point in a shape's frame to the least squared distance ``d`` outside it and the least depth ``inside``."""
+_SIZE = {int(SPHERE): " + size[0]", int(CAPSULE): " + size[0]"}
+"""What the distance is less than the root of ``d``."""
 _DISTANCE = {
     int(BOX): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
     int(CYLINDER): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
@@ -178,7 +180,8 @@ def _against(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, sha
     add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z;")
     if group.count > 1:
         add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {_SQUARE[int(kind)]}")
-        add(f"if (!VANY({_DISTANCE[int(kind)]} < {literal(group.radius)} + {code.params}.margin)) continue; }}")
+        add(f"const float near = {literal(group.radius)} + {code.params}.margin{_SIZE.get(int(kind), '')};")
+        add(f"if (!VANY({'inside < near' if kind == PLANE else 'd < near * near'})) continue; }}")
     for radius, centres in group.classes.items():
         add(f"{{ T d = {_FAR}, inside = {_FAR};")
         code.lines.statements.extend(f"{_local(centre)} {_SQUARE[int(kind)]}" for centre in centres)
