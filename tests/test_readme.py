@@ -22,13 +22,14 @@ def named_blocks() -> dict[str, str]:
     return files
 
 
-@pytest.fixture
-def example(tmp_path):
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("example")
     files = named_blocks()
     assert set(files) == {"cart.urdf", "upright.py", "swing_up.toml"}
     for name, text in files.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    return tmp_path
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
 
 
 def run(folder: Path, *args: str) -> subprocess.CompletedProcess:
@@ -37,10 +38,11 @@ def run(folder: Path, *args: str) -> subprocess.CompletedProcess:
     )
 
 
-def test_a_users_own_robot_and_cost_swing_the_pole_up(example):
-    done = run(example, "run", "swing_up.toml", "--terms", "upright.py", "--episodes", "3", "--json")
+@pytest.mark.parametrize("episodes", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_users_own_robot_and_cost_swing_the_pole_up(example, episodes):
+    done = run(example, "run", "swing_up.toml", "--terms", "upright.py", "--episodes", str(episodes), "--json")
     results = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [r["success"] for r in results] == [True] * 3, done.stderr
+    assert [r["success"] for r in results] == [True] * episodes, done.stderr
     assert all(r["diverged_worlds"] == 0 for r in results)
 
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     )
     from .model.state import Info, State
     from .planner.plan import Plan
+    from .plant.monitor import Monitor
     from .plant.simulated import Plant
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
@@ -49,6 +50,7 @@ __all__ = [
     "CostTerm",
     "EpisodeResult",
     "Info",
+    "Monitor",
     "Plan",
     "Plant",
     "Scene",
@@ -82,6 +84,7 @@ _HOME = {
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
     "Info": "model.state",
+    "Monitor": "plant.monitor",
     "Plan": "planner.plan",
     "Plant": "plant.simulated",
     "Scene": "scene.schema",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From uniform points or a counter to standard normals, and from standard normals to perturbed spline knots."""
+"""From uniform points or a counter to standard normals; what plans start from."""
 
 import warp as wp
 
@@ -66,6 +66,28 @@ def table_normal_kernel(
     column = p * z.shape[3] + u
     x = table[s, column] + shift[e, column]
     z[e, s, p, u] = inverse_normal_cdf(x - wp.floor(x))
+
+
+@wp.kernel
+def started_normal_kernel(
+    # inputs
+    normal: wp.array2d[float],  # [S, P·nu] standard normals of the table
+    shift: wp.array2d[float],  # [E, P·nu] where each column starts, as a share of its length
+    columns: int,  # that are drawn
+    first: int,  # row e·S + s of thread 0
+    lanes: int,  # threads that share the columns of a row
+    # outputs
+    z: wp.array3d[float],  # [E, S, P·nu] standard normals
+):
+    """One thread: some columns of one sample, each read from a start of its own on (Wang and Hickernell 2000)."""
+    row, lane = wp.tid()
+    samples = normal.shape[0]
+    e = (first + row) // samples
+    s = (first + row) % samples
+
+    for column in range(lane, columns, lanes):
+        from_start = s + int(shift[e, column] * float(samples))
+        z[e, s, column] = normal[wp.where(from_start < samples, from_start, from_start - samples), column]
 
 
 @wp.kernel
@@ -158,49 +180,3 @@ def age_plan_kernel(
     e = wp.tid()
     if observed[e] != 0:
         fresh[e] = 0
-
-
-@wp.kernel
-def perturb_knots_kernel(
-    # inputs
-    mean: wp.array3d[float],  # [E, P, nu]
-    sigma: wp.array3d[float],  # [E, P, nu] standard deviation, in control units
-    schedule: wp.array2d[float],  # [iteration, P] factor on σ
-    iteration: int,
-    shaping: wp.array2d[float],  # [P, P] shaping matrix B
-    white: int,  # whether B is the identity
-    z: wp.array4d[float],  # [E, S, P, nu] standard normals
-    lower: wp.array[float],  # [nu]
-    upper: wp.array[float],  # [nu]
-    null: wp.array2d[float],  # [E, nu] control that asks for nothing
-    null_sample: int,
-    constant: float,  # share of the samples whose noise is the same at every knot
-    first: int,  # row e·S + s of thread 0
-    # outputs
-    knots: wp.array4d[float],  # [E, S, P, nu] within the limits
-):
-    """Perturb one knot of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
-
-    Sample 0 is the mean itself. With ``null_sample`` sample 1 asks for nothing all along (a null particle, Bhardwaj et
-    al. 2021): zero velocity or effort, or the observed position held.
-    Constant samples are spread evenly over the rest; theirs is the noise of the first knot.
-    """
-    row, p, u = wp.tid()
-    e = (first + row) // z.shape[1]
-    s = (first + row) % z.shape[1]
-
-    value = float(mean[e, p, u])
-    if s == 1 and null_sample != 0:
-        value = null[e, u]
-    elif s > 0:
-        shaped = float(z[e, s, 0, u])
-        own = wp.floor(float(s + 1) * constant) == wp.floor(float(s) * constant)
-        if own and white != 0:
-            shaped = z[e, s, p, u]
-        elif own:
-            shaped = float(0.0)
-            for q in range(shaping.shape[1]):
-                shaped += shaping[p, q] * z[e, s, q, u]
-        value += schedule[iteration, p] * sigma[e, p, u] * shaped
-
-    knots[e, s, p, u] = wp.clamp(value, lower[u], upper[u])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From sample costs to a new plan: sample weights, mean and σ update.
+"""From sample costs to sample weights.
 
 A world that diverged costs +inf, and a sample of infinite cost carries no weight. Kernels whose docstring says
 "one block" are launched with ``wp.launch_tiled``.
@@ -171,62 +171,3 @@ def elite_weight_kernel(
     weight[e, s] = wp.where(wp.isfinite(own) and rank < count, 1.0 / wp.max(float(count), 1.0), 0.0)
     if s == 0:
         eta[e] = float(count)
-
-
-@wp.kernel
-def update_mean_kernel(
-    # inputs
-    knots: wp.array4d[float],  # [E, S, P, nu]
-    weight: wp.array2d[float],  # [E, S]
-    alpha: float,
-    # outputs
-    mean: wp.array3d[float],  # [E, P, nu] updated in place
-):
-    """Move one knot of the mean, one block each, μ ← (1-α)μ + α Σwθ/Σw (Bhardwaj et al. 2021, Eq. 4).
-
-    The mean stays where it is when all weights are zero.
-    """
-    e, p, u, lane = wp.tid()
-
-    partial = float(0.0)
-    partial_weight = float(0.0)
-    for s in range(lane, weight.shape[1], wp.block_dim()):
-        partial += weight[e, s] * knots[e, s, p, u]
-        partial_weight += weight[e, s]
-    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
-    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
-
-    if lane == 0 and total_weight > 0.0:
-        mean[e, p, u] = (1.0 - alpha) * mean[e, p, u] + alpha * total / total_weight
-
-
-@wp.kernel
-def update_sigma_kernel(
-    # inputs
-    knots: wp.array4d[float],  # [E, S, P, nu]
-    weight: wp.array2d[float],  # [E, S]
-    mean: wp.array3d[float],  # [E, P, nu] already updated
-    sigma_min: wp.array[float],  # [nu] floor of the standard deviation
-    alpha: float,
-    # outputs
-    sigma: wp.array3d[float],  # [E, P, nu] updated in place
-):
-    """Move one standard deviation, one block each, σ² ← (1-α)σ² + α Σw(θ-μ)²/Σw (Bhardwaj et al. 2021, Eq. 5).
-
-    Diagonal form, around the mean it is given: launch it after ``update_mean_kernel``, so that with α = 1 the new σ is
-    the spread of the weighted samples themselves. σ stays where it is when all weights are zero.
-    """
-    e, p, u, lane = wp.tid()
-
-    partial = float(0.0)
-    partial_weight = float(0.0)
-    for s in range(lane, weight.shape[1], wp.block_dim()):
-        deviation = knots[e, s, p, u] - mean[e, p, u]
-        partial += weight[e, s] * deviation * deviation
-        partial_weight += weight[e, s]
-    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
-    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
-
-    if lane == 0 and total_weight > 0.0:
-        variance = (1.0 - alpha) * sigma[e, p, u] * sigma[e, p, u] + alpha * total / total_weight
-        sigma[e, p, u] = wp.max(wp.sqrt(variance), sigma_min[u])

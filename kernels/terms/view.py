@@ -58,6 +58,15 @@ def frame_rotation(s: StepView, frame: int) -> wp.quat:
 
 
 @wp.func
+def frame_start(s: StepView, frame: int) -> wp.vec3:
+    """World position of a frame when the rollout began [m]; poses of the task are where they are now."""
+    body = s.frame_body[frame]
+    if body < 0:
+        return frame_position(s, frame)
+    return wp.transform_get_translation(s.body_q[0, s.w, body] * s.frame_pose[frame])
+
+
+@wp.func
 def frame_velocity(s: StepView, frame: int) -> wp.vec3:
     """World velocity of a frame's origin [m/s]; zero for fixed frames."""
     body = s.frame_body[frame]

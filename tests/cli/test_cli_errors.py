@@ -1,26 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wrong input: exit code 2 and one message that says where, what and what instead; never a traceback."""
 
+from subprocess import CompletedProcess
+
 import pytest
 from program import SCENE, warpmpc
 
 
-def message(folder, *args) -> str:
+@pytest.fixture
+def folder(tmp_path):
+    """The folder in which commands run, with a scene file in it."""
+    (tmp_path / "mine.toml").write_text(SCENE)
+    return tmp_path
+
+
+def message(done: CompletedProcess[str]) -> str:
     """The one line on stderr of a command that must refuse its input."""
-    done = warpmpc(*args, folder=folder)
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
     lines = done.stderr.splitlines()
     assert len(lines) == 1, done.stderr
     assert lines[0].startswith("error: ")
     return lines[0]
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """A folder with a scene file in it."""
-    (tmp_path / "mine.toml").write_text(SCENE)
-    return tmp_path
 
 
 @pytest.mark.parametrize(
@@ -42,10 +43,10 @@ def folder(tmp_path):
     ],
     ids=["key", "mass", "horizon", "syntax", "asset", "term", "frame", "term key", "link"],
 )
-def test_a_mistake_in_the_file(folder, old, new, says):
+def test_a_mistake_in_the_file(folder, command, old, new, says):
     assert old in SCENE
     (folder / "mine.toml").write_text(SCENE.replace(old, new, 1))
-    text = message(folder, "run", "mine.toml")
+    text = message(command("run", "mine.toml"))
     assert str(folder / "mine.toml") in text
     for part in says:
         assert part in text
@@ -67,16 +68,21 @@ def test_a_mistake_in_the_file(folder, old, new, says):
     ],
     ids=["scene", "variant", "nan", "no value", "engine", "device", "terms", "record", "record a batch", "drawn"],
 )
-def test_a_mistake_in_the_command(folder, args, says):
-    text = message(folder, "run", *args)
+def test_a_mistake_in_the_command(folder, command, args, says):
+    text = message(command("run", *args))
     for part in says:
         assert part in text
 
 
-def test_check_refuses_like_run(folder):
-    assert "Did you mean 'base/tip'?" in message(
-        folder, "check", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']"
-    )
+def test_check_refuses_like_run(folder, command):
+    done = command("check", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']")
+    assert "Did you mean 'base/tip'?" in message(done)
+
+
+def test_a_program_of_its_own_refuses_alike(folder, command):
+    """Warp starts there, with a banner and a complaint about a missing GPU that are not for users."""
+    args = ("run", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']")
+    assert message(warpmpc(*args, folder=folder)) == message(command(*args))
 
 
 @pytest.mark.parametrize(
@@ -88,9 +94,9 @@ def test_check_refuses_like_run(folder):
     ],
     ids=["syntax", "exception", "no term"],
 )
-def test_a_mistake_in_a_file_of_terms(folder, text, says):
+def test_a_mistake_in_a_file_of_terms(folder, command, text, says):
     (folder / "terms.py").write_text(text)
-    found = message(folder, "run", "mine.toml", "--terms", "terms.py")
+    found = message(command("run", "mine.toml", "--terms", "terms.py"))
     for part in says:
         assert part in found
 
@@ -105,8 +111,8 @@ def test_a_mistake_in_a_file_of_terms(folder, text, says):
         ["fly"],
     ],
 )
-def test_wrong_usage(folder, args):
-    done = warpmpc(*args, folder=folder)
+def test_wrong_usage(folder, command, args):
+    done = command(*args)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("Error: ") == 1
     assert "Traceback" not in done.stderr

@@ -90,28 +90,30 @@ def test_the_same_seed_gives_the_same_result(two_episodes):
     assert [untimed(result) for result in results(again)] == [untimed(results(two_episodes)[1])]
 
 
-def test_success_ends_in_exit_code_0(tmp_path):
+def test_success_ends_in_exit_code_0(command):
     easy = ["--set", "success.position=5.0", "--set", "success.yaw=3.2", "--set", "success.hold=0.08"]
-    done = warpmpc("run", "omni_push_box", "--json", *TINY, *easy)
+    done = command("run", "omni_push_box", "--json", *TINY, *easy)
     assert done.returncode == 0
     (result,) = results(done)
     assert (result["success"], result["reason"], result["steps"]) == (True, "goal reached", 2)
     assert result["time_to_goal_s"] == result["sim_time_s"] == pytest.approx(0.08)
 
 
-def test_a_goal_that_is_reached_at_the_start_needs_no_plan():
-    done = warpmpc("run", "omni_push_box", "--json", *TINY, "--set", "success={ position = 5.0 }")
+def test_a_goal_that_is_reached_at_the_start_needs_no_plan(command):
+    done = command("run", "omni_push_box", "--json", *TINY, "--set", "success={ position = 5.0 }")
     (result,) = results(done)
     assert (done.returncode, result["success"], result["steps"], result["time_to_goal_s"]) == (0, True, 0, 0.0)
     assert set(result["plan_ms"].values()) == {None}
     assert result["final"]["cost"] is None
 
 
-def test_drawn_tasks_say_what_was_drawn():
-    done = warpmpc("run", "point_reach", "--json", "--episodes", "2", *TINY)
+def test_drawn_tasks_say_what_was_drawn(tmp_path, command):
+    draw = '[randomize_task.draw]\n"goal.position" = { low = [1.0, -1.0], high = [2.0, 1.0] }\n\n[planner]'
+    (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", draw))
+    done = command("run", "mine.toml", "--json", "--episodes", "2", *TINY)
     first, second = results(done)
     assert list(first) == [*KEYS, "drawn"]
-    assert first["drawn"].keys() == second["drawn"].keys() >= {"goal.position"}
+    assert first["drawn"].keys() == second["drawn"].keys() == {"goal.position"}
     assert first["drawn"] != second["drawn"]
 
 
@@ -137,15 +139,15 @@ def test_many_episodes_at_once(tmp_path):
     assert {**untimed(found[0]), "envs": 1} == untimed(alone)
 
 
-def test_many_episodes_make_a_short_table():
+def test_many_episodes_make_a_short_table(command):
     easy = ["--set", "success={ position = 5.0 }"]
-    done = warpmpc("run", "omni_push_box", "--episodes", "3", "--envs", "2", *TINY, *easy)
+    done = command("run", "omni_push_box", "--episodes", "3", "--envs", "2", *TINY, *easy)
     assert (done.returncode, done.stderr) == (0, "")
     (row,) = [line.split() for line in done.stdout.splitlines() if "goal reached" in line]
     assert row[2:4] == ["3", "0.00"]
     assert "plan of 2 environments: p50 - ms, - ms each" in done.stdout  # there was none
     assert done.stdout.endswith("100.0 %: 3 of 3 reached the goal; time to goal 0.00 ± 0.00 s\n")
-    done = warpmpc("run", "omni_push_box", "--episodes", "3", "--envs", "8", *TINY)
+    done = command("run", "omni_push_box", "--episodes", "3", "--envs", "8", *TINY)
     (row,) = [line.split() for line in done.stdout.splitlines() if "timeout" in line]
     assert (done.returncode, row[:3], row[-3:]) == (1, ["timeout", "3", "0.40"], ["0,", "1,", "2"])
     assert re.search(r"plan of 3 environments: p50 \d+\.\d ms, \d+\.\d ms each", done.stdout)
@@ -185,10 +187,8 @@ def test_terms_of_a_user(tmp_path):
     assert "a term may chatter" in done.stderr
 
 
-def test_recordings_of_several_episodes_carry_their_seeds(tmp_path):
-    done = warpmpc(
-        "run", "omni_push_box", "--quiet", "--seed", "7", "--episodes", "2", "--record", "a.rrd", *TINY, folder=tmp_path
-    )
+def test_recordings_of_several_episodes_carry_their_seeds(tmp_path, command):
+    done = command("run", "omni_push_box", "--quiet", "--seed", "7", "--episodes", "2", "--record", "a.rrd", *TINY)
     assert (done.returncode, done.stderr) == (1, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a-7.rrd", "a-8.rrd"]
 

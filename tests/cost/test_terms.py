@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from rollouts import SHAPE, Rollouts, heading
 from scipy.interpolate import RegularGridInterpolator
+from test_arm import CASES as ARM_CASES
 from test_outline_clearance import RING, outline_clearance
 
 from warpmpc import SceneError
@@ -266,8 +267,10 @@ def test_terms_match_float64(name, seed):
 
 
 def test_every_built_in_term_is_covered():
-    elsewhere = {term.name for term in collision.TERMS}  # test_collision.py
-    assert {keys.get("term", name) for name, (keys, _) in CASES.items()} | elsewhere == set(BUILTIN)
+    covered = {keys.get("term", name) for name, (keys, _) in CASES.items()}
+    covered |= {keys.get("term", name) for name, (_, keys, _) in ARM_CASES.items()}
+    covered |= {term.name for term in collision.TERMS}  # test_collision.py
+    assert covered == set(BUILTIN)
 
 
 def test_a_goal_without_a_height_is_compared_in_the_plane():

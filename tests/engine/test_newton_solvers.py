@@ -10,15 +10,17 @@ from warpmpc.scene.schema import Solver
 
 SLOW = {Solver.STEEL}  # compiling its kernels takes more than 40 s with empty caches
 OPTIONS = {Solver.SEMI_IMPLICIT: {"joint_attach_ke": 100.0, "joint_attach_kd": 1.0}}  # light links, stiff springs
+SUBSTEPS = {Solver.KAMINO: 4}  # implicit, and slow
 SOFT = {**DISC["drive"], "damping": 2.0}  # explicit solvers blow up with a stiffer one
 
 
 @pytest.mark.parametrize("solver", [pytest.param(s, marks=pytest.mark.slow if s in SLOW else ()) for s in Solver])
 def test_every_solver_steps_a_driven_disc(solver):
+    options = {"options": OPTIONS.get(solver, {})}
     scene = make_scene(
         robot=[{**DISC, "drive": SOFT}],
         ground=None,
-        engine={"name": "newton", "solver": str(solver), "substeps": 16, "options": OPTIONS.get(solver, {})},
+        engine={"name": "newton", "solver": str(solver), "substeps": SUBSTEPS.get(solver, 16), **options},
         planner={"samples": 6, "horizon": 4, "noise": {"sigma": (0.5,)}},
     )
     controller = Controller(scene, engine="newton", device="cpu", compiled=compiled(scene))

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-import warp as wp
 from small_scenes import layout_of
 
 from warpmpc import Scene
 from warpmpc.cost.stack import CostStack, Judge
 from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.engine.trajectory import Trajectory
 from warpmpc.model.batch_size import BatchSize
+from warpmpc.model.layout import Layout
+from warpmpc.model.trajectory import Trajectory
 from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import Task
 
@@ -19,12 +19,13 @@ from warpmpc.task.task import Task
 class Judging:
     """The terms of a scene, bound, with rollouts of zeros to judge and a task to change."""
 
-    def __init__(self, scene: Scene, shape: BatchSize, *, terms=(), device: str = "cpu"):
-        self.scene, self.shape, self.layout, self.device = scene, shape, layout_of(scene), device
+    def __init__(self, scene: Scene, shape: BatchSize, *, terms=(), device: str = "cpu", layout: Layout | None = None):
+        self.scene, self.shape, self.device = scene, shape, device
+        self.layout = layout_of(scene) if layout is None else layout
         self.task = Task(scene, envs=shape.envs)
         self.stack = CostStack(scene, self.layout, self.task, terms=terms, device=device)
         self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), device)
-        self.control = wp.zeros((shape.horizon, shape.worlds, self.layout.nu), dtype=float, device=device)
+        self.control = self.trajectory.control
         self.state = ObservedState.allocate(self.layout, self.task, device)
         self.judge = self.judge_with(self.stack)
 

@@ -19,7 +19,7 @@ from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import CompiledScene, compile_scene
 
 if TYPE_CHECKING:
-    from warpmpc.engine.trajectory import Trajectory
+    from warpmpc.model.trajectory import Trajectory
 
 QUADROTOR = """
 <mujoco model="quadrotor">

@@ -69,7 +69,7 @@ def write(folder: Path, text: str = SMALL) -> Path:
     return path
 
 
-_FLAGS = ("floating", "self_collision")
+_FLAGS = ("floating", "self_collision", "redraw")
 """Keys that may be left out and for which ``false`` says something else than that."""
 
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, roll
+from small_scenes import BOX, DISC, WALL, compiled, layout_of, make_engine, make_scene, roll
 
 from warpmpc import SceneError
 from warpmpc.model.builder import build_world
@@ -272,6 +272,15 @@ def test_several_joints_on_one_body_are_driven_by_their_own_names():
         assert q[-1, layout.joint("yaw")] - q[0, layout.joint("yaw")] == pytest.approx(0.8 * 0.4, abs=0.05)
         ends.append(out.body_q.numpy()[-1, 0, layout.body_name.index("arm/base_link")])
     np.testing.assert_allclose(ends[0], ends[1], atol=2e-3)
+
+
+def test_joints_are_as_fast_as_a_urdf_says_and_of_any_speed_where_an_asset_says_nothing():
+    robots = [
+        {"name": name, "asset": f"assets/{name}.{kind}", "drive": {"damping": 1.0, "limit": 1.0}}
+        for name, kind in (("panda", "urdf"), ("mobile_panda", "xml"))
+    ]
+    speed = layout_of(make_scene(robot=robots)).dof_speed
+    np.testing.assert_allclose(speed, [2.175] * 4 + [2.61] * 3 + [1e6] * 12)
 
 
 def test_axes_of_a_humanoid_bear_the_names_of_its_file():

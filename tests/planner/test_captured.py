@@ -14,6 +14,16 @@ METHODS = {
     "predictive_sampling": {"method": "predictive_sampling", "spline": "cubic", "knots": 3},
     "cem": {"method": "cem", "sigma_min": (0.05,)},
     "dial": {"method": "mppi", "iterations": 3, "noise": {"anneal": (0.5, 0.5), "redraw": True}},
+    "storm": {
+        "method": "mppi",
+        "iterations": 2,
+        "step_size": 0.98,
+        "covariance": {"form": "full", "step_size": 0.7, "kappa": 0.005},
+        "noise": {"null_share": 0.2, "redraw": False},
+        "keep_best": True,
+    },
+    "one sigma, best": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}, "execute": "best"},
+    "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}, "keep_best": True},
 }
 
 

@@ -46,10 +46,10 @@ def test_noise_is_standard_normal(source, redraw, seed, device):
 
 
 @TABLES
-@pytest.mark.parametrize("redraw", [False, True])
-def test_tables_fill_the_space_more_evenly_than_random_numbers(source, redraw, device):
+@pytest.mark.parametrize(("redraw", "starts"), [(False, False), (True, False), (True, True)])
+def test_tables_fill_the_space_more_evenly_than_random_numbers(source, redraw, starts, device):
     def discrepancy(kind: NoiseKind, seed: int) -> float:
-        noise = make(kind, device, seed=seed, redraw=redraw, envs=1, samples=256, knots=2)
+        noise = make(kind, device, seed=seed, redraw=redraw, starts=starts, envs=1, samples=256, knots=2)
         launch(noise)
         return qmc.discrepancy(scipy.stats.norm.cdf(values(noise).reshape(256, 4).astype(np.float64)))
 
@@ -149,3 +149,22 @@ def test_spread_scales_samples_geometrically(device):
     np.testing.assert_allclose(ratio[32], 1.0, rtol=1e-5)
     np.testing.assert_allclose(ratio[64], 4.0, rtol=1e-5)
     assert np.all(np.diff(ratio[:, 0, 0]) > 0.0)
+
+
+@TABLES
+def test_columns_read_from_other_starts_keep_their_values(source, device):
+    """As many samples of every range as before, in an order of their own by column, draw and environment."""
+    noise = make(source, device, redraw=True, starts=True)
+    table = values(noise)
+    draws = []
+    for _ in range(3):
+        launch(noise)
+        draws.append(values(noise))
+        np.testing.assert_array_equal(np.sort(draws[-1], axis=1), np.sort(table, axis=1))
+    assert not np.array_equal(draws[0], draws[1])
+    assert not np.array_equal(draws[0][0], draws[0][1])
+    first = np.argmax(draws[0][0].reshape(128, 6), axis=0)
+    assert len(set((first - np.argmax(table[0].reshape(128, 6), axis=0)) % 128)) > 1
+    noise.reset()
+    launch(noise)
+    np.testing.assert_array_equal(values(noise), draws[0])

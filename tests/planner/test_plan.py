@@ -3,14 +3,11 @@
 
 import numpy as np
 import pytest
-from small_scenes import BOX, DISC, compiled, layout_of, make_scene
+from planning import Planning
+from small_scenes import BOX, DISC, compiled
 
 from warpmpc import SceneError
-from warpmpc.cost.stack import CostStack
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.properties import draw_properties
 from warpmpc.planner.step import PlanStep
-from warpmpc.task.task import Task
 
 METHODS = {
     "mppi": {"method": "mppi", "temperature": {"initial": 0.05}},
@@ -18,61 +15,8 @@ METHODS = {
     "predictive_sampling": {"method": "predictive_sampling"},
     "cem": {"method": "cem", "elites": 6, "sigma_min": (0.05,)},
 }
-PLANNER = {"samples": 48, "horizon": 8, "noise": {"sigma": (0.5,)}}
 GOAL = np.array([1.0, 0.5])
 WIDE = {**DISC, "drive": {**DISC["drive"], "limit": (9.0, 9.0, 9.0)}}
-
-
-class Planning:
-    """A plan step of the disc that drives to (1, 0.5), away from any controller."""
-
-    def __init__(self, *, seed: int = 0, envs: int = 1, **sections):
-        planner = {**PLANNER, **sections.pop("planner", {})}
-        scene = make_scene(planner=planner, **sections)
-        self.scene, self.layout = scene, layout_of(scene)
-        planner = scene.planner
-        shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
-        draws = planner.domains if planner.domains > 1 else planner.samples
-        self.costs = CostStack(scene, self.layout, Task(scene, envs=envs))
-        properties = draw_properties(scene, self.layout, draws, seed=seed)
-        self.plan = PlanStep(
-            scene, compiled(scene), self.costs, shape, engine="mujoco", seed=seed, properties=properties
-        )
-        self.engine, self.strategy = self.plan.engine, self.plan.strategy
-        self.q, self.qd = (np.tile(a, (envs, 1)) for a in (self.layout.joint_q, self.layout.joint_qd))
-        self.elapsed = scene.timing.control_dt  # between plans
-
-    def __call__(self, steps: int = 1) -> np.ndarray:
-        """Plan again and again from the same state, a control apart; returns the commands ``[steps, E, nu]``."""
-        out = []
-        self.costs.refresh()
-        for _ in range(steps):
-            self.plan.state.joint_q.assign(self.q)
-            self.plan.state.joint_qd.assign(self.qd)
-            self.plan.state.elapsed.fill_(self.elapsed)
-            self.plan()
-            out.append(self.plan.command.numpy().copy())
-        return np.array(out)
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Costs of all samples ``[E, S]``."""
-        return self.engine.cost.numpy()
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Knots of the plan ``[E, P, nu]``, a copy."""
-        return self.strategy.mean.numpy().copy()
-
-    @property
-    def knots(self) -> np.ndarray:
-        """Sampled knots ``[E, S, P, nu]``, a copy."""
-        return self.strategy.knots.numpy().copy()
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """Standard deviations ``[E, P, nu]``, a copy."""
-        return self.strategy.distribution.sigma.numpy().copy()
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -108,7 +108,6 @@ def test_weightings_are_compared_by_value_and_cannot_be_changed():
         (lambda: Mppi(target_ess=0.5), "target_ess"),
         (lambda: Mppi(adapt="sometimes"), "sometimes"),
         (lambda: CrossEntropy(elites=0), "elites"),
-        (lambda: CrossEntropy(alpha_sigma=1.5), "alpha_sigma"),
     ],
 )
 def test_senseless_parameters_are_refused(make, message):

@@ -43,14 +43,14 @@ def test_controllers_in_threads_command_what_each_commands_alone(method):
 
 
 def test_a_dropped_controller_leaves_no_threads_behind():
-    before = threading.active_count()
+    before = set(threading.enumerate())
     dropped = []
     for _ in range(5):
         controller, _ = planning("mppi")
         dropped.append(weakref.ref(controller.engine))
         del controller
     assert [engine() for engine in dropped] == [None] * 5  # without waiting for the garbage collector
-    for thread in threading.enumerate():
-        if thread.name != "MainThread" and thread.daemon:
-            thread.join(timeout=5.0)
-    assert threading.active_count() <= before
+    left = set(threading.enumerate()) - before
+    for thread in left:
+        thread.join(timeout=5.0)
+    assert [thread for thread in left if thread.is_alive()] == []

@@ -18,11 +18,13 @@ import warpmpc
 
 TOOL = Path(__file__).parents[2] / "tools" / "tune.py"
 KEYS = [
-    "cost.distance.weight=0.5..6:log",
+    "cost.reach.weight=0.1..6:log",
     "planner.knots=2..4",
     "planner.noise.sigma[0]=0.3..2",
     "planner.spline=linear|cubic",
 ]
+SHIPPED = "omni_push_box"
+"""A scene that is compiled once, whatever its episodes draw."""
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
 
 
@@ -215,15 +217,15 @@ def study_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def first_run(study_file):
-    return tune("point_reach", "--key", *KEYS, "--trials", "2", "--episodes", "1", "--study", study_file, *TINY)
+    return tune(SHIPPED, "--key", *KEYS, "--trials", "2", "--episodes", "1", "--study", study_file, *TINY)
 
 
 def test_a_tuning_stores_its_trials_and_prints_what_it_found(first_run, study_file):
     assert first_run.returncode == 0, first_run.stderr
     start, *_ = optuna.load_study(study_name="tune", storage=f"sqlite:///{study_file}").trials
-    scene = warpmpc.load_scene("point_reach")
-    weight = next(cost.weight for cost in scene.cost if cost.label == "distance")
-    assert start.params["cost.distance.weight"] == weight
+    scene = warpmpc.load_scene(SHIPPED)
+    weight = next(cost.weight for cost in scene.cost if cost.label == "reach")
+    assert start.params["cost.reach.weight"] == weight
     assert start.params["planner.noise.sigma.0"] == scene.planner.noise.sigma[0]
     assert start.params["planner.spline"] == "cubic"
     for part in (
@@ -231,17 +233,17 @@ def test_a_tuning_stores_its_trials_and_prints_what_it_found(first_run, study_fi
         "best   trial",
         "seeds 10000 to 10000",
         "[variants.tuned]",
-        "--set cost.distance.weight=",
+        "--set cost.reach.weight=",
     ):
         assert part in first_run.stdout
     overrides = [
         line.partition(" ")[2].strip("'") for line in first_run.stdout.splitlines() if line.startswith("--set")
     ]
-    warpmpc.load_scene("point_reach", overrides=overrides)
+    warpmpc.load_scene(SHIPPED, overrides=overrides)
 
 
 def test_a_tuning_goes_on_where_it_stopped(first_run, study_file, capsys):
-    args = ["point_reach", "--key", *KEYS, "--episodes", "1", "--study", str(study_file), *TINY]
+    args = [SHIPPED, "--key", *KEYS, "--episodes", "1", "--study", str(study_file), *TINY]
     assert program.main([*args, "--trials", "3"]) == 0
     err = capsys.readouterr().err
     assert "trial 2:" in err

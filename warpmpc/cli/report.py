@@ -37,7 +37,12 @@ if TYPE_CHECKING:
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file."""
 
-_UNITS = {"velocity": ("m/s", "rad/s"), "position": ("m", "rad"), "effort": ("N", "N·m")}
+_UNITS = {
+    "velocity": ("m/s", "rad/s"),
+    "acceleration": ("m/s²", "rad/s²"),
+    "position": ("m", "rad"),
+    "effort": ("N", "N·m"),
+}
 """Unit of a control by drive mode, along a linear and an angular axis."""
 
 
@@ -170,7 +175,7 @@ def print_check(episode: Episode, out: TextIO) -> None:
         fact("phase", phase.name)
     fact("planner", _planner(scene))
     shape = controller.shape
-    substeps = physics_steps(scene, controller.compiled, controller.planner.grid)[0]
+    substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.planner.grid).count
     steps = shape.worlds * sum(substeps)
     each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")

@@ -40,6 +40,8 @@ class Controller:
         engine: Name of an engine, or ``"auto"``: the scene's, else ``mujoco`` on the CPU and ``newton`` on a GPU. To
             take the faster one on this machine, ask :func:`warpmpc.choose_engine`.
         device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``.
+        strategy: Name of a strategy, your own ones among them (:func:`warpmpc.planner.registry.register`), or
+            ``"auto"``: the scene's ``planner.method``.
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
         envs: Number of environments E.
         task: What the run wants, shared with its plant; one of its own if None.
@@ -48,7 +50,7 @@ class Controller:
 
     Raises:
         SceneError: If the scene names anything that does not exist.
-        ValueError: If the engine or device is unknown or not to be had here.
+        ValueError: If the engine, device or strategy is unknown or not to be had here.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Controller:
         *,
         engine: str = "auto",
         device: str = "auto",
+        strategy: str = "auto",
         seed: int = 0,
         envs: int = 1,
         task: Task | None = None,
@@ -76,13 +79,14 @@ class Controller:
         self.task = task or Task(scene, envs=envs)
         """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
         with capturing:  # nothing may be allocated while another controller records its plan
-            self._build(name, device, terms)
+            self._build(name, device, strategy, terms)
+        self._layout_speed = self.layout.activation_speed
         self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
         self._warned_of_overflow = False
         self._info: Info | tuple[Info, ...] | None = None
         self._forget()
 
-    def _build(self, name: str, device: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
+    def _build(self, name: str, device: str, strategy: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
         """Make everything that lives on the device."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
@@ -91,7 +95,14 @@ class Controller:
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
         self.planner = PlanStep(
-            scene, self.compiled, self.costs, self.shape, engine=name, seed=seed, properties=properties
+            scene,
+            self.compiled,
+            self.costs,
+            self.shape,
+            engine=name,
+            strategy=strategy,
+            seed=seed,
+            properties=properties,
         )
         self.engine = self.planner.engine
         self.graph = PlanGraph(self.planner)
@@ -163,7 +174,7 @@ class Controller:
         """
         start = time.perf_counter()
         q, qd = self._checked(state)
-        act, mocap = self._more(state.act, self._act, "act"), self._more(state.mocap, self._mocap, "mocap")
+        act, mocap = self._activations(state, qd), self._more(state.mocap, self._mocap, "mocap")
         observed = np.logical_and.reduce(
             [np.isfinite(a).reshape(self.envs, -1).all(axis=1) for a in (q, qd, act, mocap)]
         )
@@ -229,6 +240,12 @@ class Controller:
         self._time = np.where(observed, now, self._time)
         return elapsed, now
 
+    def _activations(self, state: State, qd: np.ndarray) -> np.ndarray:
+        """Activations ``[E, na]``; set points of velocities that the state leaves out are the velocities themselves."""
+        act = self._more(state.act, self._act, "act")
+        speed = self._layout_speed
+        return np.where(speed >= 0, qd[:, speed], act) if state.act is None and (speed >= 0).any() else act
+
     def _more(self, value: np.ndarray | None, held: np.ndarray, name: str) -> np.ndarray:
         """Activations or mocap poses with a leading axis [E], the last ones where the state has none."""
         if value is None:
@@ -252,12 +269,15 @@ class Controller:
         return q.reshape(self.envs, nq), qd.reshape(self.envs, nv)
 
     def _safe_command(self, needed: np.ndarray) -> np.ndarray:
-        """Zero velocity or effort, the position last seen where a drive holds positions; ``[n, nu]``."""
+        """Zero velocity or effort, a stop by the next control, the position last seen, as the drive is; ``[n, nu]``."""
         held = self.layout.control_safe
         if (held >= 0).any() and not self._seen[needed].all():
             raise ValueError("the first observation is not finite: there is no position to hold yet, send nothing")
         rest = self.layout.control_start if len(self.layout.control_start) else 0.0
         safe = np.where(held >= 0, self._held_q[needed][:, np.maximum(held, 0)], rest)
+        brake = self.layout.control_brake
+        stop = -self._held_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
+        safe = np.where(brake >= 0, stop, safe)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
     def _no_report(self) -> PlanReport:

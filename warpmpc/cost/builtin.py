@@ -18,8 +18,9 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import collision
+from . import arm, collision
 from .binding import PRIMITIVES
+from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
     Approach,
     ContactForce,
@@ -39,6 +40,7 @@ from .keys import (
     Robots,
     Yaw,
 )
+from .native import general as native
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
 from .resources.push_path import PushRequest
@@ -115,56 +117,20 @@ def _contact_force(keys: dict[str, Any], b: Binding) -> costs.ContactForceParams
     return p
 
 
-def _range(v: Robots, names: list[str], b: Binding) -> tuple[int, int]:
-    """First index and number of the names that belong to a robot."""
-    if v.of is None:
-        return 0, len(names)
-    robots = [e.name for e in b.layout.entities if e.kind == "robot"]
-    if v.of not in robots:
-        raise SceneError("no such robot", key=f"{b.key}.of", file=b.file, found=v.of, allowed=robots)
-    own = [i for i, name in enumerate(names) if name.startswith(f"{v.of}/")]
-    return own[0], len(own)
-
-
 def _controls(keys: dict[str, Any], b: Binding) -> costs.ControlParams:
     p = costs.ControlParams()
-    p.first, p.count = _range(parse_keys(Robots, keys, b), list(b.layout.control_name), b)
+    p.first, p.count = robot_range(parse_keys(Robots, keys, b), list(b.layout.control_name), b)
     return p
-
-
-def _dof_names(b: Binding) -> list[str]:
-    counts = b.layout.joint_dof_dim.sum(axis=1)
-    return [name for name, count in zip(b.layout.joint_name, counts, strict=True) for _ in range(count)]
-
-
-def _named_dofs(v: Joints | JointLimit, b: Binding) -> list[int]:
-    """Degrees of freedom of joints by name."""
-    where = f"{b.key}.joints"
-    if v.of is not None:
-        raise SceneError("name joints or their robot, not both: leave out 'of'", key=where, file=b.file, found=v.of)
-    coords = [b.joint(name, "joints") for name in v.joints]
-    if len(set(coords)) < len(coords):
-        raise SceneError("a joint is named twice", key=where, file=b.file, found=list(v.joints))
-    return [int(np.flatnonzero(b.layout.dof_coord == coord)[0]) for coord in coords]
-
-
-def _dofs(v: Joints, b: Binding) -> list[int]:
-    """Degrees of freedom of the named joints, or of a robot."""
-    if v.joints is not None:
-        return _named_dofs(v, b)
-    robot = v.of or next(e.name for e in b.layout.entities if e.kind == "robot")
-    first, count = _range(Robots(of=robot), _dof_names(b), b)
-    return list(range(first, first + count))
 
 
 def _joint_velocity(keys: dict[str, Any], b: Binding) -> costs.JointVelocityParams:
     p = costs.JointVelocityParams()
-    p.joint = b.array(_dofs(parse_keys(Joints, keys, b), b), dtype=int)
+    p.joint = b.array(joint_dofs(parse_keys(Joints, keys, b), b), dtype=int)
     return p
 
 
 def _posture(keys: dict[str, Any], b: Binding) -> costs.PostureParams:
-    coords = b.layout.dof_coord[_dofs(parse_keys(Joints, keys, b), b)]
+    coords = b.layout.dof_coord[joint_dofs(parse_keys(Joints, keys, b), b)]
     coords = coords[coords >= 0]
     p = costs.PostureParams()
     p.coord = b.array(coords, dtype=int)
@@ -177,11 +143,11 @@ def _joint_limit(keys: dict[str, Any], b: Binding) -> costs.JointLimitParams:
     layout = b.layout
     span = np.abs(layout.dof_upper - layout.dof_lower)
     if v.joints is not None:
-        dofs = _named_dofs(v, b)
+        dofs = named_dofs(v, b)
         if free := [layout.dof_name[i] for i in dofs if span[i] >= 1e6]:
             raise SceneError("this joint has no limits", key=f"{b.key}.joints", file=b.file, found=free[0])
     else:
-        first, count = _range(Robots(of=v.of), _dof_names(b), b)
+        first, count = robot_range(Robots(of=v.of), dof_names(b), b)
         dofs = [i for i in range(first, first + count) if layout.dof_coord[i] >= 0 and span[i] < 1e6]
     p = costs.JointLimitParams()
     p.coord = b.array(layout.dof_coord[dofs], dtype=int)
@@ -288,16 +254,25 @@ def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
 BUILTIN = {
     term.name: term
     for term in (
-        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance),
+        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance, native.distance),
         CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw),
         CostTerm("push_alignment", pushing.push_alignment, pushing.PushAlignmentParams, _push_alignment, PushAlignment),
         CostTerm("push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath),
         CostTerm("contact_force", costs.contact_cost, costs.ContactForceParams, _contact_force, ContactForce),
-        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots),
-        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots),
-        CostTerm("joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit),
-        CostTerm("joint_velocity", costs.joint_velocity_cost, costs.JointVelocityParams, _joint_velocity, Joints),
-        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints),
+        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots, native.control_effort),
+        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots, native.control_rate),
+        CostTerm(
+            "joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit, native.joint_limit
+        ),
+        CostTerm(
+            "joint_velocity",
+            costs.joint_velocity_cost,
+            costs.JointVelocityParams,
+            _joint_velocity,
+            Joints,
+            native.joint_velocity,
+        ),
+        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints, native.posture),
         CostTerm(
             "obstacle_clearance",
             clearance.obstacle_clearance,
@@ -328,8 +303,9 @@ BUILTIN = {
             FingerAlignment,
         ),
         CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
-        CostTerm("height", costs.height, costs.HeightParams, _height, Height),
+        CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
+        *arm.TERMS,
         *collision.TERMS,
     )
 }

@@ -17,6 +17,7 @@ from ..model.spheres import Spheres, fit_spheres
 from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Positive, Section
 from .binding import PRIMITIVES
+from .native import collision as native
 from .term import CostTerm, parse_keys
 
 if TYPE_CHECKING:
@@ -232,8 +233,20 @@ def _mesh(shape: ShapeInfo, b: Binding) -> int:
 
 
 TERMS = (
-    CostTerm("self_collision", collision.self_collision, collision.SelfCollisionParams, _self_collision, SelfCollision),
     CostTerm(
-        "world_collision", collision.world_collision, collision.WorldCollisionParams, _world_collision, WorldCollision
+        "self_collision",
+        collision.self_collision,
+        collision.SelfCollisionParams,
+        _self_collision,
+        SelfCollision,
+        native.self_collision,
+    ),
+    CostTerm(
+        "world_collision",
+        collision.world_collision,
+        collision.WorldCollisionParams,
+        _world_collision,
+        WorldCollision,
+        native.world_collision,
     ),
 )

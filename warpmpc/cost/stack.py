@@ -20,9 +20,9 @@ from .kernel import judge_code
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Trajectory
     from ..model.batch_size import BatchSize
     from ..model.layout import Layout
+    from ..model.trajectory import Trajectory
     from ..scene.schema import Cost, Scene
     from ..task.observed import ObservedState
     from ..task.task import Task

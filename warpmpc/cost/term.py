@@ -15,6 +15,8 @@ from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from ..bake.lines import Operand
+    from ..bake.state import TermCode
     from ..scene.types import Section
     from .binding import Binding
 
@@ -35,6 +37,9 @@ class CostTerm:
     """Turns the keys of a scene file into a filled parameter struct."""
     keys: type[Section] | None = None
     """Types of those keys, for help texts and errors; derived from the struct for users' terms."""
+    native: Callable[[TermCode, Any], Operand | None] | None = None
+    """Writes the term as baked source, given its filled parameter struct; returns the value, or None where the
+    parameters ask for what only :attr:`function` can do. Engines that judge on the way prefer it."""
 
 
 @dataclass(frozen=True)

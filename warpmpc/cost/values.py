@@ -13,9 +13,9 @@ from ..task.observed import ObservedState
 from .stack import CostStack, Judge
 
 if TYPE_CHECKING:
-    from ..engine.trajectory import Trajectory
     from ..model.batch_size import BatchSize
     from ..model.layout import Layout
+    from ..model.trajectory import Trajectory
     from ..scene.schema import Scene
     from ..task.task import Task
     from .term import ArrayCost, CostTerm
@@ -53,6 +53,8 @@ class TermValues:
         self._judge: Judge | None = None
         self.pairs = self._stack.pairs
         """Contacts that the terms watch; the trajectory's first ones."""
+        self.sensors = self._stack.sensors
+        """Sensors that the terms read."""
 
     def attach(self, trajectory: Trajectory, control: wp.array, shape: BatchSize, dt: float) -> None:
         """Read these one-step trajectories from now on.

@@ -33,12 +33,13 @@ from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import randomize_model
+from ..model.trajectory import Trajectory
 from .crew import Crew
-from .trajectory import ObservedState, Trajectory
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
+    from ..task.observed import ObservedState
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)

@@ -39,8 +39,9 @@ from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import pair_table
 from ..model.randomize import batched_arrays
+from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
-from .trajectory import ObservedState, OnePart, Trajectory
+from .protocol import OnePart
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
+    from ..task.observed import ObservedState
 
 LARGEST_SPEED = 1.0e10
 """Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""

@@ -17,9 +17,10 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
+from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from .newton_solver import make_solver
-from .trajectory import ObservedState, OnePart, Trajectory
+from .protocol import OnePart
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
+    from ..task.observed import ObservedState
 
 _MODES = {"velocity": 0, "position": 1, "effort": 2}
 LARGEST_SPEED = 1.0e10
@@ -183,6 +185,14 @@ def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
     Raises:
         SceneError: If there is such a thing.
     """
+    if "acceleration" in compiled.layout.actuator_mode:
+        raise SceneError(
+            "drives of this mode are actuators of MuJoCo, which this solver does not simulate",
+            key="engine.solver",
+            file=scene.path,
+            found=str(scene.engine.solver),
+            allowed=["mujoco"],
+        )
     if compiled.layout.movable:
         raise SceneError(
             "this solver does not move obstacles: leave out movable, or take the solver mujoco",

@@ -16,14 +16,13 @@ from ..launch import Launcher, Replay, step_lanes
 from ..scene.schema import Risk
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..cost.stack import CostStack
     from ..model.batch_size import BatchSize
+    from ..model.trajectory import Trajectory
     from ..scene.schema import Planner
     from ..task.observed import ObservedState
+    from .protocol import Proposal, Simulator
     from .timegrid import TimeGrid
-    from .trajectory import Proposal, Simulator
 
 RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
 
@@ -66,8 +65,8 @@ class RecordedEngine:
         self._on_gpu = wp.get_device(self.device).is_cuda
         self._replays: dict[int, tuple[Proposal, list[Replay]]] = {}
         self.grid, self._spline, self._limits = grid.arrays(self.device), spline, limits
-        nu, envs = len(limits[0]), shape.envs
-        self.control = wp.zeros((shape.horizon, shape.worlds, nu), dtype=float, device=self.device)
+        envs = shape.envs
+        self.control = simulator.trajectory.control
         self.judge = Judge(costs, simulator.trajectory, self.control, state, shape, grid.t)
         self._risk = [shape.domains, RISKS[planner.risk], planner.cvar]
         step_place = (grid.t[:-1] / grid.dt[0]).astype("float32") * (grid.dt[:1].astype("float32") / spline.knot_dt)
@@ -86,16 +85,11 @@ class RecordedEngine:
         """Capacity bits of every world, ``[W]``."""
         return self.simulator.trajectory.overflow
 
-    @property
-    def capturable(self) -> bool:
-        """Whether a CUDA graph can hold an evaluation."""
-        return self._on_gpu and self.costs.capturable
-
     def evaluate(self, proposal: Proposal) -> None:
         """Roll proposed knots out from the observed state and judge them, into :attr:`cost`.
 
-        Capture-safe where :attr:`capturable`. On the CPU every part of the worlds is a sequence of its own, replayed by
-        whatever thread takes it.
+        Capture-safe but for terms over whole arrays. On the CPU every part of the worlds is a sequence of its own,
+        replayed by whatever thread takes it.
         """
         if self._on_gpu:
             self._take(proposal, 0)
@@ -143,9 +137,9 @@ class RecordedEngine:
             [self.term_cost],
         )
 
-    def record(self, worlds: Sequence[int]) -> np.ndarray:
-        """Body poses ``[T+1, n, nb, 7]`` of some worlds of the last evaluation, on the host."""
-        return self.simulator.trajectory.body_q.numpy()[:, list(worlds)]
+    def record(self, worlds: Sequence[int]) -> Trajectory:
+        """What became of some worlds in the last evaluation, on the host."""
+        return self.simulator.trajectory.of_worlds(worlds)
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed and which setting to raise."""

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
+    from .protocol import Engine
     from .timegrid import TimeGrid
-    from .trajectory import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,16 @@ class EngineRequest:
     """Draws of physical properties, None for nominal worlds."""
 
 
+@dataclass(frozen=True)
+class PhysicsSteps:
+    """Physics steps of a rollout."""
+
+    count: tuple[int, ...]
+    """How many there are in each step of the rollout ``[T]``."""
+    length: tuple[float, ...]
+    """Length of one of them in each step of the rollout ``[T]`` [s], the same everywhere unless ``any_dt``."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EngineEntry:
     """An engine as the registry knows it."""
@@ -59,7 +69,11 @@ class EngineEntry:
     """Whether it runs on CUDA devices."""
     cpu: bool
     """Whether it runs on the CPU."""
-    make: Callable[[EngineRequest], Engine]
+    capturable: bool
+    """Whether a CUDA graph can hold its evaluation; else every plan on a CUDA device runs launch by launch."""
+    any_dt: bool
+    """Whether its physics steps may have any length; else every step of a rollout is a multiple of one length."""
+    make: Callable[[EngineRequest, PhysicsSteps], Engine]
 
 
 ENGINES: dict[str, EngineEntry] = {}
@@ -122,30 +136,39 @@ def make_engine(name: str, request: EngineRequest) -> Engine:
     Raises:
         SceneError: If it cannot do what the scene asks for.
     """
-    return ENGINES[name].make(request)
+    return ENGINES[name].make(request, physics_steps(name, request.scene, request.compiled, request.grid))
 
 
 SUBSTEPS = 2
 """Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
 
 
-def physics_steps(scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> tuple[list[int], float]:
-    """Physics steps in each step of a rollout, and the length of one [s].
+def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> PhysicsSteps:
+    """How an engine divides the steps of a rollout.
+
+    Args:
+        name: The engine's name. With steps of any length it divides each into equally many, as many as the first has.
+        scene: The scene.
+        compiled: The scene, compiled.
+        grid: Steps of the rollout.
 
     Raises:
-        SceneError: If a step is no multiple of the physics step, which has one length in these engines.
+        SceneError: If a step is no multiple of the physics step, although that has one length in this engine.
     """
-    timestep = float(grid.dt[0]) / compiled.substeps(scene.engine.substeps, float(grid.dt[0]), SUBSTEPS)
+    substeps = compiled.substeps(scene.engine.substeps, float(grid.dt[0]), SUBSTEPS)
+    if ENGINES[name].any_dt:
+        return PhysicsSteps((substeps,) * grid.steps, tuple((grid.dt / substeps).tolist()))
+    timestep = float(grid.dt[0]) / substeps
     count = grid.dt / timestep
     if np.abs(count - np.round(count)).max() > 1e-6:
         raise SceneError(
-            f"the physics of this engine takes steps of one length, {timestep:g} s (the first step / engine.substeps), "
-            "and every step of a rollout must be a multiple of it",
+            f"the physics of the engine {name} takes steps of one length, {timestep:g} s (the first step / "
+            "engine.substeps), and every step of a rollout must be a multiple of it",
             key="planner.dt",
             file=scene.path,
             found=[float(round(dt, 6)) for dt in grid.dt],
         )
-    return np.round(count).astype(int).tolist(), timestep
+    return PhysicsSteps(tuple(np.round(count).astype(int).tolist()), (timestep,) * grid.steps)
 
 
 def _recorded(request: EngineRequest, simulator: object) -> RecordedEngine:
@@ -153,16 +176,15 @@ def _recorded(request: EngineRequest, simulator: object) -> RecordedEngine:
     return RecordedEngine(simulator, r.costs, r.state, r.shape, r.grid, r.spline, r.limits, r.scene.planner)
 
 
-def _make_mujoco(request: EngineRequest) -> Engine:
+def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     from .mujoco import MujocoEngine
 
     scene = request.scene
-    substeps, timestep = physics_steps(scene, request.compiled, request.grid)
     simulator = MujocoEngine(
         request.compiled,
         request.shape,
-        substeps=substeps,
-        timestep=timestep,
+        substeps=steps.count,
+        timestep=steps.length[0],
         pairs=request.costs.pairs,
         properties=request.properties,
         threads=scene.engine.threads,
@@ -172,16 +194,15 @@ def _make_mujoco(request: EngineRequest) -> Engine:
     return _recorded(request, simulator)
 
 
-def _make_newton(request: EngineRequest) -> Engine:
+def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     # slow to import, and nothing else needs them
     from .mujoco_warp import MujocoWarpEngine
     from .newton import NewtonEngine
 
     scene, costs = request.scene, request.costs
-    substeps, timestep = physics_steps(scene, request.compiled, request.grid)
     common = {
-        "substeps": substeps,
-        "timestep": timestep,
+        "substeps": steps.count,
+        "timestep": steps.length[0],
         "pairs": costs.pairs,
         "properties": request.properties,
         "device": request.device,
@@ -200,5 +221,18 @@ def _make_newton(request: EngineRequest) -> Engine:
     return _recorded(request, NewtonEngine(*scene_of, **common))
 
 
-register(EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, make=_make_mujoco))
-register(EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, make=_make_newton))
+def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    from .kinematic import KinematicEngine
+
+    return KinematicEngine(request)
+
+
+register(
+    EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, capturable=False, any_dt=False, make=_make_mujoco)
+)
+register(
+    EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
+)
+register(
+    EngineEntry(name=str(EngineName.KINEMATIC), cuda=True, cpu=True, capturable=True, any_dt=True, make=_make_kinematic)
+)

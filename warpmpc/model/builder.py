@@ -34,6 +34,7 @@ from .layout import (
     Entity,
     Layout,
     ShapeInfo,
+    accelerator,
 )
 from .native import NativeRobots, add_native
 
@@ -330,6 +331,7 @@ def _layout(
     shapes = tuple(_shape_info(builder, i, owner.get(i, ""), meshes) for i in range(builder.shape_count))
     poses = [np.array(x, dtype=np.float32) for x in (builder.joint_X_p, builder.joint_X_c)]
     start = {name: np.array(getattr(builder, name), dtype=np.float32) for name in ("joint_q", "joint_qd")}
+    natives.activations += [accelerator(a["dof"]) for a in actuators.actuator if a["mode"] == "acceleration"]
     return Layout(
         joint_name=tuple(builder.joint_label),
         joint_type=np.array(builder.joint_type, dtype=np.int32),
@@ -343,6 +345,7 @@ def _layout(
         dof_axis=axes,
         dof_lower=np.array(builder.joint_limit_lower, dtype=np.float32),
         dof_upper=np.array(builder.joint_limit_upper, dtype=np.float32),
+        dof_speed=np.array(builder.joint_velocity_limit, dtype=np.float32),
         dof_coord=dof_coord,
         dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
         body_name=tuple(builder.body_label),

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from ..scene.errors import SceneError
+from ..scene.schema import DriveMode
 from .mjcf import Native, is_floor, read_mjcf
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def compose(mjcf: str, natives: Sequence[Native], solid: Collection[str]) -> muj
 
 def needs_implicit(first: mujoco.MjSpec, natives: Sequence[Native]) -> bool:
     """Whether stiff servos of drives replace what a file's explicit integrator was chosen for."""
-    stiff = any(servo.mode != "effort" for native in natives for servo in native.servos)
+    stiff = any(drive.mode is not DriveMode.EFFORT for native in natives for drive in native.robot.drive)
     return stiff and first.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
 
 

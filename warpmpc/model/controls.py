@@ -26,6 +26,7 @@ _TARGET = {
     DriveMode.DIFF_DRIVE: JointTargetMode.VELOCITY,
     DriveMode.POSITION: JointTargetMode.POSITION,
     DriveMode.EFFORT: JointTargetMode.EFFORT,
+    DriveMode.ACCELERATION: JointTargetMode.EFFORT,  # Newton has none: MuJoCo's models get an actuator of their own
 }
 
 
@@ -51,11 +52,14 @@ class Actuators:
             "control_lower": np.array([c["lower"] for c in self.control], dtype=np.float32),
             "control_upper": np.array([c["upper"] for c in self.control], dtype=np.float32),
             "control_safe": np.array([c["safe"] for c in self.control], dtype=np.int32),
+            "control_brake": np.array([c.get("brake", -1) for c in self.control], dtype=np.int32),
             "actuator_dof": np.array([a["dof"] for a in self.actuator], dtype=np.int32),
             "actuator_mode": tuple(a["mode"] for a in self.actuator),
             "actuator_matrix": matrix,
             "actuator_offset": np.zeros(len(self.actuator), dtype=np.float32),
             "actuator_effort": np.array([a["effort"] for a in self.actuator], dtype=np.float32),
+            "actuator_damping": np.array([a["damping"] for a in self.actuator], dtype=np.float32),
+            "actuator_speed": np.array([a["speed"] for a in self.actuator], dtype=np.float32),
         }
 
 
@@ -218,6 +222,8 @@ def _add_drive(
     ke = spread("stiffness", count, drive.stiffness)
     kd = spread("damping", count, drive.damping)
     effort = None if drive.effort_limit is None else spread("effort_limit", count, drive.effort_limit)
+    speed = None if drive.speed_limit is None else spread("speed_limit", count, drive.speed_limit)
+    accelerates = drive.mode is DriveMode.ACCELERATION
 
     first_control = len(actuators.control)
     labels = ["v", "ω"] if drive.mode is DriveMode.DIFF_DRIVE else names
@@ -229,13 +235,14 @@ def _add_drive(
                 "lower": lower[i],
                 "upper": upper[i],
                 "safe": first_coord + movable[names[i]][0] if hold else -1,
+                "brake": first_dof + movable[names[i]][1] if accelerates else -1,
             }
         )
     for i, name in enumerate(names):
         dof = movable[name][1]
         part.joint_target_mode[dof] = int(_TARGET[drive.mode])
         part.joint_target_ke[dof] = ke[i] if drive.mode is DriveMode.POSITION else 0.0
-        part.joint_target_kd[dof] = 0.0 if drive.mode is DriveMode.EFFORT else kd[i]
+        part.joint_target_kd[dof] = 0.0 if drive.mode in (DriveMode.EFFORT, DriveMode.ACCELERATION) else kd[i]
         if effort is not None:
             part.joint_effort_limit[dof] = effort[i]
         if drive.mode is DriveMode.DIFF_DRIVE:
@@ -248,5 +255,12 @@ def _add_drive(
             row = {first_control + i: 1.0}
         mode = "velocity" if drive.mode is DriveMode.DIFF_DRIVE else str(drive.mode)
         actuators.actuator.append(
-            {"dof": first_dof + dof, "mode": mode, "row": row, "effort": part.joint_effort_limit[dof]}
+            {
+                "dof": first_dof + dof,
+                "mode": mode,
+                "row": row,
+                "effort": part.joint_effort_limit[dof],
+                "damping": kd[i],
+                "speed": part.joint_velocity_limit[dof] if speed is None else speed[i],
+            }
         )

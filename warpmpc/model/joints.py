@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The joint table of a layout on a device."""
+"""The joint table of a layout on a device, and the chains of joints that move its bodies."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.geometry.kinematics import JointTable
+from ..kernels.geometry.jacobian import Chain
+from ..kernels.geometry.kinematics import BALL, JointTable
 from .layout import IDENTITY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .layout import Layout
 
 
@@ -64,3 +67,53 @@ def start_mocap(layout: Layout, rows: int, device: str) -> wp.array:
     if layout.nm:
         poses.assign(np.tile(layout.mocap, (rows, 1, 1)))
     return poses
+
+
+def chain_axes(layout: Layout, body: int) -> list[int]:
+    """Joint velocities that move a body, tip first; those of a free root, which nothing drives, are left out.
+
+    Raises:
+        ValueError: If there is a ball joint among the joints: its velocities are no turns about axes of its own.
+    """
+    joint_of = {int(child): joint for joint, child in enumerate(layout.joint_child)}
+    dofs: list[int] = []
+    while body >= 0:
+        joint = joint_of[body]
+        first = int(layout.joint_qd_start[joint])
+        own = list(range(first, first + int(layout.joint_dof_dim[joint].sum())))
+        if layout.joint_type[joint] == BALL:
+            raise ValueError(layout.joint_name[joint])
+        dofs += [dof for dof in reversed(own) if layout.dof_coord[dof] >= 0]
+        body = int(layout.joint_parent[joint])
+    return dofs
+
+
+def chain(layout: Layout, body: int, columns: Sequence[int], device: str) -> Chain:
+    """Upload the joint axes that move a body.
+
+    Args:
+        layout: State layout.
+        body: The body.
+        columns: Joint velocities that are columns of its Jacobian, in this order.
+        device: Warp device.
+
+    Raises:
+        ValueError: As :func:`chain_axes`, and if a column is no axis of the chain.
+    """
+    dofs = chain_axes(layout, body)
+    ends = layout.joint_qd_start + layout.joint_dof_dim.sum(axis=1)
+    joint = [int(np.flatnonzero((layout.joint_qd_start <= dof) & (dof < ends))[0]) for dof in dofs]
+    slides = layout.joint_qd_start[joint] + layout.joint_dof_dim[joint, 0]
+
+    def ints(values: object) -> wp.array:
+        return wp.array(np.asarray(values, dtype=np.int32), dtype=int, device=device)
+
+    out = Chain()
+    out.column = ints([dofs.index(dof) for dof in columns])
+    out.coord = ints(layout.dof_coord[dofs])
+    out.turns = ints(dofs >= slides)
+    out.after = ints(ends[joint] - 1 - dofs)
+    out.axis = wp.array(layout.dof_axis[dofs], dtype=wp.vec3, device=device)
+    out.body = ints(layout.joint_child[joint])
+    out.anchor = wp.array(layout.joint_pose_child[joint], dtype=wp.transform, device=device)
+    return out

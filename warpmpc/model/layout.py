@@ -71,6 +71,11 @@ class Keyframe:
     """Poses of mocap bodies, one after the other."""
 
 
+def accelerator(dof: int) -> str:
+    """Name of the actuator that accelerates a joint velocity."""
+    return f"accelerate_{dof}"
+
+
 def _no_floats() -> np.ndarray:
     return np.zeros(0, dtype=np.float32)
 
@@ -104,6 +109,7 @@ class Layout:
     dof_axis: np.ndarray  # [nv, 3]
     dof_lower: np.ndarray  # [nv]
     dof_upper: np.ndarray  # [nv]
+    dof_speed: np.ndarray  # [nv] greatest velocity by the asset [m/s or rad/s], 1e6 where it says nothing
     dof_coord: np.ndarray  # [nv] joint coordinate of a dof, -1 for those of free and ball joints
     dof_name: tuple[str, ...]  # [nv] robot/axis, empty for those of free and ball joints
     body_name: tuple[str, ...]
@@ -115,11 +121,14 @@ class Layout:
     control_lower: np.ndarray  # [nu]
     control_upper: np.ndarray  # [nu]
     control_safe: np.ndarray  # [nu] joint coordinate to hold, or -1: the safe command is zero
+    control_brake: np.ndarray  # [nu] joint velocity that an acceleration changes, or -1: the safe command brakes it
     actuator_dof: np.ndarray  # [nd]
-    actuator_mode: tuple[str, ...]  # [nd] velocity, position or effort
+    actuator_mode: tuple[str, ...]  # [nd] velocity, position, acceleration or effort
     actuator_matrix: np.ndarray  # [nd, nu] actuator target = matrix · control + offset
     actuator_offset: np.ndarray  # [nd]
     actuator_effort: np.ndarray  # [nd] effort limit
+    actuator_damping: np.ndarray  # [nd] gain of the velocity
+    actuator_speed: np.ndarray  # [nd] speed limit of the joint
     # names
     entities: tuple[Entity, ...]
     shapes: tuple[ShapeInfo, ...]
@@ -164,6 +173,12 @@ class Layout:
     def na(self) -> int:
         """Number of activations: the states of actuators that have dynamics of their own."""
         return len(self.act)
+
+    @property
+    def activation_speed(self) -> np.ndarray:
+        """Joint velocity whose set point an activation is ``[na]``, -1 for activations of MJCF files."""
+        driven = {accelerator(dof): dof for dof in self.actuator_dof}
+        return np.array([driven.get(name, -1) for name in self.activation_name], dtype=np.int32)
 
     @property
     def nm(self) -> int:

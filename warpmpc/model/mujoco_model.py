@@ -11,6 +11,7 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from .compiled import CompiledScene
+from .layout import accelerator
 from .movable import movable_body
 from .pairs import Pair
 
@@ -102,13 +103,8 @@ def make_world(
         if sensor.name not in known:
             spec.delete(sensor)
     _keep_servos(spec, compiled)
-    for dof, mode, limit in zip(layout.actuator_dof, layout.actuator_mode, layout.actuator_effort, strict=True):
-        if mode == "effort":
-            actuator = spec.add_actuator(name=f"effort_{dof}", target=compiled.joint_name[dof])
-            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-            actuator.gainprm[0] = 1.0
-            actuator.forcelimited = True
-            actuator.forcerange = [-limit, limit]
+    for row in range(len(layout.actuator_dof)):
+        _add_actuator(spec, compiled, row)
     counts = [_add_contact_sensors(spec, compiled, f"contact_{i}", pair) for i, pair in enumerate(pairs)]
     model = spec.compile()
     return MujocoWorld(
@@ -139,11 +135,40 @@ def _set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options,
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
+_OF_SCENE = ("effort", "acceleration")
+"""Drives whose actuators Newton does not make."""
+
+
+def _add_actuator(spec: mujoco.MjSpec, compiled: CompiledScene, row: int) -> None:
+    """Add the actuator of a drive that Newton makes none for.
+
+    An acceleration is integrated by the actuator itself into the set point of a velocity servo (as MuJoCo's
+    ``intvelocity`` does for positions), which stays within the joint's speed limit.
+    """
+    layout = compiled.layout
+    dof, mode, limit = layout.actuator_dof[row], layout.actuator_mode[row], float(layout.actuator_effort[row])
+    if mode not in _OF_SCENE:
+        return
+    name = f"effort_{dof}" if mode == "effort" else accelerator(dof)
+    actuator = spec.add_actuator(name=name, target=compiled.joint_name[dof])
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.gainprm[0] = 1.0
+    actuator.forcelimited = True
+    actuator.forcerange = [-limit, limit]
+    if mode == "acceleration":
+        gain, speed = float(layout.actuator_damping[row]), float(layout.actuator_speed[row])
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0], actuator.biasprm[2] = gain, -gain
+        actuator.actlimited = True
+        actuator.actrange = [-speed, speed]
+
+
 def _keep_servos(spec: mujoco.MjSpec, compiled: CompiledScene) -> None:
     """Delete actuators that belong neither to the scene's drives nor to MJCF files that are driven by their own."""
     layout, own = compiled.layout, set(compiled.actuator_name)
     modes = zip(layout.actuator_dof, layout.actuator_mode, strict=True)
-    wanted = {compiled.joint_name[dof] for dof, mode in modes if mode != "effort"}
+    wanted = {compiled.joint_name[dof] for dof, mode in modes if mode not in _OF_SCENE}
     for actuator in list(spec.actuators):
         if actuator.name and actuator.name in own:
             continue

@@ -3,33 +3,42 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.sampling import age_plan_kernel, null_control_kernel, perturb_knots_kernel, start_plan_kernel
+from ..kernels.planning.proposals import perturb_knots_kernel
+from ..kernels.planning.sampling import age_plan_kernel, null_control_kernel, start_plan_kernel
 from ..kernels.planning.splines import LINEAR, Spline, advance_plan_kernel, shift_knots_kernel
-from ..kernels.planning.weights import update_mean_kernel, update_sigma_kernel
-from ..launch import Launcher
-from ..task.observed import ObservedState
-from .weighting import BLOCK_DIM
+from ..launch import Launcher, step_lanes
+
+if TYPE_CHECKING:
+    from ..task.observed import ObservedState
+    from .covariance import Covariance
+    from .moments import SampleMoments
+    from .rows import FixedRows
+
+
+def rows(knots: wp.array) -> wp.array:
+    """A view of knots ``[..., P, nu]`` as rows ``[..., P·nu]``."""
+    return knots.reshape((*knots.shape[:-2], knots.shape[-2] * knots.shape[-1]))
 
 
 class Gaussian:
-    """Mean and standard deviation of every knot of every environment.
+    """Mean of every knot of every environment, and the covariance about it.
 
     Args:
         state: What plans start from.
         spline: Spline over the knots.
         limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
-        sigma: Standard deviation at the start ``[nu]``, in control units.
+        covariance: Covariance of the samples.
         held: Joint coordinate that a control holds where it asks for nothing ``[nu]``, -1 for ``rest``.
         rest: Value of a control that asks for nothing ``[nu]``.
     """
 
     mean: wp.array3d[float]
     """Mean knots, ``[E, P, nu]``, in control units."""
-    sigma: wp.array3d[float]
-    """Standard deviation of the knots, ``[E, P, nu]``."""
     offset: wp.array[float]
     """Time from the first knot to the present, ``[E]`` [s]; zero but for evenly spaced knots of zero order."""
     null: wp.array2d[float]
@@ -41,95 +50,94 @@ class Gaussian:
         spline: Spline,
         limits: tuple[wp.array, wp.array],
         *,
-        sigma: np.ndarray,
+        covariance: Covariance,
         held: np.ndarray,
         rest: np.ndarray,
     ):
         self._state, self._spline, self._limits = state, spline, limits
-        self.device = state.joint_q.device
+        self.covariance, self.device = covariance, state.joint_q.device
         self._launch = Launcher(self.device)
-        envs, knots, nu = len(state.observed), len(spline.time), len(sigma)
-        self.dim = (envs, knots, nu)
+        self.dim = covariance.sigma.shape
+        envs, _, nu = self.dim
 
         def zeros(*dims: int) -> wp.array:
             return wp.zeros(dims, dtype=float, device=self.device)
 
-        self.mean, self.sigma, self._shifted = zeros(*self.dim), zeros(*self.dim), zeros(*self.dim)
+        self.mean, self._shifted = zeros(*self.dim), zeros(*self.dim)
+        self._plans = [self.mean]
+        self._columns = self.dim[1] * nu
+        self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
+        self._column_limits = [
+            wp.array(np.tile(limit.numpy(), self.dim[1]), dtype=float, device=self.device) for limit in limits
+        ]
         self.offset, self._shift, self.null = zeros(envs), zeros(envs), zeros(envs, nu)
-        self._no_shaping = zeros(1, 1)
         self._fresh = wp.zeros(envs, dtype=int, device=self.device)
-        self._sigma0 = np.tile(sigma.astype(np.float32), (envs, knots, 1))
         self._held = wp.array(held, dtype=int, device=self.device)
         self._rest = wp.array(rest, dtype=float, device=self.device)
         self.reset()
 
+    @property
+    def sigma(self) -> wp.array3d[float]:
+        """Standard deviation of the knots, ``[E, P, nu]``."""
+        return self.covariance.sigma
+
+    def carry(self, knots: wp.array) -> None:
+        """Let other knots ``[E, P, nu]`` start and move on as the mean does."""
+        self._plans.append(knots)
+
     def reset(self) -> None:
         """Forget every earlier plan: the next one begins with what is observed then."""
-        self.mean.zero_()
-        self.sigma.assign(self._sigma0)
+        for plan in self._plans:
+            plan.zero_()
+        self.covariance.reset()
         self.offset.zero_()
         self._fresh.fill_(1)
 
-    def shift(self, *, shift_sigma: bool) -> None:
-        """Move on by the time that has passed since the last plan; capture-safe.
-
-        Args:
-            shift_sigma: Whether σ differs along the horizon and moves with its knots.
-        """
+    def shift(self) -> None:
+        """Move on by the time that has passed since the last plan; capture-safe."""
         observed, last = self._state.observed, self._state.last_control
         envs, _, nu = self.dim
         limits, by = self._limits, self._shift
         self._launch(
             null_control_kernel, (envs, nu), [self._state.joint_q, self._held, self._rest, *limits], [self.null]
         )
-        self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, self.null], [self.mean, last])
-        self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
+        for plan in self._plans:
+            self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, self.null], [plan, last])
         self._launch(advance_plan_kernel, (envs,), [self._spline, self._state.elapsed], [self.offset, by])
-        # a cubic through σ would overshoot below zero
-        for knots, kind in ((self.mean, self._spline.kind), (self.sigma, int(LINEAR)))[: 1 + shift_sigma]:
+        moved = [(plan, self._spline.kind) for plan in self._plans]
+        if self.covariance.varies:
+            moved.append((self.sigma, int(LINEAR)))  # a cubic through σ would overshoot below zero
+        for knots, kind in moved:
             self._launch(shift_knots_kernel, self.dim, [knots, self._spline, kind, by], [self._shifted])
             wp.copy(knots, self._shifted)
+        self.covariance.grow(observed, self._fresh)
+        self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
 
     def perturb(
-        self,
-        z: wp.array,
-        shaping: wp.array | None,
-        schedule: wp.array,
-        iteration: int,
-        *,
-        null_sample: bool,
-        constant: float,
-        knots: wp.array,
-        first: int,
-        count: int,
+        self, noise: wp.array, fixed: FixedRows, iteration: int, *, knots: wp.array, first: int, count: int
     ) -> None:
-        """Write sampled knots ``[E, S, P, nu]``: the mean, the null sample, and mean + σ ⊙ (B z); capture-safe.
+        """Write sampled knots ``[E, S, P, nu]``: the mean, the fixed rows, and mean + σ ⊙ (B z); capture-safe.
 
         Args:
-            z: Standard normals ``[E, S, P, nu]``.
-            shaping: Shaping matrix B ``[P, P]``, None for the identity.
-            schedule: Factor on σ ``[n, P]``.
-            iteration: Row of the schedule.
-            null_sample: Whether the second sample asks for nothing.
-            constant: Share of the samples whose noise is the same at every knot.
+            noise: Shaped noise B z ``[E, S, P, nu]``.
+            fixed: Samples that are not drawn.
+            iteration: Row of the schedule of σ.
             knots: Takes the samples.
             first: First of the rows e·S + s to write.
             count: Number of rows.
         """
-        matrix = self._no_shaping if shaping is None else shaping
-        noise = [self.mean, self.sigma, schedule, iteration, matrix, int(shaping is None), z]
-        self._launch(
-            perturb_knots_kernel,
-            (count, *self.dim[1:]),
-            [*noise, *self._limits, self.null, int(null_sample), constant, first],
-            [knots],
-        )
+        covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
+        spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]
+        inputs = [rows(self.mean), *spread, rows(noise), rows(fixed.knots), fixed.count, *self._column_limits]
+        self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(knots)])
 
-    def update_mean(self, knots: wp.array, weight: wp.array, alpha: float) -> None:
-        """Move the mean towards weighted samples by step size α; capture-safe."""
-        self._launch(update_mean_kernel, self.dim, [knots, weight, alpha], [self.mean], block_dim=BLOCK_DIM)
+    def follow(self, moments: SampleMoments, iteration: int, *, step_size: float) -> None:
+        """Move the mean towards weighted samples, then the covariance towards their spread about it; capture-safe.
 
-    def update_sigma(self, knots: wp.array, weight: wp.array, floor: wp.array, alpha: float) -> None:
-        """Move σ² towards the spread of weighted samples about the mean by step size α; capture-safe."""
-        inputs = [knots, weight, self.mean, floor, alpha]
-        self._launch(update_sigma_kernel, self.dim, inputs, [self.sigma], block_dim=BLOCK_DIM)
+        Args:
+            moments: Moments of the samples and their weights.
+            iteration: Row of the schedule that they were drawn with.
+            step_size: Step α_μ of the mean.
+        """
+        moments.move_mean(self.mean, step_size)
+        self.covariance.follow(moments, self.mean, iteration)

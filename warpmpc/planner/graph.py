@@ -78,7 +78,7 @@ class PlanGraph:
         pieces = (self._unpack, self._pack)
         self._take_in, self._give_out = pieces if cuda else [Replay(piece, blocks=True) for piece in pieces]
         self.captured: wp.Graph | None = None
-        self.capturable = plan.engine.capturable
+        self.capturable = plan.capturable
 
     @property
     def stages(self) -> dict[str, float]:

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sources of standard normals for the knots of all samples."""
+"""Sources of noise for the knots of all samples: standard normals, and what a shaping matrix makes of them."""
 
 from enum import StrEnum
 
 import numpy as np
 import warp as wp
 
+from warpmpc.kernels.planning.proposals import shape_noise_kernel
 from warpmpc.kernels.planning.sampling import (
     advance_counter_kernel,
     random_normal_kernel,
     random_shift_kernel,
     scale_samples_kernel,
+    started_normal_kernel,
     table_normal_kernel,
 )
-from warpmpc.launch import Launcher
+from warpmpc.launch import Launcher, step_lanes
 
 
 class NoiseKind(StrEnum):
@@ -40,39 +42,49 @@ def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: 
 
 
 class NoiseSource:
-    """Standard normals ``z [E, S, P, nu]``, drawn once or anew at every :meth:`advance`.
+    """Standard normals ``z [E, S, P, nu]`` and shaped noise B z, drawn once or anew at every :meth:`advance`.
 
-    Drawn once, the same Halton or Sobol table serves every environment and the plan step is deterministic;
-    pseudo-random numbers differ between environments. Redrawn, a table is rotated at random per environment and
-    draw (Cranley and Patterson 1976), which keeps its low discrepancy; counters on the device make a replayed CUDA
-    graph draw anew.
+    Drawn once, noise is shaped once, too; the same Halton or Sobol table serves every environment and the plan step is
+    deterministic; pseudo-random numbers differ between environments. Redrawn, the columns of a table are rotated at
+    random per environment and draw (Cranley and Patterson 1976), or read from starts of their own (Wang and Hickernell
+    2000), which needs no new normals; both keep its low discrepancy. Counters on the device make a replayed CUDA graph
+    draw anew.
 
     Args:
         source: Halton or Sobol points through the inverse normal distribution, or pseudo-random normals.
         redraw: Draw anew at every launch, else keep the first draw.
+        starts: Redraw a table by other starts instead of rotations.
         seed: Seed of table, rotations and pseudo-random numbers.
         envs: Number of environments E.
         samples: Number of samples S.
         knots: Number of knots P.
         nu: Number of controls.
         spread: Factors (low, high) between which the samples' scale runs geometrically.
+        shaping: Shaping matrix B ``[P, P]``, None for the identity.
+        constant: Share of the samples whose noise is the same at every knot.
         device: Warp device, the current one if None.
     """
 
     z: wp.array4d[float]
-    """Standard normals of the last draw, scaled by ``spread``, ``[E, S, P, nu]``; the array stays the same one."""
+    """Standard normals of the last draw, scaled by ``spread``, ``[E, S, P, nu]``; the array stays the same one. Knots
+    that the shaping matrix does not read are not drawn."""
+    noise: wp.array4d[float]
+    """Shaped noise B z, ``[E, S, P, nu]``: ``z`` itself where nothing is to be shaped."""
 
     def __init__(
         self,
         *,
         source: NoiseKind,
         redraw: bool = False,
+        starts: bool = False,
         seed: int = 0,
         envs: int = 1,
         samples: int,
         knots: int,
         nu: int,
         spread: tuple[float, float] = (1.0, 1.0),
+        shaping: np.ndarray | None = None,
+        constant: float = 0.0,
         device: wp.DeviceLike = None,
     ):
         self.source = NoiseKind(source)
@@ -81,7 +93,14 @@ class NoiseSource:
         self.spread = spread
         self.device = wp.get_device(device)
         self._launch = Launcher(self.device)
-        self.z = wp.empty((envs, samples, knots, nu), dtype=float, device=self.device)
+        self.z = wp.zeros((envs, samples, knots, nu), dtype=float, device=self.device)
+        self._white, self._constant = shaping is None, constant
+        plain = self._white and constant == 0.0
+        self.noise = self.z if plain else wp.empty_like(self.z)
+        matrix = np.zeros((knots, 1)) if shaping is None else shaping
+        used = int(np.flatnonzero(matrix.any(axis=0)).max(initial=0)) + 1  # columns of zeros come after them
+        self._shaping = wp.array(np.ascontiguousarray(matrix[:, :used]), dtype=float, device=self.device)
+        self._drawn_knots = knots if shaping is None else used
         self._counter = wp.zeros(envs, dtype=int, device=self.device)
         self._table = None
         if self.source is not NoiseKind.RANDOM:
@@ -89,7 +108,18 @@ class NoiseSource:
             table = low_discrepancy_table(self.source, samples=samples, columns=columns, seed=seed)
             self._table = wp.array(table, dtype=float, device=self.device)
             self._shift = wp.zeros((envs, columns), dtype=float, device=self.device)
+        self._normal: wp.array | None = None
         self.draw(0, envs * samples)
+        if starts and self._table is not None:
+            self._keep_normals()
+
+    def _keep_normals(self) -> None:
+        """Take the normals of the table itself, before they are scaled; redraws read them from other starts on."""
+        _, samples, knots, nu = self.z.shape
+        plain = wp.zeros((1, samples, knots, nu), dtype=float, device=self.device)
+        inputs = [self._table, self._shift, 0]
+        self._launch(table_normal_kernel, (samples, self._drawn_knots, nu), inputs, [plain])
+        self._normal = plain.reshape((samples, knots * nu))
 
     def advance(self, observed: wp.array[int]) -> None:
         """Go on to the next draw if the source redraws; capture-safe.
@@ -104,19 +134,30 @@ class NoiseSource:
             self._launch(random_shift_kernel, self._shift.shape, [self._counter, self.seed], [self._shift])
 
     def draw(self, first: int, count: int) -> None:
-        """Write ``z`` of some samples as the draw that is on has them; capture-safe.
+        """Write noise of some samples as the draw that is on has it; capture-safe.
 
         Args:
             first: First of the rows e·S + s.
             count: Number of rows.
         """
-        dim = (count, *self.z.shape[2:])
+        dim = (count, self._drawn_knots, self.z.shape[3])
         if self._table is None:
             self._launch(random_normal_kernel, dim, [self._counter, self.seed, first], [self.z])
-        else:
+        elif self._normal is None:
             self._launch(table_normal_kernel, dim, [self._table, self._shift, first], [self.z])
+        else:
+            envs, samples, knots, nu = self.z.shape
+            columns = self._drawn_knots * nu
+            lanes = step_lanes(columns, self.device)
+            inputs = [self._normal, self._shift, columns, first, lanes]
+            self._launch(started_normal_kernel, (count, lanes), inputs, [self.z.reshape((envs, samples, knots * nu))])
         if self.spread != (1.0, 1.0):
             self._launch(scale_samples_kernel, count, [*self.spread, first], [self.z])
+        if self.noise is not self.z:
+            envs, samples, knots, nu = self.z.shape
+            lanes, rows = step_lanes(knots, self.device), (envs, samples, knots * nu)
+            inputs = [self.z.reshape(rows), self._shaping, int(self._white), self._constant, nu, first, lanes]
+            self._launch(shape_noise_kernel, (count, lanes), inputs, [self.noise.reshape(rows)])
 
     def reset(self) -> None:
         """Start the draws over, as if just constructed; capture-safe."""

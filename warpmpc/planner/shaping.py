@@ -24,7 +24,7 @@ def shaping_matrix(noise: Noise, knots: int) -> np.ndarray:
         case NoiseShape.IDENTITY:
             return identity(knots)
         case NoiseShape.BSPLINE:
-            return bspline(knots)
+            return bspline(knots, noise.knots)
         case NoiseShape.COMB:
             return comb(knots, *noise.comb)
         case NoiseShape.COLOURED:
@@ -57,7 +57,8 @@ def bspline(knots: int, noise_knots: int | None = None, *, normalize: bool = Tru
 
     Args:
         knots: Number of knots P.
-        noise_knots: Number of noise knots n, half of P if None; fewer than four lower the degree to n - 1.
+        noise_knots: Number of noise knots n, half of P if None (Pezzato et al. 2025; Bhardwaj et al.
+            2021 take a quarter); fewer than four lower the degree to n - 1.
         normalize: Scale the rows to unit length.
 
     Returns:

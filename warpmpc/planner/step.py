@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..engine.registry import EngineRequest, make_engine
+from ..engine.registry import ENGINES, EngineRequest, make_engine
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
 from ..task.observed import ObservedState
+from . import registry
 from .splines import SplineKind, spline_table
-from .strategy import Round, SamplingStrategy
+from .strategy import Round
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,11 +41,13 @@ class PlanStep:
         costs: The cost terms, on the device of the rollouts.
         shape: Sizes of the batch.
         engine: Name of the engine.
+        strategy: Name of the strategy, or ``"auto"``: the scene's ``planner.method``.
         seed: Seed of the noise.
         properties: Draws of physical properties of the rollouts' worlds, None for nominal ones.
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
+        ValueError: If there is no such strategy.
     """
 
     command: wp.array2d[float]
@@ -58,10 +61,12 @@ class PlanStep:
         shape: BatchSize,
         *,
         engine: str,
+        strategy: str = "auto",
         seed: int = 0,
         properties: Properties | None = None,
     ):
         layout = costs.layout
+        make_strategy = registry.find(str(scene.planner.method) if strategy == "auto" else strategy)
         self.costs, self.shape, self.device = costs, shape, costs.device
         self.grid, self.kind = TimeGrid.of(scene), SplineKind(scene.planner.spline.value)
         self.knot_time = knot_times(self.grid, scene.planner.knots)
@@ -88,7 +93,10 @@ class PlanStep:
                 properties=properties,
             ),
         )
-        self.strategy = SamplingStrategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
+        on_gpu = wp.get_device(self.device).is_cuda
+        self.capturable = ENGINES[engine].capturable and costs.capturable and on_gpu
+        """Whether a CUDA graph can hold a plan."""
+        self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         self._spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
         self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)

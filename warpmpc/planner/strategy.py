@@ -10,9 +10,13 @@ import numpy as np
 import warp as wp
 
 from ..scene.errors import SceneError
-from ..scene.schema import NoiseShape
+from ..scene.schema import Execute, NoiseShape, Renewal
+from .covariance import Covariance, covariance_form
 from .distribution import Gaussian
+from .library import library
+from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
+from .rows import BestRow, FixedRows, LibraryRows, NullRows
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
 
@@ -78,10 +82,10 @@ class Round:
 
 
 class SamplingStrategy:
-    """Samples about a mean, weighs them by cost, moves mean and σ to the weighted samples.
+    """Samples about a mean, weighs them by cost, moves mean and covariance to the weighted samples.
 
     MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
-    several iterations.
+    several iterations, STORM is MPPI with a step size, an adapted covariance and its fixed rows.
 
     Args:
         scene: The scene.
@@ -93,7 +97,7 @@ class SamplingStrategy:
         seed: Seed of the noise.
 
     Raises:
-        SceneError: If a list has the wrong number of values.
+        SceneError: If a list has the wrong number of values, keys contradict each other or a library does not fit.
     """
 
     def __init__(
@@ -116,34 +120,58 @@ class SamplingStrategy:
         self.weights = WeightingState(cost, temperature=planner.temperature.initial)
         self.beta, self.eta = self.weights.beta, self.weights.eta
         rest = layout.control_start if len(layout.control_start) else np.zeros(nu, dtype=np.float32)
-        self.distribution = Gaussian(
-            state,
-            spline,
-            limits,
+        form = covariance_form(scene, adapts=self.weighting.adapts_sigma)
+        covariance = Covariance(
+            form,
             sigma=_per_control(planner.noise.sigma, layout, scene, "planner.noise.sigma"),
-            held=layout.control_safe,
-            rest=rest,
+            sigma_min=_per_control(planner.sigma_min, layout, scene, "planner.sigma_min"),
+            kappa=_per_control(planner.covariance.kappa, layout, scene, "planner.covariance.kappa"),
+            step_size=planner.covariance.step_size or planner.step_size,
+            schedule=schedule(planner.noise, count, planner.iterations),
+            envs=envs,
+            device=device,
         )
-        self.mean, self.offset = self.distribution.mean, self.distribution.offset
+        self.distribution = Gaussian(state, spline, limits, covariance=covariance, held=layout.control_safe, rest=rest)
+        self.offset = self.distribution.offset
+        self._best = self._best_row(scene)
+        self._fixed = self._fixed_rows(scene, samples, spline.time.numpy(), nu)
+        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
+        self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
+        white, redraw = planner.noise.shape is NoiseShape.IDENTITY, planner.noise.redraw
         self.noise = NoiseSource(
             source=NoiseKind(planner.noise.source.value),
-            # a σ that narrows onto the same draws again and again carries the plan away from the optimum
-            redraw=planner.noise.redraw or planner.iterations > 1 or self.weighting.adapts_sigma,
+            redraw=planner.iterations > 1 or covariance.adapts if redraw is None else redraw,
             seed=seed,
             envs=envs,
             samples=samples,
             knots=count,
             nu=nu,
             spread=planner.noise.spread,
+            starts=planner.noise.renewal is Renewal.START,
+            shaping=None if white else _shaping(scene, count),
+            constant=planner.noise.constant,
             device=device,
         )
-        floor = _per_control(planner.sigma_min, layout, scene, "planner.sigma_min")
-        white = planner.noise.shape is NoiseShape.IDENTITY
-        matrix = None if white else shaping_matrix(planner.noise, count)
-        self._shaping = None if white else wp.array(matrix, dtype=float, device=device)
-        self._schedule = wp.array(schedule(planner.noise, count, planner.iterations), dtype=float, device=device)
-        self._floor = wp.array(floor, dtype=float, device=device)
+
+    def _best_row(self, scene: Scene) -> BestRow | None:
+        """The best sample so far, if it is tried again or carried out."""
+        planner = scene.planner
+        if planner.keep_best or planner.execute is Execute.BEST:
+            return BestRow(self.distribution, among=planner.keep_best)
+        return None
+
+    def _fixed_rows(self, scene: Scene, samples: int, knot_time: np.ndarray, nu: int) -> FixedRows:
+        """The samples that a scene does not want drawn."""
+        noise = scene.planner.noise
+        nulls = max(int(noise.null_sample), round(noise.null_share * samples))
+        rows = [NullRows(nulls, self.distribution.null)]
+        rows += [self._best] if self._best else []
+        fixed = FixedRows([*rows, LibraryRows(library(scene, knot_time, nu))], self.distribution)
+        if fixed.count + 1 > samples:
+            message = f"the mean and {fixed.count} fixed samples (null, best, library) are more than there are samples"
+            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
+        return fixed
 
     def reset(self) -> None:
         """Forget every earlier plan."""
@@ -152,8 +180,9 @@ class SamplingStrategy:
         self.noise.reset()
 
     def shift(self) -> None:
-        """Move mean and σ on by the time that has passed; capture-safe."""
-        self.distribution.shift(shift_sigma=self.weighting.adapts_sigma)
+        """Move mean and covariance on by the time that has passed; capture-safe."""
+        self.distribution.shift()
+        self._fixed.before_plan()
 
     def propose(self, iteration: int) -> None:
         """Go on to the next draw of the noise; capture-safe."""
@@ -167,28 +196,24 @@ class SamplingStrategy:
             first: First of the samples' rows e·S + s.
             count: Number of rows.
         """
-        noise = self._planner.noise
         if self.noise.redraw:
             self.noise.draw(first, count)
-        self.distribution.perturb(
-            self.noise.z,
-            self._shaping,
-            self._schedule,
-            iteration,
-            null_sample=noise.null_sample,
-            constant=noise.constant,
-            knots=self.knots,
-            first=first,
-            count=count,
-        )
+        self.distribution.perturb(self.noise.noise, self._fixed, iteration, knots=self.knots, first=first, count=count)
 
     def update(self, iteration: int) -> None:
-        """Weigh the samples, then move the mean and, where the weighting says so, σ; capture-safe."""
+        """Weigh the samples, then move the mean, and then the covariance where it is adapted; capture-safe."""
         self.weighting.launch(self.weights)
-        weight = self.weights.weight
-        self.distribution.update_mean(self.knots, weight, self._planner.step_size)
-        if self.weighting.adapts_sigma:
-            self.distribution.update_sigma(self.knots, weight, self._floor, self.weighting.alpha_sigma)
+        self.distribution.follow(self.moments, iteration, step_size=self._planner.step_size)
+        if self._best:
+            self.moments.keep_best(self.weights.cost, self._best.knots)
+
+
+def _shaping(scene: Scene, knots: int) -> np.ndarray:
+    """The shaping matrix B ``[P, P]`` a scene asks for."""
+    try:
+        return shaping_matrix(scene.planner.noise, knots)
+    except ValueError as error:
+        raise SceneError(str(error), key="planner.noise", file=scene.path) from error
 
 
 def _per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: str) -> np.ndarray:

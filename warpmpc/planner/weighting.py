@@ -66,7 +66,7 @@ class Weighting(Protocol):
     """Turns the costs of a :class:`WeightingState` into weights."""
 
     adapts_sigma: ClassVar[bool]
-    """Whether the strategy updates σ from the weighted samples."""
+    """Whether σ follows the weighted samples where the scene does not say."""
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
@@ -147,7 +147,7 @@ def weighting_of(planner: Planner) -> Weighting:
         case Method.PREDICTIVE_SAMPLING:
             return PredictiveSampling()
         case Method.CEM:
-            return CrossEntropy(elites=planner.elites, alpha_sigma=planner.step_size)
+            return CrossEntropy(elites=planner.elites)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,19 +169,15 @@ class CrossEntropy:
 
     Args:
         elites: Number of best samples that carry weight.
-        alpha_sigma: Step size of the update of σ², 1 forgets the old value.
     """
 
     elites: int = 8
-    alpha_sigma: float = 1.0
 
     adapts_sigma: ClassVar[bool] = True
 
     def __post_init__(self):
         if self.elites < 1:
             raise ValueError(f"elites must be at least one, got {self.elites}")
-        if not 0.0 <= self.alpha_sigma <= 1.0:
-            raise ValueError(f"alpha_sigma must be between 0 and 1, got {self.alpha_sigma}")
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""

@@ -3,35 +3,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..model.compiled import CompiledScene, compile_scene
 from ..task.conditions import Conditions, Look
 from ..task.goal import GOAL, GoalError, goal_error
+from ..task.task import task_layout
+from .seen import Seen
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
+    from ..cost.term import ArrayCost, CostTerm
+    from ..model.state import State
     from ..scene.schema import Scene
     from ..task.task import Task
+
+SLACK = 1e-6
+"""What a lapse of time may lack [s]: times are sums of steps."""
 
 
 class Monitor:
     """Looks at every state of one plant: success, and the conditions on which the task goes on to its next phase.
 
+    A simulated :class:`~warpmpc.Plant` has one. For a robot of your own, hand it what you observe, before the plan:
+
+        >>> monitor = warpmpc.Monitor(scene, task=mpc.task)
+        >>> while not monitor.update(state := robot.observe()):
+        ...     robot.apply(mpc.step(state))
+
     Args:
         scene: The scene.
-        layout: Its layout, targets included.
-        task: The task, whose phase it advances.
+        task: The task, whose phase it advances: that of the controller.
         e: Environment of the task.
+        terms: Users' own cost terms that success or phases name.
+        compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
         SceneError: If a condition names a frame, joint or term that does not exist.
     """
 
     error: GoalError | None
-    """How far the goal's object or frame is from the goal; None for a scene without a goal."""
+    """How far the goal's object or frame is from the goal; None for a scene without a goal, or before any state."""
+    phases: list[tuple[str, float]]
+    """Phases that were entered after the first, and when [s]."""
 
-    def __init__(self, scene: Scene, layout: Layout, task: Task, e: int = 0):
-        self._scene, self._layout, self._task, self._e = scene, layout, task, e
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        task: Task,
+        e: int = 0,
+        terms: Sequence[CostTerm | ArrayCost] = (),
+        compiled: CompiledScene | None = None,
+    ):
+        self._scene, self._task, self._e, self._terms = scene, task, e, terms
+        layout = self._layout = task_layout((compiled or compile_scene(scene)).layout, scene)
         self._frame = None if scene.goal is None else layout.frame(scene.goal.target, key="goal")
 
         def conditions(rows: tuple, key: str) -> Conditions:
@@ -39,6 +67,7 @@ class Monitor:
 
         self._success = conditions(scene.success.conditions, "success.conditions")
         self._until = [conditions(phase.until, f"phase.{phase.name}.until") for phase in scene.phase]
+        self._seen: Seen | None = None  # a simulated plant needs none
         self.reset()
 
     @property
@@ -52,46 +81,85 @@ class Monitor:
         if self._task.phase[self._e]:
             self._task.reset(self._e)
         self.error = None
-        self.phases: list[tuple[str, float]] = []
-        """Phases that were entered after the first, and when [s]."""
-        self._within = 0  # states in a row in which the success test holds
-        self._held = 0  # states in a row in which the phase's conditions hold
-        self._entered = 0  # step at which the phase began
+        self.phases = []
+        self._now: float | None = None  # time of the last state
+        self._within: float | None = None  # since when the success test holds
+        self._held: float | None = None  # since when the phase's conditions hold
+        self._entered = 0.0  # when the phase began
+        if self._seen:
+            self._seen.reset()
 
-    def look(self, look: Look, step: int) -> None:
+    def update(self, state: State, control: np.ndarray | None = None) -> bool:
+        """Take note of an observed state; returns :attr:`success`.
+
+        Args:
+            state: The state; without a time it counts as one control after the last. While it is not finite, success
+                and conditions do not hold.
+            control: The control ``[nu]`` that led to it, for conditions on cost terms that read controls.
+
+        Raises:
+            SceneError: If a condition is about a cost term that reads contact forces or sensors.
+        """
+        if self._seen is None:
+            args = (self._scene, self._layout, self._task, self._e, self.watched_terms)
+            self._seen = Seen(*args, terms=self._terms)
+        if state.time is None:
+            time = 0.0 if self._now is None else self._now + self._scene.timing.control_dt
+        else:
+            time = float(np.broadcast_to(state.time, self._task.envs)[self._e])
+        look = self._seen(state, control, time)
+        if look is None:
+            self._pass(time)
+            self._within = self._held = None
+        else:
+            self.look(look, time)
+        return self.success
+
+    def look(self, look: Look, time: float) -> None:
         """Take note of a state.
 
         Args:
             look: The state.
-            step: Number of controls that led to it.
+            time: Its time [s].
         """
         scene, task, e = self._scene, self._task, self._e
+        self._pass(time)
         if scene.goal is not None:
             pose = self._success.frame_pose(look, self._frame)
             self.error = goal_error(scene.goal, task.pose(GOAL, e), pose)
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
         reached = last_phase and (self.error is None or self.error.within(scene.success)) and self._success.hold(look)
-        self._within = self._within + 1 if reached else 0
+        self._within = self._since(self._within, reached)
         if not last_phase:
-            self._advance(look, step)
+            self._advance(look)
 
-    def _advance(self, look: Look, step: int) -> None:
+    def _pass(self, time: float) -> None:
+        """Move the clock on; the first phase begins with the first state."""
+        if self._now is None:
+            self._entered = time
+        self._now = time
+
+    def _advance(self, look: Look) -> None:
         """Go on to the next phase when this one has what it waits for."""
-        task, e, dt = self._task, self._e, self._scene.timing.control_dt
+        task, e = self._task, self._e
         phase, until = task.phase_of(e), self._until[task.phase[e]]
-        holds = bool(phase.until) and until.hold(look)
-        self._held = self._held + 1 if holds else 0
-        over = phase.after is not None and (step - self._entered) * dt >= phase.after - 1e-9
+        self._held = self._since(self._held, bool(phase.until) and until.hold(look))
+        over = phase.after is not None and self._lasted(self._entered, phase.after)
         if over or self._lasted(self._held, phase.hold):
             task.enter_phase(int(task.phase[e]) + 1, e)
-            self._held, self._entered = 0, step
-            self.phases.append((task.phase_of(e).name, step * dt))
+            self._held, self._entered = None, self._now
+            self.phases.append((task.phase_of(e).name, self._now))
 
     @property
     def success(self) -> bool:
         """Whether everything that is wanted holds and did so long enough."""
         return self._lasted(self._within, self._scene.success.hold)
 
-    def _lasted(self, states: int, hold: float) -> bool:
-        # states stand at the ends of steps: n steps of holding are n + 1 states
-        return states - 1 >= hold / self._scene.timing.control_dt - 1e-6
+    def _since(self, since: float | None, holds: bool) -> float | None:
+        """Since when something holds without a break [s], which it did since a time, or not."""
+        if not holds:
+            return None
+        return self._now if since is None else since
+
+    def _lasted(self, since: float | None, long: float) -> bool:
+        return since is not None and self._now - since >= long - SLACK

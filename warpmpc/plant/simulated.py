@@ -11,7 +11,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from ..cost.values import TermValues
 from ..engine.mujoco import MujocoEngine
@@ -73,7 +72,7 @@ class Worlds:
         self.draws = None
         if scene.plant.randomize:
             self.draws = [draw_properties(scene, self.layout, 1, seed=2 * seed + 1) for seed in seeds]
-        self.monitors = [Monitor(scene, self.layout, task, e) for e in range(len(seeds))]
+        self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
         watched = self.monitors[0].watched_terms
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
         watching = self._values.pairs if self._values else ()
@@ -93,7 +92,7 @@ class Worlds:
             options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
-        self.control = wp.zeros((1, len(seeds), self.layout.nu), dtype=float, device="cpu")
+        self.control = self.engine.trajectory.control
         """Controls of all worlds ``[1, E, nu]``."""
         if self._values:
             self._values.attach(self.engine.trajectory, self.control, shape, dt)
@@ -316,7 +315,7 @@ class Plant:
         self._history.append(self.state)
         terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]
-        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.steps)
+        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.time)
 
     def _measured(self) -> np.ndarray:
         """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""

@@ -243,7 +243,7 @@ class Recorder:
     def _take_plan(self, control: np.ndarray) -> None:
         info = self._controller.info
         worlds, colors = self._choose()
-        poses = self._controller.engine.record(worlds)[:, :, self._frames[0]]
+        poses = self._controller.engine.record(worlds).body_q[:, :, self._frames[0]]
         values = [*info.terms.values(), info.cost, info.beta, info.eta, *control]
         values += [info.plan_ms, *info.stages_ms.values(), info.diverged_worlds]
         self._plans.append((self._plant.steps - 1, values, poses, colors))

@@ -30,11 +30,13 @@ from .schema_planner import (
     NoiseShape,
     NoiseSource,
     Planner,
+    Renewal,
     Risk,
     Solver,
     SplineKind,
     Temperature,
 )
+from .schema_sampling import Covariance, CovarianceForm, Execute
 from .types import (
     Count,
     Finite,
@@ -56,11 +58,14 @@ from .types import (
 __all__ = [
     "Condition",
     "Cost",
+    "Covariance",
+    "CovarianceForm",
     "Draw",
     "Drive",
     "DriveMode",
     "EngineName",
     "EngineSettings",
+    "Execute",
     "Frame",
     "Goal",
     "Ground",
@@ -81,6 +86,7 @@ __all__ = [
     "Randomization",
     "RandomizeTask",
     "Rejection",
+    "Renewal",
     "Risk",
     "Robot",
     "Scene",

@@ -33,6 +33,8 @@ class DriveMode(StrEnum):
     """Joint velocity targets [m/s or rad/s]."""
     POSITION = "position"
     """Joint position targets [m or rad]."""
+    ACCELERATION = "acceleration"
+    """Joint accelerations [m/s² or rad/s²]: the target of a velocity servo runs at the pace that the control says."""
     EFFORT = "effort"
     """Joint forces or torques [N or N·m]."""
     DIFF_DRIVE = "diff_drive"
@@ -70,7 +72,7 @@ class Drive(Section):
     stiffness: NonNegatives = (0.0,)
     """Position gain [N/m or N·m/rad], one value or one per joint. Used by ``position``."""
     damping: NonNegatives = (0.0,)
-    """Velocity gain [N·s/m or N·m·s/rad], one value or one per joint. Used by ``velocity`` and ``position``."""
+    """Velocity gain [N·s/m or N·m·s/rad], one value or one per joint. Used by all modes but ``effort``."""
     effort_limit: Positives | None = None
     """Largest force or torque [N or N·m]; the asset's own limits when left out."""
     limit: Positives | None = None
@@ -79,6 +81,8 @@ class Drive(Section):
     """Lower bound of the controls where it is not ``-limit``."""
     upper: Floats | None = None
     """Upper bound of the controls where it is not ``limit``."""
+    speed_limit: Positives | None = None
+    """``acceleration``: largest speed that the servo is asked for [m/s or rad/s]; the asset's own when left out."""
     wheel_radius: Positive | None = None
     """``diff_drive``: radius of the wheels [m]."""
     track: Positive | None = None
@@ -95,7 +99,10 @@ class Drive(Section):
                 raise ValueError("mode 'diff_drive' needs wheel_radius and track")
             if self.joints is None or len(self.joints) != 2:
                 raise ValueError("mode 'diff_drive' needs joints = [left, right]")
-        if self.mode in (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE) and not any(self.damping):
+        if self.speed_limit is not None and self.mode is not DriveMode.ACCELERATION:
+            raise ValueError("speed_limit belongs to mode 'acceleration'; velocities have limit = [...]")
+        servo = (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE, DriveMode.ACCELERATION)
+        if self.mode in servo and not any(self.damping):
             raise ValueError(f"mode '{self.mode}' needs damping > 0: it is the gain of the velocity servo")
         if self.mode is DriveMode.POSITION and not any(self.stiffness):
             raise ValueError("mode 'position' needs stiffness > 0: it is the gain of the position servo")

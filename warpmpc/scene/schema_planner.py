@@ -8,10 +8,12 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from .schema_sampling import Covariance, Execute
 from .types import (
     Channel,
     Count,
     Flag,
+    Fraction,
     Natural,
     NonNegative,
     NonNegatives,
@@ -50,6 +52,13 @@ class NoiseShape(StrEnum):
     COLOURED = "coloured"
 
 
+class Renewal(StrEnum):
+    """How a low-discrepancy table is drawn anew."""
+
+    ROTATE = "rotate"
+    START = "start"
+
+
 class Noise(Section):
     """Perturbation of the knots, ε = σ ⊙ (B z)."""
 
@@ -62,14 +71,23 @@ class Noise(Section):
     constant: Channel = 0.0
     """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
     several controls hardly ever draw."""
-    redraw: Flag = False
-    """Fresh noise at every plan; when false it is drawn once, as in the papers."""
+    redraw: Flag | None = None
+    """Fresh noise in every round; when false it is drawn once, as in the papers. When left out it is drawn anew with
+    ``iterations`` above one or an adapted covariance: a σ that narrows onto the same draws carries the plan away."""
+    renewal: Renewal = Renewal.ROTATE
+    """How a Halton or Sobol table is drawn anew: ``rotate`` every column by a random shift modulo one, or ``start``
+    every column somewhere else, which takes a tenth of the time."""
     comb: Vec3 = (0.3, 0.0, 0.7)
     """Coefficients of the comb filter (STORM)."""
     exponent: NonNegative = 1.0
     """Exponent α of coloured noise, power ∝ 1/f^α."""
+    knots: Count | None = None
+    """Noise knots of the shape ``bspline``, fewer of them smoother; half of the knots of a plan when left out."""
     null_sample: Flag = True
     """Whether one sample asks for nothing: no speed or effort, or the observed position held."""
+    null_share: Fraction = 0.0
+    """Share of the samples that ask for nothing, where that is more than the one: an arm that is nearly there coasts
+    and stops (STORM)."""
     anneal: tuple[Positive, Positive] | None = None
     """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
     present, h from 1/P at the first of P knots to 1 at the last."""
@@ -164,12 +182,20 @@ class Planner(Section):
     temperature: Temperature = Temperature()
     step_size: Share = 1.0
     """Step α of the mean towards the weighted samples [S4]."""
+    covariance: Covariance = Covariance()
+    keep_best: Flag = False
+    """Whether the best sample so far, moved on by the time that has passed, is tried again among the samples."""
+    library: str | None = None
+    """File of control sequences that are tried at every plan, one sample each: ``.npy`` or ``.npz`` with
+    ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
+    execute: Execute = Execute.MEAN
+    """What is carried out: the mean, or the best of the last samples."""
     iterations: Count = 1
     """Sample-roll-out-update rounds per plan."""
     elites: Count = 8
     """``cem``: best samples that carry weight."""
     sigma_min: NonNegatives = (0.01,)
-    """``cem``: floor of the adapted standard deviation."""
+    """Floor of an adapted standard deviation."""
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:
@@ -190,6 +216,7 @@ class EngineName(StrEnum):
     AUTO = "auto"
     MUJOCO = "mujoco"
     NEWTON = "newton"
+    KINEMATIC = "kinematic"
 
 
 class Solver(StrEnum):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Costs of samples to weights to a new plan against float64 references, and what a diverged world may not do."""
+"""Costs of samples to weights against float64 references, and what a diverged world may not do."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,6 @@ from warpmpc.kernels.planning.weights import (
     bisect_temperature_kernel,
     elite_weight_kernel,
     importance_weight_kernel,
-    update_mean_kernel,
-    update_sigma_kernel,
 )
 
 INF = np.inf
@@ -82,34 +80,6 @@ def elite(cost, *, elites: int, device: str):
         elite_weight_kernel, dim=cost.shape, inputs=[on(device, cost), elites], outputs=[eta, weight], device=device
     )
     return weight.numpy(), eta.numpy()
-
-
-def updated_mean(knots, weight, mean, *, alpha: float, device: str) -> np.ndarray:
-    """The mean [E, P, nu] after one update from knots [E, S, P, nu]."""
-    out = on(device, mean)
-    wp.launch_tiled(
-        update_mean_kernel,
-        dim=list(mean.shape),
-        inputs=[on(device, knots), on(device, weight), alpha],
-        outputs=[out],
-        block_dim=256,
-        device=device,
-    )
-    return out.numpy()
-
-
-def updated_sigma(knots, weight, mean, sigma, *, alpha: float, floor, device: str) -> np.ndarray:
-    """σ [E, P, nu] after one update around this mean."""
-    out = on(device, sigma)
-    wp.launch_tiled(
-        update_sigma_kernel,
-        dim=list(mean.shape),
-        inputs=[on(device, knots), on(device, weight), on(device, mean), on(device, floor), alpha],
-        outputs=[out],
-        block_dim=256,
-        device=device,
-    )
-    return out.numpy()
 
 
 def reference_weights(cost: np.ndarray, beta: float) -> np.ndarray:
@@ -298,56 +268,3 @@ def test_elites_match_a_stable_sort(elites, device):
         expected[np.argsort(row, kind="stable")[:count]] = np.float32(1.0) / np.float32(count)
         np.testing.assert_array_equal(weight[e], expected)
         assert eta[e] == count
-
-
-# the new plan
-
-
-@pytest.mark.parametrize("alpha", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("samples", [1, 300])
-def test_mean_and_sigma_match_the_reference(alpha, samples, device):
-    rng = np.random.default_rng(samples)
-    knots, mean = rng.normal(size=(2, samples, 5, 3)), rng.normal(size=(2, 5, 3))
-    sigma, floor = rng.uniform(0.5, 2.0, size=(2, 5, 3)), np.array([0.0, 1.0, 0.01])
-    weight = rng.uniform(size=(2, samples))
-    weight /= weight.sum(axis=1, keepdims=True)
-
-    expected = (1.0 - alpha) * mean + alpha * np.einsum("es,espu->epu", weight, knots)
-    new_mean = updated_mean(knots, weight, mean, alpha=alpha, device=device)
-    np.testing.assert_allclose(new_mean, expected, rtol=1e-4, atol=1e-5)
-
-    spread = np.einsum("es,espu->epu", weight, (knots - expected[:, None]) ** 2)
-    new_sigma = updated_sigma(knots, weight, expected, sigma, alpha=alpha, floor=floor, device=device)
-    expected_sigma = np.maximum(np.sqrt((1.0 - alpha) * sigma**2 + alpha * spread), floor)
-    np.testing.assert_allclose(new_sigma, expected_sigma, rtol=1e-4, atol=1e-5)
-
-
-def test_the_plan_stays_where_it_is_without_weights(device):
-    mean, sigma = np.full((2, 3, 1), 5.0), np.full((2, 3, 1), 0.5)
-    knots, weight = np.ones((2, 4, 3, 1)), np.zeros((2, 4))
-    weight[1] = 0.25
-    np.testing.assert_array_equal(updated_mean(knots, weight, mean, alpha=1.0, device=device)[:, 0, 0], [5.0, 1.0])
-    around = np.ones((2, 3, 1))
-    new_sigma = updated_sigma(knots, weight, around, sigma, alpha=1.0, floor=[0.1], device=device)
-    np.testing.assert_allclose(new_sigma[:, 0, 0], [0.5, 0.1])
-
-
-def test_weights_need_not_be_normalized(device):
-    knots = np.random.default_rng(2).normal(size=(1, 6, 2, 2))
-    weight = np.random.default_rng(3).uniform(size=(1, 6))
-    mean = np.zeros((1, 2, 2))
-    np.testing.assert_allclose(
-        updated_mean(knots, 7.0 * weight, mean, alpha=1.0, device=device),
-        np.average(knots[0], axis=0, weights=weight[0])[None],
-        rtol=1e-4,
-        atol=1e-6,
-    )
-
-
-@given(seed=st.integers(0, 2**31 - 1), alpha=st.floats(0.0, 1.0))
-def test_the_new_mean_is_within_the_samples_it_came_from(seed, alpha, device):
-    rng = np.random.default_rng(seed)
-    knots, mean = rng.normal(size=(1, 10, 3, 2)), rng.normal(size=(1, 3, 2))
-    new = updated_mean(knots, rng.uniform(size=(1, 10)), mean, alpha=alpha, device=device)
-    assert np.all(new <= np.maximum(knots.max(axis=1), mean) + 1e-5)
-    assert np.all(new >= np.minimum(knots.min(axis=1), mean) - 1e-5)

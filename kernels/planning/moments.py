@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted moments of the samples: the mean moves towards them, and how they spread about it.
+
+Every sum exists twice. On a GPU one block adds up one number. On the CPU one thread goes through the samples in the
+order of memory and adds to all numbers at once, which is twenty times as fast as number by number; sums are made in
+the same order either way. A column c = p·nu + u is one control at one knot.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# a product that is rounded before it is added, as where Warp writes the sum: a fused one would differ in the last bit
+_ROUNDED = """
+#ifdef __clang__
+#pragma clang fp contract(off)
+#endif
+    int columns = knots.shape[2];
+    const float* __restrict__ row = knots.data + ((size_t)e * knots.shape[1] + s) * columns;
+"""
+
+
+@wp.func_native(
+    _ROUNDED
+    + """
+    float* __restrict__ sum = sums.data + (size_t)e * columns;
+    for (int c = 0; c < columns; ++c) sum[c] = sum[c] + weight * row[c];
+"""
+)
+def add_sample(knots: wp.array3d[float], weight: float, e: int, s: int, sums: wp.array2d[float]):
+    """Add w θ of one sample to sums of every column."""
+    ...
+
+
+@wp.func_native(
+    _ROUNDED
+    + """
+    const float* __restrict__ about = mean.data + (size_t)e * columns;
+    float* __restrict__ plain = deviation.data + (size_t)e * 2 * columns;
+    float* __restrict__ weighted = plain + columns;
+    for (int c = 0; c < columns; ++c) {
+        plain[c] = row[c] - about[c];
+        weighted[c] = weight * plain[c];
+    }
+    for (int lag = 0; lag < products.shape[1]; ++lag) {
+        float* __restrict__ sum = products.data + ((size_t)e * products.shape[1] + lag) * columns;
+        for (int c = 0; c < columns - lag; ++c) sum[c] = sum[c] + weighted[c] * plain[c + lag];
+    }
+"""
+)
+def add_products(
+    knots: wp.array3d[float],
+    mean: wp.array2d[float],
+    weight: float,
+    e: int,
+    s: int,
+    deviation: wp.array3d[float],
+    products: wp.array3d[float],
+):
+    """Add w (θ-μ)_c (θ-μ)_{c+lag} of one sample to sums of every column and lag."""
+    ...
+
+
+@wp.kernel
+def update_mean_kernel(
+    # inputs
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    weight: wp.array2d[float],  # [E, S]
+    alpha: float,
+    # outputs
+    mean: wp.array2d[float],  # [E, P·nu] updated in place
+):
+    """Move one number of the mean, one block each, μ ← (1-α)μ + α Σwθ/Σw (Bhardwaj et al. 2021, Eq. 4).
+
+    The mean stays where it is when all weights are zero.
+    """
+    e, c, lane = wp.tid()
+
+    partial = float(0.0)
+    partial_weight = float(0.0)
+    for s in range(lane, weight.shape[1], wp.block_dim()):
+        partial += weight[e, s] * knots[e, s, c]
+        partial_weight += weight[e, s]
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+
+    if lane == 0 and total_weight > 0.0:
+        mean[e, c] = (1.0 - alpha) * mean[e, c] + alpha * total / total_weight
+
+
+@wp.kernel
+def sweep_mean_kernel(
+    # inputs
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    weight: wp.array2d[float],  # [E, S]
+    alpha: float,
+    # outputs
+    sums: wp.array2d[float],  # [E, P·nu] scratch
+    mean: wp.array2d[float],  # [E, P·nu] updated in place
+):
+    """One thread on the CPU: what ``update_mean_kernel`` does, for one environment."""
+    e = wp.tid()
+
+    for c in range(mean.shape[1]):
+        sums[e, c] = 0.0
+    total_weight = float(0.0)
+    for s in range(weight.shape[1]):
+        w = weight[e, s]
+        total_weight += w
+        if w != 0.0:
+            add_sample(knots, w, e, s, sums)
+    if total_weight > 0.0:
+        for c in range(mean.shape[1]):
+            mean[e, c] = (1.0 - alpha) * mean[e, c] + alpha * sums[e, c] / total_weight
+
+
+@wp.kernel
+def spread_kernel(
+    # inputs
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    weight: wp.array2d[float],  # [E, S]
+    mean: wp.array2d[float],  # [E, P·nu]
+    # outputs
+    products: wp.array3d[float],  # [E, lags, P·nu]
+    total: wp.array[float],  # [E] sum of the weights
+):
+    """Add up products Σ w (θ-μ)_c (θ-μ)_{c+lag} of one column with the one ``lag`` controls later, one block each.
+
+    With lag 0 these are the variances. Products with a column of the next knot mean nothing and are not read.
+    """
+    e, lag, c, lane = wp.tid()
+
+    other = wp.min(c + lag, knots.shape[2] - 1)
+    partial = float(0.0)
+    partial_weight = float(0.0)
+    for s in range(lane, weight.shape[1], wp.block_dim()):
+        partial += weight[e, s] * (knots[e, s, c] - mean[e, c]) * (knots[e, s, other] - mean[e, other])
+        partial_weight += weight[e, s]
+    added = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+
+    if lane == 0:
+        products[e, lag, c] = added
+        if lag == 0 and c == 0:
+            total[e] = total_weight
+
+
+@wp.kernel
+def sweep_spread_kernel(
+    # inputs
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    weight: wp.array2d[float],  # [E, S]
+    mean: wp.array2d[float],  # [E, P·nu]
+    # outputs
+    deviation: wp.array3d[float],  # [E, 2, P·nu] scratch
+    products: wp.array3d[float],  # [E, lags, P·nu]
+    total: wp.array[float],  # [E] sum of the weights
+):
+    """One thread on the CPU: what ``spread_kernel`` does, for one environment."""
+    e = wp.tid()
+
+    for lag in range(products.shape[1]):
+        for c in range(products.shape[2]):
+            products[e, lag, c] = 0.0
+    total_weight = float(0.0)
+    for s in range(weight.shape[1]):
+        w = weight[e, s]
+        total_weight += w
+        if w != 0.0:
+            add_products(knots, mean, w, e, s, deviation, products)
+    total[e] = total_weight
+
+
+@wp.kernel
+def keep_best_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    knots: wp.array3d[float],  # [E, S, P·nu]
+    # outputs
+    best: wp.array2d[float],  # [E, P·nu]
+):
+    """Keep the best sample of one environment, one block each, the first of equally good ones.
+
+    What was kept before stays where every sample diverged.
+    """
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    least = float(wp.inf)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]):
+            least = wp.min(least, cost[e, s])
+    least = wp.tile_extract(wp.tile_min(wp.tile(least)), 0)
+    candidate = int(samples)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and cost[e, s] == least:
+            candidate = wp.min(candidate, s)
+    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
+
+    if winner < samples:
+        for c in range(lane, best.shape[1], wp.block_dim()):
+            best[e, c] = knots[e, winner, c]

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine ``kinematic``: baked rollouts against the plain kernels, on arms, a mobile base and other trees."""
+
+import numpy as np
+import pytest
+import warp as wp
+from small_scenes import BOX, make_scene
+
+import warpmpc
+from warpmpc import Controller, SceneError, State
+from warpmpc.cost.stack import Judge
+from warpmpc.model.batch_size import BatchSize
+
+ROBOTS = {
+    "panda": ("package://example-robot-data/robots/panda_description/urdf/panda.urdf", "panda_hand_tcp", None),
+    "ur10": ("package://example-robot-data/robots/ur_description/urdf/ur10_robot.urdf", "tool0", None),
+    "kinova": ("package://example-robot-data/robots/kinova_description/robots/kinova.urdf", "j2s6s200_link_6", None),
+    "mobile_panda": ("mobile_panda.xml", "panda_hand", None),
+}
+GROWING = {"first": 0.02, "last": 0.2, "constant": 4}
+NATIVE = [
+    {"term": "distance", "between": ["arm/tool", "goal"], "weight": 2.0},
+    {"term": "distance", "name": "coasting", "between": ["arm/tool", "goal"], "lead": 0.1},
+    {"term": "height", "of": "arm/tool", "target": 0.4},
+    {"term": "joint_limit", "margin": 0.3},
+    {"term": "joint_velocity", "weight": 0.01},
+    {"term": "posture", "weight": 0.1},
+    {"term": "control_effort", "weight": 0.02},
+    {"term": "control_rate", "weight": 0.03},
+]
+ARM = [
+    {"term": "pose", "of": "arm/tool", "position": (3.0, 2.0, 1.0), "rotation": (0.5, 0.0, 0.2)},
+    {"term": "stop", "acceleration": 0.4},
+    {"term": "manipulability", "of": "arm/tool", "least": 0.2},
+    {"term": "manipulability", "name": "step", "of": "arm/tool", "least": 0.1, "form": "step"},
+    {"term": "joint_bounds", "margin": 0.3, "velocity": 0.4, "acceleration": 1.0, "jerk": 10.0},
+    {"term": "null_posture", "of": "arm/tool"},
+    {"term": "path_deviation", "of": "arm/tool", "start": "arm"},
+    {"term": "speed", "of": "arm/tool", "linear": 0.1, "angular": 0.2},
+    {"term": "smoothness", "acceleration": 0.01, "jerk": 1e-4},
+]
+TURN = (0.2, 0.0, 0.4, 0.9)
+OBSTACLES = [
+    {"name": "block", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (0.4, 0.1, 0.3), "movable": True},
+    {"name": "turned", "shape": "box", "size": (0.1, 0.2, 0.4), "position": (-0.3, 0.3, 0.4), "rotation": TURN},
+    {"name": "ball", "shape": "sphere", "size": (0.1,), "position": (0.2, -0.3, 0.6)},
+    {"name": "pillar", "shape": "cylinder", "size": (0.06, 0.8), "position": (0.4, -0.4, 0.4)},
+    {"name": "rail", "shape": "capsule", "size": (0.04, 0.5), "position": (0.5, 0.3, 0.6), "rotation": TURN},
+]
+COLLISION = [
+    {"term": "self_collision", "margin": 0.15},
+    {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},
+    {"term": "world_collision", "name": "hit", "form": "binary", "margin": 0.02},
+]
+WARP = [{"term": "orientation", "of": "arm/tool", "to": "goal", "weight": 3.0}]
+
+
+def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, obstacles: list = (), **planner):
+    asset, link, joints = ROBOTS[robot]
+    drive = {"mode": mode, "damping": 100.0, "stiffness": 100.0 if mode == "position" else 0.0, "limit": 3.0}
+    return make_scene(
+        robot=[
+            {
+                "name": "arm",
+                "asset": asset,
+                "gravity_compensation": True,
+                "frames": {"tool": {"link": link, "offset": (0.02, 0.0, 0.05), "rotation": (0.0, 0.6, 0.0, 0.8)}},
+                "drive": drive | ({"joints": joints} if joints else {}),
+            }
+        ],
+        object=[BOX],
+        obstacle=obstacles,
+        goal={"frame": "arm/tool", "position": (0.5, 0.3, 0.4), "rotation": (1.0, 0.0, 0.0, 0.0)},
+        cost=cost,
+        planner={"samples": 37, "horizon": 11, "dt": GROWING, "noise": {"sigma": 0.8, "redraw": True}, **planner},
+    )
+
+
+def planned(scene, *, envs: int = 1, terms=(), seed: int = 0, device: str = "cpu"):
+    """A controller after two plans from a moving start, and what the plain kernels say about its last samples."""
+    mpc = Controller(scene, engine="kinematic", device=device, envs=envs, seed=seed, terms=terms)
+    rng, layout = np.random.default_rng(seed), mpc.layout
+    q = np.tile(layout.joint_q, (envs, 1))
+    driven = layout.dof_coord[layout.actuator_dof]
+    q[:, driven] += rng.normal(0.0, 0.3, (envs, len(driven)))
+    qd = np.zeros((envs, layout.nv))
+    qd[:, layout.actuator_dof] = rng.normal(0.0, 0.3, (envs, len(driven)))
+    state = State(q, qd) if envs > 1 else State(q[0], qd[0])
+    mpc.step(state)
+    acting = mpc.planner.state.last_control.numpy().copy()
+    mpc.step(state)
+    mpc.planner.state.last_control.assign(acting)  # as the samples saw it
+    engine, shape = mpc.engine, mpc.shape
+    trajectory = engine.rollouts(range(shape.worlds))
+    whole = BatchSize(envs, shape.samples, 1, shape.horizon)
+    judge = Judge(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
+    judge.launch()
+    expected = (judge.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
+    return mpc, expected
+
+
+def check(mpc, expected, rtol: float = 2e-5):
+    found = mpc.engine.total.numpy()
+    scale = 1.0 + np.abs(expected).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(found / scale, expected / scale, atol=rtol)
+    np.testing.assert_allclose(mpc.engine.cost.numpy().ravel(), found.sum(axis=0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_baked_rollouts_cost_what_the_plain_kernels_say(robot):
+    for seed in range(3):
+        mpc, expected = planned(scene_of(robot), seed=seed)
+        assert not mpc.engine.records
+        assert (expected.max(axis=1) > 0.0).sum() >= len(NATIVE) - 1  # not every arm has limits within reach
+        check(mpc, expected)
+
+
+@pytest.mark.parametrize("robot", ["panda", "mobile_panda"])
+@pytest.mark.parametrize("mode", ["acceleration", "velocity"])
+def test_terms_of_an_arm_cost_what_the_plain_kernels_say(robot, mode):
+    for seed in range(3):
+        mpc, expected = planned(scene_of(robot, mode, ARM), seed=seed)
+        assert not mpc.engine.records
+        assert (expected.max(axis=1) > 0.0).sum() >= len(ARM) - 1  # the wide reach of a mobile arm
+        check(mpc, expected, 2e-4)  # manipulability and null space lose digits in single precision
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_collisions_cost_what_the_plain_kernels_say(robot):
+    for seed in range(3):
+        mpc, expected = planned(scene_of(robot, cost=COLLISION, obstacles=OBSTACLES), envs=2, seed=seed)
+        assert not mpc.engine.records
+        assert (expected.max(axis=1) > 0.0).sum() >= 2
+        check(mpc, expected)
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
+@pytest.mark.parametrize("spline", ["zero", "linear", "cubic", "bspline"])
+def test_every_drive_and_spline_moves_the_joints_alike(mode, spline):
+    mpc, expected = planned(scene_of("panda", mode, spline=spline, knots=5), envs=2)
+    check(mpc, expected)
+
+
+def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch():
+    for robot in ("panda", "mobile_panda"):
+        mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2)
+        assert mpc.engine.records
+        check(mpc, expected)
+        plain = mpc.engine.rollouts(range(mpc.shape.worlds))
+        recorded = mpc.engine.recorded
+        for name in ("joint_q", "body_q", "body_qd"):
+            a, b = getattr(plain, name).numpy()[1:], getattr(recorded, name).numpy()[1:]
+            if name == "body_q":  # both signs of a quaternion are one rotation
+                b = b.copy()
+                b[..., 3:] *= np.sign((a[..., 3:] * b[..., 3:]).sum(axis=-1, keepdims=True))
+            np.testing.assert_allclose(a, b, atol=1e-5, err_msg=name)
+
+
+def test_users_terms_of_both_kinds_are_judged():
+    @wp.struct
+    class LowParams:
+        frame: int
+
+    @warpmpc.cost_term("low")
+    def low(s: warpmpc.StepView, p: LowParams) -> float:
+        return warpmpc.frame_position(s, p.frame)[2] ** 2.0
+
+    @warpmpc.array_cost("still")
+    def still(batch):
+        return (batch["joint_qd"][1:] ** 2).sum(axis=-1)
+
+    cost = [*NATIVE, {"term": "low", "frame": "arm/tool"}, {"term": "still"}]
+    mpc, expected = planned(scene_of("panda", cost=cost), terms=(low, still))
+    speed = mpc.engine.recorded.joint_qd.numpy()[1:] ** 2
+    expected[-1] = (speed.sum(axis=-1) * mpc.planner.grid.weight[:, None]).sum(axis=0)
+    check(mpc, expected)
+
+
+def test_the_plan_is_the_same_for_any_number_of_threads():
+    plans = []
+    for threads in (1, 2, 3):
+        scene = scene_of("panda")
+        scene = scene.model_copy(update={"engine": scene.engine.model_copy(update={"threads": threads})})
+        mpc, _ = planned(scene, envs=3)
+        plans.append(mpc.planner.command.numpy())
+    np.testing.assert_array_equal(plans[0], plans[1])
+    np.testing.assert_array_equal(plans[0], plans[2])
+
+
+def test_weights_and_goals_change_between_plans():
+    mpc, _ = planned(scene_of("panda"))
+    state = State.start(mpc.layout)
+    mpc.step(state)
+    far = mpc.info.terms["distance"]
+    mpc.task["goal"] = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 1.0]
+    mpc.step(state)
+    assert mpc.info.terms["distance"] > far + 10.0
+    mpc.task["distance"] = 0.0
+    mpc.step(state)
+    assert mpc.info.terms["distance"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"drive": {"mode": "effort", "limit": 1.0}}, "no forces"),
+        ({"cost": [{"term": "contact_force", "between": ["arm", "box"]}]}, "contact forces"),
+        ({"planner": {"domains": 2, "samples": 8, "horizon": 4}}, "domains = 1"),
+    ],
+)
+def test_what_needs_physics_is_refused(changes, said):
+    scene = scene_of("panda")
+    if "drive" in changes:
+        drive = scene.robot[0].drive[0].model_validate(changes.pop("drive"))
+        changes["robot"] = [scene.robot[0].model_copy(update={"drive": (drive,)}).model_dump()]
+    data = {**scene.model_dump(exclude={"path"}), **changes}
+    with pytest.raises(SceneError, match=said):
+        Controller(type(scene).model_validate(data), engine="kinematic", device="cpu")
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("cost", [NATIVE, NATIVE + WARP], ids=["baked", "recorded"])
+def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
+    for mode in ("acceleration", "velocity", "position"):
+        mpc, expected = planned(scene_of(robot, mode, cost, horizon=40), envs=2, device="cuda")
+        assert mpc.graph.captured is not None
+        check(mpc, expected)

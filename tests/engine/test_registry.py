@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an engine's entry says it can do is what scenes and plans are held to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import compiled, make_scene
+
+from warpmpc import Controller, SceneError, State
+from warpmpc.engine.registry import ENGINES, PhysicsSteps, physics_steps, register
+from warpmpc.engine.timegrid import TimeGrid
+
+UNEVEN = (0.04, 0.05, 0.06)
+
+
+@pytest.fixture
+def enter():
+    """Registers variations of a shipped engine under names of their own; tells what physics steps they were given."""
+    given: list[PhysicsSteps] = []
+    names = []
+
+    def enter(name: str, like: str = "mujoco", **claims) -> list[PhysicsSteps]:
+        even = PhysicsSteps((2,) * len(UNEVEN), (0.02,) * len(UNEVEN))
+
+        def make(request, steps):
+            given.append(steps)
+            return ENGINES[like].make(request, even)
+
+        register(replace(ENGINES[like], name=name, make=make, **claims))
+        names.append(name)
+        return given
+
+    yield enter
+    for name in names:
+        del ENGINES[name]
+
+
+def scene_of(dt, **engine):
+    return make_scene(planner={"samples": 4, "horizon": 3, "dt": dt}, engine=engine)
+
+
+def test_an_engine_that_says_so_gets_physics_steps_of_any_length(enter):
+    given = enter("stretchy", any_dt=True)
+    scene = scene_of(UNEVEN, substeps=4)
+    controller = Controller(scene, engine="stretchy", compiled=compiled(scene))
+    controller.step(State.start(controller.layout))
+    assert given[0].count == (4, 4, 4)
+    np.testing.assert_allclose(given[0].length, np.array(UNEVEN) / 4)
+
+
+def test_an_engine_that_does_not_is_never_made_for_such_steps(enter):
+    given = enter("stiff", any_dt=False)
+    scene = scene_of(UNEVEN)
+    with pytest.raises(SceneError, match="engine stiff takes steps of one length") as caught:
+        Controller(scene, engine="stiff", compiled=compiled(scene))
+    assert caught.value.key == "planner.dt"
+    assert given == []
+
+
+@pytest.mark.parametrize("any_dt", [False, True])
+def test_steps_of_one_length_are_divided_alike_by_both_kinds(enter, any_dt):
+    enter("either", any_dt=any_dt)
+    scene = scene_of((0.06,), substeps=3)
+    steps = physics_steps("either", scene, compiled(scene), TimeGrid.of(scene))
+    assert steps.count == (3, 3, 3)
+    np.testing.assert_allclose(steps.length, 0.02)
+
+
+def test_an_engine_runs_on_the_devices_of_its_entry_alone(enter):
+    enter("gpu_only", cuda=True, cpu=False)
+    scene = scene_of((0.04,))
+    with pytest.raises(ValueError, match="gpu_only runs on device cuda, not 'cpu'"):
+        Controller(scene, engine="gpu_only", device="cpu", compiled=compiled(scene))
+
+
+@pytest.mark.parametrize("capturable", [True, False])
+def test_a_plan_is_captured_where_device_terms_and_entry_allow_it(enter, capturable, device):
+    like = "newton" if device.startswith("cuda") else "mujoco"
+    enter("maybe", like, capturable=capturable)
+    scene = scene_of((0.04,))
+    controller = Controller(scene, engine="maybe", device=device, compiled=compiled(scene))
+    controller.step(State.start(controller.layout))
+    assert (controller.graph.captured is not None) is (capturable and device.startswith("cuda"))
+
+
+def test_a_name_is_given_once():
+    with pytest.raises(ValueError, match="engine 'mujoco' already"):
+        register(ENGINES["mujoco"])

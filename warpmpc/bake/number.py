@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The number type ``T`` of baked source: one float on a GPU, several samples at once on a CPU."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lines import literal
+
+NAMES = ("VMAX", "VMIN", "VABS", "VSQRT", "VROUND", "VANY", "VINT", "VFLOAT", "VLOAD", "VSTORE", "VGATHER", "VSELECT")
+"""What baked source may do with a ``T`` besides arithmetic: macros, undefined again before they are defined."""
+
+_ONE = """
+typedef float T;
+typedef int I;
+#define VMAX(a, b) fmaxf(a, b)
+#define VMIN(a, b) fminf(a, b)
+#define VABS(a) fabsf(a)
+#define VSQRT(a) sqrtf(a)
+#define VROUND(a) rintf(a)
+#define VANY(m) (m)
+#define VINT(a) ((int)(a))
+#define VFLOAT(a) ((float)(a))
+#define VLOAD(p) (*(const float*)(p))
+#define VSTORE(p, x) (*(float*)(p) = (x))
+#define VGATHER(p, i) ((p)[i])
+#define VSELECT(m, a, b) ((m) ? (a) : (b))
+"""
+
+_MANY = """
+typedef float T __attribute__((ext_vector_type(LANES)));
+typedef int I __attribute__((ext_vector_type(LANES)));
+struct __attribute__((packed, aligned(4))) TU { T v; };
+#define VMAX(a, b) __builtin_elementwise_max((T)(a), (T)(b))
+#define VMIN(a, b) __builtin_elementwise_min((T)(a), (T)(b))
+#define VABS(a) __builtin_elementwise_abs(a)
+#define VSQRT(a) __builtin_elementwise_sqrt(a)
+#define VROUND(a) __builtin_elementwise_rint(a)
+#define VANY(m) (__builtin_reduce_or(m) != 0)
+#define VINT(a) __builtin_convertvector(a, I)
+#define VFLOAT(a) __builtin_convertvector(a, T)
+#define VLOAD(p) (((const TU*)(p))->v)
+#define VSTORE(p, x) (((TU*)(p))->v = (x))
+#define VSELECT(m, a, b) ((m) ? (T)(a) : (T)(b))
+auto VGATHER = [](const float* p, I i) -> T { T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r; };
+"""
+
+
+def header(lanes: int) -> str:
+    """Definition of ``T`` and of the macros in :data:`NAMES`.
+
+    Args:
+        lanes: Samples in a ``T`` on a CPU.
+    """
+    undo = "\n".join(f"#undef {name}" for name in NAMES)
+    many = _MANY.replace("LANES", str(lanes))
+    return f"{undo}\n#if defined(__CUDA_ARCH__)\n{_ONE}#else\n{many}#endif\n"
+
+
+def _series() -> tuple[np.ndarray, np.ndarray]:
+    """Sin t = t P(t²), cos t = Q(t²) for |t| ≤ π/2, interpolated at Chebyshev nodes; both to 1e-8."""
+    t = (np.pi / 2) * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+    t = t[np.abs(t) > 1e-3]
+    fit = np.polynomial.polynomial.polyfit
+    return fit(t * t, np.sin(t) / t, 5), fit(t * t, np.cos(t), 6)
+
+
+def sincos(angle: str, sine: str, cosine: str, *, half: tuple[str, str] | None = None) -> str:
+    """Statements that define sine and cosine of an angle, without branches.
+
+    The angle is reduced to [-π, π]; polynomials give sine and cosine of its half, double-angle formulas the rest.
+
+    Args:
+        angle: Name of the angle [rad].
+        sine: Name of its sine.
+        cosine: Name of its cosine.
+        half: Names of sine and cosine of its half, which have the sign of the reduced angle.
+    """
+    s, c = _series()
+
+    def horner(k: np.ndarray) -> str:
+        return "".join(f"({literal(x)} + w * " for x in k[:-1]) + literal(k[-1]) + ")" * (len(k) - 1)
+
+    turns = f"const T k = VROUND({angle} * {literal(0.5 / np.pi)})"
+    # 2π in two parts, the first of few digits: k times it is exact
+    reduced = f"const T y = ({angle} - k * 6.28125f) - k * {literal(2 * np.pi - 6.28125)}"
+    kept = f" {half[0]} = a; {half[1]} = b;" if half else ""
+    names = ", ".join((sine, cosine, *(half or ())))
+    return (
+        f"T {names};\n"
+        f"{{ {turns}; {reduced}; const T t = 0.5f * y; const T w = t * t;"
+        f" const T a = t * {horner(s)}; const T b = {horner(c)};"
+        f" {sine} = 2.0f * a * b; {cosine} = 1.0f - 2.0f * a * a;{kept} }}"
+    )
+
+
+def native_lanes() -> int:
+    """Samples that a register of this CPU holds: 16 with AVX-512, 8 with AVX, else 4."""
+    try:
+        with open("/proc/cpuinfo") as file:
+            flags = next((line for line in file if line.startswith("flags")), "").split()
+    except OSError:
+        return 4
+    return 16 if "avx512f" in flags else 8 if "avx" in flags else 4
+
+
+WIDE = " -mprefer-vector-width=512"
+"""Compiler flag for 16 samples in a number: without it LLVM splits them into two registers."""

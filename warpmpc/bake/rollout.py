@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of whole rollouts without physics: controls, motion, kinematics and terms of all steps in one go.
+
+On a CPU a call takes as many samples as the number type holds from the first step to the last, with states in
+registers. On a GPU a warp takes one sample, a lane one step: sums over time are scans over the lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..kernels.planning.splines import LINEAR, ZERO
+from ..kernels.worlds.kinematic import TAPS
+from .lines import Lines, Operand, text
+from .motion import WARP, Drive, motion_cpu, motion_gpu, start_cpu, start_gpu
+from .number import header
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from .state import StateCode
+
+
+@dataclass(frozen=True)
+class TermSource:
+    """The source of one term."""
+
+    index: int
+    """Its row among all terms."""
+    lines: Lines
+    value: Operand
+
+
+@dataclass(frozen=True)
+class RolloutSource:
+    """Writes the source of rollouts.
+
+    Args:
+        state: What the terms asked for.
+        terms: Terms that are summed on the way.
+        spline: Kind of spline from knots to controls.
+        lanes: Samples in a number on a CPU.
+        records: Whether all states are written down, for terms that are not summed on the way.
+    """
+
+    state: StateCode
+    terms: tuple[TermSource, ...]
+    spline: int
+    lanes: int
+    records: bool
+
+    def write(self) -> str:
+        """The body of ``rollout(s: StepView, p: Params, k: KinematicWork, group: int)``."""
+        record = "\n".join(self._record()) if self.records else ""  # may ask the state for more
+        once = "\n".join(self.state.once.statements)
+        step = "\n".join((*self.state.lines.statements, *map(self._term, self.terms), record))
+        first = -1 if self.records else 0  # the observed state is recorded, too
+        return f"""{header(self.lanes)}
+const int samples = k.knots.shape[1], knots = k.knots.shape[2], controls = k.knots.shape[3];
+const int steps = k.dt.shape[0];
+#if defined(__CUDA_ARCH__)
+const int lane = group & {WARP - 1}, row = group >> 5;
+const int e = row / samples;
+{_POINTERS}
+{once}
+{self._totals()}
+{start_gpu(self._drives, self._layout.nu)}
+for (int block = {first}; block < steps; block += {WARP}) {{
+const int h = block + lane;
+const bool live = h >= 0 && h < steps, seen = h < steps;
+const int at = h < 0 ? 0 : (h < steps ? h : steps - 1);
+{_STEP}
+{self._controls("theta[tap[{tap}] * controls + {u}]")}
+{motion_gpu(self._drives, self._layout.actuator_matrix)}
+{step}
+}}
+{self._sum_gpu()}
+__syncwarp(); // what other lanes recorded is read next
+#else
+const int groups = (samples + {self.lanes - 1}) / {self.lanes};
+const int e = group / groups, from = (group % groups) * {self.lanes};
+const int row = e * samples + from, count = samples - from < {self.lanes} ? samples - from : {self.lanes};
+{_POINTERS}
+I base;
+for (int l = 0; l < {self.lanes}; ++l) base[l] = (l < count ? l : count - 1) * knots * controls;
+{once}
+{self._totals()}
+{start_cpu(self._drives, self._layout.nu)}
+for (int h = {first}; h < steps; ++h) {{
+const bool live = h >= 0, seen = true;
+const int at = h < 0 ? 0 : h;
+{_STEP}
+{self._controls("VGATHER(theta + tap[{tap}] * controls + {u}, base)")}
+{motion_cpu(self._drives, self._layout.actuator_matrix)}
+{step}
+}}
+{self._sum_cpu()}
+#endif
+"""
+
+    @property
+    def _layout(self) -> Layout:
+        return self.state.layout
+
+    @property
+    def _drives(self) -> list[Drive]:
+        layout = self._layout
+        return [
+            Drive(row, int(dof), int(layout.dof_coord[dof]), mode)
+            for row, (dof, mode) in enumerate(zip(layout.actuator_dof, layout.actuator_mode, strict=True))
+        ]
+
+    def _totals(self) -> str:
+        return "\n".join(f"T total{term.index} = (T)0.0f;" for term in self.terms)
+
+    def _term(self, term: TermSource) -> str:
+        """A term's statements; without weight it is off."""
+        body = "\n".join(term.lines.statements)
+        return f"if (weight[{term.index}] != 0.0f) {{\n{body}\ntotal{term.index} += counts * {text(term.value)};\n}}"
+
+    def _controls(self, knot: str) -> str:
+        """Controls ``c0``, ``c1``, ... of the step."""
+        taps = {int(ZERO): 1, int(LINEAR): 2}.get(self.spline, int(TAPS))
+        out = []
+        for u in range(self._layout.nu):
+            knots = (f"share[{tap}] * {knot.format(tap=tap, u=u)}" for tap in range(taps))
+            out.append(f"const T c{u} = VMIN(VMAX({' + '.join(knots)}, k.lower.data[{u}]), k.upper.data[{u}]);")
+        return "\n".join(out)
+
+    def _sum_cpu(self) -> str:
+        out = ["for (int l = 0; l < count; ++l) {"]
+        for term in self.terms:
+            i = term.index
+            out.append(f"k.total.data[{i} * worlds + row + l] = weight[{i}] * total{i}[l];")
+        return "\n".join((*out, "}"))
+
+    def _sum_gpu(self) -> str:
+        out = []
+        for term in self.terms:
+            i, total = term.index, f"total{term.index}"
+            out.append(
+                f"for (int m = {WARP // 2}; m > 0; m >>= 1) {total} += __shfl_xor_sync(0xffffffffu, {total}, m);\n"
+                f"if (lane == 0) k.total.data[{i} * worlds + row] = weight[{i}] * {total};"
+            )
+        return "\n".join(out)
+
+    def _record(self) -> list[str]:
+        """Write the state down as slice h + 1 of the record, and the controls that led to it."""
+        layout, rows = self._layout, []
+        for array, width, first, values in self._recorded():
+            rows.append(f"{{ float* to = (float*)k.{array}.data + slice * {width} + {first};")
+            rows += [f"PUT({n}, {width}, {text(value)})" for n, value in enumerate(values)]
+            rows.append("}")
+        put = "{ const T x = VALUE; for (int l = 0; l < count; ++l) to[(size_t)l * WIDTH + N] = x[l]; }"
+        cuda = "#if defined(__CUDA_ARCH__)\n#define PUT(N, WIDTH, VALUE) to[N] = VALUE;\n#else\n"
+        defined = f"#undef PUT\n{cuda}#define PUT(N, WIDTH, VALUE) {put}\n#endif"
+        controls = [f"{{ float* to = (float*)k.control.data + ((size_t)at * worlds + row) * {layout.nu};"]
+        controls += [f"PUT({u}, {layout.nu}, c{u})" for u in range(layout.nu)]
+        slice_ = "const size_t slice = (size_t)(h + 1) * worlds + row;"
+        return [defined, "if (seen) {", slice_, *rows, "if (live)", *controls, "}", "}"]
+
+    def _recorded(self) -> list[tuple[str, int, int, list[Operand]]]:
+        """Arrays of the record, numbers of a world in them, the first one written, and the numbers."""
+        state, tree, layout = self.state, self.state.tree, self._layout
+        out = [
+            ("record_q", layout.nq, 0, [state.coordinate(i) for i in range(layout.nq)]),
+            ("record_qd", layout.nv, 0, [state.speed(dof) for dof in range(layout.nv)]),
+        ]
+        for body in range(layout.nb):
+            place = tree.place(body)
+            centre = tree.point(place, layout.body_com[body].astype(float))
+            linear, angular = tree.velocity(place, centre, state.speed)
+            pose = [*tree.position(place), *tree.quaternion(place)]
+            out.append(("record_body_q", 7 * layout.nb, 7 * body, pose))
+            out.append(("record_body_qd", 6 * layout.nb, 6 * body, [*linear, *angular]))
+        return out
+
+
+_POINTERS = """const int worlds = k.total.shape[1];
+const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;
+const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
+const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
+const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
+const float* weight = (const float*)k.weight.data + e * k.weight.shape[1];
+const float* last_control = (const float*)s.last_control.data + e * controls;"""
+
+_STEP = f"""const float dt = k.dt.data[at];
+const float counts = live ? k.step_weight.data[at] : 0.0f;
+const float gap = at == 0 ? dt : 0.5f * (dt + k.dt.data[at - 1]); // between the middles of two steps
+const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins
+const int* tap = (const int*)k.tap.data + (e * steps + at) * {int(TAPS)};
+const float* share = (const float*)k.share.data + (e * steps + at) * {int(TAPS)};"""

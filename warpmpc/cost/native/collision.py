@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baked source of the collision terms: spheres of links against each other and against shapes.
+
+A group of spheres, those of one link, is looked at only where the sphere around it is near for any of the samples of a
+number. Spheres of equal radius share one square root: the least squared distance comes first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...bake.lines import Operand, Vector, literal, text
+from ...kernels.terms.clearance import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
+from ...kernels.terms.view import TASK_BODY
+
+if TYPE_CHECKING:
+    from ...bake.state import TermCode
+
+_FAR = "((T)1.0e12f)"
+
+
+@dataclass(frozen=True)
+class GroupCode:
+    """The spheres of one link, in the world's frame."""
+
+    bound: list[str]
+    """Centre of the sphere around them."""
+    radius: float
+    """Of the sphere around them [m]."""
+    classes: dict[float, list[list[str]]]
+    """Centres by radius [m]."""
+
+    @property
+    def count(self) -> int:
+        """How many spheres there are."""
+        return sum(map(len, self.classes.values()))
+
+
+def groups_of(code: TermCode, table: Any) -> list[GroupCode]:
+    """The groups of a sphere table; terms about the same spheres share their centres."""
+    centre, radius = table.centre.numpy(), table.radius.numpy()
+    columns = (getattr(table, name).numpy() for name in ("body", "first", "count", "bound_centre", "bound_radius"))
+    out = []
+    for body, first, count, bound_centre, bound_radius in zip(*columns, strict=True):
+        classes: dict[float, list[list[str]]] = {}
+        for i in range(first, first + count):
+            classes.setdefault(float(radius[i]), []).append(_named(code.state.body_point(int(body), centre[i])))
+        bound = _named(code.state.body_point(int(body), bound_centre))
+        out.append(GroupCode(bound, float(bound_radius), classes))
+    return out
+
+
+def _named(point: Vector) -> list[str]:
+    return [text(x) for x in point]
+
+
+def _squared(a: list[str], b: list[str]) -> str:
+    return " + ".join(f"({x} - {y}) * ({x} - {y})" for x, y in zip(a, b, strict=True))
+
+
+def self_collision(code: TermCode, p: Any) -> Operand:
+    """``collision.self_collision``: max(0, margin + deepest penetration)."""
+    groups, add = groups_of(code, p.spheres), code.lines.add
+    deepest, margin = code.lines.let(f"(T)(-{code.params}.margin)"), f"{code.params}.margin"
+    deepest = _variable(code, "deepest", deepest)
+    for first, second in zip(p.first.numpy(), p.second.numpy(), strict=True):
+        a, b = groups[first], groups[second]
+        reach = f"({literal(a.radius + b.radius)} + {margin})"
+        add(f"if (VANY({_squared(a.bound, b.bound)} < {reach} * {reach})) {{")
+        pairs: dict[float, list[str]] = {}
+        for (ra, own), (rb, others) in ((x, y) for x in a.classes.items() for y in b.classes.items()):
+            pairs.setdefault(round(ra + rb, 9), []).extend(_squared(i, j) for i in own for j in others)
+        for total, squared in pairs.items():
+            add(f"{{ T d = {_FAR};")
+            code.lines.statements.extend(f"d = VMIN(d, {expression});" for expression in squared)
+            add(f"{deepest} = VMAX({deepest}, {literal(total)} - VSQRT(d)); }}")
+        add("}")
+    return code.lines.let(f"{deepest} + {margin}")
+
+
+def _variable(code: TermCode, name: str, value: str) -> str:
+    """A variable of the term."""
+    name = f"{name}_{code.params.replace('.', '_')}"
+    code.lines.add(f"T {name} = {value};")
+    return name
+
+
+def world_collision(code: TermCode, p: Any) -> Operand | None:
+    """``collision.world_collision`` at the ends of steps, against shapes that are no meshes."""
+    kinds = p.kind.numpy()
+    poses = [_pose(code, int(body)) for body in p.body.numpy()]
+    if p.swept or None in poses or not set(kinds.tolist()) <= {int(k) for k in (SPHERE, BOX, CYLINDER, CAPSULE, PLANE)}:
+        return None
+    shapes = _shapes(code, poses)
+    groups, margin = groups_of(code, p.spheres), f"{code.params}.margin"
+    least = _variable(code, "least", f"(T){margin}")
+    for group in groups:
+        for kind in np.unique(kinds):
+            _against(code, group, kind, np.flatnonzero(kinds == kind), shapes, least)
+    if p.binary:
+        return code.lines.let(f"VSELECT({least} < {margin}, 1.0f, 0.0f)")
+    return code.lines.let(f"{margin} - {least}")
+
+
+def _pose(code: TermCode, body: int) -> str | None:
+    """Address of the seven numbers of a body's pose, None for those that joints move."""
+    if body <= int(TASK_BODY):
+        return f"(const float*)s.pose.data + 7 * (e * s.pose.shape[1] + {int(TASK_BODY) - body})"
+    if body < 0:
+        return "identity"
+    start = code.state.free_start(body)
+    return None if start is None else f"q_start + {start}"
+
+
+def _shapes(code: TermCode, poses: list[str]) -> str:
+    """Write the poses of obstacles down before the first step: rotation by rows, position; returns their name."""
+    name, once = f"shapes_{code.params.replace('.', '_')}", code.state.once
+    once.add(f"float {name}[{12 * max(len(poses), 1)}];")
+    once.add(f"{{ const float identity[7] = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 1.0f}};\n{_PLACE}")
+    for k, pose in enumerate(poses):
+        once.add(f"place({pose}, (const float*){code.params}.pose.data + {7 * k}, {name} + {12 * k});")
+    once.add("}")
+    return name
+
+
+_PLACE = """auto place = [](const float* a, const float* b, float* out) {
+const float ax = a[3], ay = a[4], az = a[5], aw = a[6], bx = b[3], by = b[4], bz = b[5], bw = b[6];
+const float x = aw * bx + ax * bw + ay * bz - az * by, y = aw * by - ax * bz + ay * bw + az * bx;
+const float z = aw * bz + ax * by - ay * bx + az * bw, w = aw * bw - ax * bx - ay * by - az * bz;
+const float tx = 2.0f * (ay * b[2] - az * b[1]), ty = 2.0f * (az * b[0] - ax * b[2]);
+const float tz = 2.0f * (ax * b[1] - ay * b[0]);
+out[0] = 1.0f - 2.0f * (y * y + z * z); out[1] = 2.0f * (x * y - z * w); out[2] = 2.0f * (x * z + y * w);
+out[3] = 2.0f * (x * y + z * w); out[4] = 1.0f - 2.0f * (x * x + z * z); out[5] = 2.0f * (y * z - x * w);
+out[6] = 2.0f * (x * z - y * w); out[7] = 2.0f * (y * z + x * w); out[8] = 1.0f - 2.0f * (x * x + y * y);
+out[9] = a[0] + b[0] + aw * tx + ay * tz - az * ty;
+out[10] = a[1] + b[1] + aw * ty + az * tx - ax * tz;
+out[11] = a[2] + b[2] + aw * tz + ax * ty - ay * tx;
+};"""
+"""Pose a · b, each (x, y, z, qx, qy, qz, qw), as nine numbers of a rotation by rows and three of a position."""
+
+
+def _local(point: list[str]) -> str:
+    """A point in the frame of the shape ``ob``: x, y, z."""
+    away = ", ".join(f"d{axis} = {x} - ob[{9 + i}]" for i, (axis, x) in enumerate(zip("xyz", point, strict=True)))
+    turned = " ".join(f"{axis} = ob[{i}] * dx + ob[{3 + i}] * dy + ob[{6 + i}] * dz;" for i, axis in enumerate("xyz"))
+    return f"{{ const T {away}; {turned} }}"
+
+
+_FACES = "x = VABS(x) - size[0]; y = VABS(y) - size[1]; z = VABS(z) - size[2];"
+_SQUARE = {
+    int(BOX): f"{_FACES} inside = VMIN(inside, VMAX(x, VMAX(y, z)));"
+    " x = VMAX(x, 0.0f); y = VMAX(y, 0.0f); z = VMAX(z, 0.0f); d = VMIN(d, x * x + y * y + z * z);",
+    int(CYLINDER): "x = VSQRT(x * x + y * y) - size[0]; z = VABS(z) - size[1]; inside = VMIN(inside, VMAX(x, z));"
+    " x = VMAX(x, 0.0f); z = VMAX(z, 0.0f); d = VMIN(d, x * x + z * z);",
+    int(SPHERE): "d = VMIN(d, x * x + y * y + z * z);",
+    int(CAPSULE): "z = z - VMIN(VMAX(z, -size[1]), size[1]); d = VMIN(d, x * x + y * y + z * z);",
+    int(PLANE): "inside = VMIN(inside, z);",
+}
+"""From a point in a shape's frame to the least squared distance ``d`` outside it and the least depth ``inside``."""
+_DISTANCE = {
+    int(BOX): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
+    int(CYLINDER): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
+    int(SPHERE): "VSQRT(d) - size[0]",
+    int(CAPSULE): "VSQRT(d) - size[0]",
+    int(PLANE): "inside",
+}
+
+
+def _against(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, shapes: str, least: str) -> None:
+    """Least distance of a group's spheres from the shapes of one kind."""
+    add = code.lines.add
+    numbers = ", ".join(map(str, which))
+    add(f"{{ const int own[{len(which)}] = {{{numbers}}};")
+    add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = {shapes} + 12 * own[n];")
+    add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z;")
+    if group.count > 1:
+        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {_SQUARE[int(kind)]}")
+        add(f"if (!VANY({_DISTANCE[int(kind)]} < {literal(group.radius)} + {code.params}.margin)) continue; }}")
+    for radius, centres in group.classes.items():
+        add(f"{{ T d = {_FAR}, inside = {_FAR};")
+        code.lines.statements.extend(f"{_local(centre)} {_SQUARE[int(kind)]}" for centre in centres)
+        add(f"{least} = VMIN({least}, {_DISTANCE[int(kind)]} - {literal(radius)}); }}")
+    add("} }")

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baked source of general terms: distances, heights, joints, controls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ...bake.lines import Operand, Vector, text
+
+if TYPE_CHECKING:
+    from ...bake.state import TermCode
+
+
+def length(code: TermCode, v: Vector) -> str:
+    """‖v‖."""
+    return code.lines.let(f"VSQRT({text(code.lines.dot(v, v))})")
+
+
+def squares(code: TermCode, values: list[str]) -> Operand:
+    """Σ x²."""
+    return code.lines.sum(*((x, x) for x in values))
+
+
+def beyond(code: TermCode, value: str, bound: str) -> str:
+    """By how much the size of a value exceeds a bound."""
+    return code.lines.let(f"VMAX(VABS({value}) - {bound}, 0.0f)")
+
+
+def distance(code: TermCode, p: Any) -> Operand | None:
+    """``general.distance`` along the straight line, without ``near``."""
+    if p.field >= 0 or p.near > 0.0:
+        return None
+    state, lines = code.state, code.lines
+    first, second = state.frame(p.first), state.frame(p.second)
+    d = lines.difference(first.position, second.position)
+    if p.lead > 0.0:
+        velocity, _ = state.velocity(p.first)
+        d = [lines.sum(x, (f"{code.params}.lead", v)) for x, v in zip(d, velocity, strict=True)]
+    return length(code, d[:2] + [0.0] if p.planar else d)
+
+
+def height(code: TermCode, p: Any) -> Operand:
+    """``general.height``."""
+    z = code.state.frame(p.of).position[2]
+    error = f"VABS({text(z)} - {code.params}.target) - {code.params}.slack"
+    return code.lines.let(f"VMAX({error}, 0.0f)")
+
+
+def joint_limit(code: TermCode, p: Any) -> Operand:
+    """``general.joint_limit``."""
+    outside = []
+    for n, i in enumerate(p.coord.numpy()):
+        q = code.state.coordinate(int(i))
+        below, above = f"{code.params}.lower.data[{n}] - {q}", f"{q} - {code.params}.upper.data[{n}]"
+        outside.append(code.lines.let(f"VMAX(VMAX({below}, {above}), 0.0f)"))
+    return squares(code, outside)
+
+
+def joint_velocity(code: TermCode, p: Any) -> Operand:
+    """``general.joint_velocity_cost``."""
+    speeds = [code.state.speed(int(dof)) for dof in p.joint.numpy()]
+    return squares(code, [v for v in speeds if isinstance(v, str)])
+
+
+def posture(code: TermCode, p: Any) -> Operand:
+    """``general.posture``."""
+    coords = [code.state.coordinate(int(i)) for i in p.coord.numpy()]
+    return squares(code, [code.lines.let(f"{q} - {code.params}.target.data[{n}]") for n, q in enumerate(coords)])
+
+
+def control_effort(code: TermCode, p: Any) -> Operand:
+    """``general.control_effort``."""
+    controls = range(p.first, p.first + p.count)
+    return squares(code, [code.lines.let(f"c{u} / s.control_scale.data[{u}]") for u in controls])
+
+
+def control_rate(code: TermCode, p: Any) -> Operand:
+    """``general.control_rate``."""
+    controls = range(p.first, p.first + p.count)
+    return squares(code, [code.lines.let(f"(c{u} - d{u}) / s.control_scale.data[{u}]") for u in controls])

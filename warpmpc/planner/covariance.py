@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The covariance that samples are drawn with: fixed, or one that follows the samples that carry weight."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..kernels.planning import covariance as kernels
+from ..kernels.planning.covariance import (
+    adapt_covariance_kernel,
+    adapt_sigma_kernel,
+    grow_covariance_kernel,
+    grow_sigma_kernel,
+)
+from ..launch import Launcher
+from ..scene.errors import SceneError
+from ..scene.schema import CovarianceForm
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
+    from .moments import SampleMoments
+
+FORMS = {
+    CovarianceForm.KNOTS: kernels.KNOTS,
+    CovarianceForm.DIAGONAL: kernels.DIAGONAL,
+    CovarianceForm.SIGMA: kernels.SIGMA,
+}
+
+
+class Covariance:
+    """σ of every knot and control, or one full covariance of the controls (Bhardwaj et al. 2021, Eq. 5).
+
+    All forms but ``full`` live in :attr:`sigma`, where knots and controls that share one σ hold the same number.
+
+    Args:
+        form: What is adapted.
+        sigma: Standard deviation at the start ``[nu]``, in control units.
+        sigma_min: Floor of an adapted standard deviation ``[nu]``.
+        kappa: Variance that is added when a plan moves on ``[nu]``.
+        step_size: Step α_σ towards the spread of the weighted samples, 1 forgets the old value.
+        schedule: Factor on the deviation in every iteration at every knot ``[n, P]``.
+        envs: Number of environments E.
+        device: Warp device.
+    """
+
+    sigma: wp.array3d[float]
+    """Standard deviation of the knots ``[E, P, nu]``; that of the start where the covariance is full."""
+    covariance: wp.array3d[float]
+    """Full covariance of the controls at every knot ``[E, nu, nu]``; one zero for the other forms."""
+    factor: wp.array3d[float]
+    """Its Cholesky factor L ``[E, nu, nu]``, lower triangular."""
+    bands: wp.array3d[float]
+    """Bands of the factor, L[u, u-lag] at every column p·nu + u, ``[E, nu, P·nu]``."""
+
+    def __init__(
+        self,
+        form: CovarianceForm,
+        *,
+        sigma: np.ndarray,
+        sigma_min: np.ndarray,
+        kappa: np.ndarray,
+        step_size: float,
+        schedule: np.ndarray,
+        envs: int,
+        device: wp.DeviceLike,
+    ):
+        self.form, self.full = form, form is CovarianceForm.FULL
+        self.adapts = form is not CovarianceForm.FIXED
+        self.varies = form is CovarianceForm.KNOTS
+        """Whether σ may differ along the horizon, and moves on with its knots."""
+        self._step_size, self._grows, self.device = step_size, bool(np.any(kappa)), wp.get_device(device)
+        self._launch = Launcher(self.device)
+        self._start = np.asarray(sigma, dtype=np.float32)
+
+        def array(values: np.ndarray) -> wp.array:
+            return wp.array(values, dtype=float, device=self.device)
+
+        self._sigma_min, self._kappa, self.schedule = array(sigma_min), array(kappa), array(schedule)
+        self.sigma = wp.zeros((envs, schedule.shape[1], len(sigma)), dtype=float, device=self.device)
+        nu, columns = len(sigma), schedule.shape[1] * len(sigma)
+        shapes = [(envs, nu, nu), (envs, nu, nu), (envs, nu, columns)] if self.full else [(1, 1, 1)] * 3
+        arrays = (wp.zeros(shape, dtype=float, device=self.device) for shape in shapes)
+        self.covariance, self.factor, self.bands = arrays
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the covariance of the start."""
+        self.sigma.assign(np.broadcast_to(self._start, self.sigma.shape).copy())
+        if self.full:
+            for array, diagonal in ((self.covariance, self._start**2), (self.factor, self._start)):
+                array.assign(np.broadcast_to(np.diag(diagonal), array.shape).copy())
+            bands = np.zeros(self.bands.shape, dtype=np.float32)
+            bands[:, 0] = np.tile(self._start, self.sigma.shape[1])
+            self.bands.assign(bands)
+
+    def grow(self, observed: wp.array, fresh: wp.array) -> None:
+        """Add κ to the variance of every environment that is observed and has a plan already; capture-safe."""
+        if not self._grows:
+            return
+        envs, _, nu = self.sigma.shape
+        inputs = [observed, fresh, self._kappa]
+        if self.full:
+            inputs, outputs = [*inputs, self._sigma_min], [self.covariance, self.factor, self.bands]
+            self._launch(grow_covariance_kernel, envs, inputs, outputs, block_dim=kernels.LANES)
+        else:
+            self._launch(grow_sigma_kernel, (envs, nu), inputs, [self.sigma])
+
+    def follow(self, moments: SampleMoments, mean: wp.array, iteration: int) -> None:
+        """Move towards the spread of the weighted samples about the mean as it is now; capture-safe."""
+        if not self.adapts:
+            return
+        moments.spread_about(mean)
+        envs, _, nu = self.sigma.shape
+        inputs = [moments.products, moments.total, self.schedule, iteration]
+        if self.full:
+            inputs, outputs = [*inputs, self._step_size, self._sigma_min], [self.covariance, self.factor, self.bands]
+            self._launch(adapt_covariance_kernel, envs, inputs, outputs, block_dim=kernels.LANES)
+        else:
+            inputs += [FORMS[self.form], self._step_size, self._sigma_min]
+            self._launch(adapt_sigma_kernel, (envs, nu), inputs, [self.sigma])
+
+
+def covariance_form(scene: Scene, *, adapts: bool) -> CovarianceForm:
+    """The form a scene asks for.
+
+    Args:
+        scene: The scene.
+        adapts: Whether σ of every knot is adapted where the scene does not say.
+
+    Raises:
+        SceneError: If other keys contradict it.
+    """
+    planner, key = scene.planner, "planner.covariance"
+    form = planner.covariance.form or (CovarianceForm.KNOTS if adapts else CovarianceForm.FIXED)
+    if form is CovarianceForm.FIXED:
+        for name, given in (("kappa", any(planner.covariance.kappa)), ("step_size", planner.covariance.step_size)):
+            if given:
+                allowed = [str(other) for other in CovarianceForm if other is not form]
+                message = f"{name} is of an adapted covariance: say which form"
+                raise SceneError(message, key=f"{key}.form", file=scene.path, found=str(form), allowed=allowed)
+    if form is CovarianceForm.SIGMA:
+        numbers = {"noise.sigma": planner.noise.sigma, "sigma_min": planner.sigma_min}
+        for name, values in {**numbers, "covariance.kappa": planner.covariance.kappa}.items():
+            if len(set(values)) > 1:
+                message = 'must be one value: with planner.covariance.form = "sigma" all controls share it'
+                raise SceneError(message, key=f"planner.{name}", file=scene.path, found=list(values))
+    return form

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted moments of the samples, on any device."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ..kernels.planning.moments import (
+    keep_best_kernel,
+    spread_kernel,
+    sweep_mean_kernel,
+    sweep_spread_kernel,
+    update_mean_kernel,
+)
+from ..launch import Launcher
+from .weighting import BLOCK_DIM
+
+
+class SampleMoments:
+    """Mean and spread of weighted samples: in blocks on a GPU, in one sweep through memory on the CPU.
+
+    Args:
+        knots: Samples ``[E, S, P, nu]``.
+        weight: Their weights ``[E, S]``.
+        full: Whether the spread has products of different controls.
+    """
+
+    products: wp.array3d[float]
+    """Sums over the samples, Σ w (θ-μ)_c (θ-μ)_{c+lag} of the columns c = p·nu + u, ``[E, lags, P·nu]``."""
+    total: wp.array[float]
+    """Sums of the weights that belong to them, ``[E]``."""
+
+    def __init__(self, knots: wp.array, weight: wp.array, *, full: bool = False):
+        envs, samples, count, nu = knots.shape
+        self.device = knots.device
+        self._launch, self._columns = Launcher(self.device), count * nu
+        self._knots, self._weight = knots.reshape((envs, samples, count * nu)), weight
+        self._sums = wp.zeros((envs, count * nu), dtype=float, device=self.device)
+        self._deviation = wp.zeros((envs, 2, count * nu), dtype=float, device=self.device)
+        self.products = wp.zeros((envs, nu if full else 1, count * nu), dtype=float, device=self.device)
+        self.total = wp.zeros(envs, dtype=float, device=self.device)
+
+    def _flat(self, plan: wp.array) -> wp.array:
+        return plan.reshape((plan.shape[0], self._columns))
+
+    def move_mean(self, mean: wp.array, alpha: float) -> None:
+        """Move a mean ``[E, P, nu]`` towards the weighted samples by step size α; capture-safe."""
+        envs, inputs = mean.shape[0], [self._knots, self._weight, alpha]
+        if self.device.is_cpu:
+            self._launch(sweep_mean_kernel, envs, inputs, [self._sums, self._flat(mean)])
+        else:
+            outputs = [self._flat(mean)]
+            self._launch(update_mean_kernel, (envs, self._columns), inputs, outputs, block_dim=BLOCK_DIM)
+
+    def spread_about(self, mean: wp.array) -> None:
+        """Write :attr:`products` and :attr:`total` about a mean ``[E, P, nu]``; capture-safe."""
+        inputs, outputs = [self._knots, self._weight, self._flat(mean)], [self.products, self.total]
+        if self.device.is_cpu:
+            self._launch(sweep_spread_kernel, mean.shape[0], inputs, [self._deviation, *outputs])
+        else:
+            self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=BLOCK_DIM)
+
+    def keep_best(self, cost: wp.array, best: wp.array) -> None:
+        """Write the sample of lowest cost ``[E, S]`` into ``best [E, P, nu]``, unless all diverged; capture-safe."""
+        inputs, outputs = [cost, self._knots], [self._flat(best)]
+        self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=BLOCK_DIM)

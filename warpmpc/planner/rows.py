@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that are not drawn: null particles, the best sample so far, sequences of a library."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import warp as wp
+
+from ..kernels.planning.proposals import null_rows_kernel
+from ..launch import Launcher
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .distribution import Gaussian
+
+
+class FixedRow(Protocol):
+    """One or more samples that are not drawn; they are clamped to the limits when they are proposed."""
+
+    count: int
+    """Number of samples."""
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[count, E, P, nu]`` to write."""
+
+    def before_plan(self) -> None:
+        """Write them for the state that is observed now, once the plan has moved on; capture-safe."""
+
+
+class FixedRows:
+    """All fixed rows, samples 1 to F of every environment; sample 0 is the mean.
+
+    Args:
+        rows: What they are, in order.
+        distribution: What the other samples are drawn from.
+    """
+
+    knots: wp.array4d[float]
+    """Their knots ``[F, E, P, nu]``, each row in one piece; one row of zeros where there are none."""
+
+    def __init__(self, rows: Sequence[FixedRow], distribution: Gaussian):
+        self._rows = [row for row in rows if row.count]
+        self.count = sum(row.count for row in self._rows)
+        shape = (max(self.count, 1), *distribution.dim)
+        self.knots = wp.zeros(shape, dtype=float, device=distribution.device)
+        first = 0
+        for row in self._rows:
+            row.bind(self.knots[first : first + row.count])
+            first += row.count
+
+    def before_plan(self) -> None:
+        """Write them for the state that is observed now; capture-safe."""
+        for row in self._rows:
+            row.before_plan()
+
+
+class NullRows:
+    """Null particles, which ask for nothing all along: no speed or effort, or the observed position held.
+
+    Args:
+        count: Number of samples.
+        null: Controls that ask for nothing in the observed state ``[E, nu]``.
+    """
+
+    def __init__(self, count: int, null: wp.array):
+        self.count, self._null, self._launch = count, null, Launcher(null.device)
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[count, E, P, nu]`` to write."""
+        self._knots = knots
+
+    def before_plan(self) -> None:
+        """Write what asks for nothing now; capture-safe."""
+        self._launch(null_rows_kernel, self._knots.shape[:3], [self._null], [self._knots])
+
+
+class BestRow:
+    """The best sample so far, which moves on with the plan.
+
+    Args:
+        distribution: What the plan moves on with.
+        among: Whether it is one of the samples, and not just kept.
+    """
+
+    knots: wp.array3d[float]
+    """Its knots ``[E, P, nu]``."""
+
+    def __init__(self, distribution: Gaussian, *, among: bool):
+        self.count, self._distribution = int(among), distribution
+        if not among:
+            self.bind(wp.zeros((1, *distribution.dim), dtype=float, device=distribution.device))
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[1, E, P, nu]`` to write."""
+        self.knots = knots[0]
+        self._distribution.carry(self.knots)
+
+    def before_plan(self) -> None:
+        """Nothing: the distribution has moved it on."""
+
+
+class LibraryRows:
+    """Sequences of a library, the same at every plan.
+
+    Args:
+        sequences: Their knots ``[n, P, nu]``.
+    """
+
+    def __init__(self, sequences: np.ndarray):
+        self.count, self._sequences = len(sequences), sequences
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Fill the knots ``[n, E, P, nu]``, once and for all."""
+        knots.assign(np.broadcast_to(self._sequences[:, None], knots.shape).astype(np.float32))
+
+    def before_plan(self) -> None:
+        """Nothing: they stay as they are."""

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The types of what samples are drawn from and of what becomes of them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from .types import NonNegatives, Section, Share
+
+
+class CovarianceForm(StrEnum):
+    """What of the covariance of the samples follows those that carry weight [S5]."""
+
+    FIXED = "fixed"
+    """Nothing."""
+    SIGMA = "sigma"
+    """One σ for all controls and knots, Σ = σ²I."""
+    DIAGONAL = "diagonal"
+    """One σ for every control (STORM's code)."""
+    KNOTS = "knots"
+    """One σ for every control at every knot."""
+    FULL = "full"
+    """One covariance of all controls, the same at every knot."""
+
+
+class Covariance(Section):
+    """How the covariance of the samples is adapted."""
+
+    form: CovarianceForm | None = None
+    """What follows the samples that carry weight; ``knots`` for ``cem`` and ``fixed`` else, when left out."""
+    step_size: Share | None = None
+    """Step α_σ of the covariance towards the spread of the weighted samples [S5]; ``planner.step_size`` if left out."""
+    kappa: NonNegatives = (0.0,)
+    """Variance κ that is added whenever the plan moves on, in control units squared, one value or one per control."""
+
+
+class Execute(StrEnum):
+    """What is carried out of what was planned."""
+
+    MEAN = "mean"
+    BEST = "best"
