@@ -113,3 +113,13 @@ def test_a_movable_obstacles_name_is_one_of_the_tasks():
         check_scene(gate_scene(scalar={"gate": 1.0}))
     with pytest.raises(ValueError, match="a plane cannot move"):
         gate_scene(obstacle=[{"name": "floor", "shape": "plane", "movable": True}])
+
+
+def test_success_may_ask_for_clearance_from_what_moves():
+    plant = Plant(gate_scene(success={"conditions": {"term": "world_collision", "below": 0.001}}))
+    plant.task["gate"] = (0.24, *AHEAD[1:])  # 4 cm from the disc
+    plant.apply(0.0 * FORWARD)
+    assert not plant.success
+    plant.task["gate"] = (3.0, *AHEAD[1:])
+    plant.apply(0.0 * FORWARD)
+    assert plant.success

@@ -194,16 +194,14 @@ class MujocoWarpEngine(OnePart):
         """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it."""
         count = self.shape.worlds - first if count is None else count
         out, rollouts = self.trajectory, self.shape.rollouts
-        obstacles = state.pose[:, state.pose.shape[1] - self._movable.size :]
-        moved = (
-            (self._mocap, state.mocap, self._table.mocap_pose),
-            (self._movable, obstacles, self._obstacle_pose),
-        )
+        moved = [(self._mocap, state.mocap, self._table.mocap_pose)] if self._mocap.size else []
+        if self._movable.size:  # the last poses of the task
+            wanted = state.pose[:, state.pose.shape[1] - self._movable.size :]
+            moved.append((self._movable, wanted, self._obstacle_pose))
         for order, wanted, poses in moved:
-            if order.size:
-                dim, placed = (count, order.size), [self.data.mocap_pos, self.data.mocap_quat]
-                self._launch(clone_mocap_kernel, dim, [wanted, rollouts, first], [poses])
-                self._launch(place_mocap_kernel, dim, [poses, order, first], placed)
+            dim, placed = (count, order.size), [self.data.mocap_pos, self.data.mocap_quat]
+            self._launch(clone_mocap_kernel, dim, [wanted, rollouts, first], [poses])
+            self._launch(place_mocap_kernel, dim, [poses, order, first], placed)
         self._launch(
             clone_state_kernel,
             count,
