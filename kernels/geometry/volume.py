@@ -12,6 +12,9 @@ wp.set_module_options({"enable_backward": False})
 ABREAST = 16
 """Voxels along x that a CPU takes at once; rows are a multiple of it."""
 
+LONGEST = 1280
+"""Voxels along x with the reach on both sides, at most."""
+
 _WIDE = f"""
 typedef unsigned short S __attribute__((ext_vector_type({ABREAST})));
 typedef unsigned char B __attribute__((ext_vector_type({ABREAST})));
@@ -25,7 +28,7 @@ struct __attribute__((packed, aligned(4))) FU {{ F v; }};
 
 def _native(source: str) -> str:
     """A snippet with the types of :data:`_WIDE`."""
-    return source.replace("WIDE;", _WIDE).replace("ABREAST", str(ABREAST))
+    return source.replace("WIDE;", _WIDE).replace("ABREAST", str(ABREAST)).replace("LONGEST", str(LONGEST))
 
 
 @wp.struct
@@ -49,8 +52,8 @@ class VolumeWork:
     version: wp.array[int]  # [E] of the points
     built: wp.array[int]  # [E] version that the volume shows
     occupied: wp.array[wp.uint8]  # [E · nz · ny · nx] all zero between two builds
-    along_z: wp.array[wp.uint8]  # [E · nz · ny · nx] distance along z [voxels]
-    in_plane: wp.array[wp.uint16]  # [E · nz · ny · (reach + nx + reach)] squared, in the plane of y and z, ends capped
+    along_z: wp.array[wp.uint16]  # [E · nz · ny · nx] squared distance along z [voxels²]
+    in_plane: wp.array[wp.uint16]  # [E · nz · ny · nx] squared, in the plane of y and z [voxels²]; on a GPU alone
     reach: int  # [voxels]
     voxel: float  # [m]
     eye: wp.vec3  # where the points are seen from [m]
@@ -108,7 +111,7 @@ def sweep_z_kernel(
     work: VolumeWork,
     columns: int,  # threads of a row: 1 on the CPU, nx on a GPU
     # outputs
-    along_z: wp.array[wp.uint8],
+    along_z: wp.array[wp.uint16],
 ):
     """One thread: distances along z to the nearest marked voxel, for one y; the marks are wiped out."""
     i = wp.tid()
@@ -123,8 +126,8 @@ def sweep_z_kernel(
 const int nx = work.volume.nx, nz = work.volume.nz, plane = nx * work.volume.ny;
 const size_t start = (size_t)e * nz * plane + y * nx;
 unsigned char* __restrict__ o = (unsigned char*)work.occupied.data + start;
-unsigned char* __restrict__ g = (unsigned char*)work.along_z.data + start;
-const unsigned char far = work.reach + 1;
+unsigned short* __restrict__ g = (unsigned short*)work.along_z.data + start;
+const unsigned short far = work.reach + 1;
 #if defined(__CUDA_ARCH__)
 int d = far;
 for (int z = 0; z < nz; ++z) {
@@ -133,22 +136,23 @@ for (int z = 0; z < nz; ++z) {
     g[z * plane + x] = d;
 }
 d = far;
-for (int z = nz - 1; z >= 0; --z) { d = min(d + 1, (int)g[z * plane + x]); g[z * plane + x] = d; }
+for (int z = nz - 1; z >= 0; --z) { d = min(d + 1, (int)g[z * plane + x]); g[z * plane + x] = d * d; }
 #else
 WIDE;
 for (int i = 0; i < nx; i += ABREAST) {
-    B d = (B)far;
+    S d = (S)far;
     for (int z = 0; z < nz; ++z) {
         BU* mark = (BU*)(o + z * plane + i);
-        d = mark->v != (B)0 ? (B)0 : __builtin_elementwise_min(d + (B)1, (B)far);
+        const S free = __builtin_convertvector(mark->v, S) - (S)1; // all bits set where there is no mark
+        d = __builtin_elementwise_min(d + (S)1, (S)far) & free;
         mark->v = (B)0;
-        ((BU*)(g + z * plane + i))->v = d;
+        ((SU*)(g + z * plane + i))->v = d;
     }
-    d = (B)far;
+    d = (S)far;
     for (int z = nz - 1; z >= 0; --z) {
-        BU* here = (BU*)(g + z * plane + i);
-        d = __builtin_elementwise_min(d + (B)1, here->v);
-        here->v = d;
+        SU* here = (SU*)(g + z * plane + i);
+        d = __builtin_elementwise_min(d + (S)1, here->v);
+        here->v = d * d;
     }
 }
 #endif
@@ -160,93 +164,97 @@ def sweep_z(work: VolumeWork, e: int, y: int, x: int):
 
 
 @wp.kernel
-def sweep_y_kernel(
+def sweep_row_kernel(
     # inputs
     work: VolumeWork,
-    columns: int,
     # outputs
-    in_plane: wp.array[wp.uint16],
+    distance: wp.array[float],
 ):
-    """One thread: squared distances in the plane of y and z, for one row along x."""
-    i = wp.tid()
-    row = i // columns
+    """One thread of a CPU: distances of one row along x, first in the plane of y and z, then in space."""
+    row = wp.tid()
     e = row // (work.volume.ny * work.volume.nz)
     if work.built[e] != work.version[e]:
-        sweep_y(work, row, i % columns)
+        sweep_row(work, row)
 
 
 @wp.func_native(
     _native("""
+#if !defined(__CUDA_ARCH__)
+WIDE;
 const int nx = work.volume.nx, ny = work.volume.ny, reach = work.reach, y = row % ny;
-const unsigned char* __restrict__ g = (const unsigned char*)work.along_z.data + (size_t)(row - y) * nx;
-unsigned short* __restrict__ f = (unsigned short*)work.in_plane.data + (size_t)row * (nx + 2 * reach) + reach;
+const unsigned short* __restrict__ g = (const unsigned short*)work.along_z.data + (size_t)(row - y) * nx;
+float* __restrict__ out = (float*)work.volume.distance.data + (size_t)row * nx;
 const int from = y > reach ? y - reach : 0, to = y + reach < ny - 1 ? y + reach : ny - 1;
 const unsigned short far = (reach + 1) * (reach + 1);
-#if defined(__CUDA_ARCH__)
-int best = far;
-for (int k = from; k <= to; ++k) { const int a = g[k * nx + x], d = k - y; best = min(best, a * a + d * d); }
-f[x] = best;
-#else
-WIDE;
+unsigned short f[LONGEST]; // of the row, with caps at both ends
+for (int i = 0; i < reach; ++i) f[i] = f[reach + nx + i] = far;
 for (int i = 0; i < nx; i += ABREAST) {
     S best = (S)far;
+    S square = (S)(unsigned short)((from - y) * (from - y)), step = (S)(unsigned short)(2 * (from - y) + 1);
     for (int k = from; k <= to; ++k) {
-        const S a = __builtin_convertvector(((const BU*)(g + k * nx + i))->v, S);
-        best = __builtin_elementwise_min(best, a * a + (S)(unsigned short)((k - y) * (k - y)));
+        best = __builtin_elementwise_min(best, ((const SU*)(g + k * nx + i))->v + square);
+        square += step; // (k + 1)² = k² + 2k + 1, modulo 2¹⁶
+        step += (S)2;
     }
-    ((SU*)(f + i))->v = best;
+    ((SU*)(f + reach + i))->v = best;
+}
+for (int i = 0; i < nx; i += ABREAST) {
+    S best = (S)far;
+    S square = (S)(unsigned short)(reach * reach), step = (S)(unsigned short)(1 - 2 * reach);
+    for (int k = 0; k <= 2 * reach; ++k) {
+        best = __builtin_elementwise_min(best, ((const SU*)(f + i + k))->v + square);
+        square += step;
+        step += (S)2;
+    }
+    ((FU*)(out + i))->v = __builtin_elementwise_sqrt(__builtin_convertvector(best, F)) * work.voxel;
 }
 #endif
 """)
 )
-def sweep_y(work: VolumeWork, row: int, x: int):
-    """The least over the rows beside this one."""
+def sweep_row(work: VolumeWork, row: int):
+    """The least over the rows beside this one, then over the voxels beside each one, and its root."""
     ...
+
+
+@wp.kernel
+def sweep_y_kernel(
+    # inputs
+    work: VolumeWork,
+    # outputs
+    in_plane: wp.array[wp.uint16],
+):
+    """One thread of a GPU: squared distance of one voxel in the plane of y and z."""
+    i = wp.tid()
+    nx, ny = work.volume.nx, work.volume.ny
+    row = i // nx
+    e = row // (ny * work.volume.nz)
+    if work.built[e] == work.version[e]:
+        return
+    y = row % ny
+    best = (work.reach + 1) * (work.reach + 1)
+    for k in range(wp.max(y - work.reach, 0), wp.min(y + work.reach + 1, ny)):
+        best = wp.min(best, int(work.along_z[i + (k - y) * nx]) + (k - y) * (k - y))
+    in_plane[i] = wp.uint16(best)
 
 
 @wp.kernel
 def sweep_x_kernel(
     # inputs
     work: VolumeWork,
-    columns: int,
     # outputs
     distance: wp.array[float],
 ):
-    """One thread: distances in space, for one row along x."""
+    """One thread of a GPU: distance of one voxel in space."""
     i = wp.tid()
-    row = i // columns
-    e = row // (work.volume.ny * work.volume.nz)
-    if work.built[e] != work.version[e]:
-        sweep_x(work, row, i % columns)
-
-
-@wp.func_native(
-    _native("""
-const int nx = work.volume.nx, reach = work.reach;
-const float voxel = work.voxel;
-const unsigned short* __restrict__ f = (const unsigned short*)work.in_plane.data + (size_t)row * (nx + 2 * reach);
-float* __restrict__ out = (float*)work.volume.distance.data + (size_t)row * nx;
-const unsigned short far = (reach + 1) * (reach + 1);
-#if defined(__CUDA_ARCH__)
-int best = far;
-for (int k = 0; k <= 2 * reach; ++k) best = min(best, (int)f[x + k] + (k - reach) * (k - reach));
-out[x] = sqrtf((float)best) * voxel;
-#else
-WIDE;
-for (int i = 0; i < nx; i += ABREAST) {
-    S best = (S)far;
-    for (int k = 0; k <= 2 * reach; ++k) {
-        const S squared = (S)(unsigned short)((k - reach) * (k - reach));
-        best = __builtin_elementwise_min(best, ((const SU*)(f + i + k))->v + squared);
-    }
-    ((FU*)(out + i))->v = __builtin_elementwise_sqrt(__builtin_convertvector(best, F)) * voxel;
-}
-#endif
-""")
-)
-def sweep_x(work: VolumeWork, row: int, x: int):
-    """The least over the voxels beside each one, and its root."""
-    ...
+    nx = work.volume.nx
+    e = i // (nx * work.volume.ny * work.volume.nz)
+    if work.built[e] == work.version[e]:
+        return
+    x = i % nx
+    best = (work.reach + 1) * (work.reach + 1)
+    for k in range(wp.max(x - work.reach, 0), wp.min(x + work.reach + 1, nx)):
+        best = wp.min(best, int(work.in_plane[i + k - x]) + (k - x) * (k - x))
+    distance[i] = wp.sqrt(float(best)) * work.voxel
 
 
 @wp.kernel

@@ -33,8 +33,10 @@ def _group(code: TermCode, group: GroupCode, volume: Any, look: Any, least: str,
     add = code.lines.add
     add("{")
     if group.count > 1:
-        add(f"T d = {_FAR}; {look(group.bound, volume)}")
-        add(f"if (VANY(d < {literal(group.radius)} + {margin} + {allowance})) {{")
+        # the voxel's own distance, which differs from that at the point by half its diagonal at most
+        reach = group.radius + 0.5 * 3.0**0.5 / volume.inverse
+        add(f"T d = {_FAR}; {_nearest(group.bound, volume)}")
+        add(f"if (VANY(d < {literal(reach)} + {margin} + {allowance})) {{")
     for radius, centres in group.classes.items():
         add(f"{{ T d = {_FAR};")
         code.lines.statements.extend(look(centre, volume) for centre in centres)

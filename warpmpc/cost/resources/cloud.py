@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...kernels.geometry.volume import (
     VolumeWork,
     built_kernel,
     scatter_kernel,
+    sweep_row_kernel,
     sweep_x_kernel,
     sweep_y_kernel,
     sweep_z_kernel,
@@ -97,17 +99,16 @@ class CloudVolume:
         work = self.work = VolumeWork()
         work.points, work.count = zeros((envs, cloud.capacity), wp.vec3), zeros(envs)
         work.version, work.built = wp.ones(envs, dtype=int, device=device), zeros(envs)
-        work.occupied, work.along_z = zeros(voxels, wp.uint8), zeros(voxels, wp.uint8)
+        work.occupied, work.along_z = zeros(voxels, wp.uint8), zeros(voxels, wp.uint16)
         work.reach, work.voxel = max(round(cloud.reach / cloud.voxel), 1), cloud.voxel
-        row = nx + 2 * work.reach
-        work.in_plane = wp.full(envs * nz * ny * row, (work.reach + 1) ** 2, dtype=wp.uint16, device=device)
+        work.in_plane = zeros(voxels if gpu else 0, wp.uint16)
         work.eye, work.behind = wp.vec3(*(cloud.seen_from or (0.0, 0.0, 0.0))), cloud.behind
         work.volume = _volume(cloud)
         # until it is built there is nothing near
         work.volume.distance = wp.full(voxels, (work.reach + 1) * cloud.voxel, dtype=float, device=device)
-        self._host = wp.zeros((envs, cloud.capacity), dtype=wp.vec3, device="cpu", pinned=gpu) if gpu else work.points
-        self._host_counts = wp.zeros((2, envs), dtype=int, device="cpu", pinned=gpu)
-        self._host_counts.numpy()[1] = 1
+        # on a CPU the points are written where they are read
+        host = [wp.clone(a, device="cpu", pinned=True) if gpu else a for a in (work.points, work.count, work.version)]
+        self._host, self._rows = host, [array.numpy() for array in host]
         self._copied = wp.Event(device) if gpu else None
         self._shown: list[np.ndarray | None] = [None] * envs
         self._waiting: dict[int, np.ndarray] = {}
@@ -127,21 +128,26 @@ class CloudVolume:
         waiting, self._waiting = self._waiting, {}
         if not waiting:
             return
-        count, version = self._host_counts.numpy()
-        host, work = self._host.numpy(), self.work
+        rows, count, version = self._rows
+        if self._copied:
+            wp.synchronize_event(self._copied)  # of the copy before, long over unless no plan came between
+        for e, points in waiting.items():
+            rows[e, : len(points)] = points
+            count[e] = len(points)
+            version[e] += 1
+        if self._copied:
+            self._send(waiting)
+
+    def _send(self, envs: Iterable[int]) -> None:
+        """Copy points of environments from the host's memory to the GPU's."""
+        work, (points, count, version) = self.work, self._host
         with capturing:
-            if self._copied:
-                wp.synchronize_event(self._copied)  # of the copy before, long over unless no plan came between
-            for e, points in waiting.items():
-                count[e] = len(points)
-                version[e] += 1
-                host[e, : len(points)] = points
-                if self._copied and len(points):
-                    wp.copy(work.points[e], self._host[e], count=len(points))
-            wp.copy(work.count, self._host_counts[0])
-            wp.copy(work.version, self._host_counts[1])
-            if self._copied:
-                wp.get_stream(self.device).record_event(self._copied)
+            for e in envs:
+                if self._rows[1][e]:
+                    wp.copy(work.points[e], points[e], count=int(self._rows[1][e]))
+            wp.copy(work.count, count)
+            wp.copy(work.version, version)
+            wp.get_stream(self.device).record_event(self._copied)
 
     def launch(self) -> None:
         """Build the volumes whose points are new; capture-safe."""
@@ -149,8 +155,12 @@ class CloudVolume:
         rows = self.envs * work.volume.ny
         self._launch(scatter_kernel, self.envs * threads, [work, threads], [work.occupied])
         self._launch(sweep_z_kernel, rows * columns, [work, columns], [work.along_z])
-        self._launch(sweep_y_kernel, rows * work.volume.nz * columns, [work, columns], [work.in_plane])
-        self._launch(sweep_x_kernel, rows * work.volume.nz * columns, [work, columns], [work.volume.distance])
+        rows *= work.volume.nz
+        if self.device.is_cuda:
+            self._launch(sweep_y_kernel, rows * columns, [work], [work.in_plane])
+            self._launch(sweep_x_kernel, rows * columns, [work], [work.volume.distance])
+        else:
+            self._launch(sweep_row_kernel, rows, [work], [work.volume.distance])
         self._launch(built_kernel, self.envs, [work.version], [work.built])
 
 
