@@ -34,6 +34,7 @@ import warpmpc
 from warpmpc.cli.terms import TermsError, load_terms
 from warpmpc.planner.step import STAGES
 from warpmpc.run.episode import Episode
+from warpmpc.scene.schema import EngineName
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -163,6 +164,11 @@ def table(results: list[dict]) -> Table:
     return out
 
 
+def with_physics() -> list[str]:
+    """The shipped scenes whose rollouts are physics; ``tools/bench_kinematic.py`` is for the others."""
+    return [n for n in warpmpc.shipped_scenes() if warpmpc.load_scene(n).engine.name is not EngineName.KINEMATIC]
+
+
 def main() -> None:
     """Command line of this tool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -183,7 +189,7 @@ def main() -> None:
     except TermsError as error:
         parser.error(str(error))
     results = []
-    for name in args.scenes or sorted(warpmpc.shipped_scenes()):
+    for name in args.scenes or with_physics():
         try:
             results.append(bench(name, overrides, plans=args.plans, seed=args.seed, terms=terms))
         except warpmpc.SceneError as error:

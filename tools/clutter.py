@@ -131,7 +131,7 @@ def run(seed: int, overrides: list[str], least: float) -> dict:
         "position_mm": 1e3 * result.position_error,
         "rotation_rad": plant.error.rotation,
         "touched": touched,
-        "nearest_mm": 1e3 * min(nearest),
+        "nearest_m": min(nearest),
         "points": len(plant.task[scene.cloud[0].name]),
         "plan_ms": result.plan_ms["p50"],
         "cpu_s": time.process_time() - start,

@@ -5,7 +5,7 @@
     python tools/gate.py record before.npz         # on the old code
     python tools/gate.py compare before.npz        # on the new code, same machine
 
-Every case is a closed loop of a few plans with the engine ``mujoco`` from a fixed seed: the shipped scenes with some of
+Every case is a closed loop of a few plans on the CPU from a fixed seed: the shipped scenes with some of
 their variants, and settings of the planner that no shipped scene has. Commands depend on the processor, so a record
 holds for the machine it was made on.
 """
@@ -74,7 +74,7 @@ def play(case: tuple[str, tuple[str, ...], int]) -> np.ndarray:
 
     wp.config.log_level = wp.LOG_ERROR
     name, overrides, seed = case
-    episode = Episode(warpmpc.load_scene(name, overrides=overrides), seed=seed, engine="mujoco")
+    episode = Episode(warpmpc.load_scene(name, overrides=overrides), seed=seed, device="cpu")
     rows = []
     for _ in range(PLANS):
         command = episode.controller.step(episode.plant.observe())

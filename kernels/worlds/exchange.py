@@ -22,6 +22,7 @@ def load_transform(packed: wp.array2d[float], e: int, i: int) -> wp.transform:
 def unpack_kernel(
     # inputs
     packed: wp.array2d[float],  # [E, 3 + nq + nv + na + 7 nm + 7 poses + scalars + terms]
+    lanes: int,  # threads that share an environment
     # outputs
     observed: wp.array[int],  # [E] whether there is an observation to plan from
     elapsed: wp.array[float],  # [E] time since the last plan [s]
@@ -34,45 +35,50 @@ def unpack_kernel(
     scalar: wp.array2d[float],  # [E, scalars] of the task
     weight: wp.array2d[float],  # [E, terms] of the task
 ):
-    """One thread: the observed state and the task of one environment."""
-    e = wp.tid()
-    observed[e] = int(packed[e, 0])
-    elapsed[e] = packed[e, 1]
-    start[e] = packed[e, 2]
+    """One thread: some numbers of the observed state and the task of one environment; ``lanes`` threads share them."""
+    e, lane = wp.tid()
+    if lane == 0:
+        observed[e] = int(packed[e, 0])
+        elapsed[e] = packed[e, 1]
+        start[e] = packed[e, 2]
     at = int(3)
-    for i in range(joint_q.shape[1]):
+    for i in range(lane, joint_q.shape[1], lanes):
         joint_q[e, i] = packed[e, at + i]
     at += joint_q.shape[1]
-    for i in range(joint_qd.shape[1]):
+    for i in range(lane, joint_qd.shape[1], lanes):
         joint_qd[e, i] = packed[e, at + i]
     at += joint_qd.shape[1]
-    for i in range(act.shape[1]):
+    for i in range(lane, act.shape[1], lanes):
         act[e, i] = packed[e, at + i]
     at += act.shape[1]
-    for i in range(mocap.shape[1]):
+    for i in range(lane, mocap.shape[1], lanes):
         mocap[e, i] = load_transform(packed, e, at + 7 * i)
     at += 7 * mocap.shape[1]
-    for i in range(pose.shape[1]):
+    for i in range(lane, pose.shape[1], lanes):
         pose[e, i] = load_transform(packed, e, at + 7 * i)
     at += 7 * pose.shape[1]
-    for i in range(scalar.shape[1]):
+    for i in range(lane, scalar.shape[1], lanes):
         scalar[e, i] = packed[e, at + i]
     at += scalar.shape[1]
-    for i in range(weight.shape[1]):
+    for i in range(lane, weight.shape[1], lanes):
         weight[e, i] = packed[e, at + i]
 
 
 @wp.kernel
-def best_sample_kernel(
+def survey_kernel(
     # inputs
     cost: wp.array2d[float],  # [E, S]
+    diverged: wp.array[int],  # [W]
+    overflow: wp.array[int],  # [W] capacity bits
     # outputs
     best: wp.array[int],  # [E]
     best_cost: wp.array[float],  # [E] +inf when every sample diverged
+    failures: wp.array2d[int],  # [E, 2] diverged worlds, all worlds' capacity bits together
 ):
-    """Find one environment's best sample, one block each; of equally good ones the first, 0 when all diverged."""
+    """One block: one environment's best sample, of equally good ones the first, 0 when all diverged; its failures."""
     e, lane = wp.tid()
     samples = cost.shape[1]
+    worlds = diverged.shape[0] // cost.shape[0]
 
     least = float(wp.inf)
     for s in range(lane, samples, wp.block_dim()):
@@ -85,27 +91,22 @@ def best_sample_kernel(
             candidate = wp.min(candidate, s)
     winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
 
+    lost = int(0)
+    bits = int(0)
+    for w in range(e * worlds + lane, (e + 1) * worlds, wp.block_dim()):
+        lost += wp.where(diverged[w] != 0, 1, 0)
+        bits = bits | overflow[w]
+    lost = wp.tile_extract(wp.tile_sum(wp.tile(lost)), 0)
+    together = int(0)
+    if wp.tile_extract(wp.tile_max(wp.tile(bits)), 0) != 0:
+        for bit in range(31):
+            together = together | (wp.tile_extract(wp.tile_max(wp.tile((bits >> bit) & 1)), 0) << bit)
+
     if lane == 0:
         best[e] = wp.where(winner == samples, 0, winner)
         best_cost[e] = least
-
-
-@wp.kernel
-def count_failures_kernel(
-    # inputs
-    diverged: wp.array[int],  # [W]
-    overflow: wp.array[int],  # [W] capacity bits
-    rollouts: int,  # per environment
-    # outputs
-    failures: wp.array2d[int],  # [E, 2] diverged worlds, all worlds' capacity bits together; zero before
-):
-    """One thread: add one world's failures to its environment's."""
-    w = wp.tid()
-    e = w // rollouts
-    if diverged[w] != 0:
-        wp.atomic_add(failures, e, 0, 1)
-    if overflow[w] != 0:
-        wp.atomic_or(failures, e, 1, overflow[w])
+        failures[e, 0] = lost
+        failures[e, 1] = together
 
 
 @wp.kernel
@@ -120,29 +121,32 @@ def report_kernel(
     term_cost: wp.array2d[float],  # [E, terms]
     knots: wp.array3d[float],  # [E, P, nu]
     offset: wp.array[float],  # [E]
+    lanes: int,  # threads that share a row
     # outputs
     report: wp.array2d[float],  # [E, nu + REPORT + terms + P nu + 1]
 ):
-    """One thread: one environment's row: command, REPORT numbers, terms, knots, time from first knot to present.
+    """One thread: some of an environment's row: command, REPORT numbers, terms, knots, time from first knot to present.
 
     Capacity bits come in two halves of 16 bits, which a float holds exactly.
     """
-    e = wp.tid()
+    e, lane = wp.tid()
     nu = command.shape[1]
-    for i in range(nu):
+    for i in range(lane, nu, lanes):
         report[e, i] = command[e, i]
-    report[e, nu] = beta[e]
-    report[e, nu + 1] = eta[e]
-    report[e, nu + 2] = best_cost[e]
-    report[e, nu + 3] = float(best[e])
-    report[e, nu + 4] = float(failures[e, 0])
-    report[e, nu + 5] = float(failures[e, 1] & 0xFFFF)
-    report[e, nu + 6] = float((failures[e, 1] >> 16) & 0xFFFF)
+    if lane == 0:
+        report[e, nu] = beta[e]
+        report[e, nu + 1] = eta[e]
+        report[e, nu + 2] = best_cost[e]
+        report[e, nu + 3] = float(best[e])
+        report[e, nu + 4] = float(failures[e, 0])
+        report[e, nu + 5] = float(failures[e, 1] & 0xFFFF)
+        report[e, nu + 6] = float((failures[e, 1] >> 16) & 0xFFFF)
     at = nu + REPORT
-    for i in range(term_cost.shape[1]):
+    for i in range(lane, term_cost.shape[1], lanes):
         report[e, at + i] = term_cost[e, i]
     at += term_cost.shape[1]
-    for p in range(knots.shape[1]):
-        for i in range(nu):
-            report[e, at + p * nu + i] = knots[e, p, i]
-    report[e, at + knots.shape[1] * nu] = offset[e]
+    columns = knots.shape[1] * nu
+    for i in range(lane, columns, lanes):
+        report[e, at + i] = knots[e, i // nu, i % nu]
+    if lane == 0:
+        report[e, at + columns] = offset[e]

@@ -21,6 +21,7 @@ from ..planner.graph import PlanGraph, PlanReport
 from ..planner.plan import Plan
 from ..planner.step import PlanStep
 from ..task.task import Task, task_layout
+from .observation import Observation
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -80,7 +81,7 @@ class Controller:
         """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
         with capturing:  # nothing may be allocated while another controller records its plan
             self._build(name, device, strategy, terms)
-        self._layout_speed = self.layout.activation_speed
+        self._observed = Observation(self.layout, envs, scene.timing.control_dt)
         self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
         self._warned_of_overflow = False
         self._info: Info | tuple[Info, ...] | None = None
@@ -108,13 +109,7 @@ class Controller:
         self.graph = PlanGraph(self.planner)
 
     def _forget(self) -> None:
-        layout, envs = self.layout, self.envs
-        # the last finite observation of every environment, the scene's start before there is one
-        self._seen = np.zeros(envs, dtype=bool)
-        self._held_q, self._held_qd = (np.tile(a, (envs, 1)) for a in (layout.joint_q, layout.joint_qd))
-        self._act, self._mocap = np.tile(layout.act, (envs, 1)), np.tile(layout.mocap, (envs, 1, 1))
-        self._time = np.full(envs, np.nan)  # of the last plan
-        self._now = self._time  # of the last observation, finite or not
+        self._observed.forget()
         self._last: tuple[State, PlanReport, np.ndarray, float] | None = None
         self._info = None
 
@@ -173,32 +168,25 @@ class Controller:
                 positions, so that there is none to hold.
         """
         start = time.perf_counter()
-        q, qd = self._checked(state)
-        act, mocap = self._activations(state, qd), self._more(state.mocap, self._mocap, "mocap")
-        observed = np.logical_and.reduce(
-            [np.isfinite(a).reshape(self.envs, -1).all(axis=1) for a in (q, qd, act, mocap)]
-        )
-        elapsed, now = self._clock(state, observed)
-        self._held_q[observed], self._held_qd[observed] = q[observed], qd[observed]
-        self._seen |= observed
-        self._act[observed], self._mocap[observed] = act[observed], mocap[observed]
-        if observed.any():
-            report = self.graph(observed, elapsed, now, self._held_q, self._held_qd, self._act, self._mocap)
+        seen = self._observed
+        seen.take(state)
+        if seen.fresh.any():
+            report = self.graph(seen.fresh, seen.elapsed, seen.now, seen.block)
             command = report.command.copy()
         else:
             report, command = self._no_report(), np.zeros((self.envs, self.layout.nu), np.float32)
-        fallback = ~observed | ~np.isfinite(report.cost)
+        fallback = ~(seen.fresh & np.isfinite(report.cost))
         if fallback.any():
             command[fallback] = self._safe_command(fallback)
             with capturing:
                 self.planner.state.last_control.assign(command)
             logger.warning(
                 "t = %.2f s: %s; sending the safe command",
-                np.max(now),
-                "the observation is not finite" if not observed.all() else "every rollout diverged",
+                np.max(seen.now),
+                "the observation is not finite" if not seen.fresh.all() else "every rollout diverged",
             )
         plan_ms = 1e3 * (time.perf_counter() - start)
-        if observed.any():
+        if seen.fresh.any():
             self._warn_of_overflow(report)
         self._last, self._info = (state, report, fallback, plan_ms), None
         return command if np.ndim(state.joint_q) == 2 else command[0]
@@ -218,7 +206,7 @@ class Controller:
         """
         self.step(state)
         report, many = self._last[1], np.ndim(state.joint_q) == 2
-        first = np.nan_to_num(self._time) - report.offset
+        first = np.nan_to_num(self._observed.planned) - report.offset
         times = first[:, None] + self.planner.knot_time
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
@@ -228,55 +216,15 @@ class Controller:
             upper=self._upper.copy(),
         )
 
-    def _clock(self, state: State, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Time since the last plan and time of the observation ``[E]`` [s]; a clock that runs back stands still."""
-        dt = self.scene.timing.control_dt
-        if state.time is None:
-            now = np.where(np.isnan(self._now), 0.0, self._now + dt)
-        else:
-            now = np.broadcast_to(np.asarray(state.time, dtype=float), self.envs).copy()
-        self._now = now
-        elapsed = np.where(np.isnan(self._time) | ~observed, 0.0, np.maximum(now - self._time, 0.0))
-        self._time = np.where(observed, now, self._time)
-        return elapsed, now
-
-    def _activations(self, state: State, qd: np.ndarray) -> np.ndarray:
-        """Activations ``[E, na]``; set points of velocities that the state leaves out are the velocities themselves."""
-        act = self._more(state.act, self._act, "act")
-        speed = self._layout_speed
-        return np.where(speed >= 0, qd[:, speed], act) if state.act is None and (speed >= 0).any() else act
-
-    def _more(self, value: np.ndarray | None, held: np.ndarray, name: str) -> np.ndarray:
-        """Activations or mocap poses with a leading axis [E], the last ones where the state has none."""
-        if value is None:
-            return held
-        value = np.asarray(value, dtype=np.float32)
-        if value.shape not in (held.shape, held.shape[1:] if self.envs == 1 else held.shape):
-            raise ValueError(f"a state of this scene has {name} {list(held.shape[1:])}, not {list(value.shape)}")
-        return value.reshape(held.shape)
-
-    def _checked(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Joint coordinates and velocities with a leading axis [E]."""
-        q, qd = np.asarray(state.joint_q, dtype=np.float32), np.asarray(state.joint_qd, dtype=np.float32)
-        nq, nv = self.layout.nq, self.layout.nv
-        many = (q.shape, qd.shape) == ((self.envs, nq), (self.envs, nv))
-        if not many and not (self.envs == 1 and (q.shape, qd.shape) == ((nq,), (nv,))):
-            lead = f"{self.envs}, " if self.envs > 1 else ""
-            raise ValueError(
-                f"a state of this scene has joint_q [{lead}{nq}] and joint_qd [{lead}{nv}], "
-                f"not {list(q.shape)} and {list(qd.shape)}"
-            )
-        return q.reshape(self.envs, nq), qd.reshape(self.envs, nv)
-
     def _safe_command(self, needed: np.ndarray) -> np.ndarray:
         """Zero velocity or effort, a stop by the next control, the position last seen, as the drive is; ``[n, nu]``."""
         held = self.layout.control_safe
-        if (held >= 0).any() and not self._seen[needed].all():
+        if (held >= 0).any() and not self._observed.seen[needed].all():
             raise ValueError("the first observation is not finite: there is no position to hold yet, send nothing")
         rest = self.layout.control_start if len(self.layout.control_start) else 0.0
-        safe = np.where(held >= 0, self._held_q[needed][:, np.maximum(held, 0)], rest)
+        safe = np.where(held >= 0, self._observed.joint_q[needed][:, np.maximum(held, 0)], rest)
         brake = self.layout.control_brake
-        stop = -self._held_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
+        stop = -self._observed.joint_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
         safe = np.where(brake >= 0, stop, safe)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
@@ -292,22 +240,21 @@ class Controller:
             cost=nothing,
             best=zero,
             diverged=zero,
-            overflow=zero.astype(int),
+            overflow_halves=np.zeros((2, self.envs)),
             terms=np.full((envs, len(self.costs.labels)), np.nan),
             knots=mean,
             offset=self.planner.strategy.offset.numpy(),
         )
 
     def _warn_of_overflow(self, report: PlanReport) -> None:
-        bits = int(np.bitwise_or.reduce(report.overflow))
-        if bits and not self._warned_of_overflow:
-            self._warned_of_overflow = True
+        if report.overflow_halves.any() and not self._warned_of_overflow:
+            bits, self._warned_of_overflow = int(np.bitwise_or.reduce(report.overflow)), True
             logger.warning("%s", self.engine.overflow_message(bits))
 
     def _describe(self, report: PlanReport, e: int, fallback: bool, plan_ms: float) -> Info:
         """Row e of the report, in words."""
         return Info(
-            time=float(np.nan_to_num(self._time[e])),
+            time=float(np.nan_to_num(self._observed.planned[e])),
             beta=float(report.beta[e]),
             eta=0.0 if fallback else float(report.eta[e]),
             cost=float("inf") if fallback else float(report.cost[e]),

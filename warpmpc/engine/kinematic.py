@@ -24,6 +24,7 @@ from ..bake.state import StateCode, TermCode, moving_dofs
 from ..cost.kernel import judge_code
 from ..cost.stack import Judge
 from ..cost.term import CostTerm
+from ..kernels.planning.splines import ZERO
 from ..kernels.worlds.kinematic import (
     ACCELERATION,
     POSITION,
@@ -129,6 +130,9 @@ class KinematicEngine:
         work.joint_q, work.joint_qd, work.mocap, work.weight = state.joint_q, state.joint_qd, state.mocap, state.weight
         work.dt, work.step_weight, work.total = self.grid.dt, self.grid.weight, zeros(terms, shape.worlds)
         self._work = work
+        # only knots that stand still between plans change their part in a step's control
+        self._steps_of_plan = spline.kind == int(ZERO) and spline.even != 0
+        self._taps(zeros(envs))
 
     def _source(self) -> tuple[str, list[int]]:
         """Source of the kernel, and the terms that it does not hold."""
@@ -181,22 +185,24 @@ class KinematicEngine:
         Capture-safe on CUDA. On the CPU every part of the samples is a sequence of its own.
         """
         if self._on_gpu:
-            self._taps(proposal)
+            if self._steps_of_plan:
+                self._taps(proposal.offset)
             self._take(proposal, self.parts[0])
         else:
             if id(proposal) not in self._replays:
                 parts = [Replay(partial(self._take, proposal, part)) for part in self.parts]
-                self._replays[id(proposal)] = proposal, Replay(partial(self._taps, proposal)), parts
+                self._replays[id(proposal)] = proposal, Replay(partial(self._taps, proposal.offset)), parts
             _, taps, parts = self._replays[id(proposal)]
-            taps()
+            if self._steps_of_plan:
+                taps()
             self._crew.run(parts)
         if not self.costs.capturable:
             self.judge.launch_arrays()
             self._finish(0, self.shape.worlds)
 
-    def _taps(self, proposal: Proposal) -> None:
+    def _taps(self, offset: wp.array) -> None:
         """Which knots the controls depend on at present."""
-        inputs = [self._unit, self.request.spline, self.grid.t, self._step_place, proposal.offset]
+        inputs = [self._unit, self.request.spline, self.grid.t, self._step_place, offset]
         self._launch(taps_kernel, self._work.tap.shape[:2], inputs, [self._work.tap, self._work.share])
 
     def _take(self, proposal: Proposal, part: tuple[int, int, int, int]) -> None:

@@ -11,13 +11,15 @@ import warp as wp
 
 from ..kernels.worlds.exchange import (
     REPORT,
-    best_sample_kernel,
-    count_failures_kernel,
     report_kernel,
+    survey_kernel,
     unpack_kernel,
 )
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, step_lanes
 from .weighting import BLOCK_DIM
+
+LANES = 32
+"""Threads of a GPU that share an environment's numbers."""
 
 if TYPE_CHECKING:
     from .step import PlanStep
@@ -33,10 +35,16 @@ class PlanReport:
     cost: np.ndarray  # [E] of the best sample, +inf when every sample diverged
     best: np.ndarray  # [E] sample
     diverged: np.ndarray  # [E] worlds whose physics failed
-    overflow: np.ndarray  # [E] capacity bits of all worlds together
+    overflow_halves: np.ndarray  # [2, E] capacity bits of all worlds together, the lower 16 first
     terms: np.ndarray  # [E, terms] of the best sample
     knots: np.ndarray  # [E, P, nu] of the plan
     offset: np.ndarray  # [E] time from the first knot to the present [s]
+
+    @property
+    def overflow(self) -> np.ndarray:
+        """Capacity bits of all worlds together ``[E]``."""
+        low, high = self.overflow_halves.astype(np.int64)
+        return low | high << 16
 
 
 class PlanGraph:
@@ -54,27 +62,22 @@ class PlanGraph:
         self.plan = plan
         self.device = wp.get_device(plan.device)
         self._launch = Launcher(self.device)
+        self._kept: list[wp.array] = []
         envs, terms = plan.shape.envs, len(plan.costs.labels)
         cuda = self.device.is_cuda
         self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
         state = plan.state
         widths = [3, state.joint_q.shape[1], state.joint_qd.shape[1], state.act.shape[1], 7 * state.mocap.shape[1]]
         widths.append(plan.costs.task.block.shape[1])
-        self._parts = np.cumsum([0, *widths])
 
-        def host(columns: int) -> wp.array:
-            return wp.zeros((envs, columns), dtype=float, device="cpu", pinned=cuda)
-
-        def device(columns: int) -> wp.array:
-            return wp.zeros((envs, columns), dtype=float, device=self.device)
-
-        wide = int(self._parts[-1])
         reported = self._nu + int(REPORT) + terms + self._knots[1] * self._nu + 1
-        self._host_in, self._host_out, self._in, self._out = host(wide), host(reported), device(wide), device(reported)
-        self._packed, self._report = self._host_in.numpy(), self._host_out.numpy()
+        self._packed, self._in = self._exchanged(envs, sum(widths))
+        self._report, self._out = self._exchanged(envs, reported)
+        self._lanes = step_lanes(LANES, self.device)
         self._best = wp.zeros(envs, dtype=int, device=self.device)
         self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
         self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
+        self._learned = self._views()
         pieces = (self._unpack, self._pack)
         self._take_in, self._give_out = pieces if cuda else [Replay(piece, blocks=True) for piece in pieces]
         self.captured: wp.Graph | None = None
@@ -90,10 +93,7 @@ class PlanGraph:
         observed: np.ndarray,
         elapsed: np.ndarray,
         start: np.ndarray,
-        joint_q: np.ndarray,
-        joint_qd: np.ndarray,
-        act: np.ndarray,
-        mocap: np.ndarray,
+        state: np.ndarray,
     ) -> PlanReport:
         """Plan for what the task wants at present.
 
@@ -101,16 +101,12 @@ class PlanGraph:
             observed: Whether there is an observation to plan from ``[E]``.
             elapsed: Time since the last plan ``[E]`` [s].
             start: Time of the observation ``[E]`` [s].
-            joint_q: Joint coordinates ``[E, nq]``.
-            joint_qd: Joint velocities ``[E, nv]``.
-            act: Activations ``[E, na]``.
-            mocap: Poses of mocap bodies ``[E, nm, 7]``.
+            state: Joint coordinates, joint velocities, activations, poses of mocap bodies ``[E, nq + nv + na + 7 nm]``.
         """
-        head = np.stack([observed, elapsed, start], axis=1)
-        envs = len(head)
-        blocks = (head, joint_q, joint_qd, act, mocap.reshape(envs, -1), self.plan.costs.task.block)
-        for block, first, end in zip(blocks, self._parts, self._parts[1:], strict=False):
-            self._packed[:, first:end] = block
+        packed, task = self._packed, self.plan.costs.task.block
+        packed[:, 0], packed[:, 1], packed[:, 2] = observed, elapsed, start
+        packed[:, 3 : -task.shape[1]] = state
+        packed[:, -task.shape[1] :] = task
         self.plan.costs.refresh()
         if self.captured is not None:
             wp.capture_launch(self.captured)
@@ -122,13 +118,19 @@ class PlanGraph:
                 self.captured = capture.graph
         if self.device.is_cuda:
             wp.synchronize_device(self.device)
-        return self._unpacked()
+        return self._learned
 
-    def _unpacked(self) -> PlanReport:
+    def _exchanged(self, envs: int, columns: int) -> tuple[np.ndarray, wp.array]:
+        """A block ``[E, columns]`` that host and device both see: a GPU reads and writes the host's pinned memory."""
+        host = wp.zeros((envs, columns), dtype=float, device="cpu", pinned=self.device.is_cuda)
+        self._kept.append(host)
+        if not self.device.is_cuda:
+            return host.numpy(), host
+        return host.numpy(), wp.array(ptr=host.ptr, shape=host.shape, dtype=float, device=self.device)
+
+    def _views(self) -> PlanReport:
         row, nu = self._report, self._nu
-        numbers = row[:, nu : nu + int(REPORT)].T
-        at = nu + int(REPORT)
-        low, high = numbers[5].astype(np.int64), numbers[6].astype(np.int64)
+        numbers, at = row[:, nu : nu + int(REPORT)].T, nu + int(REPORT)
         return PlanReport(
             command=row[:, :nu],
             beta=numbers[0],
@@ -136,7 +138,7 @@ class PlanGraph:
             cost=numbers[2],
             best=numbers[3],
             diverged=numbers[4],
-            overflow=low | high << 16,
+            overflow_halves=numbers[5:],
             terms=row[:, at : at + self._terms],
             knots=row[:, at + self._terms : -1].reshape(self._knots),
             offset=row[:, -1],
@@ -150,22 +152,17 @@ class PlanGraph:
     def _unpack(self) -> None:
         """Spread the block that came in over the arrays of the plan."""
         state = self.plan.state
-        wp.copy(self._in, self._host_in)
         task = [state.pose, state.scalar, state.weight]
         observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act, state.mocap]
-        self._launch(unpack_kernel, self._in.shape[0], [self._in], observed + task)
+        self._launch(unpack_kernel, (self._in.shape[0], self._lanes), [self._in, self._lanes], observed + task)
 
     def _pack(self) -> None:
         """Gather what came of the plan into the block that goes out."""
         plan, strategy, engine = self.plan, self.plan.strategy, self.plan.engine
         envs = self._in.shape[0]
-        outputs = [self._best, self._best_cost]
-        self._launch(best_sample_kernel, envs, [engine.cost], outputs, block_dim=BLOCK_DIM)
+        inputs, outputs = [engine.cost, engine.diverged, engine.overflow], [self._best, self._best_cost, self._failures]
+        self._launch(survey_kernel, envs, inputs, outputs, block_dim=BLOCK_DIM)
         engine.explain(self._best)
-        self._failures.zero_()
-        inputs = [engine.diverged, engine.overflow, plan.shape.rollouts]
-        self._launch(count_failures_kernel, plan.shape.worlds, inputs, [self._failures])
         learned = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
         about = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
-        self._launch(report_kernel, envs, learned + about, [self._out])
-        wp.copy(self._host_out, self._out)
+        self._launch(report_kernel, (envs, self._lanes), [*learned, *about, self._lanes], [self._out])

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ from .splines import SplineKind, spline_table
 from .strategy import Round
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from ..cost.stack import CostStack
     from ..model.batch_size import BatchSize
@@ -99,8 +98,9 @@ class PlanStep:
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         self._spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
-        self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)
+        self.command = self.state.last_control  # what acts from now on
         self.stages = dict.fromkeys(STAGES, 0.0)
+        """Wall time of each stage of the last plan [s]."""
         self.reset()
 
     def reset(self) -> None:
@@ -111,9 +111,12 @@ class PlanStep:
     def __call__(self) -> None:
         """Plan from :attr:`state`; the result is in :attr:`command`. Capture-safe where the engine is."""
         self.stages = dict.fromkeys(STAGES, 0.0)
+        start = time.perf_counter()
         for stage, run in self._sequence:
-            with self._stage(stage):
-                run()
+            run()
+            end = time.perf_counter()
+            self.stages[stage] += end - start
+            start = end
 
     def sequence(self) -> list[tuple[str, Callable[[], None]]]:
         """The plan step in order, each piece with the stage it belongs to."""
@@ -137,13 +140,6 @@ class PlanStep:
         self.costs.before_plan(self.state)
         self.strategy.shift()
 
-    @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
-        """Add the wall time [s] of a stage to :attr:`stages`."""
-        start = time.perf_counter()
-        yield
-        self.stages[name] += time.perf_counter() - start
-
     def _finish(self) -> None:
         """Write the command."""
         self._launch(
@@ -152,7 +148,6 @@ class PlanStep:
             [self.strategy.mean, self._spline, *self.limits, self.strategy.offset],
             [self.command],
         )
-        wp.copy(self.state.last_control, self.command)
 
 
 def knot_times(grid: TimeGrid, knots: int | None) -> np.ndarray:

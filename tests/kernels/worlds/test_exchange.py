@@ -5,17 +5,19 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.kernels.worlds.exchange import REPORT, count_failures_kernel, report_kernel, unpack_kernel
+from warpmpc.kernels.worlds.exchange import REPORT, report_kernel, survey_kernel, unpack_kernel
 
 HIGH, LOW = 1 << 30 | 1 << 17, 1 << 2 | 1
 
 
 def failures(diverged, overflow, *, envs: int, device: str) -> np.ndarray:
     """Diverged worlds and capacity bits of every environment ``[E, 2]``."""
-    out = wp.zeros((envs, 2), dtype=int, device=device)
+    out = wp.full((envs, 2), 77, dtype=int, device=device)
+    best = [wp.zeros(envs, dtype=kind, device=device) for kind in (int, float)]
     inputs = [wp.array(a, dtype=int, device=device) for a in (diverged, overflow)]
-    count = len(diverged)
-    wp.launch(count_failures_kernel, dim=count, inputs=[*inputs, count // envs], outputs=[out], device=device)
+    cost = wp.zeros((envs, 2), dtype=float, device=device)
+    launch = {"dim": [envs], "block_dim": 64, "device": device}
+    wp.launch_tiled(survey_kernel, inputs=[cost, *inputs], outputs=[*best, out], **launch)
     return out.numpy()
 
 
@@ -35,7 +37,7 @@ def test_capacity_bits_survive_the_way_through_floats(bits, device):
     report = zeros(1, nu + int(REPORT) + terms + knots * nu + 1)
     inputs = [zeros(1, nu), zeros(1), zeros(1), zeros(1, dtype=int), zeros(1), failed]
     inputs += [zeros(1, terms), zeros(1, knots, nu), zeros(1)]
-    wp.launch(report_kernel, dim=1, inputs=inputs, outputs=[report], device=device)
+    wp.launch(report_kernel, dim=(1, 3), inputs=[*inputs, 3], outputs=[report], device=device)
     row = report.numpy()[0]
     assert row[nu + 4] == 7.0
     assert int(row[nu + 5]) | int(row[nu + 6]) << 16 == bits
@@ -52,7 +54,8 @@ def test_a_report_holds_command_numbers_terms_knots_and_offset_in_this_order(dev
 
     report = wp.zeros((2, nu + int(REPORT) + terms + knots * nu + 1), dtype=float, device=device)
     inputs = [on(command), on(beta), on(eta), on([5, 6], int), on(cost), on([[1, 2], [3, 4]], int)]
-    wp.launch(report_kernel, dim=2, inputs=[*inputs, on(term), on(mean), on(offset)], outputs=[report], device=device)
+    inputs += [on(term), on(mean), on(offset), 3]
+    wp.launch(report_kernel, dim=(2, 3), inputs=inputs, outputs=[report], device=device)
     for e in range(2):
         numbers = [beta[e], eta[e], cost[e], [5, 6][e], [1, 3][e], [2, 4][e], 0.0]
         expected = np.concatenate([command[e], numbers, term[e], mean[e].ravel(), offset[e : e + 1]])
@@ -69,7 +72,7 @@ def test_a_packed_row_is_taken_apart_in_order(device):
     for name, n in sizes.items():
         out.append(wp.zeros((2, n), dtype=wp.transform if name in poses else float, device=device))
     source = wp.array(packed, dtype=float, device=device)
-    wp.launch(unpack_kernel, dim=2, inputs=[source], outputs=out, device=device)
+    wp.launch(unpack_kernel, dim=(2, 3), inputs=[source, 3], outputs=out, device=device)
     assert out[0].numpy().tolist() == [1, 0]
     found = np.concatenate([array.numpy().reshape(2, -1) for array in out[1:]], axis=1)
     np.testing.assert_array_equal(found, packed[:, 1:])
