@@ -26,11 +26,12 @@ from ..task.conditions import Look
 from ..task.goal import GOAL, GoalError
 from ..task.observed import ObservedState
 from ..task.task import Task, task_layout
+from .camera import DepthCamera
 from .monitor import Monitor
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
-    from ..scene.schema import Kick, Scene
+    from ..scene.schema import Camera, Kick, Scene
     from .batch import PlantBatch
 
 SUBSTEPS = 8
@@ -174,6 +175,8 @@ class Plant:
         self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
+        self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
+        """Cameras that show the plant's world, by the clouds that they fill."""
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
         self.reset()
 
@@ -184,6 +187,8 @@ class Plant:
             self._engine.move_mocap(self._index, i, pose)
         self._slice = 0  # of the trajectory: the start, later 1, the state after a control
         self.steps = 0
+        for camera in self.cameras.values():
+            camera.reset()
         self.contact = Contact()
         self.diverged = False
         self.monitor.reset()
@@ -214,7 +219,8 @@ class Plant:
         return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
     def observe(self) -> State:
-        """The state as sensors show it: with noise, and ``delay`` old."""
+        """The state as sensors show it: with noise, and ``delay`` old; cameras fill the task's clouds."""
+        self._look()
         state = self._history[0]
         noise = self.scene.plant.noise
         if not noise.position and not noise.velocity:
@@ -226,6 +232,21 @@ class Plant:
                 q[i : i + 4] /= np.linalg.norm(q[i : i + 4])
         qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
         return replace(state, joint_q=q.astype(np.float32), joint_qd=qd.astype(np.float32))
+
+    def _camera(self, camera: Camera, seed: int) -> DepthCamera:
+        """A camera in this plant's world."""
+        robots = {entity.name for entity in self.layout.entities if entity.kind == "robot"}
+        shapes = zip(self.layout.shapes, self.compiled.geom_name, strict=True)
+        model = self._engine.models[self._index]
+        own = [model.geom(name).id for shape, name in shapes if name and shape.entity in robots]
+        return DepthCamera(camera, model, own, seed=seed)
+
+    def _look(self) -> None:
+        """Take the pictures whose time has come."""
+        for name, camera in self.cameras.items():
+            if camera.due(self.time):
+                self._engine.show(self._index, camera.data)
+                self.task.see(name, camera.points(self.time), self._index)
 
     def apply(self, control: np.ndarray) -> None:
         """Hold a control ``[nu]`` for one control step.

@@ -21,6 +21,7 @@ from .schema_bodies import (
     Robot,
     ShapeKind,
 )
+from .schema_cloud import Camera, Cloud
 from .schema_planner import (
     EngineName,
     EngineSettings,
@@ -56,6 +57,8 @@ from .types import (
 )
 
 __all__ = [
+    "Camera",
+    "Cloud",
     "Condition",
     "Cost",
     "Covariance",
@@ -355,6 +358,8 @@ class Scene(Section):
     robot: tuple[Robot, ...] = Field(min_length=1)
     object: tuple[Object, ...] = ()
     obstacle: tuple[Obstacle, ...] = ()
+    cloud: tuple[Cloud, ...] = ()
+    """Point clouds that are seen, values of the task."""
     goal: Goal | None = None
     target: tuple[Target, ...] = ()
     """Further named poses."""

@@ -65,7 +65,7 @@ def self_collision(code: TermCode, p: Any) -> Operand:
     """``collision.self_collision``: max(0, margin + deepest penetration)."""
     groups, add = groups_of(code, p.spheres), code.lines.add
     deepest, margin = code.lines.let(f"(T)(-{code.params}.margin)"), f"{code.params}.margin"
-    deepest = _variable(code, "deepest", deepest)
+    deepest = variable(code, "deepest", deepest)
     for first, second in zip(p.first.numpy(), p.second.numpy(), strict=True):
         a, b = groups[first], groups[second]
         reach = f"({literal(a.radius + b.radius)} + {margin})"
@@ -81,8 +81,8 @@ def self_collision(code: TermCode, p: Any) -> Operand:
     return code.lines.let(f"{deepest} + {margin}")
 
 
-def _variable(code: TermCode, name: str, value: str) -> str:
-    """A variable of the term."""
+def variable(code: TermCode, name: str, value: str) -> str:
+    """A variable of a term that later statements change; returns its name."""
     name = f"{name}_{code.params.replace('.', '_')}"
     code.lines.add(f"T {name} = {value};")
     return name
@@ -96,7 +96,7 @@ def world_collision(code: TermCode, p: Any) -> Operand | None:
         return None
     shapes = _shapes(code, poses)
     groups, margin = groups_of(code, p.spheres), f"{code.params}.margin"
-    least, look = _variable(code, "least", f"(T){margin}"), _on_way_past if p.swept else _against
+    least, look = variable(code, "least", f"(T){margin}"), _on_way_past if p.swept else _against
     for group in groups:
         for kind in np.unique(kinds):
             look(code, group, int(kind), np.flatnonzero(kinds == kind), shapes, least)
