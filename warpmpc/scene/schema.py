@@ -21,6 +21,7 @@ from .schema_bodies import (
     Robot,
     ShapeKind,
 )
+from .schema_motion import Motion, Seen
 from .schema_planner import (
     EngineName,
     EngineSettings,
@@ -72,6 +73,7 @@ __all__ = [
     "Growing",
     "Kick",
     "Method",
+    "Motion",
     "Noise",
     "NoiseShape",
     "NoiseSource",
@@ -90,6 +92,7 @@ __all__ = [
     "Risk",
     "Robot",
     "Scene",
+    "Seen",
     "ShapeKind",
     "Solver",
     "SplineKind",
@@ -362,6 +365,8 @@ class Scene(Section):
     """Named numbers of the task that terms read and that may change between plans, such as a wanted speed."""
     phase: tuple[Phase, ...] = ()
     """Parts of the task, one after the other."""
+    motion: tuple[Motion, ...] = ()
+    """What moves by itself in a simulated plant."""
     cost: tuple[Cost, ...] = Field(min_length=1)
     planner: Planner = Planner()
     engine: EngineSettings = EngineSettings()
