@@ -126,7 +126,7 @@ class Monitor:
         self._pass(time)
         if scene.goal is not None:
             pose = self._success.frame_pose(look, self._frame)
-            self.error = goal_error(scene.goal, task.pose(GOAL, e), pose)
+            self.error = goal_error(scene.goal, look.pose(GOAL, task, e), pose)
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
         reached = last_phase and (self.error is None or self.error.within(scene.success)) and self._success.hold(look)
         self._within = self._since(self._within, reached)

@@ -28,6 +28,7 @@ from ..task.observed import ObservedState
 from ..task.task import Task, task_layout
 from .camera import DepthCamera
 from .monitor import Monitor
+from .motion import Motions
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -174,6 +175,7 @@ class Plant:
         self.monitor = worlds.monitors[self._index]
         self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
+        self._motions = Motions(scene, seed)
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
         """Cameras that show the plant's world, by the clouds that they fill."""
@@ -192,6 +194,7 @@ class Plant:
         self.contact = Contact()
         self.diverged = False
         self.monitor.reset()
+        self._motions.reset()
         self._history: deque[State] = deque(maxlen=self._delay + 1)
         self._check()
 
@@ -276,7 +279,7 @@ class Plant:
         """The part of :meth:`apply` before the engine's step: kicks, movable obstacles and the control ``[nu]``."""
         self._disturb()
         if self.layout.movable:
-            poses = [self.task.pose(name, self._index) for name in self.layout.movable]
+            poses = [self.pose(name) for name in self.layout.movable]
             self._engine.place_obstacles(self._index, np.array(poses))
         self._worlds.control.numpy()[0, self._index] = control
 
@@ -332,11 +335,15 @@ class Plant:
         self.contact.max_force = max(self.contact.forces.values())
 
     def _check(self) -> None:
-        """Take note of the state just reached."""
+        """Take note of the state just reached, and of what was seen to move."""
+        self._moving = self._motions.at(self.time)
+        for name, position in self._motions.seen(self.time).items():
+            self.task.move(name, position, self._index)
         self._history.append(self.state)
         terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]
-        self.monitor.look(Look(self.body_q, state.joint_q, terms), self.time)
+        poses = {name: self.pose(name) for name in self._moving}
+        self.monitor.look(Look(self.body_q, state.joint_q, terms, poses), self.time)
 
     def _measured(self) -> np.ndarray:
         """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""
@@ -345,7 +352,14 @@ class Plant:
     @property
     def goal(self) -> np.ndarray:
         """Pose of the goal ``[7]``."""
-        return self.task.pose(GOAL, self._index).copy()
+        return self.pose(GOAL)
+
+    def pose(self, name: str) -> np.ndarray:
+        """True pose ``[7]`` of the goal, a target or a movable obstacle; the task has what is seen of it."""
+        pose = self.task.pose(name, self._index).copy()
+        if name in self._moving:
+            pose[:3] = self._moving[name]
+        return pose
 
     @property
     def error(self) -> GoalError | None:

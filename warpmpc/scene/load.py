@@ -177,7 +177,16 @@ def check_scene(scene: Scene) -> None:
     Raises:
         SceneError: If names clash, a reference leads nowhere or sections contradict each other.
     """
-    checks = (_check_names, _check_goal, _check_phases, _check_robots, _check_plant, _check_randomization, _check_draws)
+    checks = (
+        _check_names,
+        _check_goal,
+        _check_phases,
+        _check_motions,
+        _check_robots,
+        _check_plant,
+        _check_randomization,
+        _check_draws,
+    )
     for check in checks:
         try:
             check(scene)
@@ -265,6 +274,17 @@ def _check_phases(scene: Scene) -> None:
                     )
         if i < len(scene.phase) - 1 and not phase.until and phase.after is None:
             raise SceneError("this phase never ends: give until or after, or put it last", key=key)
+
+
+def _check_motions(scene: Scene) -> None:
+    poses = [*(["goal"] if scene.goal else []), *_names(scene.target), *(o.name for o in scene.obstacle if o.movable)]
+    for i, motion in enumerate(scene.motion):
+        key = f"motion.{motion.name}.name"
+        if motion.name not in poses:
+            what = "nothing that can move has this name: the goal, targets and obstacles with movable = true can"
+            raise SceneError(what, key=key, found=motion.name, allowed=poses)
+        if motion.name in _names(scene.motion[:i]):
+            raise SceneError("this moves already", key=key, found=motion.name)
 
 
 def _check_frame(scene: Scene, frame: str, key: str) -> None:

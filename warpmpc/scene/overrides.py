@@ -24,7 +24,7 @@ Key = tuple[str, ...]
 
 _PART = r"""\s*("[^"]+"|'[^']+'|[^."'\s]+)\s*"""
 
-NAMED = ("robot", "object", "obstacle", "cost")
+NAMED = ("robot", "object", "obstacle", "cost", "motion")
 """Arrays of tables at the top of a scene whose entries have names."""
 
 

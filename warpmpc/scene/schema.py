@@ -22,6 +22,7 @@ from .schema_bodies import (
     ShapeKind,
 )
 from .schema_cloud import Camera, Cloud
+from .schema_motion import Motion, Seen
 from .schema_planner import (
     EngineName,
     EngineSettings,
@@ -75,6 +76,7 @@ __all__ = [
     "Growing",
     "Kick",
     "Method",
+    "Motion",
     "Noise",
     "NoiseShape",
     "NoiseSource",
@@ -93,6 +95,7 @@ __all__ = [
     "Risk",
     "Robot",
     "Scene",
+    "Seen",
     "ShapeKind",
     "Solver",
     "SplineKind",
@@ -367,6 +370,8 @@ class Scene(Section):
     """Named numbers of the task that terms read and that may change between plans, such as a wanted speed."""
     phase: tuple[Phase, ...] = ()
     """Parts of the task, one after the other."""
+    motion: tuple[Motion, ...] = ()
+    """What moves by itself in a simulated plant."""
     cost: tuple[Cost, ...] = Field(min_length=1)
     planner: Planner = Planner()
     engine: EngineSettings = EngineSettings()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +30,12 @@ class Look:
     joint_q: np.ndarray  # [nq]
     terms: Mapping[str, float]
     """Values of the cost terms that conditions name, without their weights; empty before the first control."""
+    poses: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """True poses ``[7]`` of what moves by itself, where the task has what was seen of it."""
+
+    def pose(self, name: str, task: Task, e: int) -> np.ndarray:
+        """Where one of the task's poses truly is ``[7]``."""
+        return self.poses[name] if name in self.poses else task.pose(name, e)
 
 
 class Conditions:
@@ -110,6 +116,6 @@ class Conditions:
         body, local = int(self._layout.frame_body[frame]), self._layout.frame_pose[frame]
         if body == WORLD:
             return local
-        origin = look.body_q[body] if body >= 0 else self._task.pose(self._task.pose_name[-2 - body], self._e)
+        origin = look.body_q[body] if body >= 0 else look.pose(self._task.pose_name[-2 - body], self._task, self._e)
         pose = wp.transform(*origin) * wp.transform(*local)
         return np.array([*pose.p, *pose.q])

@@ -156,6 +156,13 @@ class Task(Mapping[str, np.ndarray]):
         self._clouds.set(name, points, e)
         self._tell({name})
 
+    def move(self, name: str, position: np.ndarray, e: int = 0) -> None:
+        """Put a pose of one environment somewhere else ``[3]``; it keeps its orientation."""
+        at = self.pose(name, e)[:3]
+        if not np.array_equal(at, position := np.asarray(position, dtype=np.float32)):
+            at[:] = position
+            self._tell({name})
+
     def phase_of(self, e: int = 0) -> Phase | None:
         """The active phase of an environment, None for a scene without phases."""
         return self.scene.phase[self.phase[e]] if self.scene.phase else None
