@@ -178,12 +178,9 @@ class SamplingStrategy:
         rows.append(LibraryRows(library(scene, spline.time.numpy(), layout.nu)))
         fixed = FixedRows(rows, distribution)
         if fixed.count + 1 > samples:
-            raise SceneError(
-                f"too few for the mean and {fixed.count} fixed samples (null, best, postures, library)",
-                key="planner.samples",
-                file=scene.path,
-                found=samples,
-            )
+            kinds = "null, best, postures, library"
+            message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"
+            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed
 
     def reset(self) -> None:
