@@ -34,6 +34,7 @@ import warpmpc
 from warpmpc.cli.terms import TermsError, load_terms
 from warpmpc.planner.step import STAGES
 from warpmpc.run.episode import Episode
+from warpmpc.scene.schema import EngineName
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

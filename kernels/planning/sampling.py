@@ -132,41 +132,35 @@ def scale_samples_kernel(
 
 
 @wp.kernel
-def null_control_kernel(
+def start_plan_kernel(
     # inputs
+    observed: wp.array[int],  # [E]
+    fresh: wp.array[int],  # [E] whether nothing has been planned yet
     joint_q: wp.array2d[float],  # [E, nq] observed
     held: wp.array[int],  # [nu] joint coordinate whose position asks for nothing, -1 for controls with a fixed value
     rest: wp.array[float],  # [nu] that value: zero speed or force, unless the scene starts with another
     lower: wp.array[float],  # [nu]
     upper: wp.array[float],  # [nu]
     # outputs
-    null: wp.array2d[float],  # [E, nu] within the limits
+    null: wp.array2d[float],  # [E, nu] control that asks for nothing, within the limits
+    mean: wp.array3d[float],  # [E, P, nu]
+    last_control: wp.array2d[float],  # [E, nu]
 ):
-    """One thread: one control of one environment that asks for nothing: stay where you are, or no effort."""
+    """One thread: one control of one environment that asks for nothing: stay where you are, or no effort.
+
+    A first plan begins with it, where the environment is observed.
+    """
     e, u = wp.tid()
     value = rest[u]
     if held[u] >= 0:
         value = joint_q[e, held[u]]
-    null[e, u] = wp.clamp(value, lower[u], upper[u])
-
-
-@wp.kernel
-def start_plan_kernel(
-    # inputs
-    observed: wp.array[int],  # [E]
-    fresh: wp.array[int],  # [E] whether nothing has been planned yet
-    null: wp.array2d[float],  # [E, nu]
-    # outputs
-    mean: wp.array3d[float],  # [E, P, nu]
-    last_control: wp.array2d[float],  # [E, nu]
-):
-    """One thread: one control of one environment whose first plan begins where it is observed."""
-    e, u = wp.tid()
+    value = wp.clamp(value, lower[u], upper[u])
+    null[e, u] = value
     if fresh[e] == 0 or observed[e] == 0:
         return
     for p in range(mean.shape[1]):
-        mean[e, p, u] = null[e, u]
-    last_control[e, u] = null[e, u]
+        mean[e, p, u] = value
+    last_control[e, u] = value
 
 
 @wp.kernel

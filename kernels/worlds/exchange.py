@@ -9,20 +9,10 @@ REPORT = wp.constant(7)
 """Numbers of a report's row besides command, knots and terms: β, η, cost and sample of the best, diverged, overflow."""
 
 
-@wp.func
-def load_transform(packed: wp.array2d[float], e: int, i: int) -> wp.transform:
-    """Read a pose (x, y, z, qx, qy, qz, qw)."""
-    return wp.transform(
-        wp.vec3(packed[e, i], packed[e, i + 1], packed[e, i + 2]),
-        wp.quat(packed[e, i + 3], packed[e, i + 4], packed[e, i + 5], packed[e, i + 6]),
-    )
-
-
 @wp.kernel
 def unpack_kernel(
     # inputs
     packed: wp.array2d[float],  # [E, 3 + nq + nv + na + 7 nm + 7 poses + scalars + terms]
-    lanes: int,  # threads that share an environment
     # outputs
     observed: wp.array[int],  # [E] whether there is an observation to plan from
     elapsed: wp.array[float],  # [E] time since the last plan [s]
@@ -30,38 +20,44 @@ def unpack_kernel(
     joint_q: wp.array2d[float],  # [E, nq]
     joint_qd: wp.array2d[float],  # [E, nv]
     act: wp.array2d[float],  # [E, na]
-    mocap: wp.array2d[wp.transform],  # [E, nm]
-    pose: wp.array2d[wp.transform],  # [E, poses] of the task
+    mocap: wp.array2d[float],  # [E, 7 nm]
+    pose: wp.array2d[float],  # [E, 7 poses] of the task
     scalar: wp.array2d[float],  # [E, scalars] of the task
     weight: wp.array2d[float],  # [E, terms] of the task
 ):
-    """One thread: some numbers of the observed state and the task of one environment; ``lanes`` threads share them."""
-    e, lane = wp.tid()
-    if lane == 0:
-        observed[e] = int(packed[e, 0])
-        elapsed[e] = packed[e, 1]
-        start[e] = packed[e, 2]
-    at = int(3)
-    for i in range(lane, joint_q.shape[1], lanes):
-        joint_q[e, i] = packed[e, at + i]
-    at += joint_q.shape[1]
-    for i in range(lane, joint_qd.shape[1], lanes):
-        joint_qd[e, i] = packed[e, at + i]
-    at += joint_qd.shape[1]
-    for i in range(lane, act.shape[1], lanes):
-        act[e, i] = packed[e, at + i]
-    at += act.shape[1]
-    for i in range(lane, mocap.shape[1], lanes):
-        mocap[e, i] = load_transform(packed, e, at + 7 * i)
-    at += 7 * mocap.shape[1]
-    for i in range(lane, pose.shape[1], lanes):
-        pose[e, i] = load_transform(packed, e, at + 7 * i)
-    at += 7 * pose.shape[1]
-    for i in range(lane, scalar.shape[1], lanes):
-        scalar[e, i] = packed[e, at + i]
-    at += scalar.shape[1]
-    for i in range(lane, weight.shape[1], lanes):
-        weight[e, i] = packed[e, at + i]
+    """One thread: one number of the observed state and the task of one environment.
+
+    It is read once and by nobody else: on a GPU it comes from the host's memory, and all threads wait at once.
+    """
+    e, i = wp.tid()
+    value = packed[e, i]
+    if i == 0:
+        observed[e] = int(value)
+    if i == 1:
+        elapsed[e] = value
+    if i == 2:
+        start[e] = value
+    at = i - 3
+    if at >= 0 and at < joint_q.shape[1]:
+        joint_q[e, at] = value
+    at -= joint_q.shape[1]
+    if at >= 0 and at < joint_qd.shape[1]:
+        joint_qd[e, at] = value
+    at -= joint_qd.shape[1]
+    if at >= 0 and at < act.shape[1]:
+        act[e, at] = value
+    at -= act.shape[1]
+    if at >= 0 and at < mocap.shape[1]:
+        mocap[e, at] = value
+    at -= mocap.shape[1]
+    if at >= 0 and at < pose.shape[1]:
+        pose[e, at] = value
+    at -= pose.shape[1]
+    if at >= 0 and at < scalar.shape[1]:
+        scalar[e, at] = value
+    at -= scalar.shape[1]
+    if at >= 0:
+        weight[e, at] = value
 
 
 @wp.kernel

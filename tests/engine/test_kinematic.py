@@ -134,6 +134,23 @@ def test_collisions_cost_what_the_plain_kernels_say(robot):
         check(mpc, expected)
 
 
+@pytest.mark.parametrize("robot", ["panda", "mobile_panda"])
+def test_swept_collisions_cost_what_the_plain_kernels_say_but_for_an_eighth_of_a_radius(robot):
+    wall = {"name": "wall", "shape": "box", "size": (0.01, 1.0, 1.0), "position": (0.45, 0.0, 0.5)}
+    swept = {"term": "world_collision", "margin": 0.1, "swept": True, "against": ["obstacles", "ground"]}
+    hit = {**swept, "name": "hit", "form": "binary", "margin": 0.0}
+    for seed in range(3):
+        scene = scene_of(robot, cost=[swept, hit], obstacles=[wall, *OBSTACLES[1:]], noise={"sigma": 2.0})
+        mpc, expected = planned(scene, envs=2, seed=seed)
+        assert not mpc.engine.records
+        found, steps = mpc.engine.total.numpy(), mpc.planner.grid.weight.sum()
+        assert expected[0].max() > 0.05
+        np.testing.assert_allclose(found[0], expected[0], atol=0.125 * 0.12 * steps)  # no sphere is larger
+        assert np.abs(found[0] - expected[0]).mean() < 1e-3 * steps
+        differ = np.abs(found[1] - expected[1]) > 1e-4
+        assert differ.mean() < 0.05  # those that graze
+
+
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
 @pytest.mark.parametrize("spline", ["zero", "linear", "cubic", "bspline"])
 def test_every_drive_and_spline_moves_the_joints_alike(mode, spline):
@@ -218,11 +235,29 @@ def test_what_needs_physics_is_refused(changes, said):
         Controller(type(scene).model_validate(data), engine="kinematic", device="cpu")
 
 
+GPU_COSTS = {"baked": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision": COLLISION}
+
+
 @pytest.mark.gpu
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("cost", [NATIVE, NATIVE + WARP], ids=["baked", "recorded"])
+@pytest.mark.parametrize("cost", GPU_COSTS)
 def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
-    for mode in ("acceleration", "velocity", "position"):
-        mpc, expected = planned(scene_of(robot, mode, cost, horizon=40), envs=2, device="cuda")
+    if not wp.is_cuda_available():
+        pytest.skip("needs a CUDA device")
+    modes = ("acceleration", "velocity", "position") if cost in ("baked", "recorded") else ("acceleration",)
+    for mode in modes:
+        scene = scene_of(robot, mode, GPU_COSTS[cost], OBSTACLES, horizon=40)
+        mpc, expected = planned(scene, envs=2, device="cuda")
         assert mpc.graph.captured is not None
-        check(mpc, expected)
+        check(mpc, expected, 2e-4 if cost == "arm" else 2e-5)
+
+
+@pytest.mark.gpu
+def test_swept_collisions_on_a_gpu_are_those_of_the_cpu():
+    if not wp.is_cuda_available():
+        pytest.skip("needs a CUDA device")
+    swept = {"term": "world_collision", "margin": 0.1, "swept": True, "against": ["obstacles", "ground"]}
+    scene = scene_of("panda", cost=[swept], obstacles=OBSTACLES, noise={"sigma": 2.0}, horizon=40)
+    costs = [planned(scene, envs=2, device=device)[0].engine.cost.numpy() for device in ("cpu", "cuda")]
+    assert costs[0].max() > 0.05
+    np.testing.assert_allclose(costs[1], costs[0], rtol=1e-3, atol=1e-3)

@@ -44,6 +44,8 @@ class Lines:
 
     def __init__(self, prefix: str = "e"):
         self.statements: list[str] = []
+        self.names: set[str] = set()
+        """Variables that are defined."""
         self._prefix, self._count = prefix, 0
 
     def add(self, statement: str) -> None:
@@ -51,9 +53,10 @@ class Lines:
         self.statements.append(statement)
 
     def let(self, expression: str) -> str:
-        """Give an expression a name; the same expression has one name."""
+        """Give an expression a name."""
         self._count += 1
         name = f"{self._prefix}{self._count}"
+        self.names.add(name)
         self.add(f"const T {name} = {expression};")
         return name
 

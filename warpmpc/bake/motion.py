@@ -81,15 +81,15 @@ def motion_gpu(drives: list[Drive], matrix: np.ndarray) -> str:
     """The joints at every lane's step."""
     out = []
     for u in range(matrix.shape[1]):
-        out.append(f"float {_before(f'd{u}', f'c{u}', f'c_in{u}')} if (h <= 0) d{u} = last_control[{u}];")
-        out.append(_carry(f"c_in{u}", f"c{u}"))
+        out.append(f"float {before(f'd{u}', f'c{u}', f'c_in{u}')} if (h <= 0) d{u} = last_control[{u}];")
+        out.append(carry(f"c_in{u}", f"c{u}"))
     out += [*targets("goal", "c", matrix), *targets("earlier", "d", matrix)]
     for d in drives:
         q, v, a, b, goal = f"q{d.coordinate}", f"v{d.dof}", f"a{d.dof}", f"b{d.dof}", f"goal{d.row}"
         q_in, v_in, a_in = f"q_in{d.coordinate}", f"v_in{d.dof}", f"a_in{d.dof}"
         if d.mode == "position":
             out.append(f"const float {q} = live ? {goal} : {q_in};")
-            out.append(f"float {_before('x' + q, q, q_in)}")
+            out.append(f"float {before('x' + q, q, q_in)}")
             out.append(f"const float {v} = live ? ({q} - x{q}) / dt : {v_in};")
         else:
             if d.mode == "velocity":
@@ -100,17 +100,17 @@ def motion_gpu(drives: list[Drive], matrix: np.ndarray) -> str:
         if d.mode == "acceleration":
             out.append(f"const float {a} = live ? {goal} : 0.0f, {b} = earlier{d.row};")
         else:
-            out.append(f"float {_before('x' + v, v, v_in)} const float {a} = live ? ({v} - x{v}) / dt : 0.0f;")
-            out.append(f"float {_before(b, a, a_in)} if (h <= 0) {b} = {a};")
-        out += [_carry(q_in, q), _carry(v_in, v), _carry(a_in, a)]
+            out.append(f"float {before('x' + v, v, v_in)} const float {a} = live ? ({v} - x{v}) / dt : 0.0f;")
+            out.append(f"float {before(b, a, a_in)} if (h <= 0) {b} = {a};")
+        out += [carry(q_in, q), carry(v_in, v), carry(a_in, a)]
     return "\n".join(out)
 
 
-def _before(name: str, value: str, carried: str) -> str:
+def before(name: str, value: str, carried: str) -> str:
     """Definition of a value one step before, from the lane below."""
     return f"{name} = {_UP.format(value, 1)}; if (lane == 0) {name} = {carried};"
 
 
-def _carry(name: str, value: str) -> str:
+def carry(name: str, value: str) -> str:
     """Keep the last lane's value for the next block."""
     return f"{name} = __shfl_sync(0xffffffffu, {value}, {WARP - 1});"

@@ -42,8 +42,17 @@ struct __attribute__((packed, aligned(4))) TU { T v; };
 #define VLOAD(p) (((const TU*)(p))->v)
 #define VSTORE(p, x) (((TU*)(p))->v = (x))
 #define VSELECT(m, a, b) ((m) ? (T)(a) : (T)(b))
-auto VGATHER = [](const float* p, I i) -> T { T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r; };
+auto VGATHER = [](const float* p, I i) -> T {
+GATHER
+T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r;
+};
 """
+
+_GATHER = {
+    16: ("__AVX512F__", "(T)__builtin_ia32_gathersiv16sf((T)0.0f, p, i, (unsigned short)0xffff, 4)"),
+    8: ("__AVX2__", "(T)__builtin_ia32_gatherd_d256((I)0, (const int*)p, i, (I)-1, 4)"),
+}
+"""What a processor must have for one instruction that reads so many floats, and that instruction."""
 
 
 def header(lanes: int) -> str:
@@ -53,7 +62,9 @@ def header(lanes: int) -> str:
         lanes: Samples in a ``T`` on a CPU.
     """
     undo = "\n".join(f"#undef {name}" for name in NAMES)
-    many = _MANY.replace("LANES", str(lanes))
+    feature, gather = _GATHER.get(lanes, ("", ""))
+    gather = f"#if defined({feature})\nreturn {gather};\n#endif" if gather else ""
+    many = _MANY.replace("GATHER\nT r;", f"{gather}\nT r;").replace("LANES", str(lanes))
     return f"{undo}\n#if defined(__CUDA_ARCH__)\n{_ONE}#else\n{many}#endif\n"
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from ..kernels.planning.splines import LINEAR, ZERO
 from ..kernels.worlds.kinematic import TAPS
 from .lines import Lines, Operand, text
-from .motion import WARP, Drive, motion_cpu, motion_gpu, start_cpu, start_gpu
+from .motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, start_cpu, start_gpu
 from .number import header
 
 if TYPE_CHECKING:
@@ -55,8 +55,10 @@ class RolloutSource:
         """The body of ``rollout(s: StepView, p: Params, k: KinematicWork, group: int)``."""
         record = "\n".join(self._record()) if self.records else ""  # may ask the state for more
         once = "\n".join(self.state.once.statements)
-        step = "\n".join((*self.state.lines.statements, *map(self._term, self.terms), record))
-        first = -1 if self.records else 0  # the observed state is recorded, too
+        shared = "\n".join(self.state.lines.statements)
+        step = "\n".join((*map(self._term, self.terms), record))
+        kept = self.state.kept
+        first = -1 if self.records or kept else 0  # the observed state is recorded, and what the first step asks for
         return f"""{header(self.lanes)}
 const int samples = k.knots.shape[1], knots = k.knots.shape[2], controls = k.knots.shape[3];
 const int steps = k.dt.shape[0];
@@ -67,6 +69,7 @@ const int e = row / samples;
 {once}
 {self._totals()}
 {start_gpu(self._drives, self._layout.nu)}
+{"".join(f"float in_{value} = 0.0f;" for value in kept)}
 for (int block = {first}; block < steps; block += {WARP}) {{
 const int h = block + lane;
 const bool live = h >= 0 && h < steps, seen = h < steps;
@@ -74,6 +77,8 @@ const int at = h < 0 ? 0 : (h < steps ? h : steps - 1);
 {_STEP}
 {self._controls("theta[tap[{tap}] * controls + {u}]")}
 {motion_gpu(self._drives, self._layout.actuator_matrix)}
+{shared}
+{"".join(f"float {before(name, value, f'in_{value}')} {carry(f'in_{value}', value)}" for value, name in kept.items())}
 {step}
 }}
 {self._sum_gpu()}
@@ -91,13 +96,16 @@ for (int i = 0; i < {self.knots * self._layout.nu}; ++i) knot[i][l] = own[i];
 {once}
 {self._totals()}
 {start_cpu(self._drives, self._layout.nu)}
+{"".join(f"T {name} = (T)0.0f;" for name in kept.values())}
 for (int h = {first}; h < steps; ++h) {{
 const bool live = h >= 0, seen = true;
 const int at = h < 0 ? 0 : h;
 {_STEP}
 {self._controls("knot[tap[{tap}] * controls + {u}]")}
 {motion_cpu(self._drives, self._layout.actuator_matrix)}
+{shared}
 {step}
+{"".join(f"{name} = {value};" for value, name in kept.items())}
 }}
 {self._sum_cpu()}
 #endif
@@ -121,7 +129,8 @@ const int at = h < 0 ? 0 : h;
     def _term(self, term: TermSource) -> str:
         """A term's statements; without weight it is off."""
         body = "\n".join(term.lines.statements)
-        return f"if (weight[{term.index}] != 0.0f) {{\n{body}\ntotal{term.index} += counts * {text(term.value)};\n}}"
+        total = f"total{term.index} += counts * {text(term.value)};"
+        return f"if (live && weight[{term.index}] != 0.0f) {{\n{body}\n{total}\n}}"
 
     def _controls(self, knot: str) -> str:
         """Controls ``c0``, ``c1``, ... of the step."""

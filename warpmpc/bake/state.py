@@ -53,6 +53,8 @@ class StateCode:
         """Statements that come once, before the first step: what is the same for all steps."""
         self.lines = Lines("e")
         """Statements of every state."""
+        self.kept: dict[str, str] = {}
+        """Values of a state that the next one asks for, and what they are called then."""
         self._moving_coordinates = {int(layout.dof_coord[dof]) for dof in moving}
         self._known: dict[object, object] = {}
         self.tree = Tree(layout, self.lines, self.coordinate, self._joint, quaternions=quaternions)
@@ -87,6 +89,12 @@ class StateCode:
         place = self.tree.place(body)
         key = ("point", body, *np.asarray(at, dtype=float).tolist())
         return self._cached(key, lambda: self.tree.point(place, np.asarray(at, dtype=float)))
+
+    def before(self, value: Operand) -> Operand:
+        """What a shared value was one step before; before the first step, in the observed state."""
+        if value not in self.lines.names:  # known, or the same at all steps
+            return value
+        return self.kept.setdefault(value, f"was_{value}")
 
     def free_start(self, body: int) -> int | None:
         """First joint coordinate of a body that moves freely, whose pose these coordinates are; None for others."""

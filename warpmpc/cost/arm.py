@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.terms import arm as costs
-from ..model.joints import chain, chain_axes
+from ..model.joints import chain, chain_axes, driving
 from ..scene.errors import SceneError
 from .arm_keys import (
     Form,
@@ -64,22 +64,13 @@ def _axes(v: Joints, b: Binding) -> np.ndarray:
     return dofs[b.layout.dof_coord[dofs] >= 0]
 
 
-def _driven(layout: Layout, dofs: np.ndarray) -> np.ndarray:
-    """Control that is a joint's acceleration, or -1, for each degree of freedom."""
-    out = np.full(len(dofs), -1)
-    for dof, mode, row in zip(layout.actuator_dof, layout.actuator_mode, layout.actuator_matrix, strict=True):
-        if mode == "acceleration" and np.count_nonzero(row) == 1 and row.max() == 1.0:
-            out[dofs == dof] = int(row.argmax())
-    return out
-
-
 def _stop(keys: dict[str, Any], b: Binding) -> costs.StopParams:
     v = parse_keys(Stop, keys, b)
     dofs = _axes(v, b)
     if v.acceleration is not None:
         limit = _spread(v.acceleration, len(dofs), "acceleration", b)
     else:
-        driven = _driven(b.layout, dofs)
+        driven = driving(b.layout, dofs, "acceleration")
         if v.joints is None:
             dofs, driven = dofs[driven >= 0], driven[driven >= 0]
         if not len(dofs) or (driven < 0).any():
@@ -152,7 +143,7 @@ def _joint_bounds(keys: dict[str, Any], b: Binding) -> costs.JointBoundsParams:
 
     p = costs.JointBoundsParams()
     p.joint, p.coord = b.array(dofs, dtype=int), b.array(layout.dof_coord[dofs], dtype=int)
-    p.driven = b.array(_driven(layout, dofs), dtype=int)
+    p.driven = b.array(driving(layout, dofs, "acceleration"), dtype=int)
     p.middle = b.array(np.where(limited, 0.5 * (lower + upper), 0.0), dtype=float)
     p.reach = b.array(np.where(limited, 0.5 * left * (upper - lower), np.inf), dtype=float)
     none = np.full(len(dofs), np.inf)
@@ -205,7 +196,7 @@ def _smoothness(keys: dict[str, Any], b: Binding) -> costs.SmoothnessParams:
     dofs = _axes(v, b)
     p = costs.SmoothnessParams()
     p.joint = b.array(dofs, dtype=int)
-    p.driven = b.array(_driven(b.layout, dofs), dtype=int)
+    p.driven = b.array(driving(b.layout, dofs, "acceleration"), dtype=int)
     p.acceleration, p.jerk = v.acceleration, v.jerk
     return p
 

@@ -70,7 +70,12 @@ class WorldCollision(Section):
     """How far the spheres may stick out of the links [m]: less takes more spheres."""
 
 
-def _robots(of: str | None, b: Binding) -> list[Entity]:
+def find_robots(of: str | None, b: Binding) -> list[Entity]:
+    """The robots a term is about.
+
+    Raises:
+        SceneError: If there is no such robot.
+    """
     robots = [entity for entity in b.layout.entities if entity.kind == "robot"]
     if of is None:
         return robots
@@ -108,6 +113,28 @@ def _spheres(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b
     return spheres
 
 
+def moving_links(robots: Sequence[Entity], links: Sequence[str] | None, b: Binding) -> list[int]:
+    """Bodies of the links a term names, or of all that joints move.
+
+    Raises:
+        SceneError: If there is no such link.
+    """
+    bodies = [body for robot in robots for body in robot.bodies]
+    if links is not None:
+        return [_link(name, bodies, b, f"{b.key}.links") for name in links]
+    moving = moving_bodies(b.layout)
+    return [body for body in bodies if body in moving]
+
+
+def sphere_table(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b: Binding) -> collision.SphereTable:
+    """Spheres of some bodies as kernels take them.
+
+    Raises:
+        SceneError: If none of the bodies has spheres.
+    """
+    return _table(_spheres(robots, bodies, overhang, b), b)
+
+
 def _table(spheres: Spheres, b: Binding) -> collision.SphereTable:
     groups = spheres.groups
     table = collision.SphereTable()
@@ -121,7 +148,7 @@ def _table(spheres: Spheres, b: Binding) -> collision.SphereTable:
 
 def _self_collision(keys: dict[str, Any], b: Binding) -> collision.SelfCollisionParams:
     v = parse_keys(SelfCollision, keys, b)
-    robots = _robots(v.of, b)
+    robots = find_robots(v.of, b)
     bodies = [body for robot in robots for body in robot.bodies]
     spheres = _spheres(robots, bodies, v.overhang, b)
     named = {}
@@ -172,15 +199,9 @@ def _body_of(entity: Entity, shape: ShapeInfo, b: Binding) -> int:
 
 def _world_collision(keys: dict[str, Any], b: Binding) -> collision.WorldCollisionParams:
     v = parse_keys(WorldCollision, keys, b)
-    robots = _robots(v.of, b)
-    bodies = [body for robot in robots for body in robot.bodies]
-    if v.links is not None:
-        bodies = [_link(name, bodies, b, f"{b.key}.links") for name in v.links]
-    else:
-        moving = moving_bodies(b.layout)
-        bodies = [body for body in bodies if body in moving]
+    robots = find_robots(v.of, b)
     p = collision.WorldCollisionParams()
-    p.spheres = _table(_spheres(robots, bodies, v.overhang, b), b)
+    p.spheres = sphere_table(robots, moving_links(robots, v.links, b), v.overhang, b)
     p.margin, p.binary, p.swept = v.margin, int(v.form is CollisionForm.BINARY), int(v.swept)
     obstacles = _obstacles(v.against, b)
     kinds = [_KINDS.get(shape.kind) for _, shape in obstacles]

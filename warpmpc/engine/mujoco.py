@@ -271,6 +271,11 @@ class MujocoEngine:
         self._obstacle_pose.numpy()[world] = poses
         self._write_mocap(self._obstacle_pose, self._movable, world, 1)
 
+    def show(self, world: int, data: mujoco.MjData) -> None:
+        """Put a simulation state of the caller's where a world is at the start of its next step."""
+        mujoco.mj_setState(self.model, data, self.initial[world], FULL)
+        mujoco.mj_setState(self.model, data, self.control[world, 0], self._control_spec)
+
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""
         self._crew.run(replays)

@@ -117,3 +117,18 @@ def chain(layout: Layout, body: int, columns: Sequence[int], device: str) -> Cha
     out.body = ints(layout.joint_child[joint])
     out.anchor = wp.array(layout.joint_pose_child[joint], dtype=wp.transform, device=device)
     return out
+
+
+def driving(layout: Layout, dofs: np.ndarray, mode: str) -> np.ndarray:
+    """Control that is what a joint shall do, or -1, for each degree of freedom ``[n]``.
+
+    Args:
+        layout: State layout.
+        dofs: Degrees of freedom ``[n]``.
+        mode: What the control shall be: ``position``, ``velocity`` or ``acceleration``.
+    """
+    out = np.full(len(dofs), -1)
+    for dof, own, row in zip(layout.actuator_dof, layout.actuator_mode, layout.actuator_matrix, strict=True):
+        if own == mode and np.count_nonzero(row) == 1 and row.max() == 1.0:
+            out[dofs == dof] = int(row.argmax())
+    return out

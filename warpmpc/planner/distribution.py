@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.planning.proposals import perturb_knots_kernel
-from ..kernels.planning.sampling import age_plan_kernel, null_control_kernel, start_plan_kernel
+from ..kernels.planning.sampling import age_plan_kernel, start_plan_kernel
 from ..kernels.planning.splines import LINEAR, Spline, advance_plan_kernel, shift_knots_kernel
 from ..launch import Launcher, step_lanes
 
@@ -97,12 +97,9 @@ class Gaussian:
         """Move on by the time that has passed since the last plan; capture-safe."""
         observed, last = self._state.observed, self._state.last_control
         envs, _, nu = self.dim
-        limits, by = self._limits, self._shift
-        self._launch(
-            null_control_kernel, (envs, nu), [self._state.joint_q, self._held, self._rest, *limits], [self.null]
-        )
+        by, inputs = self._shift, [self._state.joint_q, self._held, self._rest, *self._limits]
         for plan in self._plans:
-            self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, self.null], [plan, last])
+            self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, *inputs], [self.null, plan, last])
         self._launch(advance_plan_kernel, (envs,), [self._spline, self._state.elapsed], [self.offset, by])
         moved = [(plan, self._spline.kind) for plan in self._plans]
         if self.covariance.varies:

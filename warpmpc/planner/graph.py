@@ -16,7 +16,7 @@ from ..kernels.worlds.exchange import (
     unpack_kernel,
 )
 from ..launch import Launcher, Replay, step_lanes
-from .weighting import BLOCK_DIM
+from .weighting import block_dim
 
 LANES = 32
 """Threads of a GPU that share an environment's numbers."""
@@ -152,17 +152,23 @@ class PlanGraph:
     def _unpack(self) -> None:
         """Spread the block that came in over the arrays of the plan."""
         state = self.plan.state
-        task = [state.pose, state.scalar, state.weight]
-        observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act, state.mocap]
-        self._launch(unpack_kernel, (self._in.shape[0], self._lanes), [self._in, self._lanes], observed + task)
+        observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act]
+        outputs = [*observed, _numbers(state.mocap), _numbers(state.pose), state.scalar, state.weight]
+        self._launch(unpack_kernel, self._in.shape, [self._in], outputs)
 
     def _pack(self) -> None:
         """Gather what came of the plan into the block that goes out."""
         plan, strategy, engine = self.plan, self.plan.strategy, self.plan.engine
         envs = self._in.shape[0]
         inputs, outputs = [engine.cost, engine.diverged, engine.overflow], [self._best, self._best_cost, self._failures]
-        self._launch(survey_kernel, envs, inputs, outputs, block_dim=BLOCK_DIM)
+        self._launch(survey_kernel, envs, inputs, outputs, block_dim=block_dim(engine.cost.shape[1]))
         engine.explain(self._best)
         learned = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
         about = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
         self._launch(report_kernel, (envs, self._lanes), [*learned, *about, self._lanes], [self._out])
+
+
+def _numbers(poses: wp.array) -> wp.array:
+    """The same memory of poses ``[E, n]`` as numbers ``[E, 7 n]``."""
+    envs, count = poses.shape
+    return wp.array(ptr=poses.ptr, shape=(envs, 7 * count), dtype=float, device=poses.device)

@@ -13,7 +13,7 @@ from ..kernels.planning.moments import (
     update_mean_kernel,
 )
 from ..launch import Launcher
-from .weighting import BLOCK_DIM
+from .weighting import block_dim
 
 
 class SampleMoments:
@@ -33,7 +33,7 @@ class SampleMoments:
     def __init__(self, knots: wp.array, weight: wp.array, *, full: bool = False):
         envs, samples, count, nu = knots.shape
         self.device = knots.device
-        self._launch, self._columns = Launcher(self.device), count * nu
+        self._launch, self._columns, self._block_dim = Launcher(self.device), count * nu, block_dim(samples)
         self._knots, self._weight = knots.reshape((envs, samples, count * nu)), weight
         self._sums = wp.zeros((envs, count * nu), dtype=float, device=self.device)
         self._deviation = wp.zeros((envs, 2, count * nu), dtype=float, device=self.device)
@@ -50,7 +50,7 @@ class SampleMoments:
             self._launch(sweep_mean_kernel, envs, inputs, [self._sums, self._flat(mean)])
         else:
             outputs = [self._flat(mean)]
-            self._launch(update_mean_kernel, (envs, self._columns), inputs, outputs, block_dim=BLOCK_DIM)
+            self._launch(update_mean_kernel, (envs, self._columns), inputs, outputs, block_dim=self._block_dim)
 
     def spread_about(self, mean: wp.array) -> None:
         """Write :attr:`products` and :attr:`total` about a mean ``[E, P, nu]``; capture-safe."""
@@ -58,9 +58,9 @@ class SampleMoments:
         if self.device.is_cpu:
             self._launch(sweep_spread_kernel, mean.shape[0], inputs, [self._deviation, *outputs])
         else:
-            self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=BLOCK_DIM)
+            self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=self._block_dim)
 
     def keep_best(self, cost: wp.array, best: wp.array) -> None:
         """Write the sample of lowest cost ``[E, S]`` into ``best [E, P, nu]``, unless all diverged; capture-safe."""
         inputs, outputs = [cost, self._knots], [self._flat(best)]
-        self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=BLOCK_DIM)
+        self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=self._block_dim)

@@ -16,6 +16,7 @@ from .distribution import Gaussian
 from .library import library
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
+from .postures import PostureRows
 from .rows import BestRow, FixedRows, LibraryRows, NullRows
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
@@ -134,7 +135,8 @@ class SamplingStrategy:
         self.distribution = Gaussian(state, spline, limits, covariance=covariance, held=layout.control_safe, rest=rest)
         self.offset = self.distribution.offset
         self._best = self._best_row(scene)
-        self._fixed = self._fixed_rows(scene, samples, spline.time.numpy(), nu)
+        self._postures = None
+        self._fixed = self._fixed_rows(scene, layout, spline, cost, seed)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
@@ -161,15 +163,22 @@ class SamplingStrategy:
             return BestRow(self.distribution, among=planner.keep_best)
         return None
 
-    def _fixed_rows(self, scene: Scene, samples: int, knot_time: np.ndarray, nu: int) -> FixedRows:
+    def _fixed_rows(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> FixedRows:
         """The samples that a scene does not want drawn."""
-        noise = scene.planner.noise
-        nulls = max(int(noise.null_sample), round(noise.null_share * samples))
-        rows = [NullRows(nulls, self.distribution.null)]
+        planner, samples, distribution = scene.planner, cost.shape[1], self.distribution
+        nulls = max(int(planner.noise.null_sample), round(planner.noise.null_share * samples))
+        rows = [NullRows(nulls, distribution.null)]
         rows += [self._best] if self._best else []
-        fixed = FixedRows([*rows, LibraryRows(library(scene, knot_time, nu))], self.distribution)
+        if planner.postures is not None:
+            first = 1 + sum(row.count for row in rows)
+            self._postures = PostureRows(
+                scene, layout, self._state, spline, distribution.null, cost, first=first, seed=seed
+            )
+            rows.append(self._postures)
+        rows.append(LibraryRows(library(scene, spline.time.numpy(), layout.nu)))
+        fixed = FixedRows(rows, distribution)
         if fixed.count + 1 > samples:
-            message = f"the mean and {fixed.count} fixed samples (null, best, library) are more than there are samples"
+            message = f"the mean and {fixed.count} fixed samples (null, best, postures, library) are more than there are samples"
             raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed
 
@@ -178,6 +187,8 @@ class SamplingStrategy:
         self.distribution.reset()
         self.weights.reset()
         self.noise.reset()
+        if self._postures:
+            self._postures.reset()
 
     def shift(self) -> None:
         """Move mean and covariance on by the time that has passed; capture-safe."""

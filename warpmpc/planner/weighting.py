@@ -22,8 +22,10 @@ from ..scene.schema import Method
 if TYPE_CHECKING:
     from ..scene.schema import Planner
 
-BLOCK_DIM = 256
-"""Threads per environment in block-wide kernels; Warp takes one on the CPU."""
+
+def block_dim(samples: int) -> int:
+    """Threads per environment in block-wide kernels on a GPU; Warp takes one on the CPU."""
+    return 256 if samples <= 4096 else 1024
 
 
 class WeightingState:
@@ -50,7 +52,7 @@ class WeightingState:
         self.device = cost.device
         self.launch = Launcher(self.device)
         self.temperature, self.cost = temperature, cost
-        envs = cost.shape[0]
+        envs, self.block_dim = cost.shape[0], block_dim(cost.shape[1])
         self.weight = wp.zeros(cost.shape, dtype=float, device=self.device)
         self.beta = wp.full(envs, temperature, dtype=float, device=self.device)
         self.eta = wp.zeros(envs, dtype=float, device=self.device)
@@ -126,14 +128,14 @@ class Mppi:
                 [state.cost.shape[0]],
                 [state.cost, self.target_ess, bounds],
                 [state.beta],
-                block_dim=BLOCK_DIM,
+                block_dim=state.block_dim,
             )
         state.launch(
             importance_weight_kernel,
             [state.cost.shape[0]],
             [state.cost, wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)],
             [state.beta, state.eta, state.weight],
-            block_dim=BLOCK_DIM,
+            block_dim=state.block_dim,
         )
 
 
@@ -159,7 +161,11 @@ class PredictiveSampling:
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
         state.launch(
-            best_weight_kernel, [state.cost.shape[0]], [state.cost], [state.eta, state.weight], block_dim=BLOCK_DIM
+            best_weight_kernel,
+            [state.cost.shape[0]],
+            [state.cost],
+            [state.eta, state.weight],
+            block_dim=state.block_dim,
         )
 
 

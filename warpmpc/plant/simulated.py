@@ -26,12 +26,13 @@ from ..task.conditions import Look
 from ..task.goal import GOAL, GoalError
 from ..task.observed import ObservedState
 from ..task.task import Task, task_layout
+from .camera import DepthCamera
 from .monitor import Monitor
 from .motion import Motions
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
-    from ..scene.schema import Kick, Scene
+    from ..scene.schema import Camera, Kick, Scene
     from .batch import PlantBatch
 
 SUBSTEPS = 8
@@ -176,6 +177,8 @@ class Plant:
         self._rng = np.random.default_rng([seed, 1])
         self._motions = Motions(scene, seed)
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
+        self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
+        """Cameras that show the plant's world, by the clouds that they fill."""
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
         self.reset()
 
@@ -186,6 +189,8 @@ class Plant:
             self._engine.move_mocap(self._index, i, pose)
         self._slice = 0  # of the trajectory: the start, later 1, the state after a control
         self.steps = 0
+        for camera in self.cameras.values():
+            camera.reset()
         self.contact = Contact()
         self.diverged = False
         self.monitor.reset()
@@ -217,7 +222,8 @@ class Plant:
         return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
     def observe(self) -> State:
-        """The state as sensors show it: with noise, and ``delay`` old."""
+        """The state as sensors show it: with noise, and ``delay`` old; what is seen of motions and clouds is the task's."""
+        self._look()
         state = self._history[0]
         noise = self.scene.plant.noise
         if not noise.position and not noise.velocity:
@@ -229,6 +235,23 @@ class Plant:
                 q[i : i + 4] /= np.linalg.norm(q[i : i + 4])
         qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
         return replace(state, joint_q=q.astype(np.float32), joint_qd=qd.astype(np.float32))
+
+    def _camera(self, camera: Camera, seed: int) -> DepthCamera:
+        """A camera in this plant's world."""
+        robots = {entity.name for entity in self.layout.entities if entity.kind == "robot"}
+        shapes = zip(self.layout.shapes, self.compiled.geom_name, strict=True)
+        model = self._engine.models[self._index]
+        own = [model.geom(name).id for shape, name in shapes if name and shape.entity in robots]
+        return DepthCamera(camera, model, own, seed=seed)
+
+    def _look(self) -> None:
+        """Take the pictures whose time has come, and see what moves."""
+        for name, position in self._motions.seen(self.time).items():
+            self.task.move(name, position, self._index)
+        for name, camera in self.cameras.items():
+            if camera.due(self.time):
+                self._engine.show(self._index, camera.data)
+                self.task.see(name, camera.points(self.time), self._index)
 
     def apply(self, control: np.ndarray) -> None:
         """Hold a control ``[nu]`` for one control step.
@@ -314,10 +337,8 @@ class Plant:
         self.contact.max_force = max(self.contact.forces.values())
 
     def _check(self) -> None:
-        """Take note of the state just reached, and of what was seen to move."""
+        """Take note of the state just reached."""
         self._moving = self._motions.at(self.time)
-        for name, position in self._motions.seen(self.time).items():
-            self.task.move(name, position, self._index)
         self._history.append(self.state)
         terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]

@@ -209,12 +209,13 @@ def _check_names(scene: Scene) -> None:
             if name in owner:
                 raise SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
             owner[name] = kind
-    # targets stand among the frames; targets, movable obstacles, scalars and weights among the values of the task
+    # targets stand among the frames; targets, movable obstacles, scalars, clouds and weights among the task's values
     movable = [obstacle.name for obstacle in scene.obstacle if obstacle.movable]
     values = {
         "target": _names(scene.target),
         "obstacle": movable,
         "scalar": list(scene.scalar),
+        "cloud": _names(scene.cloud),
         "cost": sorted(set(scene.cost_labels)),
     }
     taken: dict[str, str] = {}

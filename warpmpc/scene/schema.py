@@ -21,6 +21,7 @@ from .schema_bodies import (
     Robot,
     ShapeKind,
 )
+from .schema_cloud import Camera, Cloud
 from .schema_motion import Motion, Seen
 from .schema_planner import (
     EngineName,
@@ -57,6 +58,8 @@ from .types import (
 )
 
 __all__ = [
+    "Camera",
+    "Cloud",
     "Condition",
     "Cost",
     "Covariance",
@@ -358,6 +361,8 @@ class Scene(Section):
     robot: tuple[Robot, ...] = Field(min_length=1)
     object: tuple[Object, ...] = ()
     obstacle: tuple[Obstacle, ...] = ()
+    cloud: tuple[Cloud, ...] = ()
+    """Point clouds that are seen, values of the task."""
     goal: Goal | None = None
     target: tuple[Target, ...] = ()
     """Further named poses."""

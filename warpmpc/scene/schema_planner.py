@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from .schema_sampling import Covariance, Execute
+from .schema_sampling import Covariance, Execute, Postures
 from .types import (
     Channel,
     Count,
@@ -188,6 +188,8 @@ class Planner(Section):
     library: str | None = None
     """File of control sequences that are tried at every plan, one sample each: ``.npy`` or ``.npz`` with
     ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
+    postures: Postures | None = None
+    """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
     execute: Execute = Execute.MEAN
     """What is carried out: the mean, or the best of the last samples."""
     iterations: Count = 1

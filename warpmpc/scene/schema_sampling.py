@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from .types import NonNegatives, Section, Share
+from pydantic import Field
+
+from .types import Count, Fraction, NonNegatives, Positive, Section, Share
 
 
 class CovarianceForm(StrEnum):
@@ -32,6 +35,25 @@ class Covariance(Section):
     """Step α_σ of the covariance towards the spread of the weighted samples [S5]; ``planner.step_size`` if left out."""
     kappa: NonNegatives = (0.0,)
     """Variance κ that is added whenever the plan moves on, in control units squared, one value or one per control."""
+
+
+class Postures(Section):
+    """Samples that bring a frame to a pose: straight ways of the joints to postures in which it is there."""
+
+    of: str
+    """Frame of a robot."""
+    to: str = "goal"
+    """The goal or a target."""
+    count: Count = 8
+    """Postures that are searched for at a time; the worst makes room for others, again and again."""
+    durations: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.5, 0.8, 1.2, 1.8)
+    """How long the ways take [s]: one sample for each of these to every posture."""
+    steps: Count = 3
+    """Steps of damped least squares towards the pose in every plan."""
+    ripe: Count = 12
+    """Plans after which a posture may be the one that makes room."""
+    margin: Fraction = 0.05
+    """Share of the range of every joint that postures keep away from its limits, both ends together."""
 
 
 class Execute(StrEnum):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run wants and may change between plans: named poses, named scalars, term weights, the active phase."""
+"""What a run wants and may change between plans: poses, scalars, term weights, point clouds, the active phase."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from weakref import WeakMethod
 import numpy as np
 
 from ..model.layout import GOAL as GOAL_BODY
+from .clouds import Clouds
 from .goal import GOAL, goal_pose, target_pose
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ POSE = 7
 class Task(Mapping[str, np.ndarray]):
     """The task of one run, or of E of them: ``task["goal"] = pose`` takes effect at the next plan.
 
-    Names are those of the scene: ``goal``, its targets, its movable obstacles, its scalars, and its cost terms, whose
-    value is their weight.
+    Names are those of the scene: ``goal``, its targets, its movable obstacles, its scalars, its point clouds, and its
+    cost terms, whose value is their weight.
     A controller, its plant and a recorder that share one task all see what changes.
 
     Args:
@@ -44,6 +45,7 @@ class Task(Mapping[str, np.ndarray]):
         weights = {label: cost.weight for label, cost in zip(scene.cost_labels, scene.cost, strict=True)}
         self.pose_name, self.scalar_name, self.weight_name = tuple(poses), tuple(scene.scalar), tuple(weights)
         self._columns = {name: slice(POSE * i, POSE * (i + 1)) for i, name in enumerate(poses)}
+        self._clouds = Clouds(scene.cloud, envs)
         first = POSE * len(poses)
         for i, name in enumerate((*scene.scalar, *weights)):
             self._columns[name] = slice(first + i, first + i + 1)
@@ -70,8 +72,9 @@ class Task(Mapping[str, np.ndarray]):
         for row in range(self.envs) if e is None else (e,):
             self.block[row] = self._start[row]
             self.phase[row] = 0
+            self._clouds.reset(row)
             self._enter(row)
-        self._tell(set(self._columns))
+        self._tell(set(self))
 
     def take(self, tasks: Sequence[Task]) -> None:
         """Make the present values of one-environment tasks the start of each environment, and go back to it.
@@ -83,23 +86,34 @@ class Task(Mapping[str, np.ndarray]):
         self.reset()
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A pose ``[7]``, scalar or weight, a copy; with a leading axis ``[E]`` for several environments."""
+        """A pose ``[7]``, scalar or weight, a copy; with a leading axis ``[E]`` for several environments.
+
+        Points of a cloud ``[n, 3]`` are those of the first; :meth:`points` tells the others'.
+        """
+        if name in self._clouds.names:
+            return self.points(name).copy()
         value = self.block[:, self._column(name)].copy()
         if name not in self.pose_name:
             value = value[:, 0]
         return value if self.envs > 1 else value[0]
 
     def __setitem__(self, name: str, value: object) -> None:
-        """Change a pose, scalar or weight, of all environments or of each its own.
+        """Change a pose, scalar, weight or cloud, of all environments or of each its own.
 
         Args:
             name: Its name in the scene.
-            value: Pose ``[7]`` or ``[E, 7]``, quaternions are normalized; or a number, or ``[E]`` of them.
+            value: Pose ``[7]`` or ``[E, 7]``, quaternions are normalized; a number, or ``[E]`` of them; points
+                ``[n, 3]`` of a cloud, or a list of E such arrays. Points that are not finite are dropped.
 
         Raises:
             KeyError: If the task has nothing of this name.
-            ValueError: If the value is not finite or of the wrong shape, or a quaternion is zero.
+            ValueError: If the value is not finite or of the wrong shape, a quaternion is zero, or there are more points
+                than the cloud has capacity for.
         """
+        if name in self._clouds.names:
+            self._clouds.set(name, value)
+            self._tell({name})
+            return
         column = self._column(name)
         if name in self.pose_name:
             value = self._checked_pose(name, value)
@@ -120,10 +134,10 @@ class Task(Mapping[str, np.ndarray]):
         return pose
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
+        return iter((*self._columns, *self._clouds.names))
 
     def __len__(self) -> int:
-        return len(self._columns)
+        return len(self._columns) + len(self._clouds.names)
 
     def pose(self, name: str, e: int = 0) -> np.ndarray:
         """Pose ``[7]`` of one environment."""
@@ -135,6 +149,19 @@ class Task(Mapping[str, np.ndarray]):
         if not np.array_equal(at, position := np.asarray(position, dtype=np.float32)):
             at[:] = position
             self._tell({name})
+
+    def points(self, name: str, e: int = 0) -> np.ndarray:
+        """Points ``[n, 3]`` of a cloud in one environment, not to be changed."""
+        return self._clouds.points(name, e)
+
+    def see(self, name: str, points: np.ndarray, e: int = 0) -> None:
+        """Change the points ``[n, 3]`` of a cloud in one environment.
+
+        Raises:
+            ValueError: If they have the wrong shape or are more than the cloud has capacity for.
+        """
+        self._clouds.set(name, points, e)
+        self._tell({name})
 
     def phase_of(self, e: int = 0) -> Phase | None:
         """The active phase of an environment, None for a scene without phases."""
@@ -165,7 +192,7 @@ class Task(Mapping[str, np.ndarray]):
 
     def _column(self, name: str) -> slice:
         if name not in self._columns:
-            raise KeyError(f"the task has no '{name}'; it has: {', '.join(self._columns)}")
+            raise KeyError(f"the task has no '{name}'; it has: {', '.join(self)}")
         return self._columns[name]
 
     def _tell(self, names: set[str]) -> None:

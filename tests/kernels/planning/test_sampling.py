@@ -9,7 +9,6 @@ import warp as wp
 from warpmpc.kernels.planning.sampling import (
     advance_counter_kernel,
     age_plan_kernel,
-    null_control_kernel,
     random_normal_kernel,
     random_shift_kernel,
     start_plan_kernel,
@@ -125,25 +124,37 @@ def test_every_environment_draws_by_its_own_counter(kernel, device):
     np.testing.assert_array_equal(apart[1], draw([1, 1, 1])[1])
 
 
-def test_a_control_that_asks_for_nothing_holds_what_is_observed_or_rests(device):
+def started(joint_q, held, rest, limits, observed, fresh, *, knots: int, device: str) -> list[np.ndarray]:
+    """Controls that ask for nothing ``[E, nu]``, plans ``[E, P, nu]`` and last controls that were all 9 before."""
+
     def on(values, dtype=float) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
 
-    joint_q, held, rest = on([[0.3, 5.0, -0.2], [1.0, 2.0, 3.0]]), on([2, -1, 0, 1], int), on([9.0, 0.0, 9.0, 9.0])
-    null = wp.zeros((2, 4), dtype=float, device=device)
-    limits = [on([-1.0, -1.0, -1.0, 0.5]), on([1.0, 1.0, 1.0, 1.5])]
-    wp.launch(null_control_kernel, dim=null.shape, inputs=[joint_q, held, rest, *limits], outputs=[null], device=device)
-    np.testing.assert_allclose(null.numpy(), [[-0.2, 0.0, 0.3, 1.5], [1.0, 0.0, 1.0, 1.5]])
+    envs, nu = len(joint_q), len(held)
+    inputs = [on(observed, int), on(fresh, int), on(joint_q), on(held, int), on(rest), *(on(limit) for limit in limits)]
+    shapes = ((envs, nu), (envs, knots, nu), (envs, nu))
+    outputs = [wp.full(shape, 9.0, dtype=float, device=device) for shape in shapes]
+    wp.launch(start_plan_kernel, dim=(envs, nu), inputs=inputs, outputs=outputs, device=device)
+    return [array.numpy() for array in outputs]
+
+
+def test_a_control_that_asks_for_nothing_holds_what_is_observed_or_rests(device):
+    joint_q, held, rest = [[0.3, 5.0, -0.2], [1.0, 2.0, 3.0]], [2, -1, 0, 1], [9.0, 0.0, 9.0, 9.0]
+    limits = [-1.0, -1.0, -1.0, 0.5], [1.0, 1.0, 1.0, 1.5]
+    null, *_ = started(joint_q, held, rest, limits, [1, 1], [0, 0], knots=2, device=device)
+    np.testing.assert_allclose(null, [[-0.2, 0.0, 0.3, 1.5], [1.0, 0.0, 1.0, 1.5]])
 
 
 def test_a_first_plan_begins_at_rest_where_it_is_observed_and_a_later_one_goes_on(device):
-    null = wp.array(np.arange(1.0, 7.0).reshape(3, 2), dtype=float, device=device)
-    mean, last = wp.full((3, 4, 2), 9.0, dtype=float, device=device), wp.full((3, 2), 9.0, dtype=float, device=device)
-    observed, fresh = (wp.array(a, dtype=int, device=device) for a in ([1, 0, 1], [1, 1, 0]))
-    wp.launch(start_plan_kernel, dim=(3, 2), inputs=[observed, fresh, null], outputs=[mean, last], device=device)
-    np.testing.assert_array_equal(mean.numpy()[0], np.tile([1.0, 2.0], (4, 1)))
-    np.testing.assert_array_equal(last.numpy()[0], [1.0, 2.0])
-    np.testing.assert_array_equal(mean.numpy()[1:], 9.0)
-    np.testing.assert_array_equal(last.numpy()[1:], 9.0)
+    joint_q = np.arange(1.0, 7.0).reshape(3, 2)
+    limits = [-10.0, -10.0], [10.0, 10.0]
+    flags = [1, 0, 1], [1, 1, 0]
+    null, mean, last = started(joint_q, [0, 1], [0.0, 0.0], limits, *flags, knots=4, device=device)
+    np.testing.assert_array_equal(null, joint_q)
+    np.testing.assert_array_equal(mean[0], np.tile([1.0, 2.0], (4, 1)))
+    np.testing.assert_array_equal(last[0], [1.0, 2.0])
+    np.testing.assert_array_equal(mean[1:], 9.0)
+    np.testing.assert_array_equal(last[1:], 9.0)
+    observed, fresh = (wp.array(a, dtype=int, device=device) for a in flags)
     wp.launch(age_plan_kernel, dim=3, inputs=[observed], outputs=[fresh], device=device)
     assert fresh.numpy().tolist() == [0, 1, 0]

@@ -65,7 +65,7 @@ def self_collision(code: TermCode, p: Any) -> Operand:
     """``collision.self_collision``: max(0, margin + deepest penetration)."""
     groups, add = groups_of(code, p.spheres), code.lines.add
     deepest, margin = code.lines.let(f"(T)(-{code.params}.margin)"), f"{code.params}.margin"
-    deepest = _variable(code, "deepest", deepest)
+    deepest = variable(code, "deepest", deepest)
     for first, second in zip(p.first.numpy(), p.second.numpy(), strict=True):
         a, b = groups[first], groups[second]
         reach = f"({literal(a.radius + b.radius)} + {margin})"
@@ -81,25 +81,25 @@ def self_collision(code: TermCode, p: Any) -> Operand:
     return code.lines.let(f"{deepest} + {margin}")
 
 
-def _variable(code: TermCode, name: str, value: str) -> str:
-    """A variable of the term."""
+def variable(code: TermCode, name: str, value: str) -> str:
+    """A variable of a term that later statements change; returns its name."""
     name = f"{name}_{code.params.replace('.', '_')}"
     code.lines.add(f"T {name} = {value};")
     return name
 
 
 def world_collision(code: TermCode, p: Any) -> Operand | None:
-    """``collision.world_collision`` at the ends of steps, against shapes that are no meshes."""
+    """``collision.world_collision`` against shapes that are no meshes."""
     kinds = p.kind.numpy()
     poses = [_pose(code, int(body)) for body in p.body.numpy()]
-    if p.swept or None in poses or not set(kinds.tolist()) <= {int(k) for k in (SPHERE, BOX, CYLINDER, CAPSULE, PLANE)}:
+    if None in poses or not set(kinds.tolist()) <= set(_SQUARE):
         return None
     shapes = _shapes(code, poses)
     groups, margin = groups_of(code, p.spheres), f"{code.params}.margin"
-    least = _variable(code, "least", f"(T){margin}")
+    least, look = variable(code, "least", f"(T){margin}"), _on_way_past if p.swept else _against
     for group in groups:
         for kind in np.unique(kinds):
-            _against(code, group, kind, np.flatnonzero(kinds == kind), shapes, least)
+            look(code, group, int(kind), np.flatnonzero(kinds == kind), shapes, least)
     if p.binary:
         return code.lines.let(f"VSELECT({least} < {margin}, 1.0f, 0.0f)")
     return code.lines.let(f"{margin} - {least}")
@@ -171,19 +171,52 @@ _DISTANCE = {
 }
 
 
+def _each_shape(code: TermCode, which: np.ndarray, shapes: str) -> None:
+    """Begin a loop over shapes: pose ``ob`` and ``size`` of one."""
+    numbers = ", ".join(map(str, which))
+    code.lines.add(f"{{ const int own[{len(which)}] = {{{numbers}}};")
+    code.lines.add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = {shapes} + 12 * own[n];")
+    code.lines.add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z;")
+
+
 def _against(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, shapes: str, least: str) -> None:
     """Least distance of a group's spheres from the shapes of one kind."""
     add = code.lines.add
-    numbers = ", ".join(map(str, which))
-    add(f"{{ const int own[{len(which)}] = {{{numbers}}};")
-    add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = {shapes} + 12 * own[n];")
-    add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z;")
+    _each_shape(code, which, shapes)
     if group.count > 1:
-        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {_SQUARE[int(kind)]}")
-        add(f"const float near = {literal(group.radius)} + {code.params}.margin{_SIZE.get(int(kind), '')};")
+        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {_SQUARE[kind]}")
+        add(f"const float near = {literal(group.radius)} + {code.params}.margin{_SIZE.get(kind, '')};")
         add(f"if (!VANY({'inside < near' if kind == PLANE else 'd < near * near'})) continue; }}")
     for radius, centres in group.classes.items():
         add(f"{{ T d = {_FAR}, inside = {_FAR};")
-        code.lines.statements.extend(f"{_local(centre)} {_SQUARE[int(kind)]}" for centre in centres)
-        add(f"{least} = VMIN({least}, {_DISTANCE[int(kind)]} - {literal(radius)}); }}")
+        code.lines.statements.extend(f"{_local(centre)} {_SQUARE[kind]}" for centre in centres)
+        add(f"{least} = VMIN({least}, {_DISTANCE[kind]} - {literal(radius)}); }}")
+    add("} }")
+
+
+def _on_way_past(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, shapes: str, least: str) -> None:
+    """Least distance of a group's spheres from the shapes of one kind, on their straight ways from the step before.
+
+    A distance changes no faster than the sphere moves: it moves on by as much as its distance is above the least so
+    far, by a quarter of its radius at least, and is done when the rest of the way is too short to bring it nearer.
+    """
+    add, before = code.lines.add, code.state.before
+    _each_shape(code, which, shapes)
+    there = [text(before(x)) for x in group.bound]
+    middle = [f"(0.5f * ({x} + {y}))" for x, y in zip(group.bound, there, strict=True)]
+    add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(middle)} {_SQUARE[kind]}")
+    add(f"const T reach = {literal(group.radius)} + 0.5f * VSQRT({_squared(group.bound, there)});")
+    add(f"if (!VANY({_DISTANCE[kind]} < reach + {code.params}.margin)) continue; }}")
+    for radius, centres in group.classes.items():
+        for centre in centres:
+            start = [text(before(x)) for x in centre]
+            add(f"{{ T way = (T)0.0f; const T whole = VSQRT({_squared(start, centre)});")
+            add("const T per = 1.0f / VMAX(whole, 1.0e-9f);")
+            at = [f"({x} + way * per * ({y} - {x}))" for x, y in zip(centre, start, strict=True)]
+            add(f"do {{ T d = {_FAR}, inside = {_FAR}; {_local(at)} {_SQUARE[kind]}")
+            add(f"const T apart = {_DISTANCE[kind]} - {literal(radius)}, above = apart - {least};")
+            add(f"{least} = VSELECT(way <= whole, VMIN({least}, apart), {least});")
+            add(f"const T next = VMIN(way + VMAX(above, {literal(0.25 * radius)}), whole);")
+            add("way = VSELECT(way < whole, VSELECT(above < whole - way, next, whole + 1.0f), whole + 1.0f);")
+            add("} while (VANY(way <= whole)); }")
     add("} }")
