@@ -222,7 +222,7 @@ class Plant:
         return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
     def observe(self) -> State:
-        """The state as sensors show it: with noise, and ``delay`` old; what is seen of motions and clouds is the task's."""
+        """The state as sensors show it: with noise, and ``delay`` old; motions and clouds are shown to the task."""
         self._look()
         state = self._history[0]
         noise = self.scene.plant.noise

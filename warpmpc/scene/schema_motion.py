@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -49,7 +50,7 @@ class Motion(Section):
             return self
         if len(times) != len(self.through):
             raise ValueError(f"there are {len(self.through)} points and {len(times)} times")
-        if times[0] != 0.0 or any(a >= b for a, b in zip(times, times[1:], strict=False)):
+        if times[0] != 0.0 or any(a >= b for a, b in pairwise(times)):
             raise ValueError("times begin with 0 and grow")
         if period is not None and period <= times[-1]:
             raise ValueError("the period ends after the last of the times")
