@@ -18,7 +18,9 @@ WARP = wp.constant(32)
 __syncwarp();
 #endif
 """)
-def wait_for_lanes(): ...
+def wait_for_lanes():
+    """Wait until all lanes of a warp are here, and see what they wrote."""
+    ...
 
 
 def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -> wp.Kernel:
