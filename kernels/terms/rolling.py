@@ -35,7 +35,7 @@ class RollingBallParams:
 
 @wp.func
 def roll(s: StepView, p: RollingBallParams):
-    """Where the ball is at this step: v̇ = share · (Rᵀ(g - a))_xy, g along the world's -z, a the frame's acceleration."""
+    """Where the ball is at this step: v̇ = share · (Rᵀ(g - a))_xy, g is gravity, a the frame's acceleration."""
     rotation = frame_rotation(s, p.on)
     i = p.memory
     if s.t == 0:
