@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the plant did in an episode, measured step by step: path length, clearance, errors at start and end."""
+"""What the plant did in an episode, measured step by step: path, smoothness, clearance, errors at start and end."""
 
 from __future__ import annotations
 
@@ -87,15 +87,29 @@ class Meter:
             self.place = self._goal_target()
         self._start = plant.error
         self.path_length = 0.0
+        self.squared_jerk = 0.0
+        """∫ ‖p⃛‖² dt of the goal's frame or object [m²/s⁵], from differences of its place after every control."""
+        self.squared_control_rate = 0.0
+        """∫ ‖u̇‖² dt, from differences of consecutive controls: of accelerations, the squared jerk that is asked for."""
+        self._last = [self.place] if self._goal else []  # places, four at most
+        self._control: np.ndarray | None = None
         self._clearance = Clearance(plant.compiled) if plant.scene.obstacle else None
         self.clearance = self._clearance.of(plant) if self._clearance else math.inf
 
     def __call__(self, controller: Controller | None, plant: Plant, control: np.ndarray) -> None:
         """Take note of the step just made."""
+        dt = plant.scene.timing.control_dt
+        if self._control is not None:
+            self.squared_control_rate += float(np.sum((control - self._control) ** 2)) / dt
+        self._control = np.array(control, dtype=float)
         if self._goal:
             at = self._goal_target()
             self.path_length += float(np.linalg.norm(at - self.place))
             self.place = at
+            self._last = [*self._last[-3:], at]
+            if len(self._last) == 4:
+                jerk = np.diff(np.array(self._last, dtype=float), 3, axis=0) / dt**3
+                self.squared_jerk += dt * float(np.sum(jerk**2))
         if self._clearance:
             self.clearance = min(self.clearance, self._clearance.of(plant))
 
@@ -108,10 +122,13 @@ class Meter:
         """The measures as data for JSON, ``None`` for what is not finite; units in the keys."""
         start, end, clearance = self._start, self.plant.error, _number(self.clearance)
         if not self._goal:
-            names = ("path_length_m", "start_position_error_m", "axes_error_m", "rotation_error_rad")
-            return {**dict.fromkeys(names), "clearance_m": clearance}
+            of_goal = ("path_length_m", "squared_jerk_m2_s5", "start_position_error_m", "axes_error_m")
+            rest = {"squared_control_rate": self.squared_control_rate, "clearance_m": clearance}
+            return {**dict.fromkeys((*of_goal, "rotation_error_rad")), **rest}
         return {
             "path_length_m": _number(self.path_length),
+            "squared_jerk_m2_s5": _number(self.squared_jerk),
+            "squared_control_rate": self.squared_control_rate,
             "clearance_m": clearance,
             "start_position_error_m": _number(start.position),
             "axes_error_m": [_number(value) for value in end.axes],

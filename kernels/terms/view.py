@@ -32,6 +32,7 @@ class StepView:
     frame_body: wp.array[int]  # [nf] body, -1 world, -2 and below poses of the task
     frame_pose: wp.array[wp.transform]  # [nf] in the body's frame
     body_com: wp.array[wp.vec3]  # [nb] centre of mass in the body's frame [m]
+    memory: wp.array3d[float]  # [T+1, W, nx] numbers that terms carry along the rollouts
 
 
 @wp.func
@@ -87,6 +88,32 @@ def frame_angular_velocity(s: StepView, frame: int) -> wp.vec3:
     if body < 0:
         return wp.vec3(0.0)
     return wp.spatial_bottom(s.body_qd[s.t, s.w, body])
+
+
+@wp.func
+def memory(s: StepView, i: int) -> float:
+    """Number i of those that terms carry along the rollout, at this step."""
+    return s.memory[s.t, s.w, i]
+
+
+@wp.func
+def memory_before(s: StepView, i: int) -> float:
+    """The same number one step before."""
+    return s.memory[s.t - 1, s.w, i]
+
+
+@wp.func
+def remember(s: StepView, i: int, value: float):
+    """Set number i of this step; for functions that carry numbers along."""
+    s.memory[s.t, s.w, i] = value
+
+
+@wp.func
+def step_before(s: StepView) -> StepView:
+    """The same rollout one step before."""
+    before = s
+    before.t = s.t - 1
+    return before
 
 
 @wp.func

@@ -49,7 +49,7 @@ def test_the_term_is_what_the_network_says(robot, sizes, tmp_path, device):
 
 @pytest.mark.parametrize("sizes", SIZES)
 @pytest.mark.parametrize("robot", ["panda", "elbow"])
-def test_baked_networks_say_the_same(robot, sizes, tmp_path):
+def test_baked_networks_say_the_same(robot, sizes, tmp_path, device):
     planner = {"samples": 37, "horizon": 11, "noise": {"sigma": 0.8}}
 
     def scene(*costs):
@@ -60,7 +60,7 @@ def test_baked_networks_say_the_same(robot, sizes, tmp_path):
 
     start = {"term": "distance", "between": ["goal", "arm/lower" if robot == "elbow" else "arm/panda_link7"]}
     path, weights = written(tmp_path, scene(start), sizes)
-    mpc = Controller(scene(start, learned(path, margin=0.2, weight=3.0)), engine="kinematic", device="cpu", seed=0)
+    mpc = Controller(scene(start, learned(path, margin=0.2, weight=3.0)), engine="kinematic", device=device, seed=0)
     dofs = SelfDistance(scene(start)).dofs
     for seed in range(3):
         q = np.random.default_rng(seed).uniform(-2.0, 2.0, mpc.layout.nq)

@@ -60,6 +60,9 @@ def test_a_meter_follows_the_goals_frame():
     nearest = min(np.hypot(*(place - [2.0, -0.6])) for place in places) - 0.4 - 0.2
     assert found["clearance_m"] == pytest.approx(nearest, abs=5e-3)
     assert found["start_position_error_m"] == pytest.approx(3.0)
+    jerk = np.diff(np.array(places, dtype=float), 3, axis=0) / 0.04**3
+    assert found["squared_jerk_m2_s5"] == pytest.approx(0.04 * np.sum(jerk**2), rel=1e-3)
+    assert found["squared_control_rate"] == pytest.approx(19 * 0.1**2 / 0.04, rel=1e-4)
     assert found["axes_error_m"][0] == pytest.approx(places[-1][0] - 3.0, abs=1e-4)
 
 

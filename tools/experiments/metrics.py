@@ -53,12 +53,14 @@ METRICS = {
     "free": Metric("no collision", "%", lambda run: run["result"]["collisions"]["max_force_N"] == 0.0, 0, rate=True),
     "time": Metric("time to goal", "s", lambda run: run["result"]["time_to_goal_s"]),
     "path": Metric("path length", "m", _when_reached(lambda run: run["measured"]["path_length_m"])),
+    "jerk": Metric("squared jerk", "m²/s⁵", _when_reached(lambda run: run["measured"]["squared_jerk_m2_s5"]), 0),
+    "rate": Metric("squared control rate", "", _when_reached(lambda run: run["measured"]["squared_control_rate"]), 0),
     "clearance": Metric("least clearance", "m", _when_reached(lambda run: run["measured"]["clearance_m"]), 3),
     "solver": Metric("plan", "ms", lambda run: run["result"]["plan_ms"]["p50"], 1),
     "cost": Metric("final cost", "", _final_cost, 3),
 }
-"""Metrics by name. Times, paths and clearances are those of runs that reached the goal; a plan's wall time is the
-median over its run."""
+"""Metrics by name. Times, paths, jerks, rates and clearances are those of runs that reached the goal; a plan's wall
+time is the median over its run."""
 
 
 @dataclass(frozen=True)

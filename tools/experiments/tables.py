@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of Pezzato et al., *Sampling-Based MPC Leveraging Parallelizable Physics Simulations* (RA-L 2025).
 
+Beside them stands what Bhardwaj et al., *STORM* (CoRL 2021), show in figures.
 Each table is a list of cells: scenes, changes to them, what is measured and what the paper reports. The paper's
 figures are (mean,) or (mean, standard deviation) in the metric's unit, rates as fractions.
 """
@@ -118,6 +119,21 @@ def _ablations() -> tuple[Cell, ...]:
     )
 
 
+def _sampling() -> tuple[Cell, ...]:
+    """The four ways to draw samples of STORM's Fig. 3."""
+    shapes, sources = {"comb": "comb filter", "bspline": "B-spline"}, {"random": "pseudo-random", "halton": "Halton"}
+    return tuple(
+        _cell(
+            f"{source}_{shape}",
+            f"{points}, {how}",
+            "holonomic_2d",
+            overrides=(f"planner.noise.source={source}", f"planner.noise.shape={shape}"),
+        )
+        for shape, how in shapes.items()
+        for source, points in sources.items()
+    )
+
+
 TABLES = {
     "table1": Table(
         title="Table I: motion planning among five random spheres",
@@ -186,6 +202,13 @@ TABLES = {
             _cell("shoved", "base pushed away", "omni_push_box:shoved"),
             _cell("noisy", "noisy, late observations", "omni_push_box:noisy"),
         ),
+    ),
+    "sampling": Table(
+        title="STORM, Fig. 3: four ways to draw samples",
+        metrics=("success", "free", "time", "path", "jerk", "rate", "clearance"),
+        runs=50,
+        cells=_sampling(),
+        note="Bhardwaj et al. (CoRL 2021) show one run of each, without figures.",
     ),
 }
 """Tables by name."""

@@ -89,7 +89,7 @@ class Arm:
                 first, second = model.body_weldid[bodies[a]], model.body_weldid[bodies[b]]
                 near = second == first or model.body_weldid[model.body_parentid[first]] == second
                 near |= model.body_weldid[model.body_parentid[second]] == first
-                if b in moving and (b <= a or near) or b in links and near:
+                if (b in moving and (b <= a or near)) or (b in links and near):
                     continue
                 if model.geom_contype[b] | model.geom_conaffinity[b]:
                     out.append((a, b))

@@ -173,12 +173,17 @@ const int at = h < 0 ? 0 : h;
         slice_ = "const size_t slice = (size_t)(h + 1) * worlds + row;"
         return [defined, "if (seen) {", slice_, *rows, "if (live)", *controls, "}", "}"]
 
+    def _speed(self, dof: int) -> Operand:
+        """A joint velocity for the record, whose first slice holds what was observed, of undriven joints too."""
+        value = self.state.speed(dof)
+        return value if isinstance(value, str) else f"(h < 0 ? (T)qd_start[{dof}] : (T)0.0f)"
+
     def _recorded(self) -> list[tuple[str, int, int, list[Operand]]]:
         """Arrays of the record, numbers of a world in them, the first one written, and the numbers."""
         state, tree, layout = self.state, self.state.tree, self._layout
         out = [
             ("record_q", layout.nq, 0, [state.coordinate(i) for i in range(layout.nq)]),
-            ("record_qd", layout.nv, 0, [state.speed(dof) for dof in range(layout.nv)]),
+            ("record_qd", layout.nv, 0, [self._speed(dof) for dof in range(layout.nv)]),
         ]
         for body in range(layout.nb):
             place = tree.place(body)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..kernels.geometry.jacobian import Chain
-    from ..model.layout import Layout
     from .binding import Binding
     from .keys import Joints
 

@@ -41,6 +41,10 @@ class Binding:
     """Names of the sensors that terms read, ``robot/sensor``."""
     kept: list[object] = field(default_factory=list)
     """What must live as long as the terms, such as meshes."""
+    label: str = ""
+    """Name of the term being bound."""
+    memory: dict[str, int] = field(default_factory=dict)
+    """How many numbers terms carry along the rollouts, by the name of the term."""
 
     def __post_init__(self):
         self.resources = Resources(self.scene, self.layout)
@@ -80,6 +84,33 @@ class Binding:
             SceneError: If there is none, or several.
         """
         return self._found(self.layout.joint, name, key)
+
+    def carry(self, count: int) -> int:
+        """First of the numbers that the term being bound carries along the rollouts.
+
+        Args:
+            count: How many they are.
+        """
+        first = sum(self.memory.values())
+        self.memory[self.label] = count
+        return first
+
+    def carried(self, name: str, key: str) -> int:
+        """First of the numbers that a term above this one carries along.
+
+        Raises:
+            SceneError: If there is no such term.
+        """
+        if name not in self.memory:
+            raise SceneError(
+                "no cost term above this one carries numbers along under this name",
+                key=f"{self.key}.{key}",
+                file=self.file,
+                found=name,
+                allowed=self.memory,
+            )
+        names = list(self.memory)
+        return sum(self.memory[other] for other in names[: names.index(name)])
 
     def sensor(self, name: str, key: str) -> int:
         """Index of a sensor's first number; from now on the rollouts record this sensor.

@@ -18,7 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import arm, cloud, collision, learned
+from . import arm, cloud, collision, learned, rolling
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -307,6 +307,7 @@ BUILTIN = {
         CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
         *arm.TERMS,
         *collision.TERMS,
+        *rolling.TERMS,
         *cloud.TERMS,
         *learned.TERMS,
     )

@@ -7,11 +7,14 @@ import hashlib
 import linecache
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
 from ..kernels.terms.view import StepView
+
+if TYPE_CHECKING:
+    from .term import CostTerm
 
 _SOURCE = '''
 @wp.struct
@@ -25,6 +28,30 @@ class JudgeParams:
 def judge_step(s: StepView, p: JudgeParams, weight: wp.array2d[float], cost: wp.array3d[float]):
     """Weighted cost of every term at one step of one world."""
 {calls}
+
+
+@wp.func
+def advance_step(s: StepView, p: JudgeParams):
+    """Carry the terms' numbers on to one step of one world, in the order of the steps from 0 on."""
+{advances}
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def advance_kernel(
+    # inputs
+    view: StepView,
+    p: JudgeParams,
+    rollouts: int,  # per environment
+    steps: int,
+    first: int,  # world of thread 0
+):
+    """One thread: the numbers that terms carry along one world, from its start to its end."""
+    s = view
+    s.w = first + wp.tid()
+    s.e = s.w // rollouts
+    for t in range(steps + 1):
+        s.t = t
+        advance_step(s, p)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -58,27 +85,38 @@ class JudgeCode:
     """``(s: StepView, p: params, weight [E, term], cost [term, T, W])``, for kernels that judge on the way."""
     kernel: wp.Kernel
     """One thread per step and world."""
+    advance: wp.Function
+    """``(s: StepView, p: params)`` at the steps 0, 1, ... of a world, before any of them is judged."""
+    advance_kernel: wp.Kernel
+    """One thread per world."""
+    advances: bool
+    """Whether any term carries numbers along."""
 
 
-def judge_code(terms: Sequence[tuple[int, wp.Function, Any]]) -> JudgeCode:
+def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
     """Write and load the kernel that evaluates terms.
 
     Args:
-        terms: Row in the cost array, Warp function and parameter struct of each term.
+        terms: Row in the cost array of each term, and the term.
     """
     names: dict[str, Any] = {"wp": wp, "StepView": StepView}
-    fields, calls = ["    none: int"], []
-    for i, function, params in terms:
-        names[f"Params{i}"], names[f"term{i}"] = params, function
+    fields, calls, advances = ["    none: int"], [], []
+    for i, term in terms:
+        names[f"Params{i}"], names[f"term{i}"] = term.params, term.function
+        if term.advance is not None:
+            names[f"advance{i}"] = term.advance
+            advances.append(f"    advance{i}(s, p.p{i})")
         fields.append(f"    p{i}: Params{i}")
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
         calls.append(f"    if weight[s.e, {i}] != 0.0:")
         calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * term{i}(s, p.p{i})")
-    source = _SOURCE.format(fields="\n".join(fields), calls="\n".join(calls or ["    pass"]))
+    written = (fields, calls or ["    pass"], advances or ["    pass"])
+    source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))
     # Warp reads the source of what it compiles from the file it came from
-    about = repr((source, [function.key for _, function, _ in terms]))
+    about = repr((source, [(term.function.key, term.advance and term.advance.key) for _, term in terms]))
     file = f"<judge {hashlib.sha256(about.encode()).hexdigest()[:12]}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     exec(compile(source, file, "exec", dont_inherit=True), names)
-    return JudgeCode(names["JudgeParams"], names["judge_step"], names["judge_kernel"])
+    made = ("JudgeParams", "judge_step", "judge_kernel", "advance_step", "advance_kernel")
+    return JudgeCode(*(names[name] for name in made), advances=bool(advances))

@@ -60,8 +60,9 @@ class CostStack:
         self.terms: list[tuple[CostTerm | ArrayCost, Any]] = []
         """Each term with its parameters."""
         binding = Binding(scene, layout, device=device)
-        for cost in costs:
+        for label, cost in zip(self.labels, costs, strict=True):
             binding.key = f"cost.{cost.label}"
+            binding.label = label
             if cost.term not in known:
                 raise SceneError(
                     "no such cost term", key=f"{binding.key}.term", file=scene.path, found=cost.term, allowed=known
@@ -77,7 +78,9 @@ class CostStack:
         for resource in self.resources:
             resource.allocate(task.envs, device)
         kernels = [(i, term, bound) for i, (term, bound) in enumerate(self.terms) if isinstance(term, CostTerm)]
-        self.code = judge_code([(i, term.function, term.params) for i, term, _ in kernels])
+        self.code = judge_code([(i, term) for i, term, _ in kernels])
+        self.memory = sum(binding.memory.values())
+        """Numbers that terms carry along every rollout."""
         self.params = self.code.params()
         """Parameters of all terms that are kernels, as :attr:`code` takes them."""
         for i, _, bound in kernels:
@@ -156,6 +159,8 @@ class Judge:
         view.frame_body = wp.array(layout.frame_body, dtype=int, device=device)
         view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
         view.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
+        slices, worlds = trajectory.joint_q.shape[:2]
+        view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
     def launch(self, first: int = 0, count: int | None = None) -> None:
@@ -166,8 +171,12 @@ class Judge:
             count: How many they are, all from the first on if None.
         """
         count = self.shape.worlds - first if count is None else count
-        inputs = [self.view, self.stack.params, self._state.weight, self.shape.rollouts, first]
-        self._launch(self.stack.code.kernel, (self.shape.horizon, count), inputs, [self.cost])
+        code, rollouts = self.stack.code, self.shape.rollouts
+        if code.advances:
+            inputs = [self.view, self.stack.params, rollouts, self.shape.horizon, first]
+            self._launch(code.advance_kernel, count, inputs, [])
+        inputs = [self.view, self.stack.params, self._state.weight, rollouts, first]
+        self._launch(code.kernel, (self.shape.horizon, count), inputs, [self.cost])
 
     def launch_arrays(self) -> None:
         """Evaluate the terms over whole arrays, on the host."""

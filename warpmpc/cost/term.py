@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,9 @@ class CostTerm:
     native: Callable[[TermCode, Any], Operand | None] | None = None
     """Writes the term as baked source, given its filled parameter struct; returns the value, or None where the
     parameters ask for what only :attr:`function` can do. Engines that judge on the way prefer it."""
+    advance: wp.Function | None = None
+    """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any of them is judged: writes
+    the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +54,25 @@ class ArrayCost:
     function: Callable[[dict[str, Any]], Any]
 
 
-def cost_term(name: str) -> Callable[[Callable], CostTerm]:
+def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -> Callable[[Callable], CostTerm]:
     """Turn a function of one step into a cost term.
 
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
     (``robot/frame``), as a joint when the field's name contains ``joint``, as the first number of a sensor
-    (``robot/sensor``) when it contains ``sensor``, or as a scalar of the task when it contains ``scalar``.
+    (``robot/sensor``) when it contains ``sensor``, or as a scalar of the task when it contains ``scalar``, and as the
+    first number that another term carries along when it contains ``memory``.
 
     Args:
         name: What scene files call the term.
+        advance: Dynamics of the term's own: a function of the same two arguments that writes its numbers at the steps
+            0, 1, ... of every rollout, before any of them is judged. The numbers begin at the field ``memory``
+            of the struct, which is set for it.
+        numbers: How many numbers that are.
 
     Raises:
-        TypeError: If the function lacks the annotations ``StepView`` and a ``wp.struct``.
+        TypeError: If a function lacks the annotations ``StepView`` and a ``wp.struct``, or the struct the field
+            ``memory`` for its numbers.
 
     Example:
         >>> @wp.struct
@@ -81,7 +91,16 @@ def cost_term(name: str) -> Callable[[Callable], CostTerm]:
                 "with Params a wp.struct"
             )
         params = annotations[1]
-        return CostTerm(name, wp.func(function, module="unique"), params, lambda keys, b: _fill(name, params, keys, b))
+        bind = partial(_fill, name, params, numbers if advance else None)
+        if advance is None:
+            return CostTerm(name, wp.func(function, module="unique"), params, bind)
+        if list(_annotations(advance).values()) != [StepView, params] or "memory" not in params.vars or numbers < 1:
+            raise TypeError(
+                f"cost term '{name}': what it carries along needs numbers = 1 or more, def {advance.__name__}(s: "
+                f"warpmpc.StepView, p: {params.__name__}) and a field memory: int in that struct"
+            )
+        made = (wp.func(f, module="unique") for f in (function, advance))
+        return CostTerm(name, next(made), params, bind, advance=next(made))
 
     return decorate
 
@@ -111,10 +130,17 @@ def _annotations(function: Callable) -> dict[str, Any]:
     }
 
 
-def _fill(name: str, params: Any, keys: dict[str, Any], binding: Binding) -> Any:
-    """Fill a user's parameter struct from scene keys."""
+def _fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], binding: Binding) -> Any:
+    """Fill a user's parameter struct from scene keys; ``numbers`` is how many the term carries along itself."""
     struct = params()
-    finders = {"joint": binding.joint, "sensor": binding.sensor, "scalar": binding.scalar}
+    if numbers is not None:
+        keys = {**keys, "memory": binding.carry(numbers)}
+    finders = {
+        "joint": binding.joint,
+        "sensor": binding.sensor,
+        "scalar": binding.scalar,
+        "memory": binding.carried,
+    }
     for key, value in keys.items():
         where = f"{binding.key}.{key}"
         if key not in params.vars:

@@ -92,11 +92,11 @@ class KinematicEngine:
         kernels = [(i, *self.costs.terms[i]) for i in staged if isinstance(self.costs.terms[i][0], CostTerm)]
         judge = None
         if kernels:
-            code = judge_code([(i, term.function, term.params) for i, term, _ in kernels])
+            code = judge_code([(i, term) for i, term, _ in kernels])
             self._own = code.params()
             for i, _, bound in kernels:
                 setattr(self._own, f"p{i}", bound)
-            judge = code.step, code.params
+            judge = code
         self._judges = judge is not None
         self._kernel = make_kernel(source, self.costs.code.params, self.lanes, judge)
         self.parts, groups = self._split()

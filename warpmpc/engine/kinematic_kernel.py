@@ -6,21 +6,31 @@ from typing import Any
 import warp as wp
 
 from ..bake.number import WIDE
+from ..cost.kernel import JudgeCode
 from ..kernels.terms.view import StepView
 from ..kernels.worlds.kinematic import KinematicWork
 
 WARP = wp.constant(32)
 
 
-def make_kernel(source: str, params: Any, lanes: int, judge: tuple[wp.Function, Any] | None) -> wp.Kernel:
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+__syncwarp();
+#endif
+""")
+def wait_for_lanes():
+    """Wait until all lanes of a warp are here, and see what they wrote."""
+    ...
+
+
+def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -> wp.Kernel:
     """Compile baked source into a kernel.
 
     Args:
         source: Body of the native function.
         params: ``wp.struct`` of the parameters of all terms.
         lanes: Samples that a thread takes on the CPU; on a GPU a warp takes one.
-        judge: Function and parameter struct of the terms that are no part of the source, if there are any
-            (``warpmpc.cost.kernel``).
+        judge: Code of the terms that are no part of the source, if there are any.
     """
     options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
 
@@ -43,7 +53,8 @@ def make_kernel(source: str, params: Any, lanes: int, judge: tuple[wp.Function, 
 
         return kinematic_kernel
 
-    judge_step, judge_params = judge
+    judge_step, judge_params, advance_step = judge.step, judge.params, judge.advance
+    advances = wp.constant(judge.advances)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=options)
     def judging_kernel(
@@ -67,12 +78,22 @@ def make_kernel(source: str, params: Any, lanes: int, judge: tuple[wp.Function, 
             start = (group % groups) * lanes
             for sample in range(start, wp.min(start + lanes, samples)):
                 s.w = s.e * samples + sample
+                if advances:
+                    for t in range(k.dt.shape[0] + 1):
+                        s.t = t
+                        advance_step(s, own)
                 for t in range(k.dt.shape[0]):
                     s.t = t + 1
                     judge_step(s, own, k.weight, cost)
         else:
             s.w = group // WARP
             s.e = s.w // samples
+            if advances:
+                if group % WARP == 0:
+                    for t in range(k.dt.shape[0] + 1):
+                        s.t = t
+                        advance_step(s, own)
+                wait_for_lanes()
             for t in range(group % WARP, k.dt.shape[0], WARP):
                 s.t = t + 1
                 judge_step(s, own, k.weight, cost)
