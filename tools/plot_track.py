@@ -29,7 +29,7 @@ def draw_places(axes, rows: dict[str, np.ndarray]) -> None:
         axes.plot(rows["time"], rows["goal"][:, i], "--", color=color, lw=0.9)
         axes.plot(rows["time"], rows["tool"][:, i], color=color, lw=1.4, label=name)
     axes.set_ylabel("ball (dashed), hand [m]")
-    axes.legend(loc="upper right", ncols=3, frameon=False)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False)
 
 
 def draw_distances(axes, rows: dict[str, np.ndarray]) -> None:
