@@ -18,7 +18,9 @@ WARP = wp.constant(32)
 __syncwarp();
 #endif
 """)
-def wait_for_lanes(): ...
+def wait_for_lanes():
+    """What one lane of a warp wrote is there for the others."""
+    ...
 
 
 def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -> wp.Kernel:
