@@ -35,7 +35,7 @@ class RollingBallParams:
 
 @wp.func
 def roll(s: StepView, p: RollingBallParams):
-    """Where the ball is at this step: v̇ = share · (Rᵀ(g - a))_xy, g is gravity, a the frame's acceleration."""
+    """Move the ball on: v̇ = share · (Rᵀ(g - a))_xy, g along -z of the world, a the acceleration of the frame."""
     rotation = frame_rotation(s, p.on)
     i = p.memory
     if s.t == 0:

@@ -11,7 +11,7 @@ from warpmpc import Controller, SceneError, State
 SMALL = ["planner.samples=24", "planner.horizon=8", "planner.knots=4", "planner.noise.sigma=3.0", "engine.threads=1"]
 
 
-def expected(mpc: Controller, scene, share: float, carried: float) -> np.ndarray:
+def expected(mpc: Controller, share: float, carried: float) -> np.ndarray:
     """Cost of the term over the horizon for every sample ``[S]``."""
     layout, grid = mpc.layout, mpc.planner.grid
     out = mpc.engine.rollouts(range(mpc.shape.worlds))
@@ -52,7 +52,7 @@ def test_a_ball_rolls_along_every_rollout_as_the_model_says(share, carried):
         for _ in range(2):
             mpc.step(State(state.joint_q, qd))
         found = mpc.engine.total.numpy()[mpc.costs.labels.index("rolling_ball")]
-        np.testing.assert_allclose(found, 300.0 * expected(mpc, scene, share, float(carried)), rtol=2e-3)
+        np.testing.assert_allclose(found, scene.cost[0].weight * expected(mpc, share, float(carried)), rtol=2e-3)
 
 
 def test_only_spheres_that_move_freely_roll():

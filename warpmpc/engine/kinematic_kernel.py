@@ -19,7 +19,7 @@ __syncwarp();
 #endif
 """)
 def wait_for_lanes():
-    """Wait until all lanes of a warp are here, and see what they wrote."""
+    """What one lane of a warp wrote is there for the others."""
     ...
 
 
