@@ -74,6 +74,8 @@ class EngineEntry:
     any_dt: bool
     """Whether its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     make: Callable[[EngineRequest, PhysicsSteps], Engine]
+    physics: bool = True
+    """Whether its rollouts are physics: ``auto`` chooses among those alone."""
 
 
 ENGINES: dict[str, EngineEntry] = {}
@@ -234,5 +236,13 @@ register(
     EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
 )
 register(
-    EngineEntry(name=str(EngineName.KINEMATIC), cuda=True, cpu=True, capturable=True, any_dt=True, make=_make_kinematic)
+    EngineEntry(
+        name=str(EngineName.KINEMATIC),
+        cuda=True,
+        cpu=True,
+        capturable=True,
+        any_dt=True,
+        make=_make_kinematic,
+        physics=False,
+    )
 )

@@ -60,7 +60,7 @@ def choose_engine(
     engine, device = resolve(scene, engine, device)
     if engine != "auto":
         return engine, device
-    choices = {name: device if entry.cuda else "cpu" for name, entry in ENGINES.items()}
+    choices = {name: device if entry.cuda else "cpu" for name, entry in ENGINES.items() if entry.physics}
     file = cache_folder().parent / "engines" / f"{_key(scene, device, envs, terms)}.json"
     times: dict[str, float] = {}
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
