@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from warpmpc.model.movable import movable_body
+
 if TYPE_CHECKING:
     from warpmpc import Controller, Plant
     from warpmpc.model.compiled import CompiledScene
@@ -38,6 +40,15 @@ class Clearance:
             if name and shape.kind != "plane" and kind[shape.entity] in solid:
                 solid[kind[shape.entity]].append((self.model.geom(name).id, shape.body))
         self.robot, self.obstacle = solid["robot"], solid["obstacle"]
+
+    def of(self, plant: Plant) -> float:
+        """The least distance [m] in a plant, obstacles that move where they are."""
+        for name in plant.layout.movable:
+            mocap, pose = self.model.body(movable_body(name)).mocapid[0], plant.pose(name)
+            self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = pose[:3], pose[[6, 3, 4, 5]]
+        if plant.layout.movable:
+            mujoco.mj_kinematics(self.model, self.data)
+        return self(plant.body_q)
 
     def __call__(self, body_q: np.ndarray) -> float:
         """The least distance [m] at body poses ``[nb, 7]``: below zero where they overlap, infinite without a pair."""
@@ -83,7 +94,7 @@ class Meter:
         self._last = [self.place] if self._goal else []  # places, four at most
         self._control: np.ndarray | None = None
         self._clearance = Clearance(plant.compiled) if plant.scene.obstacle else None
-        self.clearance = self._clearance(plant.body_q) if self._clearance else math.inf
+        self.clearance = self._clearance.of(plant) if self._clearance else math.inf
 
     def __call__(self, controller: Controller | None, plant: Plant, control: np.ndarray) -> None:
         """Take note of the step just made."""
@@ -100,7 +111,7 @@ class Meter:
                 jerk = np.diff(np.array(self._last, dtype=float), 3, axis=0) / dt**3
                 self.squared_jerk += dt * float(np.sum(jerk**2))
         if self._clearance:
-            self.clearance = min(self.clearance, self._clearance(plant.body_q))
+            self.clearance = min(self.clearance, self._clearance.of(plant))
 
     def _goal_target(self) -> np.ndarray:
         """Where the frame or object is that shall reach the goal ``[3]`` [m]."""

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 
@@ -103,6 +104,10 @@ class Workers:
         if self.count > 1:
             job = Job(**{**vars(job), "overrides": (*job.overrides, "engine.threads=1")})
         return self._pool.submit(run_job, job)
+
+    def call(self, function: Callable[..., dict], *arguments: object) -> Future[dict]:
+        """Queue a call of a module's function; the future holds what it returns or raises."""
+        return self._pool.submit(function, *arguments)
 
 
 def _start() -> None:

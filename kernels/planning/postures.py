@@ -3,7 +3,8 @@
 
 A few candidates per environment take some steps of damped least squares in every plan, so that they follow a pose that
 moves. The one whose rows cost most in the last plan gives way to a new one: what the rollouts know of obstacles, limits
-and preferences chooses among the postures, and the search for others goes on.
+and preferences chooses among the postures, and the search goes on. Their rows are ancillary proposals (Trevisan and
+Alonso-Mora 2024).
 """
 
 import warp as wp

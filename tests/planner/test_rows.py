@@ -7,7 +7,7 @@ from planning import Planning
 from small_scenes import make_scene
 
 from warpmpc import Controller, SceneError, State
-from warpmpc.planner.library import library
+from warpmpc.planner.sequences import sequences
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def saved(path, values: np.ndarray) -> str:
 def test_a_library_is_tried_at_every_plan_within_the_limits(kind, tmp_path):
     sequences = np.random.default_rng(0).normal(size=(4, 8, 3))
     file = saved(tmp_path / f"some.{kind}", sequences)
-    planning = Planning(envs=2, planner={"library": file, "keep_best": True, "iterations": 2})
+    planning = Planning(envs=2, planner={"sequences": file, "keep_best": True, "iterations": 2})
     for _ in range(3):
         planning()
         for e in range(2):
@@ -119,8 +119,8 @@ def test_a_library_is_tried_at_every_plan_within_the_limits(kind, tmp_path):
 
 def test_a_library_lies_beside_its_scene(tmp_path):
     saved(tmp_path / "some.npy", np.zeros((2, 8, 3)))
-    scene = make_scene(planner={"library": "some.npy", "horizon": 8}).model_copy(update={"path": tmp_path / "s.toml"})
-    assert library(scene, 0.04 * np.arange(8), 3).shape == (2, 8, 3)
+    scene = make_scene(planner={"sequences": "some.npy", "horizon": 8}).model_copy(update={"path": tmp_path / "s.toml"})
+    assert sequences(scene, 0.04 * np.arange(8), 3).shape == (2, 8, 3)
 
 
 @pytest.mark.parametrize("spline", ["zero", "linear", "cubic", "bspline"])
@@ -130,7 +130,7 @@ def test_a_control_for_every_step_becomes_the_nearest_knots(spline, knots, tmp_p
     steps = np.repeat(rng.uniform(-0.5, 0.5, size=(3, 1, 3)), 8, axis=1)
     steps[1] += np.linspace(0.0, 0.3, 8)[:, None] * (spline != "zero")
     file = saved(tmp_path / "some.npy", steps)
-    planning = Planning(planner={"library": file, "knots": knots, "spline": spline})
+    planning = Planning(planner={"sequences": file, "knots": knots, "spline": spline})
     planning()
     assert planning.knots.shape[2] == knots
     # constants and, but for steps, ramps are in the span of every spline
@@ -139,7 +139,7 @@ def test_a_control_for_every_step_becomes_the_nearest_knots(spline, knots, tmp_p
 
 def test_a_library_of_knots_is_taken_as_it_is(tmp_path):
     sequences = np.random.default_rng(2).uniform(-1.0, 1.0, size=(2, 4, 3))
-    planning = Planning(planner={"library": saved(tmp_path / "some.csv", sequences), "knots": 4, "spline": "cubic"})
+    planning = Planning(planner={"sequences": saved(tmp_path / "some.csv", sequences), "knots": 4, "spline": "cubic"})
     planning()
     np.testing.assert_allclose(planning.knots[0, 2:4], sequences, rtol=1e-6)
 
@@ -163,8 +163,8 @@ def ones(*shape: int) -> np.ndarray:
 )
 def test_a_library_that_does_not_fit_is_refused(name, values, message, tmp_path):
     file = saved(tmp_path / name, values)
-    with pytest.raises(SceneError, match=r"planner\.library: .*" + message):
-        Planning(planner={"library": file, "knots": 4, "spline": "linear"})
+    with pytest.raises(SceneError, match=r"planner\.sequences: .*" + message):
+        Planning(planner={"sequences": file, "knots": 4, "spline": "linear"})
 
 
 def test_a_library_that_cannot_be_read_is_refused(tmp_path):
@@ -179,12 +179,12 @@ def test_a_library_that_cannot_be_read_is_refused(tmp_path):
         ("two.npz", "holds 2 arrays, not one"),
         ("none.npy", "no such"),
     ):
-        with pytest.raises(SceneError, match=r"planner\.library: .*" + message):
-            Planning(planner={"library": str(tmp_path / name)})
+        with pytest.raises(SceneError, match=r"planner\.sequences: .*" + message):
+            Planning(planner={"sequences": str(tmp_path / name)})
 
 
 def test_more_fixed_samples_than_samples_are_refused(tmp_path):
     file = saved(tmp_path / "some.npy", ones(10, 8, 3))
-    Planning(planner={"samples": 12, "library": file})()
+    Planning(planner={"samples": 12, "sequences": file})()
     with pytest.raises(SceneError, match=r"planner\.samples: the mean and 12 fixed samples"):
-        Planning(planner={"samples": 12, "library": file, "keep_best": True})
+        Planning(planner={"samples": 12, "sequences": file, "keep_best": True})

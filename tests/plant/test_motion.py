@@ -68,6 +68,7 @@ def test_the_planner_sees_what_was_observed_and_errors_are_about_the_truth():
     plant = Plant(scene, seed=1, task=mpc.task)
     for _ in range(24):
         plant.apply(STILL)
+    plant.observe()
     np.testing.assert_allclose(plant.goal[:3], Motions(scene, 1).at(plant.time)["goal"], atol=1e-6)
     miss = np.linalg.norm(mpc.task["goal"][:2] - plant.goal[:2])
     assert 0.01 < miss < 0.4  # up to 0.2 s late at 1 m/s and more, besides the noise
@@ -79,18 +80,22 @@ def test_an_obstacle_on_its_way_blocks_the_plants_way_and_is_the_tasks():
     plant = Plant(moving(way, obstacle=[GATE]))
     for _ in range(25):
         plant.apply(np.array([1.0, 0.0, 0.0]))
+    plant.observe()
     assert plant.task["gate"][0] == pytest.approx(0.6)
     assert plant.state.joint_q[0] < 0.35
     assert plant.contact.forces["base-gate"] > 1.0
     plant.reset()
+    plant.observe()
     assert plant.task["gate"][0] == pytest.approx(3.0)
 
 
 def test_each_plant_of_a_batch_sees_with_its_own_noise():
     plants = Plant(moving({**ROUND, "seen": {"noise": 0.02}}), envs=2)
+    plants.observe()
     seen = plants.task["goal"]
     assert np.abs(seen[0] - seen[1]).max() > 1e-3
     single = Plant(plants.scene, seed=1)
+    single.observe()
     np.testing.assert_allclose(single.task["goal"], seen[1], atol=1e-6)
 
 

@@ -6,8 +6,8 @@ Both drive the same plant by the same accelerations. They know the arm as MuJoCo
 
 from __future__ import annotations
 
+import itertools
 import math
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -51,7 +51,8 @@ class PlanAndExecute:
         goals = arm.postures(target.pose, TRIES, seed=seed, margin=SPACE)
         goals.sort(key=lambda q: float(np.abs((q - start) / arm.speed).max()))
         path = plan_joints(arm, start, goals, seed=seed) if goals else None
-        ways = [quickest(arm, self.acceleration, *ends, dt=self.dt) for ends in pairwise(path or [])]
+        ends = itertools.pairwise(path or [])
+        ways = [quickest(arm, self.acceleration, first, second, dt=self.dt) for first, second in ends]
         self._q = np.concatenate([start[None], *(way.q for way in ways)])
         self._qd = np.concatenate([0.0 * start[None], *(way.qd for way in ways)])
         self._at = 0

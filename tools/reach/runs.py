@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .arm import Arm
 from .poses import Reachable, draw_pose
+from .reference import fastest
 
 if TYPE_CHECKING:
     from warpmpc import Controller, Plant, State
@@ -108,7 +109,7 @@ class Course:
             "max_acceleration": float(np.abs(acceleration).max()),
             "max_jerk": float(np.abs(jerk).max()),
             "rms_jerk": float(np.sqrt((jerk**2).mean())),
-            "limits_kept": bool(over <= 1e-3 and (np.abs(qd) <= arm.speed * 1.001).all()),
+            "limits_kept": bool(over <= 1e-3 and (np.abs(qd) <= 1.01 * arm.speed).all()),
             "touched": sorted(track.touched),
         }
 
@@ -131,8 +132,41 @@ def planned(scene: str, overrides: tuple[str, ...]) -> tuple[Course, Planner]:
     return Course(warpmpc.Plant(loaded, seed=0, task=controller.task, compiled=compiled)), Planner(controller)
 
 
-def run_planned(scene: str, overrides: tuple[str, ...], seed: int, clearance: float) -> dict:
-    """One pose by the scene's planner."""
-    course, planner = planned(scene, overrides)
-    record, _ = course.run(planner, draw_pose(course.arm, seed, clearance=clearance), seed=seed)
+@cache
+def follower(method: str, scene: str, overrides: tuple[str, ...]) -> tuple[Course, Pilot]:
+    """Plant of a scene and a baseline, built once in every process."""
+    import warpmpc
+
+    from .baselines import DifferentialIk, PlanAndExecute
+
+    course = Course(warpmpc.Plant(warpmpc.load_scene(scene, overrides=overrides), seed=0))
+    limit = float(course.plant.layout.control_upper.min())
+    make = {"ompl": PlanAndExecute, "mink": DifferentialIk}[method]
+    return course, make(Arm(course.plant.scene, course.plant.compiled), limit, course.plant.scene.timing.control_dt)
+
+
+def run_pose(method: str, scene: str, overrides: tuple[str, ...], seed: int, clearance: float) -> dict:
+    """One pose by one method; ``least`` runs nothing, it is the least time to a posture that has the pose.
+
+    Raises:
+        SceneError: If the scene does not fit.
+        ValueError: If a package is missing.
+    """
+    if method in ("planner", "least"):
+        course, pilot = planned(scene, overrides)
+    else:
+        course, pilot = follower(method, scene, overrides)
+    target = draw_pose(course.arm, seed, clearance=clearance)
+    if method == "least":
+        return {"seed": seed, **_least(course, target, seed)}
+    record, _ = course.run(pilot, target, seed=seed)
     return {"seed": seed, **record}
+
+
+def _least(course: Course, target: Reachable, seed: int) -> dict:
+    """The least time in the form of a record."""
+    postures = [target.posture, *course.arm.postures(target.pose, 20, seed=seed, margin=0.01)]
+    limit = float(course.plant.layout.control_upper.min())
+    errors = dict.fromkeys(("position_error_m", "rotation_error_rad", "max_acceleration", "max_jerk", "rms_jerk"))
+    time = fastest(course.arm, limit, postures)
+    return {"reached": True, "time_s": time, **errors, "limits_kept": True, "touched": []}

@@ -35,9 +35,9 @@ STRIDE = 0.5
 class PostureRows:
     """Samples that go to postures which bring a frame to a pose of the task, each posture at several paces.
 
-    Postures are searched for on the way, a little in every plan, and judged by what their rows cost: the worst of those
-    that have had time to get there makes room for one begun at random. None of them is ever taken for granted; where
-    all are bad, as for a pose out of reach, the other samples are cheaper.
+    Postures are searched for on the way, a little in every plan, and tried once they have found the pose: what their
+    rows cost judges them, and the worst of those that have had time to get there makes room for one begun at random.
+    Where there is none, as for a pose out of reach, these rows ask for nothing.
 
     Args:
         scene: The scene, whose ``planner.postures`` says what is wanted.

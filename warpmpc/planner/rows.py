@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that are not drawn: null particles, the best sample so far, sequences of a library."""
+"""Samples that are not drawn: null particles, the best sample so far, sequences of a file."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class BestRow:
         """Nothing: the distribution has moved it on."""
 
 
-class LibraryRows:
-    """Sequences of a library, the same at every plan.
+class SequenceRows:
+    """Sequences of a file, the same at every plan.
 
     Args:
         sequences: Their knots ``[n, P, nu]``.

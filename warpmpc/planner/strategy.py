@@ -13,11 +13,11 @@ from ..scene.errors import SceneError
 from ..scene.schema import Execute, NoiseShape, Renewal
 from .covariance import Covariance, covariance_form
 from .distribution import Gaussian
-from .library import library
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureRows
-from .rows import BestRow, FixedRows, LibraryRows, NullRows
+from .rows import BestRow, FixedRows, NullRows, SequenceRows
+from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
 
@@ -98,7 +98,7 @@ class SamplingStrategy:
         seed: Seed of the noise.
 
     Raises:
-        SceneError: If a list has the wrong number of values, keys contradict each other or a library does not fit.
+        SceneError: If a list has the wrong number of values, keys contradict each other or sequences do not fit.
     """
 
     def __init__(
@@ -175,15 +175,12 @@ class SamplingStrategy:
                 scene, layout, self._state, spline, distribution.null, cost, first=first, seed=seed
             )
             rows.append(self._postures)
-        rows.append(LibraryRows(library(scene, spline.time.numpy(), layout.nu)))
+        rows.append(SequenceRows(sequences(scene, spline.time.numpy(), layout.nu)))
         fixed = FixedRows(rows, distribution)
         if fixed.count + 1 > samples:
-            raise SceneError(
-                f"too few for the mean and {fixed.count} fixed samples (null, best, postures, library)",
-                key="planner.samples",
-                file=scene.path,
-                found=samples,
-            )
+            kinds = "null, best, postures, sequences"
+            message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"
+            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed
 
     def reset(self) -> None:

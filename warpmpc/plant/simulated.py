@@ -222,7 +222,7 @@ class Plant:
         return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
     def observe(self) -> State:
-        """The state as sensors show it: with noise, and ``delay`` old; cameras fill the task's clouds."""
+        """The state as sensors show it: with noise, and ``delay`` old; motions and clouds are shown to the task."""
         self._look()
         state = self._history[0]
         noise = self.scene.plant.noise
@@ -245,7 +245,9 @@ class Plant:
         return DepthCamera(camera, model, own, seed=seed)
 
     def _look(self) -> None:
-        """Take the pictures whose time has come."""
+        """Take the pictures whose time has come, and see what moves."""
+        for name, position in self._motions.seen(self.time).items():
+            self.task.move(name, position, self._index)
         for name, camera in self.cameras.items():
             if camera.due(self.time):
                 self._engine.show(self._index, camera.data)
@@ -335,10 +337,8 @@ class Plant:
         self.contact.max_force = max(self.contact.forces.values())
 
     def _check(self) -> None:
-        """Take note of the state just reached, and of what was seen to move."""
+        """Take note of the state just reached."""
         self._moving = self._motions.at(self.time)
-        for name, position in self._motions.seen(self.time).items():
-            self.task.move(name, position, self._index)
         self._history.append(self.state)
         terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]

@@ -185,7 +185,7 @@ class Planner(Section):
     covariance: Covariance = Covariance()
     keep_best: Flag = False
     """Whether the best sample so far, moved on by the time that has passed, is tried again among the samples."""
-    library: str | None = None
+    sequences: str | None = None
     """File of control sequences that are tried at every plan, one sample each: ``.npy`` or ``.npz`` with
     ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
     postures: Postures | None = None

@@ -143,6 +143,13 @@ class Task(Mapping[str, np.ndarray]):
         """Pose ``[7]`` of one environment."""
         return self.block[e, self._columns[name]]
 
+    def move(self, name: str, position: np.ndarray, e: int = 0) -> None:
+        """Put a pose of one environment somewhere else ``[3]``; it keeps its orientation."""
+        at = self.pose(name, e)[:3]
+        if not np.array_equal(at, position := np.asarray(position, dtype=np.float32)):
+            at[:] = position
+            self._tell({name})
+
     def points(self, name: str, e: int = 0) -> np.ndarray:
         """Points ``[n, 3]`` of a cloud in one environment, not to be changed."""
         return self._clouds.points(name, e)
@@ -155,13 +162,6 @@ class Task(Mapping[str, np.ndarray]):
         """
         self._clouds.set(name, points, e)
         self._tell({name})
-
-    def move(self, name: str, position: np.ndarray, e: int = 0) -> None:
-        """Put a pose of one environment somewhere else ``[3]``; it keeps its orientation."""
-        at = self.pose(name, e)[:3]
-        if not np.array_equal(at, position := np.asarray(position, dtype=np.float32)):
-            at[:] = position
-            self._tell({name})
 
     def phase_of(self, e: int = 0) -> Phase | None:
         """The active phase of an environment, None for a scene without phases."""

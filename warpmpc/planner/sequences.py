@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A library of control sequences from a file, as knots of a plan."""
+"""Control sequences from a file, as knots of a plan."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from ..scene.schema import Scene
 
-KEY = "planner.library"
+KEY = "planner.sequences"
 
 
-def library(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
-    """The sequences of a scene's library as knots ``[n, P, nu]``, none without one.
+def sequences(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
+    """The sequences of a scene's file as knots ``[n, P, nu]``, none without one.
 
     A sequence has a control for every knot, or for every step of a rollout: then its knots are those whose spline
     comes nearest to it in the least-squares sense, which is the sequence itself where there are as many knots as steps.
@@ -34,7 +34,7 @@ def library(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
     Raises:
         SceneError: If the file is missing, cannot be read or has the wrong shape.
     """
-    name = scene.planner.library
+    name = scene.planner.sequences
     if name is None:
         return np.zeros((0, len(knot_time), nu), dtype=np.float32)
     base = None if scene.path is None else scene.path.parent
@@ -83,4 +83,4 @@ def _read(path: Path, scene: Scene) -> np.ndarray:
 
 
 def _error(scene: Scene, message: str, allowed: object = None) -> SceneError:
-    return SceneError(message, key=KEY, file=scene.path, found=scene.planner.library, allowed=allowed)
+    return SceneError(message, key=KEY, file=scene.path, found=scene.planner.sequences, allowed=allowed)

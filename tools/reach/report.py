@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records of many poses as one line of a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+COLUMNS = (
+    "",
+    "poses",
+    "reached",
+    "touched",
+    "both",
+    "time [s] mean ± std",
+    "median",
+    "p90",
+    "error [mm]",
+    "[mrad]",
+    "q̈ max [rad/s²]",
+    "jerk max, rms [rad/s³]",
+    "limits kept",
+    "missed seeds",
+)
+
+
+def line() -> str:
+    """The head of the table."""
+    return f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}"
+
+
+def summary(name: str, records: list[dict]) -> str:
+    """One row: errors are medians of those that were reached, jerk's root mean square is the median over poses."""
+    reached = [record for record in records if record["reached"]]
+    good = [record for record in reached if not record["touched"]]
+    times = np.array([record["time_s"] for record in reached] or [np.nan])
+    missed = [str(record["seed"]) for record in records if record not in good]
+
+    def over(key: str, among: list[dict]) -> np.ndarray:
+        return np.array([record[key] for record in among if record[key] is not None] or [np.nan])
+
+    cells = [
+        name,
+        str(len(records)),
+        str(len(reached)),
+        str(sum(bool(record["touched"]) for record in records)),
+        str(len(good)),
+        f"{times.mean():.2f} ± {times.std():.2f}",
+        f"{np.median(times):.2f}",
+        f"{np.percentile(times, 90):.2f}",
+        f"{1e3 * np.median(over('position_error_m', reached)):.1f}",
+        f"{1e3 * np.median(over('rotation_error_rad', reached)):.0f}",
+        f"{over('max_acceleration', records).max():.1f}",
+        f"{over('max_jerk', records).max():.0f}, {np.median(over('rms_jerk', records)):.1f}",
+        str(sum(record["limits_kept"] for record in records)),
+        ", ".join(missed[:12]) + (", ..." if len(missed) > 12 else ""),
+    ]
+    return f"| {' | '.join(cells)} |"
