@@ -223,6 +223,22 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     return _recorded(request, NewtonEngine(*scene_of, **common))
 
 
+def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    from .fused.simulator import FusedSimulator
+
+    simulator = FusedSimulator(
+        request.scene,
+        request.compiled,
+        request.shape,
+        substeps=steps.count,
+        timestep=steps.length[0],
+        pairs=request.costs.pairs,
+        properties=request.properties,
+        device=request.device,
+    )
+    return _recorded(request, simulator)
+
+
 def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     from .kinematic import KinematicEngine
 
@@ -234,6 +250,9 @@ register(
 )
 register(
     EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
+)
+register(
+    EngineEntry(name=str(EngineName.FUSED), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_fused)
 )
 register(
     EngineEntry(
