@@ -16,6 +16,7 @@ import warpmpc.engine
 from warpmpc.bake import number
 
 NATIVE = Path(warpmpc.engine.__file__).parent / "fused" / "native"
+EXTRA = ""
 MOST = 12
 """Contacts a pair may have here."""
 ROW = 11
@@ -111,7 +112,7 @@ def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: boo
     @wp.func_native(text)
     def collide(group: int, repeat: int, pose: wp.array[float], out: wp.array[float], blocks: wp.array[int]): ...
 
-    flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "")
+    flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "") + EXTRA
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": flags})
     def kernel(

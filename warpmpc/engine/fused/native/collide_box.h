@@ -10,20 +10,16 @@
 // a, b or c for k = 0, 1, 2
 INLINE T of_three(I k, T a, T b, T c) { return k == (I)0 ? a : k == (I)1 ? b : c; }
 
-// component k, k + 1, k + 2 (mod 3) of v as x, y, z; and back
+// component k, k + 1, k + 2 (mod 3) of v as x, y, z
 INLINE V3 turned(I k, V3 v) {
     const V3 r = {of_three(k, v.x, v.y, v.z), of_three(k, v.y, v.z, v.x), of_three(k, v.z, v.x, v.y)};
-    return r;
-}
-INLINE V3 turned_back(I k, V3 v) {
-    const V3 r = {of_three(k, v.x, v.z, v.y), of_three(k, v.y, v.x, v.z), of_three(k, v.z, v.y, v.x)};
     return r;
 }
 INLINE V3 either(I m, V3 a, V3 b) {
     const V3 r = {m ? a.x : b.x, m ? a.y : b.y, m ? a.z : b.z};
     return r;
 }
-// a vector in the frame of rows x, y, z, as coordinates of the world
+// a vector given along the axes of r, in the world
 INLINE V3 out_of(const T* r, V3 v) {
     const V3 o = {r[0] * v.x + r[1] * v.y + r[2] * v.z, r[3] * v.x + r[4] * v.y + r[5] * v.z, r[6] * v.x + r[7] * v.y + r[8] * v.z};
     return o;
@@ -144,40 +140,36 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
     V3 edge_normal, edge_pos;
     T edge_dist;
     if (VANY(edge)) {
-        // everything with the two edges' axes first: rows i, i + 1, i + 2 and columns j, j + 1, j + 2
-        V3 row[3];
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            const V3 x = {r[k][0], r[k][1], r[k][2]};
-            row[k] = turned(ej, x);
-        }
-        const V3 c0 = turned(ei, V3{row[0].x, row[1].x, row[2].x}), c1 = turned(ei, V3{row[0].y, row[1].y, row[2].y}),
-                 c2 = turned(ei, V3{row[0].z, row[1].z, row[2].z});
-        const V3 at = turned(ei, V3{p[0], p[1], p[2]}), k1 = turned(ei, h1), k2 = turned(ej, h2);
-        const T inv = 1.0f / VSQRT(VMAX(c0.y * c0.y + c0.z * c0.z, splat(1e-7f)));
-        const T turn = c0.y * at.z - c0.z * at.y < 0.0f ? -inv : inv;
-        const V3 n = {splat(0.0f), -c0.z * turn, c0.y * turn};
-        // the face axis instead, where it is nearly the same and not much worse
-        const V3 nb = turned_back(ei, n);
-        const I first = axis < (I)3;
-        const I f = first ? axis : axis - (I)3;
-        const V3 fa = {first ? splat(0.0f) : of_three(f, r[0][0], r[0][1], r[0][2]), first ? splat(0.0f) : of_three(f, r[1][0], r[1][1], r[1][2]),
-                       first ? splat(0.0f) : of_three(f, r[2][0], r[2][1], r[2][2])};
-        const T along = VABS(first ? of_three(f, nb.x, nb.y, nb.z) : dot(fa, nb));
-        // the edges: of box 1 at the corner towards box 2 (o), of box 2 at the corner towards box 1; nearest points of both
-        const V3 o = {splat(0.0f), n.y < 0.0f ? -k1.y : k1.y, n.z < 0.0f ? -k1.z : k1.z};
-        const T m1 = c1.y * n.y + c1.z * n.z < 0.0f ? k2.y : -k2.y, m2 = c2.y * n.y + c2.z * n.z < 0.0f ? k2.z : -k2.z;
-        const V3 e = at + c1 * m1 + c2 * m2 - o;
-        const T b = c0.x, de = dot(c0, e);
-        T s = (e.x - b * de) / VMAX(1.0f - b * b, splat(1e-7f));
-        s = VMIN(VMAX(s, -k1.x), k1.x);
-        const T t = VMIN(VMAX(b * s - de, -k2.x), k2.x);
-        s = VMIN(VMAX(e.x + b * t, -k1.x), k1.x);
+        // in the frame of box 1: along its edge i (d1), along edge j of box 2 (d2), from box 1 to box 2 (n, across)
+        const V3 d1 = {ei == (I)0 ? splat(1.0f) : splat(0.0f), ei == (I)1 ? splat(1.0f) : splat(0.0f), ei == (I)2 ? splat(1.0f) : splat(0.0f)};
+        const V3 d2 = {of_three(ej, r[0][0], r[0][1], r[0][2]), of_three(ej, r[1][0], r[1][1], r[1][2]), of_three(ej, r[2][0], r[2][1], r[2][2])};
+        const V3 at = {p[0], p[1], p[2]}, product = cross(d1, d2);
+        const V3 across = either(dot(product, at) < 0.0f, product * splat(-1.0f), product);
+        const T inv = 1.0f / VSQRT(VMAX(dot(across, across), splat(1e-7f)));
+        const V3 n = across * inv;
+        const V3 m = {r[0][0] * across.x + r[1][0] * across.y + r[2][0] * across.z,
+                      r[0][1] * across.x + r[1][1] * across.y + r[2][1] * across.z,
+                      r[0][2] * across.x + r[1][2] * across.y + r[2][2] * across.z};  // across along the axes of box 2
+        // middles of the two edges: the corner of box 1 towards box 2 and the other way round, without the edge's own part
+        const T zero = splat(0.0f);
+        const V3 o = {ei == (I)0 ? zero : across.x < 0.0f ? -h1.x : h1.x, ei == (I)1 ? zero : across.y < 0.0f ? -h1.y : h1.y,
+                      ei == (I)2 ? zero : across.z < 0.0f ? -h1.z : h1.z};
+        const V3 c = {ej == (I)0 ? zero : m.x < 0.0f ? h2.x : -h2.x, ej == (I)1 ? zero : m.y < 0.0f ? h2.y : -h2.y,
+                      ej == (I)2 ? zero : m.z < 0.0f ? h2.z : -h2.z};
+        const V3 e = {at.x + r[0][0] * c.x + r[0][1] * c.y + r[0][2] * c.z - o.x, at.y + r[1][0] * c.x + r[1][1] * c.y + r[1][2] * c.z - o.y,
+                      at.z + r[2][0] * c.x + r[2][1] * c.y + r[2][2] * c.z - o.z};
         edge_dist = dot(n, e);
+        // the face instead, where its axis is nearly the same and not much worse
+        const T along = VABS(axis < (I)3 ? of_three(axis, n.x, n.y, n.z) : of_three(axis - (I)3, m.x, m.y, m.z) * inv);
         edge = edge & VNOT((along > 0.99f) & (edge_dist < face + 0.05f * VABS(face)));
-        const V3 mid = {0.5f * (s + e.x + t * c0.x), o.y + 0.5f * (e.y + t * c0.y), o.z + 0.5f * (e.z + t * c0.z)};
-        edge_pos = out_of(r1, turned_back(ei, mid)) + load(w.gpos[g1]);
-        edge_normal = out_of(r1, nb);
+        // their nearest points: o + s d1, o + e + t d2
+        const T k1 = dot(d1, h1), k2 = of_three(ej, h2.x, h2.y, h2.z), b = dot(d1, d2), de = dot(d2, e), ee = dot(d1, e);
+        T s = (ee - b * de) * (inv * inv);  // |across|^2 = 1 - b^2
+        s = VMIN(VMAX(s, -k1), k1);
+        const T t = VMIN(VMAX(b * s - de, -k2), k2);
+        s = VMIN(VMAX(ee + b * t, -k1), k1);
+        edge_pos = out_of(r1, o + (e + d1 * s + d2 * t) * splat(0.5f)) + load(w.gpos[g1]);
+        edge_normal = out_of(r1, n);
     }
 
     Patch patch;
