@@ -99,7 +99,7 @@ def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: boo
     """A kernel whose threads each collide a group of `lanes` pairs with the function `call` of these files."""
     one = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE) + "#define LANES 1\n"
     head = "\n".join(f"#undef {name}" for name in number.NAMES) + one if lanes == 1 else number.header(lanes)
-    text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in files))
+    text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
     words = {"SET": "1" if lanes == 1 else "((I)(-1))", "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))", "MARGIN": f"{margin}f"}
     words |= {"TABLES": tables, "CALL": call, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
     for word, value in words.items():

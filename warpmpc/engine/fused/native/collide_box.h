@@ -5,7 +5,7 @@
 // normals of each, nine products of edges) the one with the largest separation wins. A face: the most opposed face of
 // the other box, clipped by the sides of that face, gives up to eight contacts, each as deep as it lies below the
 // face. A product of edges: one contact between the nearest points of the two edges. A face is preferred on ties,
-// and where the edges' axis is within 8 degrees of it and not better by 5 %.
+// and where the edges' axis is within 8 degrees of it and not better by 5 %. After collide_common.h.
 
 // a, b or c for k = 0, 1, 2
 INLINE T of_three(I k, T a, T b, T c) { return k == (I)0 ? a : k == (I)1 ? b : c; }
@@ -15,16 +15,6 @@ INLINE V3 turned(I k, V3 v) {
     const V3 r = {of_three(k, v.x, v.y, v.z), of_three(k, v.y, v.z, v.x), of_three(k, v.z, v.x, v.y)};
     return r;
 }
-INLINE V3 either(I m, V3 a, V3 b) {
-    const V3 r = {m ? a.x : b.x, m ? a.y : b.y, m ? a.z : b.z};
-    return r;
-}
-// a vector given along the axes of r, in the world
-INLINE V3 out_of(const T* r, V3 v) {
-    const V3 o = {r[0] * v.x + r[1] * v.y + r[2] * v.z, r[3] * v.x + r[4] * v.y + r[5] * v.z, r[6] * v.x + r[7] * v.y + r[8] * v.z};
-    return o;
-}
-
 // up to eight points of a plane per lane, packed: lane l holds points 0 to count[l] - 1
 struct Patch {
     T x[8], y[8];
@@ -144,7 +134,7 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
         const V3 d1 = {ei == (I)0 ? splat(1.0f) : splat(0.0f), ei == (I)1 ? splat(1.0f) : splat(0.0f), ei == (I)2 ? splat(1.0f) : splat(0.0f)};
         const V3 d2 = {of_three(ej, r[0][0], r[0][1], r[0][2]), of_three(ej, r[1][0], r[1][1], r[1][2]), of_three(ej, r[2][0], r[2][1], r[2][2])};
         const V3 at = {p[0], p[1], p[2]}, product = cross(d1, d2);
-        const V3 across = either(dot(product, at) < 0.0f, product * splat(-1.0f), product);
+        const V3 across = choose(dot(product, at) < 0.0f, product * splat(-1.0f), product);
         const T inv = 1.0f / VSQRT(VMAX(dot(across, across), splat(1e-7f)));
         const V3 n = across * inv;
         const V3 m = {r[0][0] * across.x + r[1][0] * across.y + r[2][0] * across.z,
@@ -168,8 +158,8 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
         s = VMIN(VMAX(s, -k1), k1);
         const T t = VMIN(VMAX(b * s - de, -k2), k2);
         s = VMIN(VMAX(ee + b * t, -k1), k1);
-        edge_pos = out_of(r1, o + (e + d1 * s + d2 * t) * splat(0.5f)) + load(w.gpos[g1]);
-        edge_normal = out_of(r1, n);
+        edge_pos = in_world(r1, o + (e + d1 * s + d2 * t) * splat(0.5f)) + load(w.gpos[g1]);
+        edge_normal = in_world(r1, n);
     }
 
     Patch patch;
@@ -190,7 +180,7 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
             col[j] = turned(k1, v);
         }
         const V3 at = turned(k1, V3{first ? p[0] : -q[0], first ? p[1] : -q[1], first ? p[2] : -q[2]});
-        const V3 h = turned(k1, either(first, h1, h2)), ho = either(first, h2, h1);
+        const V3 h = turned(k1, choose(first, h1, h2)), ho = choose(first, h2, h1);
         const I below = at.z < 0.0f;
         // its most opposed face: axis b, and the two axes u, v in that face
         const T z0 = VABS(col[0].z), z1 = VABS(col[1].z), z2 = VABS(col[2].z);
@@ -228,10 +218,10 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
         x = V3{row[0].x, row[1].x, row[2].x};
         y = V3{row[0].y, row[1].y, row[2].y};
         z = V3{row[0].z, row[1].z, row[2].z} * flip;
-        origin = either(first, load(w.gpos[g1]), load(w.gpos[g2])) + z * h.z;
+        origin = choose(first, load(w.gpos[g1]), load(w.gpos[g2])) + z * h.z;
         // from box 1 to box 2
         const T sign = first ? splat(1.0f) : splat(-1.0f);
-        edge_normal = either(edge, edge_normal, z * sign);
+        edge_normal = choose(edge, edge_normal, z * sign);
     }
     const V3 n = edge_normal, t = tangent(n);
     const I touch = edge & (edge_dist < margin);
@@ -241,7 +231,7 @@ FN void box_box(World& w, int pair, int g1, int g2, I near) {
         T dist = level + slope_x * patch.x[s] + slope_y * patch.y[s];
         V3 c = origin + x * patch.x[s] + y * patch.y[s] + z * (0.5f * dist);
         if (s == 0) {
-            c = either(edge, edge_pos, c);
+            c = choose(edge, edge_pos, c);
             dist = edge ? edge_dist : dist;
             m = m | touch;
         }
