@@ -13,7 +13,7 @@ import numpy as np
 
 from ...bake.lines import Lines, Matrix, Operand, Vector, known, literal, text
 from ...bake.number import sincos
-from .model import BALL, BOX, CYLINDER, ELLIPSOID, FREE, SLIDE, PhysicsModel
+from .model import BALL, BOX, CYLINDER, ELLIPSOID, FREE, SLIDE, PhysicsModel, rotation
 
 Inertia = list[Operand]
 """Of a body about the tree's point: xx, yy, zz, xy, xz, yz, mass times centre (3), mass."""
@@ -27,15 +27,8 @@ def packed(i: int, j: int) -> int:
     return i * (i + 1) // 2 + j
 
 
-def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """The matrix ``[3, 3]`` of a quaternion (w, x, y, z)."""
-    out = np.empty(9)
-    mujoco.mju_quat2Mat(out, np.asarray(quaternion, dtype=float))
-    return out.reshape(3, 3)
-
-
 class Dynamics:
-    """Writes the functions ``place`` (once per rollout), ``move`` (after every step) and ``drive`` (before it).
+    """Writes the functions ``place`` (once per rollout), ``move`` (after every step), ``drive`` (before it) and ``spin``.
 
     Args:
         model: The model.
@@ -48,8 +41,8 @@ class Dynamics:
         """Geoms that may touch something."""
 
     def write(self) -> str:
-        """Source of the three functions."""
-        return "\n".join((self._place(), self._move(), self._drive()))
+        """Source of the functions."""
+        return "\n".join((self._place(), self._move(), self._drive(), self._spin()))
 
     def _place(self) -> str:
         """What stands still: geoms fixed to the world, and those of mocap bodies, whose poses are given."""
@@ -113,6 +106,78 @@ class Dynamics:
             rate = lines.sum(*damped[i])
             lines.add(f"w.damp[{i}] = {text(rate)} * {literal(float(m.opt.timestep))};")
         return self._function("drive", lines)
+
+    def _spin(self) -> str:
+        """Accelerations of bodies that float freely and alone, with their gyroscopic forces implicit.
+
+        MuJoCo's ``implicitfast`` leaves the derivative of bias forces out for trees of several degrees of freedom,
+        but not for these: (M + h ∂c/∂v) a = f, with the bias forces c_linear = m R (ω × (ω × r)) and
+        c_angular = ω × I ω of a body with centre of mass r and inertia I about its origin. The accelerations that
+        ``integrate`` has found for them are replaced.
+        """
+        m, lines = self.mj, Lines("g")
+        if m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
+            for j in np.flatnonzero(m.jnt_type == FREE):
+                first = int(m.jnt_dofadr[j])
+                if self.model.dof_top.count(first) == 6:
+                    self._spin_body(lines, int(m.jnt_bodyid[j]), first)
+        return self._function("spin", lines)
+
+    def _spin_body(self, lines: Lines, body: int, first: int) -> None:
+        """One body that floats alone, whose degrees of freedom begin at ``first``."""
+        columns = self.model.columns
+        mass, moment, inertia = self.model.rigid(body)
+        mass_of, r = columns.operand(mass), [columns.operand(moment[:, k]) for k in range(3)]
+        local = [[columns.operand(inertia[:, i, j]) for j in range(3)] for i in range(3)]
+        step, damping = float(self.mj.opt.timestep), float(self.mj.dof_damping[first])
+        w3 = [f"w.v[{first + 3 + k}]" for k in range(3)]
+        turn = [[f"w.cw[{first + 3 + k}][{i}]" for i in range(3)] for k in range(3)]  # columns
+        heavy = lines.sum(mass_of, step * damping)
+        over = lines.let(f"1.0f / {text(heavy)}")
+        # forces in the body's frame; r is the centre times the mass
+        push = [lines.dot(column, [f"w.fs[{first + i}]" for i in range(3)]) for column in turn]
+        torque = [f"w.fs[{first + 3 + k}]" for k in range(3)]
+
+        def skew(v: Vector) -> list[Vector]:
+            """Rows of [v]×."""
+            x, y, z = v
+            return [[0.0, lines.sum((-1.0, z)), y], [z, 0.0, lines.sum((-1.0, x))], [lines.sum((-1.0, y)), x, 0.0]]
+
+        def product(a: list[Vector], b: list[Vector]) -> list[Vector]:
+            return [[lines.sum(*((a[i][k], b[k][j]) for k in range(3))) for j in range(3)] for i in range(3)]
+
+        spin, arm = skew(w3), skew(r)
+        turned = [lines.dot(row, w3) for row in local]
+        carried = lines.cross(w3, r)
+        both, swept, gyro, lever = product(spin, arm), skew(carried), product(spin, local), skew(turned)
+        # linear rows: heavy a + B α = push, B = -[r]× - h ([ω × r]× + [ω]× [r]×), both in the body's frame
+        b = [
+            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)] for i in range(3)
+        ]
+        # angular rows: [r]× a + (I + h ([ω]× I - [I ω]×)) α = torque
+        a = [
+            [
+                lines.sum(
+                    local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), step * damping if i == j else 0.0
+                )
+                for j in range(3)
+            ]
+            for i in range(3)
+        ]
+        less = product(arm, b)
+        schur = [[lines.sum(a[i][j], (lines.sum((-1.0, less[i][j])), over)) for j in range(3)] for i in range(3)]
+        pushed = [lines.sum((-1.0, x)) for x in lines.cross(r, push)]
+        right = [lines.sum(torque[i], (pushed[i], over)) for i in range(3)]
+        # Cramer's rule by the columns of the matrix
+        x, y, z = ([schur[i][j] for i in range(3)] for j in range(3))
+        minors = lines.cross(y, z), lines.cross(z, x), lines.cross(x, y)
+        scale = lines.let(f"1.0f / {text(lines.dot(x, minors[0]))}")
+        angular = [lines.let(f"{text(lines.dot(minor, right))} * {scale}") for minor in minors]
+        linear = [lines.let(f"({text(push[i])} - {text(lines.dot(b[i], angular))}) * {over}") for i in range(3)]
+        for i in range(3):
+            back = lines.sum(*((linear[k], turn[k][i]) for k in range(3)))
+            lines.add(f"w.search[{first + i}] = {text(back)};")
+            lines.add(f"w.search[{first + 3 + i}] = {angular[i]};")
 
     def _actuator(self, lines: Lines, a: int, dof: int) -> tuple[Operand, Operand]:
         """Force of an actuator, and its derivative by the velocity of its joint, over its gear."""

@@ -36,6 +36,13 @@ LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
 _UNBOUNDED = 1e30
 
 
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """The matrix ``[3, 3]`` of a quaternion (w, x, y, z)."""
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quaternion, dtype=float))
+    return out.reshape(3, 3)
+
+
 class Columns:
     """Numbers of a model: known ones as they are, those that differ between worlds as names of columns.
 
@@ -164,6 +171,33 @@ class PhysicsModel:
                 out[m.jnt_dofadr[j]] = int(m.jnt_qposadr[j])
         return out
 
+    def rigid(self, root: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mass, mass times centre and inertia of a body with all that is welded to it, about its origin in its frame.
+
+        Args:
+            root: The body.
+
+        Returns:
+            ``[W]``, ``[W, 3]`` and ``[W, 3, 3]``, with one row where all worlds are alike.
+        """
+        m = self.mj
+        masses, principal = self.array("body_mass"), self.array("body_inertia")
+        poses = {root: (np.eye(3), np.zeros(3))}
+        for body in range(root + 1, m.nbody):
+            above = poses.get(int(m.body_parentid[body]))
+            if above is not None:
+                turn, at = above
+                poses[body] = turn @ rotation(m.body_quat[body]), at + turn @ m.body_pos[body]
+        mass, moment, inertia = np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3, 3))
+        for body, (turn, at) in poses.items():
+            axes, centre = turn @ rotation(m.body_iquat[body]), at + turn @ m.body_ipos[body]
+            own = np.einsum("ik,wk,jk->wij", axes, principal[:, body], axes)
+            away = centre @ centre * np.eye(3) - np.outer(centre, centre)
+            mass = mass + masses[:, body]
+            moment = moment + masses[:, body, None] * centre
+            inertia = inertia + own + masses[:, body, None, None] * away
+        return mass, moment, inertia
+
     @cached_property
     def limited(self) -> list[int]:
         """Joints with a limit."""
@@ -235,9 +269,12 @@ COLLIDES = frozenset(
     (
         (PLANE, SPHERE),
         (PLANE, CAPSULE),
+        (PLANE, CYLINDER),
+        (PLANE, ELLIPSOID),
         (PLANE, BOX),
         (SPHERE, SPHERE),
         (SPHERE, CAPSULE),
+        (SPHERE, CYLINDER),
         (SPHERE, BOX),
         (CAPSULE, CAPSULE),
         (CAPSULE, BOX),

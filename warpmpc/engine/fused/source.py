@@ -142,7 +142,7 @@ class RolloutSource:
 
     Args:
         model: The model.
-        layout: What the record is kept in.
+        layout: What the record is kept in; the model's own coordinates and velocities if None.
         joint_q: First coordinate in the model of each of the layout's joints, -1 where it has none.
         joint_qd: First velocity of the same.
         bodies: The model's body behind each of the layout's.
@@ -155,7 +155,7 @@ class RolloutSource:
     """
 
     model: PhysicsModel
-    layout: Layout
+    layout: Layout | None
     joint_q: np.ndarray
     joint_qd: np.ndarray
     bodies: Sequence[int]
@@ -174,7 +174,7 @@ class RolloutSource:
         step = step.replace("COLLISIONS", self._collisions())
         bits = (_BITS if self.lanes in _WORD else _SLOW_BITS).replace("WORD", _WORD.get(self.lanes, ""))
         parts = [
-            *(self._native(name) for name in ("number", "world")),
+            *(self._native(name) for name in ("number", "world", "collide_common")),
             *baked,
             self._native("contact"),
             *self._collision_sources(),
@@ -244,7 +244,7 @@ class RolloutSource:
             "NQ": m.nq,
             "NV": m.nv,
             "NU": max(1, m.nu),
-            "NCONTROL": max(1, self.layout.nu),
+            "NCONTROL": max(1, self.matrix.shape[1]),
             "NMOCAP": max(1, m.nmocap),
             "MOCAPS": len(self.mocap),
             "MOVABLES": len(self.movable),
@@ -380,7 +380,7 @@ class RolloutSource:
 
     def _record(self) -> str:
         """Statements that write the state after a control down, as slice h + 1, and the forces on the way."""
-        layout, rows = self.layout, sorted(set(self.bodies))
+        layout, rows, m = self.layout, sorted(set(self.bodies)), self.model.mj
         out = ["{ const size_t slice = (size_t)(h + 1) * worlds + row;"]
 
         def put(array: str, width: int, first: int, values: Iterable[str]) -> None:
@@ -389,6 +389,10 @@ class RolloutSource:
                 out.append(f"PUT({n}, {width}, {value})")
             out.append("}")
 
+        if layout is None:
+            put("joint_q", m.nq, 0, [f"w.q[{i}]" for i in range(m.nq)])
+            put("joint_qd", m.nv, 0, [f"w.v[{i}]" for i in range(m.nv)])
+            return "\n".join((*out, "}"))
         for b in range(layout.nb):
             r = rows.index(self.bodies[b])
             out.append(f"{{ T x, y, z, s; Sim::quaternion(w.bmat[{r}], x, y, z, s);")

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Vectors of three numbers, and masks: what a comparison of numbers gives is all ones or nothing in every lane on a
 // CPU, 1 or 0 on a GPU, so that masks are combined by &, | and VNOT alone.
 INLINE T splat(float x) { return (T)x; }
@@ -11,14 +12,6 @@ struct V3 {
 INLINE T dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE V3 cross(V3 a, V3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 INLINE V3 load(const T* p) { return {p[0], p[1], p[2]}; }
-INLINE V3 pick(I m, V3 a, V3 b) { return {m ? a.x : b.x, m ? a.y : b.y, m ? a.z : b.z}; }
-// column k of a matrix by rows: an axis of a geom or body
-INLINE V3 column(const T* r, int k) { return {r[k], r[3 + k], r[6 + k]}; }
-// a direction in the frame of a matrix by rows
-INLINE V3 into(const T* r, V3 d) {
-    return {r[0] * d.x + r[3] * d.y + r[6] * d.z, r[1] * d.x + r[4] * d.y + r[7] * d.z,
-            r[2] * d.x + r[5] * d.y + r[8] * d.z};
-}
 // Quaternion (x, y, z, s) of a rotation by rows: from the largest of its four squares
 INLINE void quaternion(const T* r, T& x, T& y, T& z, T& s) {
     const T squares[4] = {1.0f + r[0] + r[4] + r[8], 1.0f + r[0] - r[4] - r[8], 1.0f - r[0] + r[4] - r[8],

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The constraint solver: primal Newton with exact line search (MuJoCo, "Computation: Solver algorithms"), until every
 // lane has converged. A lane that has does not change any more, whatever the others do.
 

@@ -1,22 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
 // One step of all lanes: collisions, limits, solver, integration (MuJoCo, "Computation: Simulation pipeline").
 
 // Lanes whose geoms' bounding spheres meet
-INLINE I near_spheres(const World& w, int pair, int a, int b) {
+INLINE I near_spheres(World& w, int pair, int a, int b) {
     const V3 d = load(w.gpos[a]) - load(w.gpos[b]);
     const float reach = geom_bound[a] + geom_bound[b] + pair_margin[pair];
     return dot(d, d) < reach * reach;
 }
 // Lanes where the sphere around one geom meets a box
-INLINE I near_box(const World& w, int pair, int g, int box) {
-    const V3 c = into(w.gmat[box], load(w.gpos[g]) - load(w.gpos[box]));
+INLINE I near_box(World& w, int pair, int g, int box) {
+    const V3 c = along_axes(w.gmat[box], load(w.gpos[g]) - load(w.gpos[box]));
     const float reach = geom_bound[g] + pair_margin[pair];
     const V3 o = {VMAX(VABS(c.x) - gsize(w, box, 0), zero()), VMAX(VABS(c.y) - gsize(w, box, 1), zero()),
                   VMAX(VABS(c.z) - gsize(w, box, 2), zero())};
     return dot(o, o) < reach * reach;
 }
 // Lanes where the sphere around a geom meets a plane
-INLINE I near_plane(const World& w, int pair, int plane, int g) {
-    const V3 n = column(w.gmat[plane], 2);
+INLINE I near_plane(World& w, int pair, int plane, int g) {
+    const V3 n = axis_of(w, plane, 2);
     return dot(load(w.gpos[g]) - load(w.gpos[plane]), n) < geom_bound[g] + pair_margin[pair];
 }
 FN void collide(World& w) {
@@ -46,6 +47,7 @@ INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in it
 }
 FN void integrate(World& w, I alone) {
     solve_damped(w.mm, w.fs, w.search, 1.0f, w.damp);
+    spin(w);
     for (int i = 0; i < NV; ++i) {
         w.v[i] += TIMESTEP * w.search[i];
         w.x[i] = alone ? w.search[i] : w.x[i];

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The state of as many worlds as a number has lanes.
 struct Contact {  // lanes may hold different pairs, all of one group: the same degrees of freedom, in the same order
     T jac[ROWS * NNZ];           // normal and two tangents of every degree of freedom
