@@ -107,7 +107,12 @@ for (int h = 0; h < steps; ++h) {
         for (int u = 0; u < controls; ++u) LANE(c[u], l) = from[u];
     }
     CONTROLS
-    for (int n = k.substeps.data[h]; n > 0; --n) Sim::step(w);
+    const int substeps = k.substeps.data[h];
+    WATCH_NOTHING
+    for (int n = 0; n < substeps; ++n) {
+        Sim::step(w);
+        WATCH
+    }
     RECORD
 }
 T bad = (T)0.0f;  // not a number where a state is none, one where it is too large
@@ -187,6 +192,8 @@ class RolloutSource:
             ("MOVE_MOCAP(mocap_of, mocap)", _MOVE.replace("FROM", "mocap").replace("TO", "mocap_of")),
             ("MOVE_MOCAP(movable_of, moved)", _MOVE.replace("FROM", "moved").replace("TO", "movable_of")),
             ("CONTROLS", self._controls()),
+            ("WATCH_NOTHING", _WATCH_NOTHING if self.watched else ""),
+            ("WATCH", _WATCH if self.watched else ""),
             ("RECORD", self._record()),
             ("LANES", str(self.lanes)),
         ):
@@ -413,7 +420,7 @@ class RolloutSource:
             else:
                 put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in range(width)])
                 put("joint_qd", layout.nv, dof, [f"w.v[{v + i}]" for i in range(width)])
-        return "\n".join((*out, "}", _WATCH if self.watched else ""))
+        return "\n".join((*out, "}"))
 
     def _twist(self, body: int, origin: list[str]) -> list[str]:
         """Velocity of a body's centre of mass, given its origin's, and its angular velocity."""
@@ -427,10 +434,11 @@ class RolloutSource:
         return [*out, *(f"w.bang[{r}][{i}]" for i in range(3))]
 
 
-_WATCH = """{ float* to = (float*)k.force.data + ((size_t)h * worlds + row) * 3 * k.force.shape[2];
-for (int i = 0; i < 3 * k.force.shape[2] * count; ++i) to[i] = 0.0f;
-for (int n = 0; n < w.contacts; ++n) {
-    const Sim::Contact& c = w.con[w.order[n]];
+_WATCH_NOTHING = """float* const pushed = (float*)k.force.data + ((size_t)h * worlds + row) * 3 * k.force.shape[2];
+for (int i = 0; i < 3 * k.force.shape[2] * count; ++i) pushed[i] = 0.0f;
+const float share = 1.0f / substeps;  // the mean over the physics steps"""
+_WATCH = """for (int i = 0; i < w.contacts; ++i) {
+    const Sim::Contact& c = w.con[w.order[i]];
     T f0, f1, f2;
     Sim::contact_force(c, f0, f1, f2);
     const Sim::V3 normal = Sim::load(c.normal), along = Sim::load(c.tangent);
@@ -439,13 +447,14 @@ for (int n = 0; n < w.contacts; ++n) {
         if (!((c.used >> l) & 1)) continue;
         const int pair = ((const int*)&c.pair)[l];
         for (int i = watch_first[pair]; i < watch_first[pair + 1]; ++i) {
-            float* of = to + 3 * (l * k.force.shape[2] + watch_index[i]);
-            of[0] += watch_sign[i] * LANE(f.x, l);
-            of[1] += watch_sign[i] * LANE(f.y, l);
-            of[2] += watch_sign[i] * LANE(f.z, l);
+            float* of = pushed + 3 * (l * k.force.shape[2] + watch_index[i]);
+            const float sign = share * watch_sign[i];
+            of[0] += sign * LANE(f.x, l);
+            of[1] += sign * LANE(f.y, l);
+            of[2] += sign * LANE(f.z, l);
         }
     }
-} }"""
+}"""
 
 _NAMES = {
     kinds.PLANE: "plane",
