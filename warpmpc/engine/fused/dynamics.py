@@ -130,9 +130,10 @@ class Dynamics:
         mass_of, r = columns.operand(mass), [columns.operand(moment[:, k]) for k in range(3)]
         local = [[columns.operand(inertia[:, i, j]) for j in range(3)] for i in range(3)]
         step, damping = float(self.mj.opt.timestep), float(self.mj.dof_damping[first])
+        extra = float(self.mj.dof_armature[first]) + step * damping  # on the diagonal
         w3 = [f"w.v[{first + 3 + k}]" for k in range(3)]
         turn = [[f"w.cw[{first + 3 + k}][{i}]" for i in range(3)] for k in range(3)]  # columns
-        heavy = lines.sum(mass_of, step * damping)
+        heavy = lines.sum(mass_of, extra)
         over = lines.let(f"1.0f / {text(heavy)}")
         # forces in the body's frame; r is the centre times the mass
         push = [lines.dot(column, [f"w.fs[{first + i}]" for i in range(3)]) for column in turn]
@@ -158,7 +159,7 @@ class Dynamics:
         a = [
             [
                 lines.sum(
-                    local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), step * damping if i == j else 0.0
+                    local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), extra if i == j else 0.0
                 )
                 for j in range(3)
             ]
