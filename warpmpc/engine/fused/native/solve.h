@@ -156,13 +156,11 @@ FN void newton(World& w, I done) {
         const I last = (decrement < TOLERANCE) & VNOT(done);
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
-        if (VANY(active)) {
-            for (int n = 0; n < w.contacts; ++n) {
-                Contact& c = w.con[n];
-                if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
-            }
-            for (int k = 0; k < w.limits; ++k) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
+        for (int n = 0; n < w.contacts; ++n) {  // the last step, too: forces follow from where it ends
+            Contact& c = w.con[n];
+            if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
         }
+        for (int k = 0; k < w.limits; ++k) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
         for (int tries = 0; tries < LINE_SEARCH && VANY(active); ++tries) {
             T d1 = q1 + step * q2, d2 = q2;
             I changed = NO;
