@@ -24,12 +24,14 @@ INLINE T pair_inverse(const World& w, int pair) {
     return at >= 0 ? w.par[at] : splat(pair_inverse_[pair]);
 }
 
-// A contact of some lanes: into the first one of its group where these lanes are free
+// A contact of some lanes: into the first one of its group after which these lanes have no other, so that every lane
+// keeps its contacts in the order they came in, whatever its neighbours touch
 FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
     const unsigned b = VBITS(lanes);
     const int g = pair_group[pair], count = group_count[g];
-    int at = 0;
-    while (at < w.contacts && (w.con[at].group != g || (w.con[at].used & b))) ++at;
+    int at = w.contacts;
+    while (at > 0 && !(w.con[at - 1].group == g && (w.con[at - 1].used & b))) --at;
+    while (at < w.contacts && w.con[at].group != g) ++at;
     if (at == w.contacts) {
         if (at == CAPACITY) { w.overflow |= b; return; }
         ++w.contacts;
