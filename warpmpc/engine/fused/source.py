@@ -477,7 +477,8 @@ _WATCH = """for (int i = 0; i < w.contacts; ++i) {
             of[2] += sign * LANE(f.z, l);
         }
     }
-}"""
+}
+SYNC"""
 
 _NAMES = {
     kinds.PLANE: "plane",

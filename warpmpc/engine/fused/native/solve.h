@@ -149,6 +149,7 @@ FN void hessian(World& w, unsigned live) {
 // Accelerations x that minimize the cost; done: lanes that nothing constrains
 FN void newton(World& w, I done) {
     multiply(w.mm, w.x, w.ma);
+    SYNC
     EACH(i, NV) w.ma[i] -= w.fs[i];
     EACH(n, w.contacts) {
         Contact& c = w.con[n];
