@@ -28,7 +28,7 @@ _WORLD = """
 #define splat(x) ((T)(x))
 #define YES SET
 #define VNOT(m) FLIP(m)
-static const float pair_margin[1] = {MARGIN};
+static const float pair_margin[2] = {0.0f, MARGIN};
 TABLES
 struct Collide {
 struct V3 {
@@ -69,7 +69,12 @@ FN void put(World& w, int pair, I m, T dist, V3 p, V3 n, V3 t) {
 #endif
 }
 SOURCE
-FN void run(int group, int repeat, const float* pose, float* out, int* blocks) {
+FN void call(World& w, int kind, int pair) {
+    switch (kind) {
+CASES
+    }
+}
+FN void run(int group, int kind, int pair, int repeat, const float* pose, float* out, int* blocks) {
     World w;
     for (int k = 0; k < 30; ++k) {
         const T x = VLOAD(pose + (group * 30 + k) * LANES);
@@ -80,13 +85,13 @@ FN void run(int group, int repeat, const float* pose, float* out, int* blocks) {
     w.blocks = 0;
     for (int s = 0; s < MOST; ++s)
         for (int k = 0; k < ROW; ++k) w.out[s][k] = splat(0.0f);
-    for (int k = 0; k < repeat; ++k) CALL(w, 0, 0, 1, YES);
+    for (int k = 0; k < repeat; ++k) call(w, kind, pair);
     for (int s = 0; s < MOST; ++s)
         for (int k = 0; k < ROW; ++k) VSTORE(out + ((group * MOST + s) * ROW + k) * LANES, w.out[s][k]);
     blocks[group] = w.blocks;
 }
 };
-Collide::run(group, repeat, pose.data, out.data, blocks.data);
+Collide::run(group, kind, pair, repeat, pose.data, out.data, blocks.data);
 #undef FN
 #undef INLINE
 #undef splat
@@ -95,13 +100,27 @@ Collide::run(group, repeat, pose.data, out.data, blocks.data);
 """
 
 
-def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: bool = False, tables: str = "") -> wp.Kernel:
-    """A kernel whose threads each collide a group of `lanes` pairs with the function `call` of these files."""
+MARGIN = 0.02
+"""Margin of pair 1; that of pair 0 is 0."""
+
+
+def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = "") -> wp.Kernel:
+    """A kernel whose threads each collide a group of pairs with one of some functions.
+
+    Args:
+        files: Headers with the functions.
+        calls: Their names; the kernel's `kind` counts them.
+        lanes: Pairs in a group; 1: the number type is a float, as on a GPU.
+        speed: `put` keeps what it gets anywhere, which costs little.
+        tables: Constants before the functions.
+    """
     one = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE) + "#define LANES 1\n"
     head = "\n".join(f"#undef {name}" for name in number.NAMES) + one if lanes == 1 else number.header(lanes)
+    cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
-    words = {"SET": "1" if lanes == 1 else "((I)(-1))", "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))", "MARGIN": f"{margin}f"}
-    words |= {"TABLES": tables, "CALL": call, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
+    # the cases hold words of the others
+    words = {"CASES": cases, "SET": "1" if lanes == 1 else "((I)(-1))", "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))", "MARGIN": f"{MARGIN}f"}
+    words |= {"TABLES": tables, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
     for word, value in words.items():
         text = re.sub(rf"\b{re.escape(word)}" + (r"\b" if word[-1] != ")" else ""), value, text)
     if lanes > 1:
@@ -110,20 +129,22 @@ def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: boo
         text += "#undef LANES\n"
 
     @wp.func_native(text)
-    def collide(group: int, repeat: int, pose: wp.array[float], out: wp.array[float], blocks: wp.array[int]): ...
+    def collide(group: int, kind: int, pair: int, repeat: int, pose: wp.array[float], out: wp.array[float], blocks: wp.array[int]): ...
 
     flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "") + EXTRA
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": flags})
     def kernel(
         # inputs
+        kind: int,
+        pair: int,
         repeat: int,
         pose: wp.array[float],  # [groups, 2 geoms x (position, matrix, size), lanes]
         # outputs
         out: wp.array[float],  # [groups, contacts, row, lanes]
         blocks: wp.array[int],  # [groups] times that `put` was called
     ):
-        collide(wp.tid(), repeat, pose, out, blocks)
+        collide(wp.tid(), kind, pair, repeat, pose, out, blocks)
 
     return kernel
 
@@ -147,17 +168,17 @@ class Poses:
         return wp.array(x.reshape(-1, lanes, 30).transpose(0, 2, 1).ravel(), dtype=float, device="cpu")
 
 
-def ours(kernel: wp.Kernel, poses: Poses, lanes: int) -> list[np.ndarray]:
+def ours(kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, pair: int = 0) -> list[np.ndarray]:
     """Contacts [n, 10] of each pair."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
     out, blocks = wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"), wp.zeros(groups, dtype=int, device="cpu")
-    wp.launch(kernel, dim=groups, inputs=[1, pose], outputs=[out, blocks], device="cpu")
+    wp.launch(kernel, dim=groups, inputs=[kind, pair, 1, pose], outputs=[out, blocks], device="cpu")
     rows = out.numpy().reshape(groups, MOST, ROW, lanes).transpose(0, 3, 1, 2).reshape(-1, MOST, ROW)[: len(poses.pos)]
     return [r[r[:, 10] > 0, :10] for r in rows]
 
 
-def nanoseconds(kernel: wp.Kernel, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7) -> tuple[float, float]:
+def nanoseconds(kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7) -> tuple[float, float]:
     """Least time of a call for one group of lanes [ns], and mean number of times that it called `put`."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
@@ -165,7 +186,7 @@ def nanoseconds(kernel: wp.Kernel, poses: Poses, lanes: int, repeat: int = 200, 
     least = np.inf
     for _ in range(runs):
         start = time.perf_counter()
-        wp.launch(kernel, dim=groups, inputs=[repeat, pose], outputs=[out, blocks], device="cpu")
+        wp.launch(kernel, dim=groups, inputs=[kind, 0, repeat, pose], outputs=[out, blocks], device="cpu")
         least = min(least, time.perf_counter() - start)
     return 1e9 * least / groups / repeat, float(blocks.numpy().mean() / repeat)
 
