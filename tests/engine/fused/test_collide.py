@@ -92,6 +92,20 @@ def draw(family: str, n: int, seed: int = 0) -> Poses:
     return Poses(pos, np.stack([base, base @ turn], axis=1).reshape(n, 2, 9), size)
 
 
+def shallow(kind: str, n: int, seed: int = 0) -> Poses:
+    """Pairs that overlap by 0 to 5 mm, in all directions: moved along the normal of MuJoCo's deepest contact."""
+    rng, mj = np.random.default_rng([seed, 7]), model(tuple(kind.split("_")))
+    poses = draw("any", 2 * n, seed)
+    depth = rng.uniform(0, 5e-3, 2 * n)
+    for _ in range(3):
+        found = theirs(mj, poses)
+        kept = np.array([k for k, x in enumerate(found) if len(x)])
+        poses, depth = poses.take(kept), depth[kept]
+        deepest = np.array([found[k][found[k][:, 0].argmin()] for k in kept])
+        poses.pos[:, 1] -= deepest[:, 4:7] * (deepest[:, :1] + depth[:, None])
+    return poses.take(slice(0, n))
+
+
 @pytest.fixture(scope="module", params=sorted({LANES, 8, 1}))
 def kernel(request):
     """The functions for the lanes of this processor, for 8 and for one as on a GPU."""

@@ -63,15 +63,18 @@ INLINE V3 corner_of(const Shapes& s, V3 d, V3& a) {
 }
 INLINE V3 unit(V3 d) { return d * (1.0f / VSQRT(VMAX(dot(d, d), splat(1e-30f)))); }
 
-// h of a direction, either sign, if it is one at all; keeps the better
-FN void try_direction(const Shapes& s, V3 d, V3& n, T& h) {
-    const T l2 = dot(d, d);
-    V3 u = unit(d), a;
-    u = choose(dot(u, s.p) < 0.0f, u * splat(-1.0f), u);
+// h of a direction of the lanes in m; keeps the better
+FN void try_direction(const Shapes& s, I m, V3 d, V3& n, T& h) {
+    const V3 u = unit(d);
+    V3 a;
     const T f = dot(corner_of(s, u, a), u);
-    const I better = (l2 > 1e-6f) & (f < h);
+    const I better = m & (dot(d, d) > 1e-12f) & (f < h);
     n = choose(better, u, n);
     h = better ? f : h;
+}
+// the same with the sign that leads to the centre of geom 2
+INLINE void try_axis(const Shapes& s, V3 d, V3& n, T& h) {
+    try_direction(s, dot(d, d) > 1e-6f, choose(dot(d, s.p) < 0.0f, d * splat(-1.0f), d), n, h);
 }
 
 // three points of M - y, whose triangle holds the nearest one to the origin (found so far); what of A is in them
@@ -170,34 +173,33 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     const V3 x = {one, zero, zero}, y = {zero, one, zero}, z = {zero, zero, one};
     V3 n = z, a;
     T h = splat(1e10f);
-    try_direction(s, s.p, n, h);
+    try_axis(s, s.p, n, h);
     I on = near & (-h - round < margin);
     if (!VANY(on)) return;
     const bool plain1 = kind1 != BOX, plain2 = kind2 != BOX;
-    if (kind1 != SPHERE) try_direction(s, z, n, h);
-    try_direction(s, c[2], n, h);
-    try_direction(s, V3{s.p.x, s.p.y, zero}, n, h);
-    try_direction(s, s.p - c[2] * dot(s.p, c[2]), n, h);
-    try_direction(s, cross(z, c[2]), n, h);
+    if (kind1 != SPHERE) try_axis(s, z, n, h);
+    try_axis(s, c[2], n, h);
+    try_axis(s, V3{s.p.x, s.p.y, zero}, n, h);
+    try_axis(s, s.p - c[2] * dot(s.p, c[2]), n, h);
+    try_axis(s, cross(z, c[2]), n, h);
     if (!plain1 || kind1 == ELLIPSOID) {
-        try_direction(s, x, n, h);
-        try_direction(s, y, n, h);
-        try_direction(s, cross(x, c[2]), n, h);
-        try_direction(s, cross(y, c[2]), n, h);
+        try_axis(s, x, n, h);
+        try_axis(s, y, n, h);
+        try_axis(s, cross(x, c[2]), n, h);
+        try_axis(s, cross(y, c[2]), n, h);
     }
     if (!plain2 || kind2 == ELLIPSOID) {
-        try_direction(s, c[0], n, h);
-        try_direction(s, c[1], n, h);
-        try_direction(s, cross(z, c[0]), n, h);
-        try_direction(s, cross(z, c[1]), n, h);
+        try_axis(s, c[0], n, h);
+        try_axis(s, c[1], n, h);
+        try_axis(s, cross(z, c[0]), n, h);
+        try_axis(s, cross(z, c[1]), n, h);
     }
     on = on & (-h - round < margin);
     if (!VANY(on)) return;
 
     // the gap to keep: large enough for exact normals, small for fast convergence
-    const V3 half1 = choose(YES, s.s1, s.s1);
-    const T small = 0.05f * VMIN(VMIN(half1.x, s.s1.y), VMIN(s.s2.x, s.s2.y));
-    const T gap = VMAX(round, small);
+    const T small = 0.05f * VMIN(s.s1.x, s.s2.x);
+    const T gap = VMAX(round, small), tiny = 1e-6f * (VABS(s.p.x) + VABS(s.p.y) + VABS(s.p.z) + gap);
     Simplex q;
     V3 at = n * VMAX(zero, h + gap);
     const V3 start = corner_of(s, n, a);
@@ -211,19 +213,21 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     I todo = on;
     for (int k = 0; k < 12; ++k) {
         nearest_of(s, at, todo, q, v);
-        const V3 next = unit(v * splat(-1.0f));
-        V3 unused;
-        const T reach = dot(corner_of(s, next, unused), next);
-        const I better = todo & (reach < h + 1e-6f * gap);
         const V3 pa = q.a[0] * q.l[0] + q.a[1] * q.l[1] + q.a[2] * q.l[2];
-        const I turned = dot(next - n, next - n) > 1e-8f;
-        on_a = choose(better, pa, on_a);
-        on_m = choose(better, v + at, on_m);
-        const T gain = h - reach;
-        n = choose(better, next, n);
-        h = better ? reach : h;
-        // further only where that was no answer yet: from the origin itself it is one
-        todo = better & turned & (dot(at, at) > 0.0f) & (-h - round < margin) & (gain > 1e-6f * gap);
+        on_a = choose(todo, pa, on_a);
+        on_m = choose(todo, v + at, on_m);
+        // the next direction, that of the triangle (exact on faces), and further on the way: errors shrink slowly on round shapes
+        const V3 before = n, next = unit(v * splat(-1.0f)), step = next - n;
+        const T h0 = h;
+        const V3 flat = cross(q.w[1] - q.w[0], q.w[2] - q.w[0]);
+        try_direction(s, todo, next, n, h);
+        try_direction(s, todo, flat * (dot(flat, next) < 0.0f ? splat(-1e6f) : splat(1e6f)), n, h);
+        todo = todo & (dot(step, step) > 1e-9f) & (dot(at, at) > 0.0f);
+        if (VANY(todo)) {
+            for (int far = 2; far < 40; far *= 2) try_direction(s, todo, before + step * splat((float)far), n, h);
+        }
+        // from the origin itself that was the answer
+        todo = todo & (h0 - h > tiny) & (-h - round < margin);
         if (!VANY(todo)) break;
         const V3 to = n * VMAX(zero, h + gap);
         const V3 shift = choose(todo, at - to, V3{zero, zero, zero});
