@@ -13,6 +13,10 @@ KINDS = (
     "plane_sphere", "plane_capsule", "plane_box", "plane_cylinder", "plane_ellipsoid", "sphere_sphere", "sphere_capsule",
     "capsule_capsule", "sphere_cylinder", "sphere_box", "capsule_box", "box_box",
 )  # fmt: skip
+CONVEX = (
+    "sphere_ellipsoid", "capsule_ellipsoid", "capsule_cylinder", "ellipsoid_ellipsoid", "ellipsoid_cylinder", "ellipsoid_box",
+    "cylinder_cylinder", "cylinder_box",
+)  # fmt: skip
 FILES = ("collide_box.h", "collide_primitive.h")
 LANES = native_lanes()
 
@@ -92,17 +96,17 @@ def draw(family: str, n: int, seed: int = 0) -> Poses:
     return Poses(pos, np.stack([base, base @ turn], axis=1).reshape(n, 2, 9), size)
 
 
-def shallow(kind: str, n: int, seed: int = 0) -> Poses:
-    """Pairs that overlap by 0 to 5 mm, in all directions: moved along the normal of MuJoCo's deepest contact."""
+def shallow(kind: str, n: int, low: float = 0.0, seed: int = 0) -> Poses:
+    """Pairs that overlap by `low` to 5 mm, in all directions: moved along the normal of MuJoCo's deepest contact."""
     rng, mj = np.random.default_rng([seed, 7]), model(tuple(kind.split("_")))
     poses = draw("any", 2 * n, seed)
-    depth = rng.uniform(0, 5e-3, 2 * n)
-    for _ in range(3):
+    depth = rng.uniform(low, 5e-3, 2 * n)
+    for k in range(3):
         found = theirs(mj, poses)
-        kept = np.array([k for k, x in enumerate(found) if len(x)])
+        kept = np.array([i for i, x in enumerate(found) if len(x)])
         poses, depth = poses.take(kept), depth[kept]
-        deepest = np.array([found[k][found[k][:, 0].argmin()] for k in kept])
-        poses.pos[:, 1] -= deepest[:, 4:7] * (deepest[:, :1] + depth[:, None])
+        deepest = np.array([found[i][found[i][:, 0].argmin()] for i in kept])
+        poses.pos[:, 1] -= deepest[:, 4:7] * (deepest[:, :1] + (depth[:, None] if k == 2 else 1e-3))
     return poses.take(slice(0, n))
 
 
@@ -160,10 +164,44 @@ def test_equal_boxes_on_each_other_touch_at_four_corners(kernel):
         np.testing.assert_allclose(x[:, 0], y[gap.argmin(axis=1), 0], atol=1e-6)
 
 
+@pytest.fixture(scope="module", params=sorted({LANES, 1}))
+def convex(request):
+    """The functions for pairs of convex shapes."""
+    return make_kernel(("collide_convex.h",), CONVEX, lanes=request.param), request.param
+
+
+@pytest.mark.parametrize("margin", [0.0, MARGIN])
+@pytest.mark.parametrize("kind", CONVEX)
+def test_convex_shapes_that_touch_have_mujocos_contact(convex, kind, margin):
+    compiled, lanes = convex
+    poses = shallow(kind, 500, low=-0.75 * margin)
+    mine = ours(compiled, CONVEX.index(kind), poses, lanes, int(margin > 0))
+    found = compare(mine, theirs(model(tuple(kind.split("_")), margin), poses))
+    print(f"\n{kind} x{lanes}: {found}; normals within 1e-2: {np.mean(found.normal < 1e-2):.4f}", end="")
+    assert found.same > 0.999
+    assert np.percentile(found.dist, 99) < 1e-4
+    assert np.mean(found.normal < 1e-2) > 0.98
+    assert np.percentile(found.pos, 95) < 2e-3
+
+
+@pytest.mark.parametrize("family", ["any", "touching", "nearly"])
+@pytest.mark.parametrize("kind", CONVEX)
+def test_convex_shapes_deep_in_each_other_are_pushed_apart(convex, kind, family):
+    compiled, lanes = convex
+    poses = draw(family, 500)
+    mine = ours(compiled, CONVEX.index(kind), poses, lanes)
+    found = compare(mine, theirs(model(tuple(kind.split("_"))), poses))
+    print(f"\n{kind} {family} x{lanes}: {found}; distances within 1e-4: {np.mean(found.dist < 1e-4):.3f}", end="")
+    assert found.same > 0.99
+    assert np.mean(found.dist < 1e-4) > 0.75
+
+
 @pytest.mark.skipif("WARPMPC_SPEED" not in os.environ, reason="prints times: set WARPMPC_SPEED")
 def test_time_of_a_call():
-    compiled = make_kernel(FILES, KINDS, lanes=LANES, speed=True)
-    for kind in KINDS:
-        poses = draw("any", 1600)
-        twins = poses.take(np.repeat(np.arange(100), 16))
-        print(kind, *(f"{t:.0f} ns, {p:.1f} puts" for t, p in (nanoseconds(compiled, KINDS.index(kind), x, LANES) for x in (poses, twins))))
+    for files, kinds, repeat in ((FILES, KINDS, 200), (("collide_convex.h",), CONVEX, 20)):
+        compiled = make_kernel(files, kinds, lanes=LANES, speed=True)
+        for k, kind in enumerate(kinds):
+            poses = shallow(kind, 50 * LANES)
+            twins = poses.take(np.repeat(np.arange(50), LANES))
+            times = [nanoseconds(compiled, k, x, LANES, repeat) for x in (poses, twins)]
+            print(kind, *(f"{t:.0f} ns, {p:.1f} puts" for t, p in times))

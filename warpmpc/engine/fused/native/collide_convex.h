@@ -211,7 +211,7 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     }
     V3 v = q.w[0], on_a = a, on_m = start;
     I todo = on;
-    for (int k = 0; k < 12; ++k) {
+    for (int k = 0; k < 4; ++k) {
         nearest_of(s, at, todo, q, v);
         const V3 pa = q.a[0] * q.l[0] + q.a[1] * q.l[1] + q.a[2] * q.l[2];
         on_a = choose(todo, pa, on_a);
