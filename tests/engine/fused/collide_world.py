@@ -23,8 +23,15 @@ ROW = 11
 """Floats of a contact: distance, position, normal, first tangent, 1."""
 
 _WORLD = """
+#if defined(__CUDA_ARCH__)
+#define FN __device__ static
+#define INLINE __device__ __forceinline__ static
+#define LOOK __device__
+#else
 #define FN __attribute__((noinline)) static
 #define INLINE __attribute__((always_inline)) static inline
+#define LOOK
+#endif
 #define splat(x) ((T)(x))
 #define YES SET
 #define VNOT(m) FLIP(m)
@@ -33,9 +40,9 @@ TABLES
 struct Collide {
 struct V3 {
     T x, y, z;
-    V3 operator+(V3 b) const { V3 r = {x + b.x, y + b.y, z + b.z}; return r; }
-    V3 operator-(V3 b) const { V3 r = {x - b.x, y - b.y, z - b.z}; return r; }
-    V3 operator*(T s) const { V3 r = {x * s, y * s, z * s}; return r; }
+    LOOK V3 operator+(V3 b) const { V3 r = {x + b.x, y + b.y, z + b.z}; return r; }
+    LOOK V3 operator-(V3 b) const { V3 r = {x - b.x, y - b.y, z - b.z}; return r; }
+    LOOK V3 operator*(T s) const { V3 r = {x * s, y * s, z * s}; return r; }
 };
 INLINE T dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE V3 cross(V3 a, V3 b) { V3 r = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; return r; }
@@ -92,7 +99,9 @@ FN void run(int group, int kind, int pair, int repeat, const float* pose, float*
 }
 };
 Collide::run(group, kind, pair, repeat, pose.data, out.data, blocks.data);
+#undef MESHES
 #undef FN
+#undef LOOK
 #undef INLINE
 #undef splat
 #undef YES
@@ -114,8 +123,9 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         speed: `put` keeps what it gets anywhere, which costs little.
         tables: Constants before the functions.
     """
-    one = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE) + "#define LANES 1\n"
-    head = "\n".join(f"#undef {name}" for name in number.NAMES) + one if lanes == 1 else number.header(lanes)
+    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE)
+    one = f"#if defined(__CUDA_ARCH__)\n{number._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
+    head = "\n".join(f"#undef {name}" for name in number.NAMES) + "\n" + one if lanes == 1 else number.header(lanes)
     cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
     # the cases hold words of the others
@@ -202,11 +212,10 @@ def model(kinds: tuple[str, str], margin: float = 0.0, asset: str = "") -> mujoc
 
 def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
     """MuJoCo C's contacts [n, 10] of each pair, from geom 1 to geom 2 in the order given."""
-    data, found = mujoco.MjData(mj), []
+    data, found, bound = mujoco.MjData(mj), [], mj.geom_rbound.copy()
     for pos, mat, size in zip(poses.pos, poses.mat, poses.size, strict=True):
         mj.geom_size[:] = size
-        mj.geom_rbound[1] = 100.0
-        mj.geom_rbound[0] = 0.0 if mj.geom_type[0] == 0 else 100.0
+        mj.geom_rbound[:] = np.where(mj.geom_type == mujoco.mjtGeom.mjGEOM_MESH, bound, np.where(mj.geom_type == 0, 0.0, 100.0))
         mj.geom_aabb[:, 3:] = 100.0
         data.geom_xpos[:], data.geom_xmat[:] = pos, mat
         mujoco.mj_collision(mj, data)
@@ -214,6 +223,34 @@ def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
         rows = np.concatenate([c.dist[:, None], c.pos, c.frame[:, :6]], axis=1) if data.ncon else np.zeros((0, 10))
         found.append(rows[rows[:, 0] < mj.geom_margin.sum()] if data.ncon else rows)
     return found
+
+
+def mesh_tables(mj: mujoco.MjModel) -> str:
+    """The hulls of the meshes of both geoms, as the functions read them."""
+    vertex, edge, first, count, start = [], [], [], [], [0]
+    for g in range(2):
+        first.append(len(vertex))
+        mesh = mj.geom_dataid[g]
+        if mesh >= 0:
+            graph = mj.mesh_graph[mj.mesh_graphadr[mesh] :]
+            n = graph[0]
+            at, ids, near = graph[2 : 2 + n], graph[2 + n : 2 + 2 * n], graph[2 + 2 * n :]
+            vertex += list(mj.mesh_vert[mj.mesh_vertadr[mesh] + ids])
+            for a in at:
+                edge += list(near[a : a + list(near[a:]).index(-1)])
+                start.append(len(edge))
+        count.append(len(vertex) - first[-1])
+
+    def table(kind: str, name: str, values) -> str:
+        values = np.asarray(values).ravel()
+        text = ", ".join(f"{float(x)!r}f" if kind == "float" else str(int(x)) for x in values)
+        return f"static const {kind} {name}[{len(values)}] = {{{text}}};\n"
+
+    return (
+        "#undef MESHES\n#define MESHES 1\n"
+        + table("float", "mesh_vertex", vertex) + table("float", "mesh_bound", mj.geom_rbound) + table("int", "mesh_first", first)
+        + table("int", "mesh_count", count) + table("int", "mesh_edge", edge) + table("int", "mesh_edge_first", start)
+    )  # fmt: skip
 
 
 @dataclass

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from collide_world import MARGIN, Poses, compare, make_kernel, model, nanoseconds, ours, theirs
+from collide_world import MARGIN, Poses, compare, make_kernel, mesh_tables, model, nanoseconds, ours, theirs
 
 from warpmpc.bake.number import native_lanes
 
@@ -194,6 +194,40 @@ def test_convex_shapes_deep_in_each_other_are_pushed_apart(convex, kind, family)
     print(f"\n{kind} {family} x{lanes}: {found}; distances within 1e-4: {np.mean(found.dist < 1e-4):.3f}", end="")
     assert found.same > 0.99
     assert np.mean(found.dist < 1e-4) > 0.75
+
+
+WITH_MESH = ("plane_mesh", "sphere_mesh", "capsule_mesh", "ellipsoid_mesh", "cylinder_mesh", "box_mesh")
+POINTS = np.random.default_rng(3).normal(size=(24, 3))
+POINTS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True) * (0.25, 0.2, 0.12)
+MESH = f'<mesh name="mesh" vertex="{" ".join(f"{x:.5f}" for x in POINTS.ravel())}"/>'
+
+
+@pytest.fixture(scope="module", params=sorted({LANES, 1}))
+def meshes(request):
+    """The functions for pairs with a mesh."""
+    tables = mesh_tables(model(("box", "mesh"), asset=MESH))
+    return make_kernel(("collide_convex.h",), WITH_MESH, lanes=request.param, tables=tables), request.param
+
+
+@pytest.mark.parametrize("kind", WITH_MESH)
+def test_a_convex_mesh_has_mujocos_contacts(meshes, kind):
+    compiled, lanes = meshes
+    mj = model(tuple(kind.split("_")), asset=MESH)
+    poses = draw("any", 600)
+    poses.size[:, 1] = mj.geom_size[1]
+    if kind != "plane_mesh":
+        for depth in (1e-3, 1e-3, 2e-3):
+            found = theirs(mj, poses)
+            kept = np.array([i for i, x in enumerate(found) if len(x)])
+            poses = poses.take(kept)
+            deepest = np.array([found[i][0] for i in kept])
+            poses.pos[:, 1] -= deepest[:, 4:7] * (deepest[:, :1] + depth)
+    found = compare(ours(compiled, WITH_MESH.index(kind), poses, lanes), theirs(mj, poses))
+    print(f"\n{kind} x{lanes}: {found}; normals within 1e-2: {np.mean(found.normal < 1e-2):.4f}", end="")
+    assert found.touching > 300
+    assert found.same > 0.99
+    assert np.percentile(found.dist, 98) < 1e-4
+    assert np.mean(found.normal < 1e-2) > 0.95
 
 
 @pytest.mark.skipif("WARPMPC_SPEED" not in os.environ, reason="prints times: set WARPMPC_SPEED")

@@ -10,7 +10,9 @@
 // the shapes' own axes and a few more directions is where it starts; every n is judged by its exact h(n).
 //
 // Everything is along the axes of geom 1 with its centre as origin. Capsules and spheres are a core and a radius.
-// After collide_common.h. Meshes: constant tables mesh_vertex, mesh_first and mesh_count by geom, if MESHES is defined.
+// After collide_common.h. With MESHES defined as 1 also meshes, from constant tables of their convex hulls (MuJoCo's mesh_graph):
+// mesh_vertex [3 per vertex], of geom g mesh_count[g] from mesh_first[g] on; neighbours of vertex v in the hull are
+// mesh_edge[mesh_edge_first[v]] to before mesh_edge_first[v + 1], counted from mesh_first[g]; mesh_bound[g]: geom_rbound.
 
 enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6, MESH = 7 };  // MuJoCo's numbers
 
@@ -269,3 +271,60 @@ FN void ellipsoid_cylinder(World& w, int pair, int g1, int g2, I near) { convex(
 FN void ellipsoid_box(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, ELLIPSOID, BOX, near); }
 FN void cylinder_cylinder(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, CYLINDER, CYLINDER, near); }
 FN void cylinder_box(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, CYLINDER, BOX, near); }
+
+#if MESHES
+FN void sphere_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, SPHERE, MESH, near); }
+FN void capsule_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, CAPSULE, MESH, near); }
+FN void ellipsoid_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, ELLIPSOID, MESH, near); }
+FN void cylinder_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, CYLINDER, MESH, near); }
+FN void box_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, BOX, MESH, near); }
+FN void mesh_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, MESH, MESH, near); }
+
+// the deepest vertex, and up to two of its neighbours in the hull that are below the margin too and not near it
+FN void plane_mesh(World& w, int pair, int g1, int g2, I near) {
+    const V3 n = axis_of(w, g1, 2), p = load(w.gpos[g2]), down = along_axes(w.gmat[g2], n * splat(-1.0f)), t = tangent(n);
+    const T c = dot(p - load(w.gpos[g1]), n), margin = splat(pair_margin[pair]);
+    const float* v = mesh_vertex + 3 * mesh_first[g2];
+    T best = splat(-1e10f);
+    I which = (I)0;
+    V3 deepest = down;
+    for (int k = 0; k < mesh_count[g2]; ++k) {
+        const V3 x = {splat(v[3 * k]), splat(v[3 * k + 1]), splat(v[3 * k + 2])};
+        const T far = dot(down, x);
+        const I m = far > best;
+        best = m ? far : best;
+        which = m ? (I)k : which;
+        deepest = choose(m, x, deepest);
+    }
+    const I on = near & (c - best < margin);
+    if (!VANY(on)) return;
+    const V3 at = in_world(w.gmat[g2], deepest);
+    put(w, pair, on, c - best, p + at - n * (0.5f * (c - best)), n, t);
+    // neighbours, lanes with the same deepest vertex together, into two slots
+    const V3 first = at - n * (0.5f * (c - best));
+    const float apart = 0.3f * mesh_bound[g2];
+    V3 slot[2] = {at, at};
+    T dist[2] = {best, best};
+    I count = (I)0;
+    for (int k = 0; k < mesh_count[g2]; ++k) {
+        const I here = on & (which == (I)k);
+        if (!VANY(here)) continue;
+        for (int e = mesh_edge_first[mesh_first[g2] + k]; e < mesh_edge_first[mesh_first[g2] + k + 1]; ++e) {
+            const float* u = v + 3 * mesh_edge[e];
+            const V3 x = in_world(w.gmat[g2], V3{splat(u[0]), splat(u[1]), splat(u[2])}), off = x - first;
+            const T d = c + dot(x, n);
+            const I m = here & (d < margin) & (dot(off, off) >= apart * apart) & (count < (I)2);
+            const I one = m & (count == (I)0), two = m & (count == (I)1);
+            slot[0] = choose(one, x, slot[0]);
+            slot[1] = choose(two, x, slot[1]);
+            dist[0] = one ? d : dist[0];
+            dist[1] = two ? d : dist[1];
+            count = m ? count + (I)1 : count;
+        }
+    }
+    for (int k = 0; k < 2; ++k) {
+        const I m = count > (I)k;
+        if (VANY(m)) put(w, pair, m, dist[k], p + slot[k] - n * (0.5f * dist[k]), n, t);
+    }
+}
+#endif
