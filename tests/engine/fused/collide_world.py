@@ -225,20 +225,52 @@ def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
     return found
 
 
+def largest(points: np.ndarray, ring: np.ndarray) -> list[int]:
+    """Three more vertices of a polygon that make a large quadrangle with its first, -1 for missing ones.
+
+    As MuJoCo: the fourth moves on as long as that helps, and after each of its steps the third and the second do.
+    """
+    if len(ring) < 5:
+        return [*ring[1:], -1][:3]
+    chosen = [1, 2, 3]
+
+    def area(k) -> float:
+        x = points[[ring[0], *(ring[i] for i in k)]].astype(float)
+        return np.linalg.norm(np.cross(x[2] - x[0], x[3] - x[1]))
+
+    def moved(i: int) -> bool:
+        trial = [(k + (j == i)) % len(ring) for j, k in enumerate(chosen)]
+        helps = area(trial) > area(chosen)
+        if helps:
+            chosen[:] = trial
+        return helps
+
+    while moved(2):
+        for i in (1, 0):
+            while moved(i):
+                pass
+    return [ring[i] for i in chosen]
+
+
 def mesh_tables(mj: mujoco.MjModel) -> str:
     """The hulls of the meshes of both geoms, as the functions read them."""
-    vertex, edge, first, count, start = [], [], [], [], [0]
+    vertex, normal, other, first, count, start = [], [], [], [], [], [0]
     for g in range(2):
         first.append(len(vertex))
         mesh = mj.geom_dataid[g]
         if mesh >= 0:
             graph = mj.mesh_graph[mj.mesh_graphadr[mesh] :]
-            n = graph[0]
-            at, ids, near = graph[2 : 2 + n], graph[2 + n : 2 + 2 * n], graph[2 + 2 * n :]
-            vertex += list(mj.mesh_vert[mj.mesh_vertadr[mesh] + ids])
-            for a in at:
-                edge += list(near[a : a + list(near[a:]).index(-1)])
-                start.append(len(edge))
+            ids = list(graph[2 + graph[0] : 2 + 2 * graph[0]])
+            points = mj.mesh_vert[mj.mesh_vertadr[mesh] :]
+            vertex += list(points[ids])
+            faces = range(mj.mesh_polyadr[mesh], mj.mesh_polyadr[mesh] + mj.mesh_polynum[mesh])
+            rings = [mj.mesh_polyvert[a : a + n] for a, n in zip(mj.mesh_polyvertadr, mj.mesh_polyvertnum, strict=True)]
+            for i in ids:
+                for f in faces:
+                    if i in rings[f]:
+                        normal.append(mj.mesh_polynormal[f])
+                        other.append([ids.index(k) if k >= 0 else -1 for k in largest(points, np.roll(rings[f], -list(rings[f]).index(i)))])
+                start.append(len(normal))
         count.append(len(vertex) - first[-1])
 
     def table(kind: str, name: str, values) -> str:
@@ -248,8 +280,8 @@ def mesh_tables(mj: mujoco.MjModel) -> str:
 
     return (
         "#undef MESHES\n#define MESHES 1\n"
-        + table("float", "mesh_vertex", vertex) + table("float", "mesh_bound", mj.geom_rbound) + table("int", "mesh_first", first)
-        + table("int", "mesh_count", count) + table("int", "mesh_edge", edge) + table("int", "mesh_edge_first", start)
+        + table("float", "mesh_vertex", vertex) + table("int", "mesh_first", first) + table("int", "mesh_count", count)
+        + table("float", "mesh_face_normal", normal) + table("int", "mesh_face_vertex", other) + table("int", "mesh_face_first", start)
     )  # fmt: skip
 
 

@@ -199,6 +199,7 @@ def test_convex_shapes_deep_in_each_other_are_pushed_apart(convex, kind, family)
 WITH_MESH = ("plane_mesh", "sphere_mesh", "capsule_mesh", "ellipsoid_mesh", "cylinder_mesh", "box_mesh")
 POINTS = np.random.default_rng(3).normal(size=(24, 3))
 POINTS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True) * (0.25, 0.2, 0.12)
+POINTS = np.concatenate([POINTS, [(0.1 * np.cos(a), 0.1 * np.sin(a), -0.15) for a in (0.0, 1.1, 1.5, 2.7, 3.9, 4.6, 5.8)]])
 MESH = f'<mesh name="mesh" vertex="{" ".join(f"{x:.5f}" for x in POINTS.ravel())}"/>'
 
 

@@ -10,9 +10,10 @@
 // the shapes' own axes and a few more directions is where it starts; every n is judged by its exact h(n).
 //
 // Everything is along the axes of geom 1 with its centre as origin. Capsules and spheres are a core and a radius.
-// After collide_common.h. With MESHES defined as 1 also meshes, from constant tables of their convex hulls (MuJoCo's mesh_graph):
-// mesh_vertex [3 per vertex], of geom g mesh_count[g] from mesh_first[g] on; neighbours of vertex v in the hull are
-// mesh_edge[mesh_edge_first[v]] to before mesh_edge_first[v + 1], counted from mesh_first[g]; mesh_bound[g]: geom_rbound.
+// After collide_common.h. With MESHES defined as 1 also meshes, from constant tables of their convex hulls: mesh_vertex [3 a
+// vertex], of geom g mesh_count[g] from mesh_first[g] on. For planes also what each vertex v has around it, a row for each face
+// (MuJoCo's mesh_poly*) from mesh_face_first[v] to before mesh_face_first[v + 1]: mesh_face_normal [3 a row], and
+// mesh_face_vertex [3 a row], the other vertices of the largest quadrangle in that face with v, counted from mesh_first[g], or -1.
 
 enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6, MESH = 7 };  // MuJoCo's numbers
 
@@ -280,51 +281,51 @@ FN void cylinder_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pa
 FN void box_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, BOX, MESH, near); }
 FN void mesh_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, MESH, MESH, near); }
 
-// the deepest vertex, and up to two of its neighbours in the hull that are below the margin too and not near it
+// the deepest vertex, and those of its face that looks most at the plane, up to four (the rule since 3.12 or so, as documented by
+// mujoco_warp 3.17's plane_convex): those below the mesh's centre and the margin
 FN void plane_mesh(World& w, int pair, int g1, int g2, I near) {
     const V3 n = axis_of(w, g1, 2), p = load(w.gpos[g2]), down = along_axes(w.gmat[g2], n * splat(-1.0f)), t = tangent(n);
     const T c = dot(p - load(w.gpos[g1]), n), margin = splat(pair_margin[pair]);
     const float* v = mesh_vertex + 3 * mesh_first[g2];
+    const int* faces = mesh_face_first + mesh_first[g2];
     T best = splat(-1e10f);
     I which = (I)0;
-    V3 deepest = down;
+    V3 spot[4] = {down, down, down, down};
     for (int k = 0; k < mesh_count[g2]; ++k) {
         const V3 x = {splat(v[3 * k]), splat(v[3 * k + 1]), splat(v[3 * k + 2])};
         const T far = dot(down, x);
         const I m = far > best;
         best = m ? far : best;
         which = m ? (I)k : which;
-        deepest = choose(m, x, deepest);
+        spot[0] = choose(m, x, spot[0]);
     }
     const I on = near & (c - best < margin);
     if (!VANY(on)) return;
-    const V3 at = in_world(w.gmat[g2], deepest);
-    put(w, pair, on, c - best, p + at - n * (0.5f * (c - best)), n, t);
-    // neighbours, lanes with the same deepest vertex together, into two slots
-    const V3 first = at - n * (0.5f * (c - best));
-    const float apart = 0.3f * mesh_bound[g2];
-    V3 slot[2] = {at, at};
-    T dist[2] = {best, best};
-    I count = (I)0;
+    // lanes with the same deepest vertex together
+    I count = (I)1;
     for (int k = 0; k < mesh_count[g2]; ++k) {
         const I here = on & (which == (I)k);
         if (!VANY(here)) continue;
-        for (int e = mesh_edge_first[mesh_first[g2] + k]; e < mesh_edge_first[mesh_first[g2] + k + 1]; ++e) {
-            const float* u = v + 3 * mesh_edge[e];
-            const V3 x = in_world(w.gmat[g2], V3{splat(u[0]), splat(u[1]), splat(u[2])}), off = x - first;
-            const T d = c + dot(x, n);
-            const I m = here & (d < margin) & (dot(off, off) >= apart * apart) & (count < (I)2);
-            const I one = m & (count == (I)0), two = m & (count == (I)1);
-            slot[0] = choose(one, x, slot[0]);
-            slot[1] = choose(two, x, slot[1]);
-            dist[0] = one ? d : dist[0];
-            dist[1] = two ? d : dist[1];
-            count = m ? count + (I)1 : count;
+        T most = splat(-1.0f);
+        for (int f = faces[k]; f < faces[k + 1]; ++f) {
+            const float* fn = mesh_face_normal + 3 * f;
+            const T facing = down.x * fn[0] + down.y * fn[1] + down.z * fn[2];
+            const I m = here & (facing > most);
+            most = m ? facing : most;
+            for (int i = 0; i < 3; ++i) {
+                const int u = mesh_face_vertex[3 * f + i];
+                if (u < 0) break;
+                const V3 x = {splat(v[3 * u]), splat(v[3 * u + 1]), splat(v[3 * u + 2])};
+                spot[i + 1] = choose(m, x, spot[i + 1]);
+                count = m ? (I)(i + 2) : count;
+            }
         }
     }
-    for (int k = 0; k < 2; ++k) {
-        const I m = count > (I)k;
-        if (VANY(m)) put(w, pair, m, dist[k], p + slot[k] - n * (0.5f * dist[k]), n, t);
+    for (int k = 0; k < 4; ++k) {
+        const V3 x = in_world(w.gmat[g2], spot[k]);
+        const T low = dot(x, n), dist = c + low;
+        const I m = on & (count > (I)k) & (low <= 0.0f) & (dist < margin);
+        if (VANY(m)) put(w, pair, m, dist, p + x - n * (0.5f * dist), n, t);
     }
 }
 #endif
