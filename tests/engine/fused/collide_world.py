@@ -129,7 +129,12 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
     cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
     # the cases hold words of the others
-    words = {"CASES": cases, "SET": "1" if lanes == 1 else "((I)(-1))", "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))", "MARGIN": f"{MARGIN}f"}
+    words = {
+        "CASES": cases,
+        "SET": "1" if lanes == 1 else "((I)(-1))",
+        "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))",
+        "MARGIN": f"{MARGIN}f",
+    }
     words |= {"TABLES": tables, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
     for word, value in words.items():
         text = re.sub(rf"\b{re.escape(word)}" + (r"\b" if word[-1] != ")" else ""), value, text)
@@ -139,7 +144,15 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         text += "#undef LANES\n"
 
     @wp.func_native(text)
-    def collide(group: int, kind: int, pair: int, repeat: int, pose: wp.array[float], out: wp.array[float], blocks: wp.array[int]): ...
+    def collide(
+        group: int,
+        kind: int,
+        pair: int,
+        repeat: int,
+        pose: wp.array[float],
+        out: wp.array[float],
+        blocks: wp.array[int],
+    ): ...
 
     flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "") + EXTRA
 
@@ -182,17 +195,25 @@ def ours(kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, pair: int = 0) 
     """Contacts [n, 10] of each pair."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
-    out, blocks = wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"), wp.zeros(groups, dtype=int, device="cpu")
+    out, blocks = (
+        wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"),
+        wp.zeros(groups, dtype=int, device="cpu"),
+    )
     wp.launch(kernel, dim=groups, inputs=[kind, pair, 1, pose], outputs=[out, blocks], device="cpu")
     rows = out.numpy().reshape(groups, MOST, ROW, lanes).transpose(0, 3, 1, 2).reshape(-1, MOST, ROW)[: len(poses.pos)]
     return [r[r[:, 10] > 0, :10] for r in rows]
 
 
-def nanoseconds(kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7) -> tuple[float, float]:
+def nanoseconds(
+    kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7
+) -> tuple[float, float]:
     """Least time of a call for one group of lanes [ns], and mean number of times that it called `put`."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
-    out, blocks = wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"), wp.zeros(groups, dtype=int, device="cpu")
+    out, blocks = (
+        wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"),
+        wp.zeros(groups, dtype=int, device="cpu"),
+    )
     least = np.inf
     for _ in range(runs):
         start = time.perf_counter()
@@ -206,7 +227,8 @@ def model(kinds: tuple[str, str], margin: float = 0.0, asset: str = "") -> mujoc
     sizes = {"plane": "1 1 1", "sphere": "1", "capsule": "1 1", "cylinder": "1 1", "box": "1 1 1", "ellipsoid": "1 1 1"}
     geoms = [f'type="{k}" size="{sizes[k]}"' if k in sizes else f'type="mesh" mesh="{k}"' for k in kinds]
     return mujoco.MjModel.from_xml_string(f"""
-<mujoco><option><flag multiccd="disable"/></option><asset>{asset}</asset><default><geom margin="{margin / 2}"/></default><worldbody>
+<mujoco><option><flag multiccd="disable"/></option><asset>{asset}</asset>
+<default><geom margin="{margin / 2}"/></default><worldbody>
 <geom {geoms[0]}/><body><freejoint/><geom {geoms[1]} mass="1"/></body></worldbody></mujoco>""")
 
 
@@ -215,7 +237,9 @@ def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
     data, found, bound = mujoco.MjData(mj), [], mj.geom_rbound.copy()
     for pos, mat, size in zip(poses.pos, poses.mat, poses.size, strict=True):
         mj.geom_size[:] = size
-        mj.geom_rbound[:] = np.where(mj.geom_type == mujoco.mjtGeom.mjGEOM_MESH, bound, np.where(mj.geom_type == 0, 0.0, 100.0))
+        mj.geom_rbound[:] = np.where(
+            mj.geom_type == mujoco.mjtGeom.mjGEOM_MESH, bound, np.where(mj.geom_type == 0, 0.0, 100.0)
+        )
         mj.geom_aabb[:, 3:] = 100.0
         data.geom_xpos[:], data.geom_xmat[:] = pos, mat
         mujoco.mj_collision(mj, data)
@@ -269,7 +293,12 @@ def mesh_tables(mj: mujoco.MjModel) -> str:
                 for f in faces:
                     if i in rings[f]:
                         normal.append(mj.mesh_polynormal[f])
-                        other.append([ids.index(k) if k >= 0 else -1 for k in largest(points, np.roll(rings[f], -list(rings[f]).index(i)))])
+                        other.append(
+                            [
+                                ids.index(k) if k >= 0 else -1
+                                for k in largest(points, np.roll(rings[f], -list(rings[f]).index(i)))
+                            ]
+                        )
                 start.append(len(normal))
         count.append(len(vertex) - first[-1])
 
@@ -281,7 +310,8 @@ def mesh_tables(mj: mujoco.MjModel) -> str:
     return (
         "#undef MESHES\n#define MESHES 1\n"
         + table("float", "mesh_vertex", vertex) + table("int", "mesh_first", first) + table("int", "mesh_count", count)
-        + table("float", "mesh_face_normal", normal) + table("int", "mesh_face_vertex", other) + table("int", "mesh_face_first", start)
+        + table("float", "mesh_face_normal", normal) + table("int", "mesh_face_vertex", other)
+        + table("int", "mesh_face_first", start)
     )  # fmt: skip
 
 
@@ -304,8 +334,9 @@ class Agreement:
             return "/".join(f"{v:.1e}" for v in (np.median(x), np.percentile(x, 99), x.max())) if len(x) else "-"
 
         return (
-            f"{self.pairs} pairs, {self.touching} touch, same number {100 * self.same:.2f} %; median/p99/max of distance "
-            f"{three(self.dist)}, position {three(self.pos)}, normal {three(self.normal)}, tangent {three(self.tangent)}"
+            f"{self.pairs} pairs, {self.touching} touch, same number {100 * self.same:.2f} %; median/p99/max of "
+            f"distance {three(self.dist)}, position {three(self.pos)}, normal {three(self.normal)}, "
+            f"tangent {three(self.tangent)}"
         )
 
 

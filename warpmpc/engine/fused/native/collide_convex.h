@@ -201,8 +201,7 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     if (!VANY(on)) return;
 
     // the gap to keep: large enough for exact normals, small for fast convergence
-    const T small = 0.05f * VMIN(s.s1.x, s.s2.x);
-    const T gap = VMAX(round, small), tiny = 1e-6f * (VABS(s.p.x) + VABS(s.p.y) + VABS(s.p.z) + gap);
+    const T gap = 0.05f * VMIN(s.s1.x, s.s2.x), tiny = 1e-6f * (VABS(s.p.x) + VABS(s.p.y) + VABS(s.p.z) + gap);
     Simplex q;
     V3 at = n * VMAX(zero, h + gap);
     const V3 start = corner_of(s, n, a);
