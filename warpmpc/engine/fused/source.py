@@ -17,6 +17,7 @@ from ...kernels.geometry.kinematics import FREE
 from . import model as kinds
 from .dynamics import Dynamics, packed
 from .factor import couple, write_products, write_solve
+from .meshes import Hulls
 
 if TYPE_CHECKING:
     import mujoco
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from .model import PhysicsModel
 
 POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
-          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4}  # fmt: skip
+          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
+          (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
 """Most contacts of two geoms; one where nothing is said."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
@@ -220,6 +222,7 @@ class RolloutSource:
         tables = "\n".join(self._tables())
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
         undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
@@ -355,8 +358,28 @@ class RolloutSource:
             _floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
             _ints("mocap_of", self.mocap),
             _ints("movable_of", self.movable),
+            *self._mesh_tables(),
             *self._watch_tables(),
         ]
+
+    def _mesh_tables(self) -> list[str]:
+        if not self._meshes:
+            return []
+        hulls = Hulls.of(self.model.mj, self._meshes)
+        return [
+            _floats("mesh_vertex", hulls.vertex),
+            _ints("mesh_first", hulls.first),
+            _ints("mesh_count", hulls.count),
+            _ints("mesh_face_first", hulls.face_first),
+            _floats("mesh_face_normal", hulls.face_normal),
+            _ints("mesh_face_vertex", hulls.face_vertex),
+        ]
+
+    @cached_property
+    def _meshes(self) -> set[int]:
+        """Meshes that may touch something."""
+        used = {g for pair in self.model.pairs for g in pair.geoms}
+        return {g for g in used if self.model.mj.geom_type[g] == kinds.MESH}
 
     def _watch_tables(self) -> list[str]:
         rows = [[watch for watch in self.watched if watch.pair == n] for n in range(len(self.model.pairs))]
@@ -487,9 +510,14 @@ _NAMES = {
     kinds.CYLINDER: "cylinder",
     kinds.BOX: "box",
     kinds.ELLIPSOID: "ellipsoid",
+    kinds.MESH: "mesh",
 }
-_PRIMITIVE = frozenset(kinds.COLLIDES - {(kinds.BOX, kinds.BOX)})
-_SOURCES = {"collide_primitive": _PRIMITIVE, "collide_box": frozenset({(kinds.BOX, kinds.BOX)})}
+_BOXES = frozenset({(kinds.BOX, kinds.BOX)})
+_SOURCES = {
+    "collide_primitive": kinds.COLLIDES - kinds.CONVEX - _BOXES,
+    "collide_box": _BOXES,
+    "collide_convex": kinds.CONVEX,
+}
 """Files with collision functions, and the kinds of pairs each is for."""
 
 
