@@ -17,6 +17,7 @@ from warpmpc.bake import number
 
 NATIVE = Path(warpmpc.engine.__file__).parent / "fused" / "native"
 EXTRA = ""
+"""More compiler flags, to try them."""
 MOST = 12
 """Contacts a pair may have here."""
 ROW = 11

@@ -7,7 +7,8 @@
 // of branches: from a direction n take the point y = d n outside of M, project it on M by GJK (Gilbert, Johnson, Keerthi 1988), and
 // its normal there is the next n. With d = 0 that is the answer. Otherwise errors shrink by d / (d + R - h) a time, R
 // the radius of curvature of M: at once on faces and edges, by about depth / R on round shapes. The best of
-// the shapes' own axes and a few more directions is where it starts; every n is judged by its exact h(n).
+// the shapes' own axes and a few more directions is where it starts; every n is judged by its exact h(n), so a distance is never
+// larger than the truth's, but deep in round shapes it may be a local one.
 //
 // Everything is along the axes of geom 1 with its centre as origin. Capsules and spheres are a core and a radius.
 // After collide_common.h. With MESHES defined as 1 also meshes, from constant tables of their convex hulls: mesh_vertex [3 a
@@ -179,19 +180,18 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     try_axis(s, s.p, n, h);
     I on = near & (-h - round < margin);
     if (!VANY(on)) return;
-    const bool plain1 = kind1 != BOX, plain2 = kind2 != BOX;
     if (kind1 != SPHERE) try_axis(s, z, n, h);
     try_axis(s, c[2], n, h);
     try_axis(s, V3{s.p.x, s.p.y, zero}, n, h);
     try_axis(s, s.p - c[2] * dot(s.p, c[2]), n, h);
     try_axis(s, cross(z, c[2]), n, h);
-    if (!plain1 || kind1 == ELLIPSOID) {
+    if (kind1 == BOX || kind1 == ELLIPSOID) {
         try_axis(s, x, n, h);
         try_axis(s, y, n, h);
         try_axis(s, cross(x, c[2]), n, h);
         try_axis(s, cross(y, c[2]), n, h);
     }
-    if (!plain2 || kind2 == ELLIPSOID) {
+    if (kind2 == BOX || kind2 == ELLIPSOID) {
         try_axis(s, c[0], n, h);
         try_axis(s, c[1], n, h);
         try_axis(s, cross(z, c[0]), n, h);
@@ -280,8 +280,8 @@ FN void cylinder_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pa
 FN void box_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, BOX, MESH, near); }
 FN void mesh_mesh(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, MESH, MESH, near); }
 
-// the deepest vertex, and those of its face that looks most at the plane, up to four (the rule since 3.12 or so, as documented by
-// mujoco_warp 3.17's plane_convex): those below the mesh's centre and the margin
+// the deepest vertex, and those of its face that looks most at the plane, up to four (MuJoCo 3.17's rule, which mujoco_warp's
+// plane_convex shows; 3.12 took neighbours in the hull): those below the mesh's centre and the margin
 FN void plane_mesh(World& w, int pair, int g1, int g2, I near) {
     const V3 n = axis_of(w, g1, 2), p = load(w.gpos[g2]), down = along_axes(w.gmat[g2], n * splat(-1.0f)), t = tangent(n);
     const T c = dot(p - load(w.gpos[g1]), n), margin = splat(pair_margin[pair]);
