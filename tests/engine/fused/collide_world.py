@@ -14,6 +14,7 @@ import warp as wp
 
 import warpmpc.engine
 from warpmpc.bake import number
+from warpmpc.engine.fused.meshes import Hulls
 
 NATIVE = Path(warpmpc.engine.__file__).parent / "fused" / "native"
 EXTRA = ""
@@ -250,70 +251,20 @@ def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
     return found
 
 
-def largest(points: np.ndarray, ring: np.ndarray) -> list[int]:
-    """Three more vertices of a polygon that make a large quadrangle with its first, -1 for missing ones.
-
-    As MuJoCo: the fourth moves on as long as that helps, and after each of its steps the third and the second do.
-    """
-    if len(ring) < 5:
-        return [*ring[1:], -1][:3]
-    chosen = [1, 2, 3]
-
-    def area(k) -> float:
-        x = points[[ring[0], *(ring[i] for i in k)]].astype(float)
-        return np.linalg.norm(np.cross(x[2] - x[0], x[3] - x[1]))
-
-    def moved(i: int) -> bool:
-        trial = [(k + (j == i)) % len(ring) for j, k in enumerate(chosen)]
-        helps = area(trial) > area(chosen)
-        if helps:
-            chosen[:] = trial
-        return helps
-
-    while moved(2):
-        for i in (1, 0):
-            while moved(i):
-                pass
-    return [ring[i] for i in chosen]
-
-
 def mesh_tables(mj: mujoco.MjModel) -> str:
     """The hulls of the meshes of both geoms, as the functions read them."""
-    vertex, normal, other, first, count, start = [], [], [], [], [], [0]
-    for g in range(2):
-        first.append(len(vertex))
-        mesh = mj.geom_dataid[g]
-        if mesh >= 0:
-            graph = mj.mesh_graph[mj.mesh_graphadr[mesh] :]
-            ids = list(graph[2 + graph[0] : 2 + 2 * graph[0]])
-            points = mj.mesh_vert[mj.mesh_vertadr[mesh] :]
-            vertex += list(points[ids])
-            faces = range(mj.mesh_polyadr[mesh], mj.mesh_polyadr[mesh] + mj.mesh_polynum[mesh])
-            rings = [mj.mesh_polyvert[a : a + n] for a, n in zip(mj.mesh_polyvertadr, mj.mesh_polyvertnum, strict=True)]
-            for i in ids:
-                for f in faces:
-                    if i in rings[f]:
-                        normal.append(mj.mesh_polynormal[f])
-                        other.append(
-                            [
-                                ids.index(k) if k >= 0 else -1
-                                for k in largest(points, np.roll(rings[f], -list(rings[f]).index(i)))
-                            ]
-                        )
-                start.append(len(normal))
-        count.append(len(vertex) - first[-1])
+    hulls = Hulls.of(mj, {0, 1})
 
     def table(kind: str, name: str, values) -> str:
         values = np.asarray(values).ravel()
         text = ", ".join(f"{float(x)!r}f" if kind == "float" else str(int(x)) for x in values)
         return f"static const {kind} {name}[{len(values)}] = {{{text}}};\n"
 
-    return (
-        "#undef MESHES\n#define MESHES 1\n"
-        + table("float", "mesh_vertex", vertex) + table("int", "mesh_first", first) + table("int", "mesh_count", count)
-        + table("float", "mesh_face_normal", normal) + table("int", "mesh_face_vertex", other)
-        + table("int", "mesh_face_first", start)
-    )  # fmt: skip
+    floats = {"mesh_vertex": hulls.vertex, "mesh_face_normal": hulls.face_normal}
+    ints = {"mesh_first": hulls.first, "mesh_count": hulls.count}
+    ints |= {"mesh_face_vertex": hulls.face_vertex, "mesh_face_first": hulls.face_first}
+    tables = [table("float", *row) for row in floats.items()] + [table("int", *row) for row in ints.items()]
+    return "#undef MESHES\n#define MESHES 1\n" + "".join(tables)
 
 
 @dataclass

@@ -25,6 +25,8 @@ class FusedWork:
     overflow: wp.array[int]  # [W] nonzero where contacts were lost
 
 
+CONTRACT = " -ffp-contract=fast"
+"""Compiler flag for products and sums in one instruction: a fifth less time in `mobile_pick`."""
 WARP = 32
 """Lanes of a warp."""
 
@@ -38,7 +40,8 @@ def make_kernel(source: str, lanes: int, threads: int) -> wp.Kernel:
         threads: Threads that share a world on a GPU, else 1.
     """
     sharing = wp.constant(threads)
-    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
+    wide = WIDE if lanes == 16 else ""
+    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + wide + CONTRACT}
 
     @wp.func_native(source)
     def rollout(k: FusedWork, group: int, first: int, end: int): ...

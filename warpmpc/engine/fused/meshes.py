@@ -63,7 +63,9 @@ class Hulls:
 
 
 def quadrangle(points: np.ndarray, ring: list[int]) -> list[int]:
-    """Three more corners of a large quadrangle in a convex polygon, from its first corner on, by moving one at a time.
+    """Three more corners of a large quadrangle in a convex polygon with its first corner.
+
+    As MuJoCo: the fourth moves on as long as that helps, and after each of its steps the third and the second do.
 
     Args:
         points: All vertices ``[n, 3]``.
@@ -72,13 +74,13 @@ def quadrangle(points: np.ndarray, ring: list[int]) -> list[int]:
     Returns:
         Three vertices; of a triangle the other two and -1.
     """
-    if len(ring) < 4:
-        return [*ring[1:], -1]
-    p = points[ring]
+    if len(ring) < 5:
+        return [*ring[1:], -1][:3]
     chosen = [1, 2, 3]
 
     def area(k: list[int]) -> float:
-        return float(np.linalg.norm(np.cross(p[k[1]] - p[0], p[k[2]] - p[k[0]])))
+        x = points[[ring[0], *(ring[i] for i in k)]].astype(float)
+        return float(np.linalg.norm(np.cross(x[2] - x[0], x[3] - x[1])))
 
     def moved(i: int) -> bool:
         trial = [(k + (j == i)) % len(ring) for j, k in enumerate(chosen)]

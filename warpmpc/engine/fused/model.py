@@ -260,10 +260,16 @@ def missing(model: mujoco.MjModel) -> str | None:
         if wrong(physics):
             return what
     kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
+    several = {pair for pair in kinds & CONVEX if FLAT.issuperset(pair)}
+    if several and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
+        return f"several contacts between {_names(min(several))} (multiccd: disable that flag for one contact)"
     for a, b in sorted(kinds - COLLIDES):
-        names = (GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in (a, b))
-        return f"contacts between {' and '.join(names)}"
+        return f"contacts between {_names((a, b))}"
     return None
+
+
+def _names(pair: tuple[int, int]) -> str:
+    return " and ".join(GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in pair)
 
 
 CONVEX = frozenset(
@@ -280,6 +286,8 @@ CONVEX = frozenset(
     )
 )
 """Kinds of pairs that are looked at as any convex shapes."""
+FLAT = frozenset((CAPSULE, CYLINDER, BOX, MESH))
+"""Shapes with faces or edges: MuJoCo may find several contacts between two of them."""
 COLLIDES = CONVEX | {
     *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
     *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
