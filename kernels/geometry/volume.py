@@ -280,25 +280,46 @@ def voxel_distance(volume: Volume, e: int, at: wp.vec3) -> float:
 
 
 @wp.func
-def row_distance(volume: Volume, at: int, part: float) -> float:
+def row_distance(distance: wp.array[float], at: int, part: float) -> float:
     """Distance between a voxel and the next along x [m]."""
-    here = volume.distance[at]
-    return here + part * (volume.distance[at + 1] - here)
+    here = distance[at]
+    return here + part * (distance[at + 1] - here)
+
+
+@wp.func
+def eight_voxels(distance: wp.array[float], first: int, nx: int, ny: int, at: wp.vec3) -> float:
+    """Distance linear between the centres of eight voxels [m].
+
+    Args:
+        distance: Of the voxels' centres [m].
+        first: Where the volume begins.
+        nx: Voxels along x.
+        ny: Voxels along y.
+        at: Place in voxels, whole numbers at their centres, one before the last at most.
+    """
+    x, y, z = int(at[0]), int(at[1]), int(at[2])
+    fx, fy, fz = at[0] - float(x), at[1] - float(y), at[2] - float(z)
+    start = first + (z * ny + y) * nx + x
+    above = start + nx * ny
+    low = row_distance(distance, start, fx)
+    low += fy * (row_distance(distance, start + nx, fx) - low)
+    high = row_distance(distance, above, fx)
+    high += fy * (row_distance(distance, above + nx, fx) - high)
+    return low + fz * (high - low)
+
+
+@wp.func
+def inside_volume(p: wp.vec3, nx: int, ny: int, nz: int) -> wp.vec3:
+    """The place in voxels, as :func:`eight_voxels` takes it, that is nearest to one counted from the lowest corner."""
+    return wp.vec3(
+        wp.clamp(p[0] - 0.5, 0.0, float(nx - 1) - 0.001),
+        wp.clamp(p[1] - 0.5, 0.0, float(ny - 1) - 0.001),
+        wp.clamp(p[2] - 0.5, 0.0, float(nz - 1) - 0.001),
+    )
 
 
 @wp.func
 def between_voxels(volume: Volume, e: int, at: wp.vec3) -> float:
     """Distance at a point, linear between the centres of eight voxels [m]."""
-    p = (at - volume.origin) * volume.inverse
-    gx = wp.clamp(p[0] - 0.5, 0.0, float(volume.nx - 1) - 0.001)
-    gy = wp.clamp(p[1] - 0.5, 0.0, float(volume.ny - 1) - 0.001)
-    gz = wp.clamp(p[2] - 0.5, 0.0, float(volume.nz - 1) - 0.001)
-    x, y, z = int(gx), int(gy), int(gz)
-    fx, fy, fz = gx - float(x), gy - float(y), gz - float(z)
-    first = ((e * volume.nz + z) * volume.ny + y) * volume.nx + x
-    above = first + volume.nx * volume.ny
-    low = row_distance(volume, first, fx)
-    low += fy * (row_distance(volume, first + volume.nx, fx) - low)
-    high = row_distance(volume, above, fx)
-    high += fy * (row_distance(volume, above + volume.nx, fx) - high)
-    return low + fz * (high - low)
+    g = inside_volume((at - volume.origin) * volume.inverse, volume.nx, volume.ny, volume.nz)
+    return eight_voxels(volume.distance, e * volume.nz * volume.ny * volume.nx, volume.nx, volume.ny, g)
