@@ -17,6 +17,7 @@ class MeshVolumes:
     origin: wp.array[wp.vec3]  # [meshes] lowest corner [m]
     voxel: wp.array[float]  # [meshes] [m]
     size: wp.array[wp.vec3i]  # [meshes] voxels along x, y, z
+    reach: float  # from a mesh to the sides of its volume at least, besides one voxel [m]
 
 
 @wp.kernel

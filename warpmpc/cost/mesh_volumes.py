@@ -75,6 +75,7 @@ def mesh_volumes(
             voxels += math.prod(size)
         index.append(known[key])
     out = MeshVolumes()
+    out.reach = reach
     out.distance = wp.empty(voxels, dtype=float, device=b.device)
     out.first = b.array([first for first, *_ in rows], int)
     out.origin = b.array(np.array([low for _, low, *_ in rows], dtype=np.float32).reshape(-1, 3), wp.vec3)

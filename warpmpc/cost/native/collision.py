@@ -191,19 +191,34 @@ class _Kind:
     """What the distance is less than the root of ``d``."""
     begin: str = ""
     """What comes before the first of them."""
+    bound: str = ""
+    """The same as :attr:`square`, or what is less and takes less time."""
 
     @staticmethod
     def of(code: TermCode, p: Any, kind: int, k: int) -> _Kind:
         """A kind, and of meshes one obstacle."""
         distance, near = _DISTANCE[kind], "inside < near" if kind in (PLANE, MESH) else "d < near * near"
         if kind != MESH:
-            return _Kind(_SQUARE[kind], distance, near, _SIZE.get(kind, ""))
+            return _Kind(_SQUARE[kind], distance, near, _SIZE.get(kind, ""), bound=_SQUARE[kind])
         volumes, m = p.volumes, int(p.mesh.numpy()[k])
         origin, voxel, size = (getattr(volumes, name).numpy()[m] for name in ("origin", "voxel", "size"))
         grid = Grid(tuple(map(float, origin)), 1.0 / float(voxel), tuple(map(int, size)))
         begin = f"const float* vol = (const float*){code.params}.volumes.distance.data + {volumes.first.numpy()[m]};"
         copies = "const T px = x, py = y, pz = z;"
-        return _Kind(f"{{ {copies} {with_bound(['px', 'py', 'pz'], grid)} }}", distance, near, begin=begin)
+        square = f"{{ {copies} {with_bound(['px', 'py', 'pz'], grid)} }}"
+        # the box around the mesh, or one that is larger by a voxel
+        low = origin + voxel + volumes.reach
+        half = 0.5 * (origin + size * voxel - voxel - volumes.reach - low)
+        return _Kind(square, distance, near, begin=begin, bound=_outside_box(low + half, half))
+
+
+def _outside_box(centre: np.ndarray, half: np.ndarray) -> str:
+    """From ``x``, ``y``, ``z`` to the distance outside a box, into ``inside``."""
+    axes = zip("xyz", centre, half, strict=True)
+    faces = " ".join(
+        f"const T o{axis} = VMAX(VABS({axis} - {literal(c)}) - {literal(h)}, 0.0f);" for axis, c, h in axes
+    )
+    return f"{{ {faces} inside = VMIN(inside, VSQRT(ox * ox + oy * oy + oz * oz)); }}"
 
 
 def _each_shape(code: TermCode, kind: _Kind, which: np.ndarray, shapes: str) -> None:
@@ -219,7 +234,7 @@ def _against(code: TermCode, group: GroupCode, kind: _Kind, which: np.ndarray, s
     add = code.lines.add
     _each_shape(code, kind, which, shapes)
     if group.count > 1:
-        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {kind.square}")
+        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {kind.bound}")
         add(f"const float near = {literal(group.radius)} + {code.params}.margin{kind.size};")
         add(f"if (!VANY({kind.near})) continue; }}")
     for radius, centres in group.classes.items():
@@ -239,7 +254,7 @@ def _on_way_past(code: TermCode, group: GroupCode, kind: _Kind, which: np.ndarra
     _each_shape(code, kind, which, shapes)
     there = [text(before(x)) for x in group.bound]
     middle = [f"(0.5f * ({x} + {y}))" for x, y in zip(group.bound, there, strict=True)]
-    add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(middle)} {kind.square}")
+    add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(middle)} {kind.bound}")
     add(f"const T reach = {literal(group.radius)} + 0.5f * VSQRT({_squared(group.bound, there)});")
     add(f"if (!VANY({kind.distance} < reach + {code.params}.margin)) continue; }}")
     for radius, centres in group.classes.items():
