@@ -14,7 +14,7 @@ HIDDEN = np.array([0.86, 0.08, 0.22])
 
 @pytest.mark.parametrize("behind", [0.0, None])
 def test_what_the_board_hides_counts_as_filled(behind):
-    overrides = ["planner.samples=16"] + ([] if behind is None else [f"cloud.seen.behind={behind}"])
+    overrides = ["planner.samples=64"] + ([] if behind is None else [f"cloud.seen.behind={behind}"])
     scene = warpmpc.load_scene("storm_cloud", overrides=overrides)
     mpc = Controller(scene, device="cpu", seed=199)
     plant = Plant(scene, seed=199, task=mpc.task)
