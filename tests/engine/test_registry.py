@@ -87,3 +87,16 @@ def test_a_plan_is_captured_where_device_terms_and_entry_allow_it(enter, captura
 def test_a_name_is_given_once():
     with pytest.raises(ValueError, match="engine 'mujoco' already"):
         register(ENGINES["mujoco"])
+
+
+@pytest.mark.usefixtures("preferred")
+def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
+    scene = make_scene(planner={"samples": 4, "horizon": 2})
+    controller = Controller(scene, device="cpu", compiled=compiled(scene))
+    assert controller.engine.name == "fused"
+    controller.step(State.start(controller.layout))
+    elliptic = make_scene(planner={"samples": 4, "horizon": 2}, engine={"cone": "elliptic"})
+    assert Controller(elliptic, device="cpu", compiled=compiled(elliptic)).engine.name == "mujoco"
+    with pytest.raises(SceneError, match="engine fused has no elliptic friction cones") as caught:
+        Controller(elliptic, engine="fused", device="cpu", compiled=compiled(elliptic))
+    assert caught.value.key == "engine.name"

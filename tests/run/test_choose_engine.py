@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which engine is taken: asked for, or measured once for a scene, whatever its episodes draw."""
+"""Which device is taken: asked for, or measured once for a scene, whatever its episodes draw."""
 
 import numpy as np
 import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, load_scene
-from warpmpc.engine import registry
 from warpmpc.run import choose_engine as module
 from warpmpc.run.choose_engine import choose_engine
 from warpmpc.scene.draw import draw_task
 
-TIMES = {"mujoco": 0.004, "newton": 0.002}
+TIMES = {"cpu": 0.004, "cuda:0": 0.002}
 
 
 @pytest.fixture
@@ -19,22 +18,22 @@ def timed(monkeypatch, tmp_path):
     """A machine that seems to have a GPU on which nothing runs; what was timed is in the list."""
     asked = []
 
-    def plan_time(scene, compiled, name, device, *, envs, terms):
-        asked.append((name, device, envs))
-        return TIMES[name]
+    def plan_time(scene, compiled, device, *, envs, terms):
+        asked.append((device, envs))
+        return TIMES[device]
 
     monkeypatch.setattr(module, "_plan_time", plan_time)
     monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "scenes")
-    monkeypatch.setattr(registry, "resolve", registry.resolve)
-    monkeypatch.setattr(module, "resolve", lambda scene, engine, device: ("auto", "cpu"))
+    monkeypatch.setattr(module, "_hardware", lambda device: "a GPU")
+    monkeypatch.setattr(module, "resolve", lambda scene, engine, device: ("auto", "cuda:0"))
     return asked
 
 
-def test_every_engine_is_timed_once_and_the_faster_one_is_taken(timed):
+def test_both_devices_are_timed_once_and_the_faster_one_is_taken(timed):
     scene = make_scene()
     for _ in range(3):
-        assert choose_engine(scene, compiled=compiled(scene))[0] == "newton"
-    assert sorted(name for name, *_ in timed) == ["mujoco", "newton"]
+        assert choose_engine(scene, compiled=compiled(scene)) == ("auto", "cuda:0")
+    assert sorted(device for device, _ in timed) == ["cpu", "cuda:0"]
 
 
 def test_what_was_measured_belongs_to_the_scene_and_its_batch(timed):
@@ -47,7 +46,7 @@ def test_what_was_measured_belongs_to_the_scene_and_its_batch(timed):
 
 
 def test_episodes_that_draw_their_scene_are_measured_once(timed):
-    """The key is the scene's before its random draws; keyed by what was drawn, every episode timed both engines."""
+    """The key is the scene's before its random draws; keyed by what was drawn, every episode timed both devices."""
     scene = load_scene("point_reach")
     drawn = [draw_task(scene, seed)[0] for seed in (0, 1)]
     assert drawn[0] != drawn[1]
@@ -57,10 +56,10 @@ def test_episodes_that_draw_their_scene_are_measured_once(timed):
     original = module._plan_time
     try:
         for seed in (0, 1):
-            TIMES.update(mujoco=0.001)
+            TIMES.update(cpu=0.001)
             episodes.append(Episode(scene, seed=seed, engine="auto"))
     finally:
-        TIMES.update(mujoco=0.004)
+        TIMES.update(cpu=0.004)
     assert original is module._plan_time
     assert len(timed) == 2
     assert {episode.controller.engine.name for episode in episodes} == {"mujoco"}
@@ -71,7 +70,7 @@ def test_a_damaged_record_is_measured_anew(timed, tmp_path):
     scene = make_scene()
     choose_engine(scene, compiled=compiled(scene))
     (file,) = (tmp_path / "engines").iterdir()
-    for text in ("{", "[]", "{}", '{"mujoco": "fast"}'):
+    for text in ("{", "[]", "{}", '{"cpu": "fast"}'):
         file.write_text(text)
         timed.clear()
         choose_engine(scene, compiled=compiled(scene))
@@ -84,13 +83,13 @@ def test_what_is_asked_for_is_not_measured(monkeypatch):
 
     monkeypatch.setattr(module, "_plan_time", refuse)
     assert choose_engine(make_scene(), engine="mujoco") == ("mujoco", "cpu")
-    assert choose_engine(make_scene(), device="cpu") == ("mujoco", "cpu")
+    assert choose_engine(make_scene(), device="cpu") == ("auto", "cpu")
     assert choose_engine(make_scene(), engine="newton", device="cpu") == ("newton", "cpu")
 
 
 def test_a_plan_is_timed_with_a_controller_that_ends():
     scene = make_scene(planner={"samples": 8, "horizon": 3})
-    took = module._plan_time(scene, compiled(scene), "mujoco", "cpu", envs=2, terms=())
+    took = module._plan_time(scene, compiled(scene), "cpu", envs=2, terms=())
     assert 0.0 < took < 5.0
     assert np.isfinite(took)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.stack import CostStack
-from ..engine.registry import default_engine, resolve
+from ..engine.registry import resolve
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
@@ -38,9 +38,10 @@ class Controller:
 
     Args:
         scene: The scene.
-        engine: Name of an engine, or ``"auto"``: the scene's, else ``mujoco`` on the CPU and ``newton`` on a GPU. To
-            take the faster one on this machine, ask :func:`warpmpc.choose_engine`.
-        device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``.
+        engine: Name of an engine, or ``"auto"``: the scene's, else ``fused`` where it can do what the scene asks for,
+            else ``mujoco`` on the CPU and ``newton`` on a GPU.
+        device: ``"cpu"``, a CUDA device such as ``"cuda:0"``, or ``"auto"``: a GPU where there is one. To take the
+            faster one on this machine, ask :func:`warpmpc.choose_engine`.
         strategy: Name of a strategy, your own ones among them (:func:`warpmpc.planner.registry.register`), or
             ``"auto"``: the scene's ``planner.method``.
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
@@ -72,8 +73,6 @@ class Controller:
         if task is not None and task.envs != envs:
             raise ValueError(f"this task is one of {task.envs} environments, not of {envs}")
         name, device = resolve(scene, engine, device)
-        if name == "auto":
-            name, device = default_engine(device)
         self.scene, self.seed, self.envs = scene, seed, envs
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)

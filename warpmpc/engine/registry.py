@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from ..task.observed import ObservedState
     from .protocol import Engine
     from .timegrid import TimeGrid
+
+logger = logging.getLogger("warpmpc")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +84,12 @@ class EngineEntry:
 ENGINES: dict[str, EngineEntry] = {}
 """Engines by name."""
 
+PREFERRED = {
+    "cpu": (str(EngineName.FUSED), str(EngineName.MUJOCO)),
+    "cuda": (str(EngineName.FUSED), str(EngineName.NEWTON)),
+}
+"""Engines that ``auto`` stands for, the fastest first; the last can do most."""
+
 
 def register(entry: EngineEntry) -> None:
     """Add an engine.
@@ -94,7 +103,7 @@ def register(entry: EngineEntry) -> None:
 
 
 def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
-    """Engine and Warp device for what a user asked for; the engine stays ``auto`` where there is a choice to measure.
+    """Engine and Warp device for what a user asked for; an engine ``auto`` stays so (:data:`PREFERRED`).
 
     Args:
         scene: The scene, whose ``engine.name`` counts when ``engine`` is ``auto``.
@@ -114,11 +123,9 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
             have = ", ".join(str(d) for d in wp.get_devices())
             raise ValueError(f"no device '{device}' on this machine; there is: auto, {have}") from error
     if engine == "auto":
-        if device == "cpu" or not wp.is_cuda_available():
-            return str(EngineName.MUJOCO), "cpu"
-        if device != "auto":
-            return str(EngineName.NEWTON), device
-        return engine, str(wp.get_preferred_device())
+        if device == "auto":
+            device = str(wp.get_preferred_device()) if wp.is_cuda_available() else "cpu"
+        return engine, device
     entry = ENGINES[engine]
     if device == "auto":
         device = str(wp.get_preferred_device()) if entry.cuda else "cpu"
@@ -127,18 +134,25 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
     return engine, device
 
 
-def default_engine(device: str) -> tuple[str, str]:
-    """The engine for a device where nobody has measured: ``newton`` on a GPU, ``mujoco`` on the CPU."""
-    return (str(EngineName.MUJOCO), "cpu") if device == "cpu" else (str(EngineName.NEWTON), device)
+def make_engine(name: str, request: EngineRequest) -> tuple[EngineEntry, Engine]:
+    """Build an engine; ``auto`` is the first of those preferred on the device that can do what the scene asks for.
 
-
-def make_engine(name: str, request: EngineRequest) -> Engine:
-    """Build an engine.
+    Returns:
+        Its entry, and the engine.
 
     Raises:
-        SceneError: If it cannot do what the scene asks for.
+        SceneError: If it cannot, or none can.
     """
-    return ENGINES[name].make(request, physics_steps(name, request.scene, request.compiled, request.grid))
+    if name == "auto":
+        names = PREFERRED["cpu" if request.device == "cpu" else "cuda"]
+        for preferred in names[:-1]:
+            try:
+                return make_engine(preferred, request)
+            except SceneError as error:
+                logger.info("%s; taking the next engine", error)
+        name = names[-1]
+    entry = ENGINES[name]
+    return entry, entry.make(request, physics_steps(name, request.scene, request.compiled, request.grid))
 
 
 SUBSTEPS = 2
@@ -223,6 +237,22 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     return _recorded(request, NewtonEngine(*scene_of, **common))
 
 
+def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    from .fused.simulator import FusedSimulator
+
+    simulator = FusedSimulator(
+        request.scene,
+        request.compiled,
+        request.shape,
+        substeps=steps.count,
+        timestep=steps.length[0],
+        pairs=request.costs.pairs,
+        properties=request.properties,
+        device=request.device,
+    )
+    return _recorded(request, simulator)
+
+
 def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     from .kinematic import KinematicEngine
 
@@ -234,6 +264,9 @@ register(
 )
 register(
     EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
+)
+register(
+    EngineEntry(name=str(EngineName.FUSED), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_fused)
 )
 register(
     EngineEntry(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..engine.registry import ENGINES, EngineRequest, make_engine
+from ..engine.registry import EngineRequest, make_engine
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
@@ -39,7 +39,7 @@ class PlanStep:
         compiled: The scene, compiled.
         costs: The cost terms, on the device of the rollouts.
         shape: Sizes of the batch.
-        engine: Name of the engine.
+        engine: Name of the engine, or ``auto``.
         strategy: Name of the strategy, or ``"auto"``: the scene's ``planner.method``.
         seed: Seed of the noise.
         properties: Draws of physical properties of the rollouts' worlds, None for nominal ones.
@@ -77,7 +77,7 @@ class PlanStep:
 
         self.limits = (array(layout.control_lower), array(layout.control_upper))
         self.state = ObservedState.allocate(layout, costs.task, self.device)
-        self.engine = make_engine(
+        entry, self.engine = make_engine(
             engine,
             EngineRequest(
                 scene=scene,
@@ -93,7 +93,7 @@ class PlanStep:
             ),
         )
         on_gpu = wp.get_device(self.device).is_cuda
-        self.capturable = ENGINES[engine].capturable and costs.capturable and on_gpu
+        self.capturable = entry.capturable and costs.capturable and on_gpu
         """Whether a CUDA graph can hold a plan."""
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         self._spline, self._launch = spline, Launcher(self.device)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which engine plans a scene fastest on this machine: time one plan of each, once, and remember."""
+"""On which device plans of a scene take least time on this machine: time a few on each, once, and remember."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..engine.registry import ENGINES, resolve
+from ..engine.registry import resolve
 from ..model.compiled import cache_folder, compile_scene
 from ..scene.errors import SceneError
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("warpmpc")
 
 PLANS = 5
-"""Timed plans per engine, of which the median counts."""
+"""Timed plans per device, of which the median counts."""
 
 
 def choose_engine(
@@ -40,7 +40,7 @@ def choose_engine(
     terms: Sequence[CostTerm | ArrayCost] = (),
     compiled: CompiledScene | None = None,
 ) -> tuple[str, str]:
-    """Engine and device for a scene; where there is a choice, the faster one is found by timing a few plans of each.
+    """Engine and device for a scene; with both left to ``auto``, GPU and CPU are compared by timing a few plans of each.
 
     What was measured is kept on disk by scene (before any random draws), batch and hardware, so that the next start
     measures nothing.
@@ -57,38 +57,40 @@ def choose_engine(
         SceneError: If no engine can simulate the scene.
         ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
     """
-    engine, device = resolve(scene, engine, device)
+    fixed = device != "auto"
+    engine, where = resolve(scene, engine, device)
     if engine != "auto":
-        return engine, device
-    choices = {name: device if entry.cuda else "cpu" for name, entry in ENGINES.items() if entry.physics}
-    file = cache_folder().parent / "engines" / f"{_key(scene, device, envs, terms)}.json"
+        return engine, where
+    if fixed or where == "cpu":
+        return engine, where
+    choices = (where, "cpu")
+    file = cache_folder().parent / "engines" / f"{_key(scene, where, envs, terms)}.json"
     times: dict[str, float] = {}
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         kept = json.loads(file.read_text())
-        times = {name: float(kept[name]) for name in choices if name in kept}
+        times = {device: float(kept[device]) for device in choices if device in kept}
     if not times:
         compiled = compiled or compile_scene(scene)
         refused: list[SceneError] = []
-        for n in choices:
+        for device in choices:
             try:
-                times[n] = _plan_time(scene, compiled, n, choices[n], envs=envs, terms=terms)
-            except SceneError as error:  # this engine cannot simulate the scene, another may
+                times[device] = _plan_time(scene, compiled, device, envs=envs, terms=terms)
+            except SceneError as error:  # no engine on this device can simulate the scene, on another one may
                 refused.append(error)
         if not times:
             raise refused[0]
         with contextlib.suppress(OSError):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(json.dumps(times))
-    name = min(times, key=times.get)
-    measured = ", ".join(f"{n} on {choices[n]} {1e3 * t:.1f} ms" for n, t in times.items())
-    logger.info("one plan takes: %s; taking %s", measured, name)
-    return name, choices[name]
+    best = min(times, key=times.get)
+    measured = ", ".join(f"{1e3 * t:.1f} ms on {device}" for device, t in times.items())
+    logger.info("one plan takes: %s; taking %s", measured, best)
+    return engine, best
 
 
 def _plan_time(
     scene: Scene,
     compiled: CompiledScene,
-    name: str,
     device: str,
     *,
     envs: int,
@@ -98,7 +100,7 @@ def _plan_time(
     from ..controller.controller import Controller
     from ..model.state import State
 
-    controller = Controller(scene, engine=name, device=device, envs=envs, terms=terms, compiled=compiled)
+    controller = Controller(scene, engine="auto", device=device, envs=envs, terms=terms, compiled=compiled)
     layout = compiled.layout
     state = State(np.tile(layout.joint_q, (envs, 1)), np.tile(layout.joint_qd, (envs, 1)))
     controller.step(state)
@@ -115,6 +117,10 @@ def _key(scene: Scene, device: str, envs: int, terms: Sequence[CostTerm | ArrayC
     """Hash of what a plan's time depends on."""
     digest = hashlib.sha256()
     digest.update(scene.model_dump_json().encode())
-    hardware = f"{wp.get_device(device).name} {platform.processor()} {len(os.sched_getaffinity(0))}"
-    digest.update(f"{hardware} {envs} {wp.__version__} {[term.name for term in terms]}".encode())
+    digest.update(f"{_hardware(device)} {envs} {wp.__version__} {[term.name for term in terms]}".encode())
     return digest.hexdigest()[:32]
+
+
+def _hardware(device: str) -> str:
+    """What of this machine a plan's time depends on."""
+    return f"{wp.get_device(device).name} {platform.processor()} {len(os.sched_getaffinity(0))}"

@@ -219,6 +219,7 @@ class EngineName(StrEnum):
     MUJOCO = "mujoco"
     NEWTON = "newton"
     KINEMATIC = "kinematic"
+    FUSED = "fused"
 
 
 class Solver(StrEnum):

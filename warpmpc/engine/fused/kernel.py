@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kernel that rolls worlds out in one launch, made for a scene's model."""
+
+import warp as wp
+
+from ...bake.number import WIDE
+
+
+@wp.struct
+class FusedWork:
+    """What rollouts start from and follow, and what they write down."""
+
+    initial: wp.array2d[wp.float64]  # [W, nstate] MuJoCo's time, qpos and qvel
+    mocap: wp.array2d[wp.transform]  # [W, nm]
+    movable: wp.array2d[wp.transform]  # [W, n] obstacles that move with the task
+    control: wp.array3d[float]  # [T, W, nu]
+    substeps: wp.array[int]  # [T] physics steps in each control step
+    par: wp.array2d[float]  # [P, W] what differs between worlds
+    joint_q: wp.array3d[float]  # [T+1, W, nq] slices 1..T are written
+    joint_qd: wp.array3d[float]  # [T+1, W, nv]
+    body_q: wp.array3d[wp.transform]  # [T+1, W, nb]
+    body_qd: wp.array3d[wp.spatial_vector]  # [T+1, W, nb]
+    force: wp.array3d[wp.vec3]  # [T, W, pair] [N] on the pair's first side
+    diverged: wp.array[int]  # [W] nonzero where the physics failed
+    overflow: wp.array[int]  # [W] nonzero where contacts were lost
+
+
+def make_kernel(source: str, lanes: int) -> wp.Kernel:
+    """Compile baked source into a kernel.
+
+    Args:
+        source: Body of the native function.
+        lanes: Worlds that a thread takes on the CPU; on a GPU a thread takes one.
+    """
+    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
+
+    @wp.func_native(source)
+    def rollout(k: FusedWork, group: int, first: int, end: int): ...
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=options)
+    def fused_kernel(
+        # inputs and outputs
+        k: FusedWork,
+        first: int,  # world of thread 0
+        end: int,  # one past the last world
+    ):
+        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one world."""
+        rollout(k, wp.tid(), first, end)
+
+    return fused_kernel

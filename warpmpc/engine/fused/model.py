@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the engine ``fused`` takes from a compiled MuJoCo model: constants, and columns of what differs between worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from ...bake.lines import Operand
+from ...model.collisions import colliding_pairs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
+PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID = (
+    int(kind)
+    for kind in (
+        GEOM.mjGEOM_PLANE,
+        GEOM.mjGEOM_SPHERE,
+        GEOM.mjGEOM_CAPSULE,
+        GEOM.mjGEOM_CYLINDER,
+        GEOM.mjGEOM_BOX,
+        GEOM.mjGEOM_ELLIPSOID,
+    )
+)
+FREE, BALL, SLIDE, HINGE = (
+    int(kind) for kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_BALL, JOINT.mjJNT_SLIDE, JOINT.mjJNT_HINGE)
+)
+LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
+"""Bounds of an impedance (MuJoCo, "Solver parameters")."""
+_UNBOUNDED = 1e30
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """The matrix ``[3, 3]`` of a quaternion (w, x, y, z)."""
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quaternion, dtype=float))
+    return out.reshape(3, 3)
+
+
+class Columns:
+    """Numbers of a model: known ones as they are, those that differ between worlds as names of columns.
+
+    Args:
+        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
+    """
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]):
+        self.arrays = dict(arrays)
+        self.values: list[np.ndarray] = []
+        """What the columns hold, ``[W]`` each."""
+
+    def index(self, values: np.ndarray) -> int:
+        """Column of some values ``[W]``, -1 where all are alike."""
+        if np.ptp(values) == 0.0:
+            return -1
+        for i, column in enumerate(self.values):
+            if np.array_equal(column, values):
+                return i
+        self.values.append(values)
+        return len(self.values) - 1
+
+    def operand(self, values: np.ndarray) -> Operand:
+        """Values of all worlds ``[W]``, or of one ``[1]``, as an operand of baked source."""
+        column = self.index(values)
+        return float(values[0]) if column < 0 else f"w.par[{column}]"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Soft constraint parameters of one limit or pair (MuJoCo, "Solver parameters")."""
+
+    stiffness: float
+    damping: float
+    impedance: tuple[float, float, float, float]
+    """Least, most, width and midpoint; the power is 2."""
+
+    @classmethod
+    def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
+        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``)."""
+        least, most, width, middle, _ = solimp
+        most = float(np.clip(most, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        if solref[0] > 0.0:
+            constant = max(solref[0], 2.0 * timestep) if safe else solref[0]
+            stiffness, damping = 1.0 / (most * constant * solref[1]) ** 2, 2.0 / (most * constant)
+        else:
+            stiffness, damping = -solref[0] / most**2, -solref[1] / most
+        least = float(np.clip(least, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        middle = float(np.clip(middle, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        return cls(float(stiffness), float(damping), (least, most, max(float(width), 1e-15), middle))
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """Two geoms that may touch."""
+
+    geoms: tuple[int, int]
+    """By type, as MuJoCo orders them."""
+    rows: Rows
+    margin: float
+    slides: bool
+    """Whether there is friction (condim 3)."""
+    friction: np.ndarray
+    """Of all worlds ``[W]`` or one ``[1]``."""
+    inverse: np.ndarray
+    """Approximate inverse inertia along a row, as MuJoCo regularizes it ``[W]`` or ``[1]``."""
+    dofs: tuple[int, ...]
+    """Degrees of freedom that move one geom and not the other."""
+    signs: tuple[float, ...]
+    """1 for those that move the second."""
+
+
+class PhysicsModel:
+    """A compiled MuJoCo model as the engine reads it.
+
+    Args:
+        model: The model.
+        arrays: Its arrays that differ between worlds, ``[W, ...]`` each (``randomize.batched_arrays``).
+    """
+
+    def __init__(self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None):
+        self.mj, self.columns = model, Columns(arrays or {})
+
+    def array(self, name: str) -> np.ndarray:
+        """An array of the model with a first axis for worlds, of length 1 where all are alike."""
+        found = self.columns.arrays.get(name)
+        return getattr(self.mj, name)[None] if found is None else found
+
+    @cached_property
+    def ancestors(self) -> list[list[int]]:
+        """Degrees of freedom above each, from the nearest on."""
+        parent, out = self.mj.dof_parentid, []
+        for i in range(self.mj.nv):
+            chain, j = [], int(parent[i])
+            while j >= 0:
+                chain.append(j)
+                j = int(parent[j])
+            out.append(chain)
+        return out
+
+    @cached_property
+    def dof_top(self) -> list[int]:
+        """First degree of freedom of each one's tree."""
+        return [(chain or [i])[-1] for i, chain in enumerate(self.ancestors)]
+
+    @cached_property
+    def body_dofs(self) -> list[frozenset[int]]:
+        """Degrees of freedom that move each body."""
+        m, out = self.mj, []
+        for body in range(m.nbody):
+            first, count = int(m.body_dofadr[body]), int(m.body_dofnum[body])
+            above = out[m.body_parentid[body]] if body else frozenset()
+            out.append(above | frozenset(range(first, first + count)))
+        return out
+
+    def moves(self, body: int) -> bool:
+        """Whether joints move a body."""
+        return bool(self.body_dofs[body])
+
+    @cached_property
+    def dof_coordinate(self) -> list[int]:
+        """Coordinate of the degrees of freedom of slides and hinges, -1 for others."""
+        m, out = self.mj, [-1] * self.mj.nv
+        for j in range(m.njnt):
+            if m.jnt_type[j] in (SLIDE, HINGE):
+                out[m.jnt_dofadr[j]] = int(m.jnt_qposadr[j])
+        return out
+
+    def rigid(self, root: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mass, mass times centre and inertia of a body with all that is welded to it, about its origin in its frame.
+
+        Args:
+            root: The body.
+
+        Returns:
+            ``[W]``, ``[W, 3]`` and ``[W, 3, 3]``, with one row where all worlds are alike.
+        """
+        m = self.mj
+        masses, principal = self.array("body_mass"), self.array("body_inertia")
+        poses = {root: (np.eye(3), np.zeros(3))}
+        for body in range(root + 1, m.nbody):
+            above = poses.get(int(m.body_parentid[body]))
+            if above is not None:
+                turn, at = above
+                poses[body] = turn @ rotation(m.body_quat[body]), at + turn @ m.body_pos[body]
+        mass, moment, inertia = np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3, 3))
+        for body, (turn, at) in poses.items():
+            axes, centre = turn @ rotation(m.body_iquat[body]), at + turn @ m.body_ipos[body]
+            own = np.einsum("ik,wk,jk->wij", axes, principal[:, body], axes)
+            away = centre @ centre * np.eye(3) - np.outer(centre, centre)
+            mass = mass + masses[:, body]
+            moment = moment + masses[:, body, None] * centre
+            inertia = inertia + own + masses[:, body, None, None] * away
+        return mass, moment, inertia
+
+    @cached_property
+    def limited(self) -> list[int]:
+        """Joints with a limit."""
+        return [int(j) for j in np.flatnonzero(self.mj.jnt_limited)]
+
+    def rows(self, solref: np.ndarray, solimp: np.ndarray) -> Rows:
+        """Soft constraint parameters with this model's options."""
+        option = self.mj.opt
+        safe = not option.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
+        return Rows.of(solref, solimp, float(option.timestep), safe=bool(safe))
+
+    @cached_property
+    def pairs(self) -> list[PairRow]:
+        """All pairs of geoms that may touch, by their kinds."""
+        m = self.mj
+        if m.opt.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+            return []
+        out = []
+        for a, b in np.argwhere(np.triu(colliding_pairs(m), 1)):
+            first, second = (a, b) if m.geom_type[a] <= m.geom_type[b] else (b, a)
+            if self.moves(int(m.geom_bodyid[a])) or self.moves(int(m.geom_bodyid[b])):
+                out.append(self._pair(int(first), int(second)))
+        return sorted(out, key=lambda pair: tuple(int(m.geom_type[g]) for g in pair.geoms))
+
+    def _pair(self, a: int, b: int) -> PairRow:
+        """Mixed parameters of two geoms (MuJoCo, "Contact parameters")."""
+        m, friction = self.mj, self.array("geom_friction")
+        if m.geom_priority[a] != m.geom_priority[b]:
+            g = a if m.geom_priority[a] > m.geom_priority[b] else b
+            condim, solref, solimp, mu = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g], friction[:, g, 0]
+        else:
+            weights = m.geom_solmix[a], m.geom_solmix[b]
+            total = sum(weights)
+            mix = weights[0] / total if total > 1e-15 else 0.5
+            condim = max(m.geom_condim[a], m.geom_condim[b])
+            mu = np.maximum(friction[:, a, 0], friction[:, b, 0])
+            both = m.geom_solref[a], m.geom_solref[b]
+            direct = both[0][0] <= 0.0 or both[1][0] <= 0.0
+            solref = np.minimum(*both) if direct else mix * both[0] + (1.0 - mix) * both[1]
+            solimp = mix * m.geom_solimp[a] + (1.0 - mix) * m.geom_solimp[b]
+        bodies = int(m.geom_bodyid[a]), int(m.geom_bodyid[b])
+        weight = self.array("body_invweight0")
+        inverse = weight[:, bodies[0], 0] + weight[:, bodies[1], 0]
+        slides = int(condim) >= 3
+        if slides:  # of the edges of a pyramid, all regularized alike
+            inverse, mu = np.broadcast_arrays(inverse, mu)
+            inverse = 2.0 * mu**2 / float(m.opt.impratio) * (1.0 + mu**2) * inverse
+        chains = self.body_dofs[bodies[0]], self.body_dofs[bodies[1]]
+        dofs = tuple(sorted(chains[0] ^ chains[1]))
+        signs = tuple(1.0 if dof in chains[1] else -1.0 for dof in dofs)
+        margin = float(m.geom_margin[a] + m.geom_margin[b])
+        return PairRow((a, b), self.rows(solref, solimp), margin, slides, mu, inverse, dofs, signs)
+
+
+def missing(model: mujoco.MjModel) -> str | None:
+    """What a model has and this engine lacks, in a few words; None if there is nothing."""
+    physics = PhysicsModel(model)
+    for what, wrong in _CHECKS.items():
+        if wrong(physics):
+            return what
+    kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
+    for a, b in sorted(kinds - COLLIDES):
+        names = (GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in (a, b))
+        return f"contacts between {' and '.join(names)}"
+    return None
+
+
+COLLIDES = frozenset(
+    (
+        (PLANE, SPHERE),
+        (PLANE, CAPSULE),
+        (PLANE, CYLINDER),
+        (PLANE, ELLIPSOID),
+        (PLANE, BOX),
+        (SPHERE, SPHERE),
+        (SPHERE, CAPSULE),
+        (SPHERE, CYLINDER),
+        (SPHERE, BOX),
+        (CAPSULE, CAPSULE),
+        (CAPSULE, BOX),
+        (BOX, BOX),
+    )
+)
+"""Kinds of geoms whose contacts this engine finds."""
+
+
+def _driven(p: PhysicsModel) -> np.ndarray:
+    """Types of the joints that actuators drive."""
+    return p.mj.jnt_type[p.mj.actuator_trnid[:, 0]]
+
+
+def _contacts(p: PhysicsModel) -> np.ndarray:
+    """Geoms that may touch anything."""
+    return np.array(sorted({g for pair in p.pairs for g in pair.geoms}), dtype=int)
+
+
+_DISABLED = (
+    mujoco.mjtDisableBit.mjDSBL_ISLAND
+    | mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    | mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    | mujoco.mjtDisableBit.mjDSBL_REFSAFE
+    | mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    | mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    | mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    | mujoco.mjtDisableBit.mjDSBL_SENSOR
+    | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+)
+"""Flags that change nothing here, or that are heeded."""
+_INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+_AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+_CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
+    "an integrator other than euler and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
+    "elliptic friction cones": lambda p: p.mj.opt.cone and (p.mj.geom_condim > 1).any(),
+    "equality constraints": lambda p: p.mj.neq,
+    "tendons": lambda p: p.mj.ntendon,
+    "plugins": lambda p: p.mj.nplugin,
+    "flexible bodies": lambda p: p.mj.nflex,
+    "explicit contact pairs": lambda p: p.mj.npair,
+    "torsional and rolling friction (condim 4 and 6)": lambda p: (p.mj.geom_condim[_contacts(p)] > 3).any(),
+    "friction loss": lambda p: (p.mj.dof_frictionloss > 0.0).any(),
+    "limits of ball joints": lambda p: (p.mj.jnt_limited[p.mj.jnt_type == BALL] != 0).any(),
+    "springs of ball and free joints": lambda p: np.ravel(
+        p.mj.jnt_stiffness[np.isin(p.mj.jnt_type, (FREE, BALL))]
+    ).any(),
+    "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
+        np.isin(p.mj.jnt_type, (FREE, BALL))
+    ].any(),
+    "gravity compensation by actuators": lambda p: p.mj.jnt_actgravcomp.any(),
+    "activations of actuators": lambda p: p.mj.na,
+    "actuators that drive anything but slides and hinges": lambda p: (
+        not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or not np.isin(_driven(p), (SLIDE, HINGE)).all()
+    ),
+    "actuators with gains other than fixed and affine": lambda p: (
+        not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
+    ),
+    "a medium (density, viscosity or wind)": lambda p: (
+        p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind)
+    ),
+    "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
+    "impedances of a power other than 2": lambda p: (
+        (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.limited, 4] != 2.0).any()
+    ),
+    "damping and stiffness that depend on speed and angle": lambda p: (
+        p.mj.dof_dampingpoly.any() or p.mj.jnt_stiffnesspoly.any() or p.mj.actuator_damping.any()
+    ),
+    "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
+    "a solver other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),
+    "disabled or enabled parts of the physics (option flags)": lambda p: (
+        p.mj.opt.disableflags & ~int(_DISABLED) or p.mj.opt.enableflags
+    ),
+    "more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
+}
+"""What this engine lacks, and how to see that a model has it."""

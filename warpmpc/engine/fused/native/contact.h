@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// Contacts become rows of constraints (MuJoCo, "Computation: Constraint model").
+
+// First tangent of a contact where its kind has none of its own
+INLINE V3 tangent(V3 n) {
+    const I up = VABS(n.y) >= 0.5f;
+    const V3 along = choose(up, {zero(), zero(), splat(1.0f)}, {zero(), splat(1.0f), zero()});
+    const V3 t = along - n * dot(n, along);
+    return t * (1.0f / VSQRT(dot(t, t)));
+}
+// Impedance at a distance: least, most, width, midpoint; power 2
+INLINE T impedance(const float* p, T distance) {
+    const T x = VMIN(VABS(distance) * (1.0f / p[2]), splat(1.0f));
+    const T o = 1.0f - x, low = x * x * (1.0f / p[3]), high = 1.0f - o * o * (1.0f / (1.0f - p[3]));
+    return p[0] + (x > p[3] ? high : low) * (p[1] - p[0]);
+}
+INLINE T row_weight(T inverse, T imp) { return 1.0f / VMAX(inverse * (1.0f - imp) / imp, splat(1e-15f)); }
+INLINE T pair_friction(const World& w, int pair) {
+    const int at = pair_mu_at[pair];
+    return at >= 0 ? w.par[at] : splat(pair_mu[pair]);
+}
+INLINE T pair_inverse(const World& w, int pair) {
+    const int at = pair_inverse_at[pair];
+    return at >= 0 ? w.par[at] : splat(pair_inverse_[pair]);
+}
+
+// A contact of some lanes: into the first one of its group where these lanes are free
+FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
+    const unsigned b = VBITS(lanes);
+    const int g = pair_group[pair], count = group_count[g];
+    int at = 0;
+    while (at < w.contacts && (w.con[at].group != g || (w.con[at].used & b))) ++at;
+    if (at == w.contacts) {
+        if (at == CAPACITY) { w.overflow |= b; return; }
+        ++w.contacts;
+        Contact& c = w.con[at];
+        c.group = g;
+        c.count = count;
+        c.used = 0;
+        for (int k = 0; k < ROWS * count; ++k) c.jac[k] = zero();
+        c.ref0 = c.ref1 = c.ref2 = c.weight = c.mu = zero();
+        c.s0 = c.s1 = c.s2 = zero();
+    }
+    Contact& c = w.con[at];
+    c.used |= b;
+    const V3 s = cross(n, t);
+    const bool slides = group_slides[g];
+    T v0 = zero(), v1 = v0, v2 = v0;
+    for (int k = 0; k < count; ++k) {
+        const float sign = pair_sign[pair * NNZ + k];
+        if (sign == 0.0f) continue;
+        const int i = group_dof[g * NNZ + k];
+        const V3 d = (load(w.cl[i]) + cross(load(w.cw[i]), p - load(w.ref[dof_top[i]]))) * splat(sign);
+        const T vi = w.v[i], r0 = dot(n, d);
+        T* j = c.jac + ROWS * k;
+        v0 += r0 * vi;
+        j[0] = lanes ? r0 : j[0];
+#if ROWS == 3
+        if (!slides) continue;
+        const T r1 = dot(t, d), r2 = dot(s, d);
+        v1 += r1 * vi;
+        v2 += r2 * vi;
+        j[1] = lanes ? r1 : j[1];
+        j[2] = lanes ? r2 : j[2];
+#endif
+    }
+    const T beyond = distance - pair_margin[pair];
+    const T imp = impedance(pair_impedance + 4 * pair, beyond);
+    const float k = pair_stiffness[pair], damping = pair_damping[pair];
+    c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
+    c.mu = lanes ? pair_friction(w, pair) : c.mu;
+    c.ref0 = lanes ? -damping * v0 - k * imp * beyond : c.ref0;
+    c.ref1 = lanes ? -damping * v1 : c.ref1;
+    c.ref2 = lanes ? -damping * v2 : c.ref2;
+#if WATCHED
+    const T* from[2] = {&n.x, &t.x};
+    for (int i = 0; i < 3; ++i) {
+        c.normal[i] = lanes ? from[0][i] : c.normal[i];
+        c.tangent[i] = lanes ? from[1][i] : c.tangent[i];
+    }
+    c.pair = lanes ? (I)pair : c.pair;
+#endif
+}
+
+// Limits of slides and hinges
+FN void limit(World& w) {
+    w.limits = 0;
+    for (int k = 0; k < LIMITS; ++k) {
+        const int i = limit_dof[k];
+        const T q = w.q[limit_q[k]], low = q - limit_range[2 * k], high = limit_range[2 * k + 1] - q;
+        const T distance = VMIN(low, high);
+        const I m = distance < limit_margin[k];
+        if (!VANY(m)) continue;
+        const T side = m ? (high < low ? splat(-1.0f) : splat(1.0f)) : zero(), beyond = distance - limit_margin[k];
+        const T imp = impedance(limit_impedance + 4 * k, beyond);
+        const int at = limit_inverse_at[k], n = w.limits++;
+        const T inverse = at >= 0 ? w.par[at] : splat(limit_inverse[k]);
+        w.ldof[n] = i;
+        w.lside[n] = side;
+        w.lweight[n] = m ? row_weight(inverse, imp) : zero();
+        w.lref[n] = m ? -limit_damping[k] * side * w.v[i] - limit_stiffness[k] * imp * beyond : zero();
+        w.ls[n] = zero();
+    }
+}

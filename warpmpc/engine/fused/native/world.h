@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// The state of as many worlds as a number has lanes.
+struct Contact {  // lanes may hold different pairs, all of one group: the same degrees of freedom, in the same order
+    T jac[ROWS * NNZ];           // normal and two tangents of every degree of freedom
+    T ref0, ref1, ref2;          // reference accelerations
+    T a0, a1, a2, s0, s1, s2;    // accelerations beyond the reference, and what a search direction adds to them
+    T mu, weight;                // friction, and inverse regularization; no weight where a lane is empty
+#if WATCHED
+    T normal[3], tangent[3];
+    I pair;                      // number of the lane's pair
+#endif
+    int group, count;
+    unsigned used;               // lanes that hold something
+};
+struct World {
+    T q[NQ], v[NV], ctrl[NU], par[NPAR], mocap[7 * NMOCAP];
+    T x[NV];                     // acceleration, and the solver's start in the next step
+    T fs[NV], bias[NV], damp[NV], ma[NV], mv[NV], grad[NV], search[NV], mm[NH], h[NH];
+    T ref[NV][3], cw[NV][3], cl[NV][3], gpos[NG][3], gmat[NG][9];
+    T bpos[NB][3], bmat[NB][9], bang[NB][3], blin[NB][3];
+    T lside[NLIMIT], lweight[NLIMIT], lref[NLIMIT], la[NLIMIT], ls[NLIMIT];  // limits: side, ..., as in Contact
+    int ldof[NLIMIT];
+    int contacts, limits, overflow;  // overflow: lanes whose contacts were too many
+    int order[CAPACITY];         // of the contacts by group, which neighbours in other lanes do not change
+    Contact con[CAPACITY];
+};
+INLINE T gsize(const World& w, int g, int k) {
+#if SIZES_VARY
+    const int at = geom_size_at[3 * g + k];
+    if (at >= 0) return w.par[at];
+#endif
+    return splat(geom_size[3 * g + k]);
+}

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rollouts of a MuJoCo model by itself, without a scene: what tests and measurements compare with ``mujoco.rollout``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from ...bake.number import native_lanes
+from ...launch import Launcher
+from .kernel import FusedWork, make_kernel
+from .model import PhysicsModel, missing
+from .source import RolloutSource
+
+
+class PlainRollout:
+    """Rolls controls of many worlds out in the engine's kernel.
+
+    Args:
+        model: The model.
+        worlds: Number of worlds W.
+        steps: Controls T of every world.
+        substeps: Physics steps per control.
+        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
+        device: Warp device.
+
+    Raises:
+        ValueError: If the model has what the engine lacks.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        worlds: int,
+        steps: int,
+        *,
+        substeps: int = 1,
+        arrays: Mapping[str, np.ndarray] | None = None,
+        device: str = "cpu",
+        lanes: int | None = None,
+    ):
+        lack = missing(model)
+        if lack:
+            raise ValueError(f"the engine fused has no {lack}")
+        self.mj, self.worlds, self.device = model, worlds, device
+        physics = PhysicsModel(model, arrays)
+        nothing = np.zeros(0, dtype=np.int32)
+        width = lanes or native_lanes()
+        source = RolloutSource(
+            model=physics,
+            layout=None,
+            joint_q=nothing,
+            joint_qd=nothing,
+            bodies=(),
+            matrix=np.eye(model.nu),
+            offset=np.zeros(model.nu),
+            mocap=nothing,
+            movable=nothing,
+            watched=(),
+            lanes=width,
+        )
+        self.kernel = make_kernel(source.write(), width)
+        self._lanes = 1 if wp.get_device(device).is_cuda else width
+        self._launch = Launcher(device)
+        columns = physics.columns.values
+        work = FusedWork()
+
+        def zeros(*dims: int, dtype: type = float) -> wp.array:
+            return wp.zeros(dims, dtype=dtype, device=device)
+
+        work.initial = zeros(worlds, 1 + model.nq + model.nv, dtype=wp.float64)
+        work.mocap, work.movable = zeros(worlds, 0, dtype=wp.transform), zeros(worlds, 0, dtype=wp.transform)
+        work.control = zeros(steps, worlds, model.nu)
+        work.substeps = wp.array([substeps] * steps, dtype=int, device=device)
+        par = np.zeros((max(1, len(columns)), worlds), dtype=np.float32)
+        for row, values in zip(par, columns, strict=False):
+            row[:] = values
+        work.par = wp.array(par, dtype=float, device=device)
+        work.joint_q, work.joint_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
+        work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
+        self.work = work
+
+    def __call__(self, q: np.ndarray, v: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates ``[T, W, nq]`` and velocities ``[T, W, nv]`` after every control.
+
+        Args:
+            q: Coordinates at the start ``[W, nq]``.
+            v: Velocities at the start ``[W, nv]``.
+            control: ``[T, W, nu]``.
+        """
+        work = self.work
+        work.initial.assign(np.hstack([np.zeros((len(q), 1)), q, v]))
+        if control.size:
+            work.control.assign(control.astype(np.float32))
+        self.launch()
+        return work.joint_q.numpy()[1:], work.joint_qd.numpy()[1:]
+
+    def launch(self) -> None:
+        """Roll out what was given last."""
+        groups = -(-self.worlds // self._lanes)
+        self._launch(self.kernel, groups, [self.work, 0, self.worlds], [])

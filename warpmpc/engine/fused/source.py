@@ -1,0 +1,495 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The source of whole rollouts of one model: tables, baked functions, and the functions in ``native`` around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...bake.lines import literal
+from ...bake.number import header, sincos
+from ...kernels.geometry.kinematics import FREE
+from . import model as kinds
+from .dynamics import Dynamics, packed
+from .factor import couple, write_products, write_solve
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from ...model.layout import Layout
+    from .model import PhysicsModel
+
+POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
+          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4}  # fmt: skip
+"""Most contacts of two geoms; one where nothing is said."""
+MOST_CONTACTS = 64
+"""Contacts that there is room for at most: what touches at once is far less than what could."""
+JOIN = 3
+"""A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
+LEAST_TOLERANCE = 1e-6
+"""Of the solver: single precision has no more."""
+LINE_SEARCH, LINE_TOLERANCE = 10, 0.01
+"""Line search: most steps, and how flat the cost must be along the direction, MuJoCo's ``ls_tolerance``."""
+
+_TYPES = """#if defined(__CUDA_ARCH__)
+#define FN static __device__ __noinline__
+#define INLINE static __device__ __forceinline__
+#define INNER __device__ __forceinline__
+#define UNROLL _Pragma("unroll")
+#define VNOT(m) (!(m))
+#define VBITS(m) ((m) ? 1u : 0u)
+#define YES ((I)1)
+#else
+#define FN __attribute__((noinline)) static
+#define INLINE __attribute__((always_inline)) static inline
+#define INNER __attribute__((always_inline)) inline
+#define UNROLL _Pragma("clang loop unroll(full)")
+#define VNOT(m) (~(m))
+#define VBITS(m) bits(m)
+#define YES ((I)(-1))
+#endif
+#define NO ((I)0)
+"""
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT")
+_BITS = """#if !defined(__CUDA_ARCH__)
+INLINE unsigned bits(I m) {
+    typedef bool B __attribute__((ext_vector_type(LANES)));
+    return __builtin_bit_cast(unsigned WORD, __builtin_convertvector(m, B));
+}
+#endif
+"""
+_WORD = {16: "short", 8: "char"}
+_SLOW_BITS = """#if !defined(__CUDA_ARCH__)
+INLINE unsigned bits(I m) {
+    unsigned b = 0;
+    for (int l = 0; l < LANES; ++l) b |= (m[l] < 0 ? 1u : 0u) << l;
+    return b;
+}
+#endif
+"""
+
+_BODY = """
+#define LANE(x, l) (((float*)&(x))[l])
+#define PUT(N, WIDTH, VALUE) { const T value = VALUE; for (int l = 0; l < count; ++l) to[l * WIDTH + N] = LANE(value, l); }
+const int worlds = k.control.shape[1], steps = k.control.shape[0], controls = k.control.shape[2];
+#if defined(__CUDA_ARCH__)
+const int lanes = 1, row = first + group;
+#else
+const int lanes = LANES, row = first + group * LANES;
+#endif
+const int count = end - row < lanes ? end - row : lanes;
+Sim::World w;
+for (int l = 0; l < lanes; ++l) {
+    const size_t from = row + (l < count ? l : count - 1);
+    const double* initial = (const double*)k.initial.data + from * k.initial.shape[1] + 1;
+    for (int i = 0; i < NQ; ++i) LANE(w.q[i], l) = (float)initial[i];
+    for (int i = 0; i < NV; ++i) LANE(w.v[i], l) = (float)initial[NQ + i];
+    const float* mocap = (const float*)k.mocap.data + 7 * from * k.mocap.shape[1];
+    for (int i = 0; i < 7 * NMOCAP; ++i) LANE(w.mocap[i], l) = mocap_start[i];
+    for (int i = 0; i < MOCAPS; ++i) MOVE_MOCAP(mocap_of, mocap)
+    const float* moved = (const float*)k.movable.data + 7 * from * k.movable.shape[1];
+    for (int i = 0; i < MOVABLES; ++i) MOVE_MOCAP(movable_of, moved)
+    for (int i = 0; i < PARAMETERS; ++i) LANE(w.par[i], l) = k.par.data[(size_t)i * worlds + from];
+}
+for (int i = 0; i < NV; ++i) w.x[i] = (T)0.0f;
+w.overflow = 0;
+Sim::place(w);
+Sim::move(w);
+for (int h = 0; h < steps; ++h) {
+    T c[NCONTROL];
+    for (int l = 0; l < lanes; ++l) {
+        const float* from = (const float*)k.control.data + ((size_t)h * worlds + row + (l < count ? l : count - 1)) * controls;
+        for (int u = 0; u < controls; ++u) LANE(c[u], l) = from[u];
+    }
+    CONTROLS
+    const int substeps = k.substeps.data[h];
+    WATCH_NOTHING
+    for (int n = 0; n < substeps; ++n) {
+        Sim::step(w);
+        WATCH
+    }
+    RECORD
+}
+T bad = (T)0.0f;  // not a number where a state is none, one where it is too large
+for (int i = 0; i < NV; ++i) bad = VABS(w.v[i]) < 1e10f ? bad : (T)1.0f;
+for (int i = 0; i < NQ; ++i) bad = VABS(w.q[i]) < 1e10f ? bad : (T)1.0f;
+for (int l = 0; l < count; ++l) {
+    k.diverged.data[row + l] = LANE(bad, l) != 0.0f;
+    k.overflow.data[row + l] = (w.overflow >> l) & 1;
+}
+"""
+_MOVE = """{ float* to = (float*)w.mocap;
+    const float* p = FROM + 7 * i;
+    const int order[7] = {0, 1, 2, 6, 3, 4, 5};
+    for (int n = 0; n < 7; ++n) LANE(w.mocap[7 * TO[i] + n], l) = p[order[n]]; }"""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A pair of geoms whose contact force counts towards a watched pair of entities."""
+
+    pair: int
+    """Number of the pair of geoms."""
+    index: int
+    """Number of the watched pair."""
+    sign: float
+    """1 where the force on the second geom is the force on the first entity."""
+
+
+@dataclass(frozen=True)
+class RolloutSource:
+    """Writes the body of ``rollout(k: FusedWork, group: int, first: int, end: int)``.
+
+    Args:
+        model: The model.
+        layout: What the record is kept in; the model's own coordinates and velocities if None.
+        joint_q: First coordinate in the model of each of the layout's joints, -1 where it has none.
+        joint_qd: First velocity of the same.
+        bodies: The model's body behind each of the layout's.
+        matrix: From controls to the model's ``ctrl`` ``[model.nu, nu]``.
+        offset: Of the same ``[model.nu]``.
+        mocap: Mocap body of the model behind each of the layout's.
+        movable: The same behind each obstacle that moves with the task.
+        watched: Watched pairs of geoms.
+        lanes: Worlds in a number on a CPU.
+    """
+
+    model: PhysicsModel
+    layout: Layout | None
+    joint_q: np.ndarray
+    joint_qd: np.ndarray
+    bodies: Sequence[int]
+    matrix: np.ndarray
+    offset: np.ndarray
+    mocap: np.ndarray
+    movable: np.ndarray
+    watched: Sequence[Watch]
+    lanes: int
+
+    def write(self) -> str:
+        """The source."""
+        dynamics = Dynamics(self.model, frozenset(self.bodies))
+        baked = (dynamics.write(), write_products(self.model), self._coupled())
+        step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
+        step = step.replace("COLLISIONS", self._collisions())
+        bits = (_BITS if self.lanes in _WORD else _SLOW_BITS).replace("WORD", _WORD.get(self.lanes, ""))
+        parts = [
+            *(self._native(name) for name in ("number", "world", "collide_common")),
+            *baked,
+            self._native("contact"),
+            *self._collision_sources(),
+            self._native("solve").replace("BLOCKS", self._blocks()),
+            step,
+        ]
+        inside = "\n".join((bits.replace("LANES", str(self.lanes)), *parts))
+        body = _BODY
+        for word, text in (
+            ("MOVE_MOCAP(mocap_of, mocap)", _MOVE.replace("FROM", "mocap").replace("TO", "mocap_of")),
+            ("MOVE_MOCAP(movable_of, moved)", _MOVE.replace("FROM", "moved").replace("TO", "movable_of")),
+            ("CONTROLS", self._controls()),
+            ("WATCH_NOTHING", _WATCH_NOTHING if self.watched else ""),
+            ("WATCH", _WATCH if self.watched else ""),
+            ("RECORD", self._record()),
+            ("LANES", str(self.lanes)),
+        ):
+            body = body.replace(word, text)
+        tables = "\n".join(self._tables())
+        columns = len(self.model.columns.values)  # all have been asked for
+        defines = {**self._sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines |= {"WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
+        undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
+        defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
+        inside = f"struct Sim {{\n{inside}\n}};"
+        return "\n".join((header(self.lanes), undo, _TYPES, defined, tables, inside, body, undo, ""))
+
+    def _native(self, name: str) -> str:
+        return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
+
+    @cached_property
+    def _groups(self) -> list[tuple[bool, tuple[int, ...]]]:
+        """Whether a group of pairs has friction, and its degrees of freedom."""
+        groups: list[tuple[bool, tuple[int, ...]]] = []
+        for slides, dofs in sorted({(p.slides, p.dofs) for p in self.model.pairs}, key=lambda g: -len(g[1])):
+            if not any(self._fits(slides, dofs, group) for group in groups):
+                groups.append((slides, dofs))
+        return groups
+
+    def _fits(self, slides: bool, dofs: tuple[int, ...], group: tuple[bool, tuple[int, ...]]) -> bool:
+        return group[0] == slides and set(dofs) <= set(group[1]) and len(group[1]) <= len(dofs) + JOIN
+
+    def _group(self, pair: kinds.PairRow) -> int:
+        """Group of a pair."""
+        return next(i for i, group in enumerate(self._groups) if self._fits(pair.slides, pair.dofs, group))
+
+    def _couples(self, dofs: tuple[int, ...]) -> bool:
+        """Whether contacts of a group couple branches of the tree."""
+        above = self.model.ancestors
+        return any(j not in above[i] for i in dofs for j in dofs if j < i)
+
+    def _coupled(self) -> str:
+        """The solve for matrices that all groups have added to."""
+        rows = couple(self.model, [dofs for _, dofs in self._groups])
+        return write_solve("solve_coupled", rows)
+
+    @cached_property
+    def _sizes_vary(self) -> bool:
+        return any(np.ptp(self.model.array("geom_size"), axis=0).ravel() > 0.0)
+
+    @cached_property
+    def _sizes(self) -> dict[str, object]:
+        m, model = self.model.mj, self.model
+        longest = max([1, *(len(dofs) for _, dofs in self._groups)])
+        bound = sum(POINTS.get(tuple(int(m.geom_type[g]) for g in pair.geoms), 1) for pair in model.pairs)
+        scale = 2.0 * max(float(m.opt.tolerance), LEAST_TOLERANCE) * float(m.stat.meaninertia) * max(1, m.nv)
+        turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
+        return {
+            "NQ": m.nq,
+            "NV": m.nv,
+            "NU": max(1, m.nu),
+            "NCONTROL": max(1, self.matrix.shape[1]),
+            "NMOCAP": max(1, m.nmocap),
+            "MOCAPS": len(self.mocap),
+            "MOVABLES": len(self.movable),
+            "NG": max(1, m.ngeom),
+            "NB": max(1, len(self.bodies)),
+            "NH": packed(m.nv, 0),
+            "NLIMIT": max(1, len(model.limited)),
+            "LIMITS": len(model.limited),
+            "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
+            "ROWS": 3 if any(pair.slides for pair in model.pairs) else 1,
+            "NNZ": longest,
+            "NTRIANGLE": packed(longest, 0),
+            "TURNING": turning,
+            "SCALARS": m.njnt - turning,
+            "ITERATIONS": int(m.opt.iterations),
+            "LINE_SEARCH": LINE_SEARCH,
+            "LINE_TOLERANCE": literal(LINE_TOLERANCE),
+            "TOLERANCE": literal(scale),
+            "TIMESTEP": literal(float(m.opt.timestep)),
+        }
+
+    def _tables(self) -> list[str]:
+        """Constant tables of pairs, groups, limits, geoms and joints."""
+        m, model, pairs = self.model.mj, self.model, self.model.pairs
+        index = model.columns.index
+        groups = [self._group(pair) for pair in pairs]
+        longest = int(self._sizes["NNZ"])
+        dofs = np.zeros((len(self._groups), longest), int)
+        entries = np.zeros((len(self._groups), packed(longest, 0)), int)
+        for g, (_, chain) in enumerate(self._groups):
+            dofs[g, : len(chain)] = chain
+            for a, i in enumerate(chain):
+                for b, j in enumerate(chain[: a + 1]):
+                    entries[g, packed(a, b)] = packed(i, j)
+        signs = np.zeros((len(pairs), longest))
+        for n, pair in enumerate(pairs):
+            chain = self._groups[groups[n]][1]
+            signs[n, [chain.index(dof) for dof in pair.dofs]] = pair.signs
+        limited = model.limited
+        limit_dofs = [int(m.jnt_dofadr[j]) for j in limited]
+        limits = [model.rows(m.jnt_solref[j], m.jnt_solimp[j]) for j in limited]
+        inverse = model.array("dof_invweight0")
+        sizes = model.array("geom_size")
+        size_at = [index(sizes[:, g, k]) for g in range(m.ngeom) for k in range(3)]
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.SLIDE, kinds.HINGE)]
+        turning = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.FREE, kinds.BALL)]
+        return [
+            _ints("pair_group", groups),
+            _floats("pair_sign", signs),
+            _floats("pair_margin", [pair.margin for pair in pairs]),
+            _floats("pair_mu", [pair.friction[0] if pair.slides else 0.0 for pair in pairs]),
+            _ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
+            _floats("pair_inverse_", [pair.inverse[0] for pair in pairs]),
+            _ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
+            _floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
+            _floats("pair_damping", [pair.rows.damping for pair in pairs]),
+            _floats("pair_impedance", [pair.rows.impedance for pair in pairs]),
+            _ints("group_count", [len(chain) for _, chain in self._groups]),
+            _ints("group_slides", [slides for slides, _ in self._groups]),
+            _ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
+            _ints("group_dof", dofs),
+            _ints("group_entry", entries, "short"),
+            _ints("limit_dof", limit_dofs),
+            _ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
+            _floats("limit_range", m.jnt_range[limited]),
+            _floats("limit_margin", m.jnt_margin[limited]),
+            _floats("limit_stiffness", [rows.stiffness for rows in limits]),
+            _floats("limit_damping", [rows.damping for rows in limits]),
+            _floats("limit_impedance", [rows.impedance for rows in limits]),
+            _floats("limit_inverse", [inverse[0, dof] for dof in limit_dofs]),
+            _ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
+            _floats("geom_size", sizes[0]),
+            _ints("geom_size_at", size_at),
+            _floats("geom_bound", model.array("geom_rbound").max(axis=0)),
+            _ints("dof_top", model.dof_top),
+            _ints("scalar_q", m.jnt_qposadr[scalar]),
+            _ints("scalar_dof", m.jnt_dofadr[scalar]),
+            _ints("turning_q", m.jnt_qposadr[turning]),
+            _ints("turning_dof", m.jnt_dofadr[turning]),
+            _ints("turning_free", m.jnt_type[turning] == kinds.FREE),
+            _floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
+            _ints("mocap_of", self.mocap),
+            _ints("movable_of", self.movable),
+            *self._watch_tables(),
+        ]
+
+    def _watch_tables(self) -> list[str]:
+        rows = [[watch for watch in self.watched if watch.pair == n] for n in range(len(self.model.pairs))]
+        flat = [watch for row in rows for watch in row]
+        return [
+            _ints("watch_first", np.cumsum([0, *(len(row) for row in rows)])),
+            _ints("watch_index", [watch.index for watch in flat]),
+            _floats("watch_sign", [watch.sign for watch in flat]),
+        ]
+
+    def _blocks(self) -> str:
+        return " ".join(f"BLOCK({n})" for n in sorted({len(dofs) for _, dofs in self._groups}))
+
+    def _kinds(self) -> dict[tuple[int, int], list[int]]:
+        """Numbers of the pairs of each kind."""
+        m, out = self.model.mj, {}
+        for n, pair in enumerate(self.model.pairs):
+            out.setdefault(tuple(int(m.geom_type[g]) for g in pair.geoms), []).append(n)
+        return out
+
+    def _collision_sources(self) -> list[str]:
+        found = self._kinds()
+        return [self._native(name) for name, need in _SOURCES.items() if need & set(found)]
+
+    def _collisions(self) -> str:
+        """Statements that look at all pairs, kind by kind."""
+        out = []
+        for kind, numbers in self._kinds().items():
+            name = "_".join(_NAMES[k] for k in kind)
+            firsts = ", ".join(str(self.model.pairs[n].geoms[0]) for n in numbers)
+            seconds = ", ".join(str(self.model.pairs[n].geoms[1]) for n in numbers)
+            out.append(
+                f"{{ static const int first[] = {{{firsts}}}, second[] = {{{seconds}}};\n"
+                f"for (int i = 0; i < {len(numbers)}; ++i) {{\n"
+                f"const int pair = {numbers[0]} + i, a = first[i], b = second[i];\n"
+                f"{_near(kind)}\nif (VANY(near)) {name}(w, pair, a, b, near); }} }}"
+            )
+        return "\n".join(out)
+
+    def _controls(self) -> str:
+        """What actuators are told by the controls ``c``."""
+        out = []
+        for a, row in enumerate(self.matrix):
+            terms = [f"{literal(float(x))} * c[{u}]" for u, x in enumerate(row) if x]
+            terms.append(f"(T){literal(float(self.offset[a]))}")
+            out.append(f"w.ctrl[{a}] = {' + '.join(terms)};")
+        return "\n".join(out)
+
+    def _record(self) -> str:
+        """Statements that write the state after a control down, as slice h + 1, and the forces on the way."""
+        layout, rows, m = self.layout, sorted(set(self.bodies)), self.model.mj
+        out = ["{ const size_t slice = (size_t)(h + 1) * worlds + row;"]
+
+        def put(array: str, width: int, first: int, values: Iterable[str]) -> None:
+            out.append(f"{{ float* to = (float*)k.{array}.data + slice * {width} + {first};")
+            for n, value in enumerate(values):
+                out.append(f"PUT({n}, {width}, {value})")
+            out.append("}")
+
+        if layout is None:
+            put("joint_q", m.nq, 0, [f"w.q[{i}]" for i in range(m.nq)])
+            put("joint_qd", m.nv, 0, [f"w.v[{i}]" for i in range(m.nv)])
+            return "\n".join((*out, "}"))
+        for b in range(layout.nb):
+            r = rows.index(self.bodies[b])
+            out.append(f"{{ T x, y, z, s; Sim::quaternion(w.bmat[{r}], x, y, z, s);")
+            put("body_q", 7 * layout.nb, 7 * b, [*(f"w.bpos[{r}][{i}]" for i in range(3)), "x", "y", "z", "s"])
+            out.append("}")
+            put("body_qd", 6 * layout.nb, 6 * b, self._twist(b, [f"w.blin[{r}][{i}]" for i in range(3)]))
+        for j in range(len(layout.joint_type)):
+            q, v = int(self.joint_q[j]), int(self.joint_qd[j])
+            if q < 0:
+                continue
+            first, dof, width = (
+                int(x) for x in (layout.joint_q_start[j], layout.joint_qd_start[j], layout.joint_dof_dim[j].sum())
+            )
+            if int(layout.joint_type[j]) == int(FREE):
+                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in (0, 1, 2, 4, 5, 6, 3)])
+                speeds = self._twist(int(layout.joint_child[j]), [f"w.v[{v + i}]" for i in range(3)])
+                put("joint_qd", layout.nv, dof, speeds)
+            else:
+                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in range(width)])
+                put("joint_qd", layout.nv, dof, [f"w.v[{v + i}]" for i in range(width)])
+        return "\n".join((*out, "}"))
+
+    def _twist(self, body: int, origin: list[str]) -> list[str]:
+        """Velocity of a body's centre of mass, given its origin's, and its angular velocity."""
+        r = sorted(set(self.bodies)).index(self.bodies[body])
+        com, out = self.layout.body_com[body], []
+        for i, j, n in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            # ω × (R c)
+            terms = [f" {sign} w.bang[{r}][{a}] * {literal(float(com[c]))} * w.bmat[{r}][{3 * of + c}]"
+                     for sign, a, of in (("+", j, n), ("-", n, j)) for c in range(3) if com[c]]  # fmt: skip
+            out.append(origin[i] + "".join(terms))
+        return [*out, *(f"w.bang[{r}][{i}]" for i in range(3))]
+
+
+_WATCH_NOTHING = """float* const pushed = (float*)k.force.data + ((size_t)h * worlds + row) * 3 * k.force.shape[2];
+for (int i = 0; i < 3 * k.force.shape[2] * count; ++i) pushed[i] = 0.0f;
+const float share = 1.0f / substeps;  // the mean over the physics steps"""
+_WATCH = """for (int i = 0; i < w.contacts; ++i) {
+    const Sim::Contact& c = w.con[w.order[i]];
+    T f0, f1, f2;
+    Sim::contact_force(c, f0, f1, f2);
+    const Sim::V3 normal = Sim::load(c.normal), along = Sim::load(c.tangent);
+    const Sim::V3 f = normal * f0 + along * f1 + Sim::cross(normal, along) * f2;
+    for (int l = 0; l < count; ++l) {
+        if (!((c.used >> l) & 1)) continue;
+        const int pair = ((const int*)&c.pair)[l];
+        for (int i = watch_first[pair]; i < watch_first[pair + 1]; ++i) {
+            float* of = pushed + 3 * (l * k.force.shape[2] + watch_index[i]);
+            const float sign = share * watch_sign[i];
+            of[0] += sign * LANE(f.x, l);
+            of[1] += sign * LANE(f.y, l);
+            of[2] += sign * LANE(f.z, l);
+        }
+    }
+}"""
+
+_NAMES = {
+    kinds.PLANE: "plane",
+    kinds.SPHERE: "sphere",
+    kinds.CAPSULE: "capsule",
+    kinds.CYLINDER: "cylinder",
+    kinds.BOX: "box",
+    kinds.ELLIPSOID: "ellipsoid",
+}
+_PRIMITIVE = frozenset(kinds.COLLIDES - {(kinds.BOX, kinds.BOX)})
+_SOURCES = {"collide_primitive": _PRIMITIVE, "collide_box": frozenset({(kinds.BOX, kinds.BOX)})}
+"""Files with collision functions, and the kinds of pairs each is for."""
+
+
+def _mocap_bodies(m: mujoco.MjModel) -> list[int]:
+    """Bodies in the order of their mocap numbers."""
+    return sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
+
+
+def _near(kind: tuple[int, int]) -> str:
+    """The bounding test of a kind of pairs."""
+    if kind[0] == kinds.PLANE:
+        return "const I near = near_plane(w, pair, a, b);"
+    if kind == (kinds.BOX, kinds.BOX):  # both ways: one box may be large
+        return "I near = near_box(w, pair, a, b);\nif (VANY(near)) near &= near_box(w, pair, b, a);"
+    if kind[1] == kinds.BOX:
+        return "const I near = near_box(w, pair, a, b);"
+    return "const I near = near_spheres(w, pair, a, b);"
+
+
+def _floats(name: str, values: object) -> str:
+    row = np.ravel(np.asarray(values, dtype=np.float64))
+    return f"static const float {name}[{max(1, row.size)}] = {{{', '.join(map(literal, row)) or '0.0f'}}};"
+
+
+def _ints(name: str, values: object, kind: str = "int") -> str:
+    row = np.ravel(np.asarray(values, dtype=np.int64))
+    return f"static const {kind} {name}[{max(1, row.size)}] = {{{', '.join(map(str, row)) or '0'}}};"
