@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
-PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID = (
+PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
     int(kind)
     for kind in (
         GEOM.mjGEOM_PLANE,
@@ -26,6 +26,7 @@ PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID = (
         GEOM.mjGEOM_CYLINDER,
         GEOM.mjGEOM_BOX,
         GEOM.mjGEOM_ELLIPSOID,
+        GEOM.mjGEOM_MESH,
     )
 )
 FREE, BALL, SLIDE, HINGE = (
@@ -265,22 +266,27 @@ def missing(model: mujoco.MjModel) -> str | None:
     return None
 
 
-COLLIDES = frozenset(
+CONVEX = frozenset(
     (
-        (PLANE, SPHERE),
-        (PLANE, CAPSULE),
-        (PLANE, CYLINDER),
-        (PLANE, ELLIPSOID),
-        (PLANE, BOX),
-        (SPHERE, SPHERE),
-        (SPHERE, CAPSULE),
-        (SPHERE, CYLINDER),
-        (SPHERE, BOX),
-        (CAPSULE, CAPSULE),
-        (CAPSULE, BOX),
-        (BOX, BOX),
+        (SPHERE, ELLIPSOID),
+        (CAPSULE, ELLIPSOID),
+        (CAPSULE, CYLINDER),
+        (ELLIPSOID, ELLIPSOID),
+        (ELLIPSOID, CYLINDER),
+        (ELLIPSOID, BOX),
+        (CYLINDER, CYLINDER),
+        (CYLINDER, BOX),
+        *((kind, MESH) for kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)),
     )
 )
+"""Kinds of pairs that are looked at as any convex shapes."""
+COLLIDES = CONVEX | {
+    *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
+    *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
+    (CAPSULE, CAPSULE),
+    (CAPSULE, BOX),
+    (BOX, BOX),
+}
 """Kinds of geoms whose contacts this engine finds."""
 
 
