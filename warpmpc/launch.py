@@ -38,7 +38,14 @@ class Launcher:
         self.device = wp.get_device(device)
 
     def __call__(
-        self, kernel: wp.Kernel, dim: int | Sequence[int], inputs: Sequence, outputs: Sequence, *, block_dim: int = 0
+        self,
+        kernel: wp.Kernel,
+        dim: int | Sequence[int],
+        inputs: Sequence,
+        outputs: Sequence,
+        *,
+        block_dim: int = 0,
+        threads: int = 256,
     ) -> None:
         """Launch a kernel; capture-safe.
 
@@ -48,10 +55,11 @@ class Launcher:
             inputs: Arguments that are read.
             outputs: Arguments that are written.
             block_dim: Threads in a block of a kernel that works in blocks.
+            threads: Threads in a block of any other kernel.
         """
         with capturing:
             if not block_dim:
-                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, block_dim=threads)
                 return
             blocks = [dim] if isinstance(dim, int) else list(dim)
             wp.launch_tiled(kernel, dim=blocks, inputs=inputs, outputs=outputs, block_dim=block_dim, device=self.device)

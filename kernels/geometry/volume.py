@@ -84,15 +84,32 @@ o += (size_t)e * nz * ny * nx;
 const float inverse = work.volume.inverse, wide = nx, deep = ny, high = nz;
 const float ox = work.volume.origin[0], oy = work.volume.origin[1], oz = work.volume.origin[2];
 const int further = (int)ceilf(work.behind * inverse);
+int last = -1; // pixels of a row that share a voxel share what is behind it
 for (int i = first; i < count; i += stride) {
     float x = (p[3 * i] - ox) * inverse, y = (p[3 * i + 1] - oy) * inverse, z = (p[3 * i + 2] - oz) * inverse;
     // false for NaN, too
-    if (x >= 0.0f && y >= 0.0f && z >= 0.0f && x < wide && y < deep && z < high)
-        o[((int)z * ny + (int)y) * nx + (int)x] = 1;
-    if (further == 0) continue;
+    const bool inside = x >= 0.0f && y >= 0.0f && z >= 0.0f && x < wide && y < deep && z < high;
+    const int at = inside ? ((int)z * ny + (int)y) * nx + (int)x : -1;
+    if (inside) o[at] = 1;
+    if (further == 0 || (inside && at == last)) continue;
+    last = at;
     float dx = p[3 * i] - work.eye[0], dy = p[3 * i + 1] - work.eye[1], dz = p[3 * i + 2] - work.eye[2];
     const float scale = 1.0f / sqrtf(dx * dx + dy * dy + dz * dz);
     dx *= scale; dy *= scale; dz *= scale;
+    if (inside) { // as many steps as stay in the region, without a look at its sides: 16 bits are parts of a voxel
+        const float ax = (dx > 0.0f ? wide - x : x) / (fabsf(dx) + 1.0e-9f);
+        const float ay = (dy > 0.0f ? deep - y : y) / (fabsf(dy) + 1.0e-9f);
+        const float az = (dz > 0.0f ? high - z : z) / (fabsf(dz) + 1.0e-9f);
+        const float least = (ax < ay ? (ax < az ? ax : az) : (ay < az ? ay : az)) - 0.01f;
+        const int steps = least < further ? (int)least : further;
+        int px = (int)(x * 65536.0f), py = (int)(y * 65536.0f), pz = (int)(z * 65536.0f);
+        const int sx = (int)(dx * 65536.0f), sy = (int)(dy * 65536.0f), sz = (int)(dz * 65536.0f);
+        for (int k = 0; k < steps; ++k) {
+            px += sx; py += sy; pz += sz;
+            o[((pz >> 16) * ny + (py >> 16)) * nx + (px >> 16)] = 1;
+        }
+        continue;
+    }
     for (int k = 0; k < further; ++k) {
         x += dx; y += dy; z += dz;
         if (x >= 0.0f && y >= 0.0f && z >= 0.0f && x < wide && y < deep && z < high)
@@ -101,7 +118,10 @@ for (int i = first; i < count; i += stride) {
 }
 """)
 def mark_points(work: VolumeWork, e: int, first: int, stride: int):
-    """Mark the voxels of every ``stride``-th point, and those that lie behind it as seen from the eye."""
+    """Mark the voxels of every ``stride``-th point, and those that lie behind it as seen from the eye.
+
+    Of points that follow one another in one voxel, as those of a picture do, only the first is looked behind.
+    """
     ...
 
 
@@ -280,25 +300,46 @@ def voxel_distance(volume: Volume, e: int, at: wp.vec3) -> float:
 
 
 @wp.func
-def row_distance(volume: Volume, at: int, part: float) -> float:
+def row_distance(distance: wp.array[float], at: int, part: float) -> float:
     """Distance between a voxel and the next along x [m]."""
-    here = volume.distance[at]
-    return here + part * (volume.distance[at + 1] - here)
+    here = distance[at]
+    return here + part * (distance[at + 1] - here)
+
+
+@wp.func
+def eight_voxels(distance: wp.array[float], first: int, nx: int, ny: int, at: wp.vec3) -> float:
+    """Distance linear between the centres of eight voxels [m].
+
+    Args:
+        distance: Of the voxels' centres [m].
+        first: Where the volume begins.
+        nx: Voxels along x.
+        ny: Voxels along y.
+        at: Place in voxels, whole numbers at their centres, one before the last at most.
+    """
+    x, y, z = int(at[0]), int(at[1]), int(at[2])
+    fx, fy, fz = at[0] - float(x), at[1] - float(y), at[2] - float(z)
+    start = first + (z * ny + y) * nx + x
+    above = start + nx * ny
+    low = row_distance(distance, start, fx)
+    low += fy * (row_distance(distance, start + nx, fx) - low)
+    high = row_distance(distance, above, fx)
+    high += fy * (row_distance(distance, above + nx, fx) - high)
+    return low + fz * (high - low)
+
+
+@wp.func
+def inside_volume(p: wp.vec3, nx: int, ny: int, nz: int) -> wp.vec3:
+    """The place in voxels, as :func:`eight_voxels` takes it, that is nearest to one counted from the lowest corner."""
+    return wp.vec3(
+        wp.clamp(p[0] - 0.5, 0.0, float(nx - 1) - 0.001),
+        wp.clamp(p[1] - 0.5, 0.0, float(ny - 1) - 0.001),
+        wp.clamp(p[2] - 0.5, 0.0, float(nz - 1) - 0.001),
+    )
 
 
 @wp.func
 def between_voxels(volume: Volume, e: int, at: wp.vec3) -> float:
     """Distance at a point, linear between the centres of eight voxels [m]."""
-    p = (at - volume.origin) * volume.inverse
-    gx = wp.clamp(p[0] - 0.5, 0.0, float(volume.nx - 1) - 0.001)
-    gy = wp.clamp(p[1] - 0.5, 0.0, float(volume.ny - 1) - 0.001)
-    gz = wp.clamp(p[2] - 0.5, 0.0, float(volume.nz - 1) - 0.001)
-    x, y, z = int(gx), int(gy), int(gz)
-    fx, fy, fz = gx - float(x), gy - float(y), gz - float(z)
-    first = ((e * volume.nz + z) * volume.ny + y) * volume.nx + x
-    above = first + volume.nx * volume.ny
-    low = row_distance(volume, first, fx)
-    low += fy * (row_distance(volume, first + volume.nx, fx) - low)
-    high = row_distance(volume, above, fx)
-    high += fy * (row_distance(volume, above + volume.nx, fx) - high)
-    return low + fz * (high - low)
+    g = inside_volume((at - volume.origin) * volume.inverse, volume.nx, volume.ny, volume.nz)
+    return eight_voxels(volume.distance, e * volume.nz * volume.ny * volume.nx, volume.nx, volume.ny, g)

@@ -3,13 +3,14 @@
 
 import warp as wp
 
+from ..geometry.mesh_volume import MeshVolumes, mesh_distance
 from .clearance import shape_distance
 from .view import TASK_BODY, StepView
 
 wp.set_module_options({"enable_backward": False})
 
 MESH = wp.constant(5)
-"""Kind of a shape whose distance a mesh tells; those before it are ``clearance.shape_distance``'s."""
+"""Kind of a shape whose distance a volume tells; those before it are ``clearance.shape_distance``'s."""
 _FINENESS = wp.constant(0.25)
 """Least advance along a swept sphere's way, as a share of its radius."""
 
@@ -70,8 +71,9 @@ class WorldCollisionParams:
     body: wp.array[int]  # [obstacles] body, -1 world, -2 and below poses of the task
     pose: wp.array[wp.transform]  # [obstacles] shape in the body's frame
     kind: wp.array[int]  # [obstacles]
-    size: wp.array[wp.vec3]  # [obstacles] half extents or (radius, half length); of a mesh the depth of its inside
-    mesh: wp.array[wp.uint64]  # [obstacles] of those that are meshes
+    size: wp.array[wp.vec3]  # [obstacles] half extents or (radius, half length)
+    mesh: wp.array[int]  # [obstacles] which of the volumes, of those that are meshes
+    volumes: MeshVolumes
     margin: float  # [m]
     binary: int  # 1 below the margin instead of how far below it
     swept: int  # look at the whole way from the step before
@@ -89,15 +91,11 @@ def obstacle_pose(s: StepView, p: WorldCollisionParams, k: int, t: int) -> wp.tr
 
 
 @wp.func
-def obstacle_distance(p: WorldCollisionParams, k: int, at: wp.vec3, reach: float) -> float:
-    """Signed distance from a point in an obstacle's frame to its surface [m]; meshes farther than the reach: that."""
-    if p.kind[k] != MESH:
-        return shape_distance(p.kind[k], p.size[k], at)
-    # what is deep inside is found, too
-    found = wp.mesh_query_point_sign_normal(p.mesh[k], at, wp.max(reach, p.size[k][0]))
-    if not found.result:
-        return reach
-    return found.sign * wp.length(at - wp.mesh_eval_position(p.mesh[k], found.face, found.u, found.v))
+def obstacle_distance(p: WorldCollisionParams, k: int, at: wp.vec3) -> float:
+    """Signed distance from a point in an obstacle's frame to its surface [m]; of meshes far away a bound below it."""
+    if p.kind[k] == MESH:
+        return mesh_distance(p.volumes, p.mesh[k], at)
+    return shape_distance(p.kind[k], p.size[k], at)
 
 
 @wp.func
@@ -115,7 +113,7 @@ def least_on_way(p: WorldCollisionParams, k: int, a: wp.vec3, b: wp.vec3, radius
         at = b
         if way > 0.0:
             at = b + (way / length) * (a - b)
-        d = obstacle_distance(p, k, at, radius + least + length) - radius
+        d = obstacle_distance(p, k, at) - radius
         step = wp.max(d - least, _FINENESS * radius)
         least = wp.min(least, d)
         if way < length:
@@ -147,7 +145,7 @@ def world_collision(s: StepView, p: WorldCollisionParams) -> float:
             here = wp.transform_point(now, p.spheres.bound_centre[g])
             there = wp.transform_point(before, p.spheres.bound_centre[g])
             bound = p.spheres.bound_radius[g] + 0.5 * wp.length(here - there)
-            if obstacle_distance(p, k, 0.5 * (here + there), bound + least + 1.0e-3) - bound >= least:
+            if obstacle_distance(p, k, 0.5 * (here + there)) - bound >= least:
                 continue
             for i in range(p.spheres.first[g], p.spheres.first[g] + p.spheres.count[g]):
                 a = wp.transform_point(now, p.spheres.centre[i])
@@ -155,7 +153,7 @@ def world_collision(s: StepView, p: WorldCollisionParams) -> float:
                 if p.swept != 0:
                     least = least_on_way(p, k, wp.transform_point(before, p.spheres.centre[i]), a, radius, least)
                 else:
-                    least = wp.min(least, obstacle_distance(p, k, a, radius + least) - radius)
+                    least = wp.min(least, obstacle_distance(p, k, a) - radius)
             if p.binary != 0 and least < p.margin:
                 return 1.0
     return p.margin - least

@@ -105,6 +105,21 @@ def test_what_lies_behind_a_point_counts_as_filled_if_wanted(device):
     assert np.abs(centre[:, 1:] - [0.0, 0.5]).max() <= VOXEL
 
 
+def test_nothing_is_seen_through_a_wall_that_has_been_seen(device):
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 121), np.linspace(-0.3, 0.3, 121))  # 5 points of a row in each voxel
+    wall = np.stack([np.full(x.size, 0.2), x.ravel(), 0.5 + y.ravel()], axis=1).astype(np.float32)
+    eye, deep = np.array([-0.8, 0.1, 0.9]), 0.2
+    volume = volume_of(wall, device=device, eye=tuple(eye), behind=deep)
+    place = np.random.default_rng(0).integers(5, 116, (4000, 2))
+    seen = wall.reshape(121, 121, 3)[place[:, 0], place[:, 1]].astype(float)
+    ray = (seen - eye) / np.linalg.norm(seen - eye, axis=1, keepdims=True)
+    behind = seen + np.random.default_rng(1).uniform(0.0, deep - VOXEL, (4000, 1)) * ray
+    i, j, k = np.floor((behind - REGION["low"]) / VOXEL).astype(int).T
+    distance = volume.distance[0][k, j, i]
+    assert (distance == 0.0).mean() > 0.9
+    assert distance.max() <= 1.01 * VOXEL  # no way through
+
+
 def term(**keys) -> dict:
     return {"term": "cloud_collision", "margin": 0.05, **keys}
 

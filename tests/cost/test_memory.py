@@ -78,7 +78,7 @@ def test_what_carries_numbers_needs_a_place_for_them():
 
 
 def balancing(*, seed: int = 0, device: str = "cpu", **ball):
-    """A controller after a plan from a moving start, with a term that has baked source beside the ball."""
+    """A controller after two plans from a moving start, with a term that has baked source beside the ball."""
     scene = warpmpc.load_scene("storm_balance", overrides=["planner.samples=37", "planner.noise.sigma=1.0"])
     rows = [cost for cost in scene.cost if cost.term == "pose"]
     rolling = type(rows[0]).model_validate({**BALL, **ball})
@@ -87,7 +87,8 @@ def balancing(*, seed: int = 0, device: str = "cpu", **ball):
     rng, layout = np.random.default_rng(seed), mpc.layout
     q, qd = layout.joint_q.copy(), rng.normal(0.0, 0.3, layout.nv)
     q[:7] += rng.normal(0.0, 0.1, 7)
-    mpc.step(State(q, qd))
+    for _ in range(2):  # what the plan before carried is forgotten
+        mpc.step(State(q, qd))
     return mpc, q, qd
 
 
@@ -135,6 +136,10 @@ def test_a_ball_rolls_as_its_equation_says(carried):
 
 
 def test_only_balls_that_are_there_roll():
+    scene = warpmpc.load_scene("storm_balance", overrides=["planner.samples=16"])
+    cube = scene.object[0].model_copy(update={"shape": "box", "size": (0.03, 0.03, 0.03)})
+    with pytest.raises(SceneError, match="only spheres roll"):
+        Controller(scene.model_copy(update={"object": (cube,)}), device="cpu")
     with pytest.raises(SceneError, match=r"cost\.rolling_ball\.ball"):
         Rollouts({"term": "rolling_ball", "ball": "box", "on": "base/tip"})
     with pytest.raises(SceneError, match="no such object"):

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from small_scenes import BOX, make_scene
 
@@ -21,7 +22,10 @@ GROWING = {"first": 0.02, "last": 0.2, "constant": 4}
 NATIVE = [
     {"term": "distance", "between": ["arm/tool", "goal"], "weight": 2.0},
     {"term": "distance", "name": "coasting", "between": ["arm/tool", "goal"], "lead": 0.1},
+    {"term": "distance", "name": "pull", "between": ["arm/tool", "goal"], "near": 0.3},
     {"term": "height", "of": "arm/tool", "target": 0.4},
+    {"term": "orientation", "of": "arm/tool", "to": "goal"},
+    {"term": "orientation", "name": "tilt", "of": "arm/tool", "to": "goal", "tilt": True},
     {"term": "joint_limit", "margin": 0.3},
     {"term": "joint_velocity", "weight": 0.01},
     {"term": "posture", "weight": 0.1},
@@ -36,6 +40,7 @@ ARM = [
     {"term": "joint_bounds", "margin": 0.3, "velocity": 0.4, "acceleration": 1.0, "jerk": 10.0},
     {"term": "null_posture", "of": "arm/tool"},
     {"term": "path_deviation", "of": "arm/tool", "start": "arm"},
+    {"term": "path_deviation", "name": "straight", "of": "arm/tool"},
     {"term": "speed", "of": "arm/tool", "linear": 0.1, "angular": 0.2},
     {"term": "smoothness", "acceleration": 0.01, "jerk": 1e-4},
 ]
@@ -52,7 +57,7 @@ COLLISION = [
     {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},
     {"term": "world_collision", "name": "hit", "form": "binary", "margin": 0.02},
 ]
-WARP = [{"term": "orientation", "of": "arm/tool", "to": "goal", "weight": 3.0}]
+WARP = [{"term": "yaw", "of": "arm/tool", "to": "goal", "weight": 3.0}]
 
 
 def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, obstacles: list = (), **planner):
@@ -148,6 +153,29 @@ def test_swept_collisions_cost_what_the_plain_kernels_say_but_for_an_eighth_of_a
         assert np.abs(found[0] - expected[0]).mean() < 1e-3 * steps
         differ = np.abs(found[1] - expected[1]) > 1e-4
         assert differ.mean() < 0.05  # those that graze
+
+
+@pytest.mark.parametrize("swept", [False, True])
+def test_meshes_cost_what_the_plain_kernels_say(tmp_path, swept):
+    trimesh.creation.icosphere(2, radius=0.15).export(tmp_path / "rock.stl")
+    trimesh.creation.box((0.2, 0.3, 0.1)).export(tmp_path / "block.stl")
+    obstacles = [
+        {"name": "rock", "shape": "mesh", "mesh": str(tmp_path / "rock.stl"), "position": (0.4, 0.1, 0.4)},
+        {"name": "block", "shape": "mesh", "mesh": str(tmp_path / "block.stl"), "position": (-0.3, 0.3, 0.4)},
+    ]
+    obstacles[1] |= {"rotation": TURN, "movable": True}
+    cost = [{"term": "world_collision", "margin": 0.1, "swept": swept}]
+    for seed in range(2):
+        scene = scene_of("panda", cost=cost, obstacles=[*obstacles, OBSTACLES[2]], noise={"sigma": 2.0})
+        mpc, expected = planned(scene, envs=2, seed=seed)
+        assert not mpc.engine.records
+        assert (expected[0] > 0.05).any()
+        if swept:  # a sphere is moved on by steps of its own in each of the two
+            differ = np.abs(mpc.engine.total.numpy()[0] - expected[0]) / mpc.planner.grid.weight.sum()
+            assert differ.max() < 0.125 * 0.12
+            assert differ.mean() < 1e-3
+        else:
+            check(mpc, expected)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from warpmpc.record.recorder import (
 )
 from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
 from warpmpc.scene.load import load_scene
+from warpmpc.scene.schema_cloud import Cloud
 
 pytestmark = pytest.mark.filterwarnings(f"error::{RerunWarning.__module__}.{RerunWarning.__name__}")
 
@@ -204,6 +205,34 @@ def test_a_moved_goal_moves_its_ghost(loop, tmp_path):
     steps, _, at = Recording(tmp_path / "goal.rrd").over_time("/goal", "Transform3D:translation")
     assert steps == [0, 1]
     np.testing.assert_allclose(at[1][0], [1.0, 2.0, 0.15], rtol=1e-6)
+
+
+def test_a_cloud_is_drawn_when_its_points_are_new(compiled, tmp_path):
+    voxel, path = 0.1, tmp_path / "cloud.rrd"
+    cloud = {"name": "seen", "low": (0.0, 0.0, 0.0), "high": (2.0, 1.0, 1.0), "voxel": voxel}
+    scene = compiled[0].model_copy(update={"cloud": (Cloud(**cloud),)})
+    loop = Loop(Controller(scene, compiled=compiled[1]), None)
+    loop.plant = Plant(scene, compiled=compiled[1], task=loop.controller.task)
+    points = np.random.default_rng(0).uniform(-0.5, 2.5, (3000, 3)).astype(np.float32)
+    with Recorder(path, loop.controller, loop.plant) as recorder:
+        for shown in (None, points, None, points[:20], np.zeros((0, 3))):
+            if shown is not None:
+                loop.controller.task["seen"] = shown
+            loop.step(recorder)
+    recording = Recording(path)
+    steps, _, drawn = recording.over_time("/cloud/seen", "Points3D:positions")
+    assert steps == [1, 3, 4]
+    inside = points[((points >= 0.0) & (points < (2.0, 1.0, 1.0))).all(axis=1)]
+    found = np.array(drawn[0], dtype=np.float32)
+    voxels = {tuple(at) for at in np.floor(inside / voxel).astype(int)}
+    assert len(found) == len(voxels)  # one of each
+    assert {tuple(at) for at in np.floor(found / voxel).astype(int)} == voxels
+    assert {tuple(p) for p in found} <= {tuple(p) for p in inside}
+    assert not drawn[2]
+    assert recording.static("/cloud/seen")[1] == 1
+    (stored,) = recording.reader.blueprints()
+    text = b"".join(chunk.to_record_batch().serialize() for chunk in recording.reader.stream(store=stored).to_chunks())
+    assert b"/cloud/**" in text
 
 
 def test_forces_are_arrows_at_the_touched_obstacle(loop, tmp_path):

@@ -41,3 +41,19 @@ def test_thin_walls_are_not_touched_and_the_arm_comes_back_from_what_it_cannot_r
         assert all(stop["back_s"] is not None and stop["back_s"] < 3.0 for stop in record["stops"])
         for stop in record["stops"][-2:]:  # below the table, out of reach
             assert stop["came_m"] < stop["nearest_m"] + 0.04
+
+
+def test_the_hand_comes_as_near_as_it_can_to_what_it_cannot_reach_and_comes_back():
+    for record in runs("storm_track:beyond"):
+        assert record["force_N"] == 0.0
+        assert not record["own_links"]
+        assert record["clearance_m"] > 0.0
+        stops = record["stops"]
+        assert len(stops) == 7
+        for away in stops[::2]:  # too high, too far, below the table, in a block
+            assert away["nearest_m"] > 0.05
+            assert away["came_m"] < away["nearest_m"] + 0.03
+            assert away["back_s"] is not None
+            assert away["back_s"] < 2.0  # which the ball itself takes to come back
+        for at_home in stops[1::2]:
+            assert at_home["came_m"] < 0.02

@@ -72,7 +72,9 @@ def pose_cost(miss: tuple[float, float]) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("away", [(1.3, 0.0, 0.5), (0.5, 0.2, 0.15)], ids=["too far", "in a block"])
+@pytest.mark.parametrize(
+    "away", [(1.3, 0.0, 0.5), (0.5, 0.2, 0.15), (0.3, 0.0, 1.45)], ids=["too far", "in a block", "too high"]
+)
 def test_an_arm_goes_as_near_as_it_can_and_comes_back(away):
     course, planner = planned("storm_reach", ("timing.timeout=5.0",))
     arm, out = course.arm, Reachable(np.array([*away, *DOWN]), course.arm.start[course.arm.dofs])

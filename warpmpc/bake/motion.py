@@ -113,4 +113,9 @@ def before(name: str, value: str, carried: str) -> str:
 
 def carry(name: str, value: str) -> str:
     """Keep the last lane's value for the next block."""
-    return f"{name} = __shfl_sync(0xffffffffu, {value}, {WARP - 1});"
+    return f"{name} = {own(value, WARP - 1)};"
+
+
+def own(value: str, lane: int) -> str:
+    """The value of one lane, for all of them."""
+    return f"__shfl_sync(0xffffffffu, {value}, {lane})"

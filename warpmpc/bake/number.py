@@ -7,7 +7,21 @@ import numpy as np
 
 from .lines import literal
 
-NAMES = ("VMAX", "VMIN", "VABS", "VSQRT", "VROUND", "VANY", "VINT", "VFLOAT", "VLOAD", "VSTORE", "VGATHER", "VSELECT")
+NAMES = (
+    "VMAX",
+    "VMIN",
+    "VABS",
+    "VSQRT",
+    "VROUND",
+    "VANY",
+    "VINT",
+    "VFLOAT",
+    "VLOAD",
+    "VSTORE",
+    "VGATHER",
+    "VSELECT",
+    "VTWO",
+)
 """What baked source may do with a ``T`` besides arithmetic: macros, undefined again before they are defined."""
 
 _ONE = """
@@ -25,6 +39,7 @@ typedef int I;
 #define VSTORE(p, x) (*(float*)(p) = (x))
 #define VGATHER(p, i) ((p)[i])
 #define VSELECT(m, a, b) ((m) ? (a) : (b))
+#define VTWO(k) exp2f(k)
 """
 
 _MANY = """
@@ -42,6 +57,7 @@ struct __attribute__((packed, aligned(4))) TU { T v; };
 #define VLOAD(p) (((const TU*)(p))->v)
 #define VSTORE(p, x) (((TU*)(p))->v = (x))
 #define VSELECT(m, a, b) ((m) ? (T)(a) : (T)(b))
+#define VTWO(k) __builtin_bit_cast(T, (VINT(k) + 127) << 23)
 auto VGATHER = [](const float* p, I i) -> T {
 GATHER
 T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r;
@@ -88,10 +104,6 @@ def sincos(angle: str, sine: str, cosine: str, *, half: tuple[str, str] | None =
         half: Names of sine and cosine of its half, which have the sign of the reduced angle.
     """
     s, c = _series()
-
-    def horner(k: np.ndarray) -> str:
-        return "".join(f"({literal(x)} + w * " for x in k[:-1]) + literal(k[-1]) + ")" * (len(k) - 1)
-
     turns = f"const T k = VROUND({angle} * {literal(0.5 / np.pi)})"
     # 2π in two parts, the first of few digits: k times it is exact
     reduced = f"const T y = ({angle} - k * 6.28125f) - k * {literal(2 * np.pi - 6.28125)}"
@@ -100,9 +112,42 @@ def sincos(angle: str, sine: str, cosine: str, *, half: tuple[str, str] | None =
     return (
         f"T {names};\n"
         f"{{ {turns}; {reduced}; const T t = 0.5f * y; const T w = t * t;"
-        f" const T a = t * {horner(s)}; const T b = {horner(c)};"
+        f" const T a = t * {horner(s, 'w')}; const T b = {horner(c, 'w')};"
         f" {sine} = 2.0f * a * b; {cosine} = 1.0f - 2.0f * a * a;{kept} }}"
     )
+
+
+def horner(k: np.ndarray, x: str) -> str:
+    """A polynomial, its coefficients from the lowest power on."""
+    return "".join(f"({literal(a)} + {x} * " for a in k[:-1]) + literal(k[-1]) + ")" * (len(k) - 1)
+
+
+def decay(x: str, name: str) -> str:
+    """Statements that define exp(-x) of a value that is not negative, to a few units in the last place.
+
+    Args:
+        x: Name of the value.
+        name: Name of the result.
+    """
+    f = 0.5 * np.cos(np.pi * (np.arange(200) + 0.5) / 200)
+    power = horner(np.polynomial.polynomial.polyfit(f, 2.0**f, 6), "f")
+    whole = f"const T y = VMAX({literal(-1.0 / np.log(2.0))} * {x}, -126.0f); const T k = VROUND(y)"
+    return f"T {name}; {{ {whole}; const T f = y - k; {name} = VTWO(k) * {power}; }}"
+
+
+def angle(sine: str, cosine: str, name: str) -> str:
+    """Statements that define the angle in [0, π/2] of a point whose coordinates are not negative, to 1e-6 rad.
+
+    Args:
+        sine: Name of its height.
+        cosine: Name of its distance from the upright axis.
+        name: Name of the result.
+    """
+    t = 0.5 + 0.5 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+    series = horner(np.polynomial.polynomial.polyfit(t * t, np.arctan(t) / t, 8), "w")
+    least = f"const T low = VMIN({sine}, {cosine}), high = VMAX({sine}, {cosine})"
+    small = f"const T t = low / VMAX(high, 1.0e-30f); const T w = t * t; const T a = t * {series}"
+    return f"T {name}; {{ {least}; {small}; {name} = VSELECT({sine} > {cosine}, {literal(np.pi / 2)} - a, a); }}"
 
 
 def native_lanes() -> int:

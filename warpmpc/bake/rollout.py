@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from ..kernels.planning.splines import LINEAR, ZERO
 from ..kernels.worlds.kinematic import TAPS
 from .lines import Lines, Operand, text
-from .motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, start_cpu, start_gpu
+from .motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, own, start_cpu, start_gpu
 from .number import header
 
 if TYPE_CHECKING:
@@ -57,8 +57,8 @@ class RolloutSource:
         once = "\n".join(self.state.once.statements)
         shared = "\n".join(self.state.lines.statements)
         step = "\n".join((*map(self._term, self.terms), record))
-        kept = self.state.kept
-        first = -1 if self.records or kept else 0  # the observed state is recorded, and what the first step asks for
+        kept, held = self.state.kept, self.state.held
+        first = -1 if self.records or kept or held else 0  # the observed state is recorded, or asked for later
         return f"""{header(self.lanes)}
 const int samples = k.knots.shape[1], knots = k.knots.shape[2], controls = k.knots.shape[3];
 const int steps = k.dt.shape[0];
@@ -69,7 +69,7 @@ const int e = row / samples;
 {once}
 {self._totals()}
 {start_gpu(self._drives, self._layout.nu)}
-{"".join(f"float in_{value} = 0.0f;" for value in kept)}
+{"".join(f"float in_{value} = 0.0f;" for value in kept)}{"".join(f"float {name} = 0.0f;" for name in held.values())}
 for (int block = {first}; block < steps; block += {WARP}) {{
 const int h = block + lane;
 const bool live = h >= 0 && h < steps, seen = h < steps;
@@ -79,6 +79,7 @@ const int at = h < 0 ? 0 : (h < steps ? h : steps - 1);
 {motion_gpu(self._drives, self._layout.actuator_matrix)}
 {shared}
 {"".join(f"float {before(name, value, f'in_{value}')} {carry(f'in_{value}', value)}" for value, name in kept.items())}
+{"".join(f"{{ const float x = {own(value, 0)}; if (block < 0) {name} = x; }}" for value, name in held.items())}
 {step}
 }}
 {self._sum_gpu()}
@@ -96,7 +97,7 @@ for (int i = 0; i < {self.knots * self._layout.nu}; ++i) knot[i][l] = own[i];
 {once}
 {self._totals()}
 {start_cpu(self._drives, self._layout.nu)}
-{"".join(f"T {name} = (T)0.0f;" for name in kept.values())}
+{"".join(f"T {name} = (T)0.0f;" for name in (*kept.values(), *held.values()))}
 for (int h = {first}; h < steps; ++h) {{
 const bool live = h >= 0, seen = true;
 const int at = h < 0 ? 0 : h;
@@ -104,6 +105,7 @@ const int at = h < 0 ? 0 : h;
 {self._controls("knot[tap[{tap}] * controls + {u}]")}
 {motion_cpu(self._drives, self._layout.actuator_matrix)}
 {shared}
+{"".join(f"if (h < 0) {name} = {value};" for value, name in held.items())}
 {step}
 {"".join(f"{name} = {value};" for value, name in kept.items())}
 }}

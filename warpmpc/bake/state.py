@@ -55,6 +55,8 @@ class StateCode:
         """Statements of every state."""
         self.kept: dict[str, str] = {}
         """Values of a state that the next one asks for, and what they are called then."""
+        self.held: dict[str, str] = {}
+        """Values of the observed state that all others ask for, and what they are called."""
         self._moving_coordinates = {int(layout.dof_coord[dof]) for dof in moving}
         self._known: dict[object, object] = {}
         self.tree = Tree(layout, self.lines, self.coordinate, self._joint, quaternions=quaternions)
@@ -95,6 +97,12 @@ class StateCode:
         if value not in self.lines.names:  # known, or the same at all steps
             return value
         return self.kept.setdefault(value, f"was_{value}")
+
+    def at_start(self, value: Operand) -> Operand:
+        """What a shared value was in the observed state."""
+        if value not in self.lines.names:  # known, or the same at all steps
+            return value
+        return self.held.setdefault(value, f"first_{value}")
 
     def free_start(self, body: int) -> int | None:
         """First joint coordinate of a body that moves freely, whose pose these coordinates are; None for others."""

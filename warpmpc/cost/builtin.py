@@ -304,7 +304,9 @@ BUILTIN = {
         ),
         CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
         CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
-        CostTerm("orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation),
+        CostTerm(
+            "orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation, native.orientation
+        ),
         *arm.TERMS,
         *collision.TERMS,
         *rolling.TERMS,

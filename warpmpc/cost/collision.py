@@ -17,6 +17,7 @@ from ..model.spheres import Spheres, fit_spheres
 from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Positive, Section
 from .binding import PRIMITIVES
+from .mesh_volumes import mesh_volumes
 from .native import collision as native
 from .term import CostTerm, parse_keys
 
@@ -68,6 +69,8 @@ class WorldCollision(Section):
     """Look at the straight way of every sphere from the step before, so that no thin wall is jumped over."""
     overhang: Positive = 0.03
     """How far the spheres may stick out of the links [m]: less takes more spheres."""
+    voxel: Positive | None = None
+    """Edge of the voxels of meshes' distance volumes [m]; chosen by the size of each mesh when left out."""
 
 
 def find_robots(of: str | None, b: Binding) -> list[Entity]:
@@ -216,8 +219,12 @@ def _world_collision(keys: dict[str, Any], b: Binding) -> collision.WorldCollisi
     p.body, p.kind = (b.array(np.array(x, dtype=np.int32), int) for x in ([body for body, _ in obstacles], kinds))
     poses = [_local(body, shape) for body, shape in obstacles]
     p.pose = b.array(np.array(poses, dtype=np.float32).reshape(-1, 7), wp.transform)
-    p.size = b.array(np.array([_size(s, b) for _, s in obstacles], dtype=np.float32).reshape(-1, 3), wp.vec3)
-    p.mesh = b.array(np.array([_mesh(shape, b) for _, shape in obstacles], dtype=np.uint64), wp.uint64)
+    sizes = [(0.0, 0.0, 0.0) if s.kind == "mesh" else s.scale for _, s in obstacles]
+    p.size = b.array(np.array(sizes, dtype=np.float32).reshape(-1, 3), wp.vec3)
+    # a sphere whose centre is outside a volume costs nothing
+    reach = v.margin + float(p.spheres.radius.numpy().max())
+    p.volumes, index = mesh_volumes([s for _, s in obstacles], reach, v.voxel, b)
+    p.mesh = b.array(np.array(index, dtype=np.int32), int)
     return p
 
 
@@ -227,30 +234,6 @@ _KINDS = {**PRIMITIVES, "mesh": int(collision.MESH)}
 def _local(body: int, shape: ShapeInfo) -> tuple[float, ...]:
     """Pose of a shape in its body's frame; one that moves with the task is its own body."""
     return shape.pose if body >= WORLD else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-
-
-def _size(shape: ShapeInfo, b: Binding) -> tuple[float, ...]:
-    """Half extents or (radius, half length); of a mesh the greatest depth there can be within it."""
-    if shape.kind != "mesh":
-        return shape.scale
-    points = b.layout.meshes[shape.mesh][0] * np.array(shape.scale)
-    return (0.5 * float(np.ptp(points, axis=0).min()) + 1e-4, 0.0, 0.0)
-
-
-def _mesh(shape: ShapeInfo, b: Binding) -> int:
-    """Identifier of the convex hull of a mesh on the device, 0 for other shapes."""
-    if shape.kind != "mesh":
-        return 0
-    import trimesh
-
-    points, _ = b.layout.meshes[shape.mesh]
-    hull = trimesh.convex.convex_hull(points.astype(np.float64) * np.array(shape.scale))
-    mesh = wp.Mesh(
-        points=b.array(hull.vertices.astype(np.float32), wp.vec3),
-        indices=b.array(hull.faces.astype(np.int32).ravel(), int),
-    )
-    b.kept.append(mesh)
-    return mesh.id
 
 
 TERMS = (

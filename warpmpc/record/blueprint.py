@@ -8,7 +8,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 
-def blueprint(centre: np.ndarray, radius: float, *, ground: float | None, contacts: bool) -> rrb.Blueprint:
+def blueprint(
+    centre: np.ndarray, radius: float, *, ground: float | None, contacts: bool, clouds: bool
+) -> rrb.Blueprint:
     """The views of a recording.
 
     Args:
@@ -16,12 +18,14 @@ def blueprint(centre: np.ndarray, radius: float, *, ground: float | None, contac
         radius: Its radius [m].
         ground: Height of the floor [m].
         contacts: Whether there are contact forces to show.
+        clouds: Whether there are point clouds to show.
     """
+    shown = ["scene", "goal", "rollouts", "contact", *(["cloud"] if clouds else [])]
     floor = rr.encodings.Plane3D((0.0, 0.0, 1.0), ground or 0.0)
     scene = rrb.Spatial3DView(
         name="scene",
         origin="/",
-        contents=["+ /scene/**", "+ /goal/**", "+ /rollouts/**", "+ /contact/**"],
+        contents=[f"+ /{name}/**" for name in shown],
         line_grid=rrb.LineGrid3D(visible=ground is not None, plane=floor),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

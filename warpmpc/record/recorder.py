@@ -29,6 +29,7 @@ from .shapes import (
     rotate,
     scene_bounds,
     shown_shapes,
+    thinned,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +46,9 @@ FORCE_LENGTH_MAX = 1.0
 """Longest arrow [m]; its label tells the force."""
 BEST_COLOR = (255, 60, 60)
 FORCE_COLOR = (255, 140, 0)
+CLOUD_COLOR = (120, 190, 220)
+CLOUD_RADIUS = 0.2
+"""Half the width of a cloud's points, in voxels."""
 LINE_RADIUS = {"samples": -0.75, "best": -2.5}
 """Half the width of the rollouts' lines; rerun takes negative numbers as points on the screen."""
 
@@ -72,9 +76,9 @@ class Recorder:
     (simulated) and ``step``. Infinite and NaN values are left out of the curves.
 
     Entities: ``/scene/...`` bodies with their shapes, ``/goal``, ``/rollouts/{best,samples}`` the ways of the goal's
-    target and of the robots' frames, ``/contact`` forces on the robots, and the curves ``/cost``, ``/temperature``,
-    ``/control``, ``/plan_ms``, ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and
-    ``/diverged_worlds``.
+    target and of the robots' frames, ``/contact`` forces on the robots, ``/cloud/NAME`` the points of a cloud, when
+    they are new and one of each voxel, and the curves ``/cost``, ``/temperature``, ``/control``, ``/plan_ms``,
+    ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and ``/diverged_worlds``.
 
     Rows are kept in memory and written every :data:`ROWS` steps, so that a call costs little and a run that is
     killed leaves a file that opens. Such a file has no footer: read it with ``RrdReader(file).stream()``, or give it
@@ -100,6 +104,7 @@ class Recorder:
         self._layout, scene = plant.layout, plant.scene
         self._dt = scene.timing.control_dt
         self._poses: dict[str, np.ndarray] = {}
+        self._clouds: dict[str, np.ndarray] = {}
         self._frames = _acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
         wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
@@ -115,7 +120,7 @@ class Recorder:
         self._recording.set_log_tick_enabled(False)
         self._recording.set_log_time_enabled(False)
         ground = None if scene.ground is None else scene.ground.height
-        views = blueprint(centre, radius, ground=ground, contacts=bool(plant.pairs))
+        views = blueprint(centre, radius, ground=ground, contacts=bool(plant.pairs), clouds=bool(scene.cloud))
         try:
             self._recording.save(self.path, default_blueprint=views)
         except RuntimeError as error:
@@ -124,6 +129,7 @@ class Recorder:
         self._recording.send_recording_name(scene.title or scene.name)
         self._draw_scene(2.0 * radius)
         self._draw_poses()
+        self._draw_clouds()
         self._take_state()
         self._send()
 
@@ -149,6 +155,7 @@ class Recorder:
         if self._failed:
             return
         self._draw_poses()
+        self._draw_clouds()
         self._take_plan(np.asarray(control, dtype=np.float64))
         self._take_state()
         if len(self._plans) >= ROWS:
@@ -188,6 +195,9 @@ class Recorder:
         for name, radius in LINE_RADIUS.items():
             recording.log(f"/rollouts/{name}", rr.LineStrips3D.from_fields(radii=radius), static=True)
         recording.log("/rollouts/best", rr.LineStrips3D.from_fields(colors=BEST_COLOR), static=True)
+        for cloud in self._plant.scene.cloud:
+            look = rr.Points3D.from_fields(colors=CLOUD_COLOR, radii=CLOUD_RADIUS * cloud.voxel)
+            recording.log(entity_path("cloud", cloud.name), look, static=True)
         recording.log("/contact", rr.Arrows3D.from_fields(colors=FORCE_COLOR, radii=0.012), static=True)
 
     def _name_curves(self) -> list[tuple[str, str]]:
@@ -219,10 +229,19 @@ class Recorder:
             if at in self._poses and np.array_equal(pose, self._poses[at]):
                 continue
             self._poses[at] = pose.copy()
-            # the plan that saw this pose was made one control before the state now reached
-            indexes = self._indexes([max(self._plant.steps - 1, 0)])
             columns = rr.Transform3D.columns(translation=pose[None, :3], quaternion=pose[None, 3:])
-            self._recording.send_columns(at, indexes, columns)
+            self._recording.send_columns(at, self._planned(), columns)
+
+    def _draw_clouds(self) -> None:
+        """The clouds whose points are new."""
+        for cloud in self._plant.scene.cloud:
+            points, drawn = self._controller.task.points(cloud.name), self._clouds.get(cloud.name)
+            if points is drawn or (drawn is None and not len(points)):  # nobody changes them in place
+                continue
+            self._clouds[cloud.name] = points
+            shown = thinned(points, cloud)
+            columns = rr.Points3D.columns(positions=shown).partition([len(shown)])
+            self._recording.send_columns(entity_path("cloud", cloud.name), self._planned(), columns)
 
     def _take_state(self) -> None:
         plant, body_q = self._plant, self._plant.body_q
@@ -266,6 +285,10 @@ class Recorder:
         return worlds, _COLORS[(cheap * (len(_COLORS) - 1)).astype(int)]
 
     # ---- to the file
+
+    def _planned(self) -> list[rr.TimeColumn]:
+        """When the last plan was made: one control before the state now reached."""
+        return self._indexes([max(self._plant.steps - 1, 0)])
 
     def _indexes(self, steps: Sequence[int]) -> list[rr.TimeColumn]:
         steps = np.asarray(steps, dtype=np.int64)

@@ -14,6 +14,7 @@ from ..model.layout import WORLD
 if TYPE_CHECKING:
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..model.properties import Properties
+    from ..scene.schema_cloud import Cloud
 
 GROUND_COLOR = (0.32, 0.34, 0.37)
 DEFAULT_COLOR = (0.7, 0.7, 0.7)
@@ -54,6 +55,16 @@ def resized(shape: ShapeInfo, properties: Properties | None) -> ShapeInfo:
     share = {"box": (0.5, 0.5, 0.5), "sphere": (1.0, 0.0, 0.0)}.get(shape.kind, (1.0, 0.5, 0.0))
     scale = np.array(shape.scale)
     return replace(shape, scale=tuple(np.maximum(scale + np.array(share) * offset, 0.1 * scale)))
+
+
+def thinned(points: np.ndarray, cloud: Cloud) -> np.ndarray:
+    """One point of every voxel that has any ``[n, 3]``; none outside the cloud's region counts."""
+    nx, ny, nz = cloud.size
+    at = (points - np.array(cloud.low, dtype=np.float32)) / np.float32(cloud.voxel)
+    inside = ((at >= 0.0) & (at < (nx, ny, nz))).all(axis=1)  # false for NaN, too
+    x, y, z = at[inside].astype(np.int64).T
+    _, first = np.unique((z * ny + y) * nx + x, return_index=True)
+    return points[inside][first]
 
 
 def box_of(shape: ShapeInfo, layout: Layout) -> tuple[np.ndarray, np.ndarray]:

@@ -14,28 +14,37 @@ import warp as wp
 
 import warpmpc.engine
 from warpmpc.bake import number
+from warpmpc.engine.fused.meshes import Hulls
 
 NATIVE = Path(warpmpc.engine.__file__).parent / "fused" / "native"
 EXTRA = ""
+"""More compiler flags, to try them."""
 MOST = 12
 """Contacts a pair may have here."""
 ROW = 11
 """Floats of a contact: distance, position, normal, first tangent, 1."""
 
 _WORLD = """
+#if defined(__CUDA_ARCH__)
+#define FN __device__ static
+#define INLINE __device__ __forceinline__ static
+#define LOOK __device__
+#else
 #define FN __attribute__((noinline)) static
 #define INLINE __attribute__((always_inline)) static inline
+#define LOOK
+#endif
 #define splat(x) ((T)(x))
 #define YES SET
 #define VNOT(m) FLIP(m)
-static const float pair_margin[1] = {MARGIN};
+static const float pair_margin[2] = {0.0f, MARGIN};
 TABLES
 struct Collide {
 struct V3 {
     T x, y, z;
-    V3 operator+(V3 b) const { V3 r = {x + b.x, y + b.y, z + b.z}; return r; }
-    V3 operator-(V3 b) const { V3 r = {x - b.x, y - b.y, z - b.z}; return r; }
-    V3 operator*(T s) const { V3 r = {x * s, y * s, z * s}; return r; }
+    LOOK V3 operator+(V3 b) const { V3 r = {x + b.x, y + b.y, z + b.z}; return r; }
+    LOOK V3 operator-(V3 b) const { V3 r = {x - b.x, y - b.y, z - b.z}; return r; }
+    LOOK V3 operator*(T s) const { V3 r = {x * s, y * s, z * s}; return r; }
 };
 INLINE T dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE V3 cross(V3 a, V3 b) { V3 r = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; return r; }
@@ -69,7 +78,12 @@ FN void put(World& w, int pair, I m, T dist, V3 p, V3 n, V3 t) {
 #endif
 }
 SOURCE
-FN void run(int group, int repeat, const float* pose, float* out, int* blocks) {
+FN void call(World& w, int kind, int pair) {
+    switch (kind) {
+CASES
+    }
+}
+FN void run(int group, int kind, int pair, int repeat, const float* pose, float* out, int* blocks) {
     World w;
     for (int k = 0; k < 30; ++k) {
         const T x = VLOAD(pose + (group * 30 + k) * LANES);
@@ -80,14 +94,16 @@ FN void run(int group, int repeat, const float* pose, float* out, int* blocks) {
     w.blocks = 0;
     for (int s = 0; s < MOST; ++s)
         for (int k = 0; k < ROW; ++k) w.out[s][k] = splat(0.0f);
-    for (int k = 0; k < repeat; ++k) CALL(w, 0, 0, 1, YES);
+    for (int k = 0; k < repeat; ++k) call(w, kind, pair);
     for (int s = 0; s < MOST; ++s)
         for (int k = 0; k < ROW; ++k) VSTORE(out + ((group * MOST + s) * ROW + k) * LANES, w.out[s][k]);
     blocks[group] = w.blocks;
 }
 };
-Collide::run(group, repeat, pose.data, out.data, blocks.data);
+Collide::run(group, kind, pair, repeat, pose.data, out.data, blocks.data);
+#undef MESHES
 #undef FN
+#undef LOOK
 #undef INLINE
 #undef splat
 #undef YES
@@ -95,13 +111,33 @@ Collide::run(group, repeat, pose.data, out.data, blocks.data);
 """
 
 
-def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: bool = False, tables: str = "") -> wp.Kernel:
-    """A kernel whose threads each collide a group of `lanes` pairs with the function `call` of these files."""
-    one = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE) + "#define LANES 1\n"
-    head = "\n".join(f"#undef {name}" for name in number.NAMES) + one if lanes == 1 else number.header(lanes)
+MARGIN = 0.02
+"""Margin of pair 1; that of pair 0 is 0."""
+
+
+def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = "") -> wp.Kernel:
+    """A kernel whose threads each collide a group of pairs with one of some functions.
+
+    Args:
+        files: Headers with the functions.
+        calls: Their names; the kernel's `kind` counts them.
+        lanes: Pairs in a group; 1: the number type is a float, as on a GPU.
+        speed: `put` keeps what it gets anywhere, which costs little.
+        tables: Constants before the functions.
+    """
+    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE)
+    one = f"#if defined(__CUDA_ARCH__)\n{number._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
+    head = "\n".join(f"#undef {name}" for name in number.NAMES) + "\n" + one if lanes == 1 else number.header(lanes)
+    cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
-    words = {"SET": "1" if lanes == 1 else "((I)(-1))", "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))", "MARGIN": f"{margin}f"}
-    words |= {"TABLES": tables, "CALL": call, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
+    # the cases hold words of the others
+    words = {
+        "CASES": cases,
+        "SET": "1" if lanes == 1 else "((I)(-1))",
+        "FLIP(m)": "(!(m))" if lanes == 1 else "(~(m))",
+        "MARGIN": f"{MARGIN}f",
+    }
+    words |= {"TABLES": tables, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
     for word, value in words.items():
         text = re.sub(rf"\b{re.escape(word)}" + (r"\b" if word[-1] != ")" else ""), value, text)
     if lanes > 1:
@@ -110,20 +146,30 @@ def make_kernel(files, call: str, *, lanes: int, margin: float = 0.0, speed: boo
         text += "#undef LANES\n"
 
     @wp.func_native(text)
-    def collide(group: int, repeat: int, pose: wp.array[float], out: wp.array[float], blocks: wp.array[int]): ...
+    def collide(
+        group: int,
+        kind: int,
+        pair: int,
+        repeat: int,
+        pose: wp.array[float],
+        out: wp.array[float],
+        blocks: wp.array[int],
+    ): ...
 
     flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "") + EXTRA
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": flags})
     def kernel(
         # inputs
+        kind: int,
+        pair: int,
         repeat: int,
         pose: wp.array[float],  # [groups, 2 geoms x (position, matrix, size), lanes]
         # outputs
         out: wp.array[float],  # [groups, contacts, row, lanes]
         blocks: wp.array[int],  # [groups] times that `put` was called
     ):
-        collide(wp.tid(), repeat, pose, out, blocks)
+        collide(wp.tid(), kind, pair, repeat, pose, out, blocks)
 
     return kernel
 
@@ -147,25 +193,33 @@ class Poses:
         return wp.array(x.reshape(-1, lanes, 30).transpose(0, 2, 1).ravel(), dtype=float, device="cpu")
 
 
-def ours(kernel: wp.Kernel, poses: Poses, lanes: int) -> list[np.ndarray]:
+def ours(kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, pair: int = 0) -> list[np.ndarray]:
     """Contacts [n, 10] of each pair."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
-    out, blocks = wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"), wp.zeros(groups, dtype=int, device="cpu")
-    wp.launch(kernel, dim=groups, inputs=[1, pose], outputs=[out, blocks], device="cpu")
+    out, blocks = (
+        wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"),
+        wp.zeros(groups, dtype=int, device="cpu"),
+    )
+    wp.launch(kernel, dim=groups, inputs=[kind, pair, 1, pose], outputs=[out, blocks], device="cpu")
     rows = out.numpy().reshape(groups, MOST, ROW, lanes).transpose(0, 3, 1, 2).reshape(-1, MOST, ROW)[: len(poses.pos)]
     return [r[r[:, 10] > 0, :10] for r in rows]
 
 
-def nanoseconds(kernel: wp.Kernel, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7) -> tuple[float, float]:
+def nanoseconds(
+    kernel: wp.Kernel, kind: int, poses: Poses, lanes: int, repeat: int = 200, runs: int = 7
+) -> tuple[float, float]:
     """Least time of a call for one group of lanes [ns], and mean number of times that it called `put`."""
     pose = poses.lanes(lanes)
     groups = len(pose) // 30 // lanes
-    out, blocks = wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"), wp.zeros(groups, dtype=int, device="cpu")
+    out, blocks = (
+        wp.zeros(groups * MOST * ROW * lanes, dtype=float, device="cpu"),
+        wp.zeros(groups, dtype=int, device="cpu"),
+    )
     least = np.inf
     for _ in range(runs):
         start = time.perf_counter()
-        wp.launch(kernel, dim=groups, inputs=[repeat, pose], outputs=[out, blocks], device="cpu")
+        wp.launch(kernel, dim=groups, inputs=[kind, 0, repeat, pose], outputs=[out, blocks], device="cpu")
         least = min(least, time.perf_counter() - start)
     return 1e9 * least / groups / repeat, float(blocks.numpy().mean() / repeat)
 
@@ -175,17 +229,19 @@ def model(kinds: tuple[str, str], margin: float = 0.0, asset: str = "") -> mujoc
     sizes = {"plane": "1 1 1", "sphere": "1", "capsule": "1 1", "cylinder": "1 1", "box": "1 1 1", "ellipsoid": "1 1 1"}
     geoms = [f'type="{k}" size="{sizes[k]}"' if k in sizes else f'type="mesh" mesh="{k}"' for k in kinds]
     return mujoco.MjModel.from_xml_string(f"""
-<mujoco><option><flag multiccd="disable"/></option><asset>{asset}</asset><default><geom margin="{margin / 2}"/></default><worldbody>
+<mujoco><option><flag multiccd="disable"/></option><asset>{asset}</asset>
+<default><geom margin="{margin / 2}"/></default><worldbody>
 <geom {geoms[0]}/><body><freejoint/><geom {geoms[1]} mass="1"/></body></worldbody></mujoco>""")
 
 
 def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
     """MuJoCo C's contacts [n, 10] of each pair, from geom 1 to geom 2 in the order given."""
-    data, found = mujoco.MjData(mj), []
+    data, found, bound = mujoco.MjData(mj), [], mj.geom_rbound.copy()
     for pos, mat, size in zip(poses.pos, poses.mat, poses.size, strict=True):
         mj.geom_size[:] = size
-        mj.geom_rbound[1] = 100.0
-        mj.geom_rbound[0] = 0.0 if mj.geom_type[0] == 0 else 100.0
+        mj.geom_rbound[:] = np.where(
+            mj.geom_type == mujoco.mjtGeom.mjGEOM_MESH, bound, np.where(mj.geom_type == 0, 0.0, 100.0)
+        )
         mj.geom_aabb[:, 3:] = 100.0
         data.geom_xpos[:], data.geom_xmat[:] = pos, mat
         mujoco.mj_collision(mj, data)
@@ -193,6 +249,22 @@ def theirs(mj: mujoco.MjModel, poses: Poses) -> list[np.ndarray]:
         rows = np.concatenate([c.dist[:, None], c.pos, c.frame[:, :6]], axis=1) if data.ncon else np.zeros((0, 10))
         found.append(rows[rows[:, 0] < mj.geom_margin.sum()] if data.ncon else rows)
     return found
+
+
+def mesh_tables(mj: mujoco.MjModel) -> str:
+    """The hulls of the meshes of both geoms, as the functions read them."""
+    hulls = Hulls.of(mj, {0, 1})
+
+    def table(kind: str, name: str, values) -> str:
+        values = np.asarray(values).ravel()
+        text = ", ".join(f"{float(x)!r}f" if kind == "float" else str(int(x)) for x in values)
+        return f"static const {kind} {name}[{len(values)}] = {{{text}}};\n"
+
+    floats = {"mesh_vertex": hulls.vertex, "mesh_face_normal": hulls.face_normal}
+    ints = {"mesh_first": hulls.first, "mesh_count": hulls.count}
+    ints |= {"mesh_face_vertex": hulls.face_vertex, "mesh_face_first": hulls.face_first}
+    tables = [table("float", *row) for row in floats.items()] + [table("int", *row) for row in ints.items()]
+    return "#undef MESHES\n#define MESHES 1\n" + "".join(tables)
 
 
 @dataclass
@@ -214,8 +286,9 @@ class Agreement:
             return "/".join(f"{v:.1e}" for v in (np.median(x), np.percentile(x, 99), x.max())) if len(x) else "-"
 
         return (
-            f"{self.pairs} pairs, {self.touching} touch, same number {100 * self.same:.2f} %; median/p99/max of distance "
-            f"{three(self.dist)}, position {three(self.pos)}, normal {three(self.normal)}, tangent {three(self.tangent)}"
+            f"{self.pairs} pairs, {self.touching} touch, same number {100 * self.same:.2f} %; median/p99/max of "
+            f"distance {three(self.dist)}, position {three(self.pos)}, normal {three(self.normal)}, "
+            f"tangent {three(self.tangent)}"
         )
 
 

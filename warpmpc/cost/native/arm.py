@@ -124,12 +124,11 @@ def null_posture(code: TermCode, p: Any) -> Operand:
     return squares(code, left)
 
 
-def path_deviation(code: TermCode, p: Any) -> Operand | None:
-    """``arm.path_deviation`` of a line between two frames."""
-    if p.start < 0:
-        return None
+def path_deviation(code: TermCode, p: Any) -> Operand:
+    """``arm.path_deviation``."""
     state, lines = code.state, code.lines
-    at, a, b = (state.frame(i).position for i in (p.of, p.start, p.to))
+    at, b = (state.frame(i).position for i in (p.of, p.to))
+    a = state.frame(p.start).position if p.start >= 0 else [state.at_start(x) for x in at]
     gone, way = lines.difference(at, a), lines.difference(b, a)
     if p.planar:
         gone[2] = way[2] = 0.0

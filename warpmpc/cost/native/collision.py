@@ -14,7 +14,9 @@ import numpy as np
 
 from ...bake.lines import Operand, Vector, literal, text
 from ...kernels.terms.clearance import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
+from ...kernels.terms.collision import MESH
 from ...kernels.terms.view import TASK_BODY
+from .volume import Grid, with_bound
 
 if TYPE_CHECKING:
     from ...bake.state import TermCode
@@ -89,17 +91,20 @@ def variable(code: TermCode, name: str, value: str) -> str:
 
 
 def world_collision(code: TermCode, p: Any) -> Operand | None:
-    """``collision.world_collision`` against shapes that are no meshes."""
+    """``collision.world_collision``."""
     kinds = p.kind.numpy()
     poses = [_pose(code, int(body)) for body in p.body.numpy()]
-    if None in poses or not set(kinds.tolist()) <= set(_SQUARE):
+    if None in poses:
         return None
     shapes = _shapes(code, poses)
     groups, margin = groups_of(code, p.spheres), f"{code.params}.margin"
     least, look = variable(code, "least", f"(T){margin}"), _on_way_past if p.swept else _against
     for group in groups:
         for kind in np.unique(kinds):
-            look(code, group, int(kind), np.flatnonzero(kinds == kind), shapes, least)
+            which = np.flatnonzero(kinds == kind)
+            # a volume's numbers are written out: each mesh has source of its own
+            for own in which[:, None] if kind == MESH else [which]:
+                look(code, group, _Kind.of(code, p, int(kind), int(own[0])), own, shapes, least)
     if p.binary:
         return code.lines.let(f"VSELECT({least} < {margin}, 1.0f, 0.0f)")
     return code.lines.let(f"{margin} - {least}")
@@ -163,6 +168,7 @@ _SQUARE = {
 _SIZE = {int(SPHERE): " + size[0]", int(CAPSULE): " + size[0]"}
 """What the distance is less than the root of ``d``."""
 _DISTANCE = {
+    int(MESH): "inside",
     int(BOX): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
     int(CYLINDER): "VSELECT(inside < 0.0f, inside, VSQRT(d))",
     int(SPHERE): "VSQRT(d) - size[0]",
@@ -171,50 +177,94 @@ _DISTANCE = {
 }
 
 
-def _each_shape(code: TermCode, which: np.ndarray, shapes: str) -> None:
+@dataclass(frozen=True)
+class _Kind:
+    """How far shapes of one kind are."""
+
+    square: str
+    """From ``x``, ``y``, ``z`` to ``d`` and ``inside``, as in :data:`_SQUARE`."""
+    distance: str
+    """The distance from these."""
+    near: str
+    """Whether it is less than ``near``."""
+    size: str = ""
+    """What the distance is less than the root of ``d``."""
+    begin: str = ""
+    """What comes before the first of them."""
+    bound: str = ""
+    """The same as :attr:`square`, or what is less and takes less time."""
+
+    @staticmethod
+    def of(code: TermCode, p: Any, kind: int, k: int) -> _Kind:
+        """A kind, and of meshes one obstacle."""
+        distance, near = _DISTANCE[kind], "inside < near" if kind in (PLANE, MESH) else "d < near * near"
+        if kind != MESH:
+            return _Kind(_SQUARE[kind], distance, near, _SIZE.get(kind, ""), bound=_SQUARE[kind])
+        volumes, m = p.volumes, int(p.mesh.numpy()[k])
+        origin, voxel, size = (getattr(volumes, name).numpy()[m] for name in ("origin", "voxel", "size"))
+        grid = Grid(tuple(map(float, origin)), 1.0 / float(voxel), tuple(map(int, size)))
+        begin = f"const float* vol = (const float*){code.params}.volumes.distance.data + {volumes.first.numpy()[m]};"
+        copies = "const T px = x, py = y, pz = z;"
+        square = f"{{ {copies} {with_bound(['px', 'py', 'pz'], grid)} }}"
+        # the box around the mesh, or one that is larger by a voxel
+        low = origin + voxel + volumes.reach
+        half = 0.5 * (origin + size * voxel - voxel - volumes.reach - low)
+        return _Kind(square, distance, near, begin=begin, bound=_outside_box(low + half, half))
+
+
+def _outside_box(centre: np.ndarray, half: np.ndarray) -> str:
+    """From ``x``, ``y``, ``z`` to the distance outside a box, into ``inside``."""
+    axes = zip("xyz", centre, half, strict=True)
+    faces = " ".join(
+        f"const T o{axis} = VMAX(VABS({axis} - {literal(c)}) - {literal(h)}, 0.0f);" for axis, c, h in axes
+    )
+    return f"{{ {faces} inside = VMIN(inside, VSQRT(ox * ox + oy * oy + oz * oz)); }}"
+
+
+def _each_shape(code: TermCode, kind: _Kind, which: np.ndarray, shapes: str) -> None:
     """Begin a loop over shapes: pose ``ob`` and ``size`` of one."""
     numbers = ", ".join(map(str, which))
     code.lines.add(f"{{ const int own[{len(which)}] = {{{numbers}}};")
     code.lines.add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = {shapes} + 12 * own[n];")
-    code.lines.add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z;")
+    code.lines.add(f"const float* size = (const float*){code.params}.size.data + 3 * own[n]; T x, y, z; {kind.begin}")
 
 
-def _against(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, shapes: str, least: str) -> None:
+def _against(code: TermCode, group: GroupCode, kind: _Kind, which: np.ndarray, shapes: str, least: str) -> None:
     """Least distance of a group's spheres from the shapes of one kind."""
     add = code.lines.add
-    _each_shape(code, which, shapes)
+    _each_shape(code, kind, which, shapes)
     if group.count > 1:
-        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {_SQUARE[kind]}")
-        add(f"const float near = {literal(group.radius)} + {code.params}.margin{_SIZE.get(kind, '')};")
-        add(f"if (!VANY({'inside < near' if kind == PLANE else 'd < near * near'})) continue; }}")
+        add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(group.bound)} {kind.bound}")
+        add(f"const float near = {literal(group.radius)} + {code.params}.margin{kind.size};")
+        add(f"if (!VANY({kind.near})) continue; }}")
     for radius, centres in group.classes.items():
         add(f"{{ T d = {_FAR}, inside = {_FAR};")
-        code.lines.statements.extend(f"{_local(centre)} {_SQUARE[kind]}" for centre in centres)
-        add(f"{least} = VMIN({least}, {_DISTANCE[kind]} - {literal(radius)}); }}")
+        code.lines.statements.extend(f"{_local(centre)} {kind.square}" for centre in centres)
+        add(f"{least} = VMIN({least}, {kind.distance} - {literal(radius)}); }}")
     add("} }")
 
 
-def _on_way_past(code: TermCode, group: GroupCode, kind: int, which: np.ndarray, shapes: str, least: str) -> None:
+def _on_way_past(code: TermCode, group: GroupCode, kind: _Kind, which: np.ndarray, shapes: str, least: str) -> None:
     """Least distance of a group's spheres from the shapes of one kind, on their straight ways from the step before.
 
     A distance changes no faster than the sphere moves: it moves on by as much as its distance is above the least so
     far, by a quarter of its radius at least, and is done when the rest of the way is too short to bring it nearer.
     """
     add, before = code.lines.add, code.state.before
-    _each_shape(code, which, shapes)
+    _each_shape(code, kind, which, shapes)
     there = [text(before(x)) for x in group.bound]
     middle = [f"(0.5f * ({x} + {y}))" for x, y in zip(group.bound, there, strict=True)]
-    add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(middle)} {_SQUARE[kind]}")
+    add(f"{{ T d = {_FAR}, inside = {_FAR}; {_local(middle)} {kind.bound}")
     add(f"const T reach = {literal(group.radius)} + 0.5f * VSQRT({_squared(group.bound, there)});")
-    add(f"if (!VANY({_DISTANCE[kind]} < reach + {code.params}.margin)) continue; }}")
+    add(f"if (!VANY({kind.distance} < reach + {code.params}.margin)) continue; }}")
     for radius, centres in group.classes.items():
         for centre in centres:
             start = [text(before(x)) for x in centre]
             add(f"{{ T way = (T)0.0f; const T whole = VSQRT({_squared(start, centre)});")
             add("const T per = 1.0f / VMAX(whole, 1.0e-9f);")
             at = [f"({x} + way * per * ({y} - {x}))" for x, y in zip(centre, start, strict=True)]
-            add(f"do {{ T d = {_FAR}, inside = {_FAR}; {_local(at)} {_SQUARE[kind]}")
-            add(f"const T apart = {_DISTANCE[kind]} - {literal(radius)}, above = apart - {least};")
+            add(f"do {{ T d = {_FAR}, inside = {_FAR}; {_local(at)} {kind.square}")
+            add(f"const T apart = {kind.distance} - {literal(radius)}, above = apart - {least};")
             add(f"{least} = VSELECT(way <= whole, VMIN({least}, apart), {least});")
             add(f"const T next = VMIN(way + VMAX(above, {literal(0.25 * radius)}), whole);")
             add("way = VSELECT(way < whole, VSELECT(above < whole - way, next, whole + 1.0f), whole + 1.0f);")

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ...bake.lines import Operand, Vector, text
+from ...bake.number import angle, decay
 
 if TYPE_CHECKING:
     from ...bake.state import TermCode
@@ -27,8 +28,8 @@ def beyond(code: TermCode, value: str, bound: str) -> str:
 
 
 def distance(code: TermCode, p: Any) -> Operand | None:
-    """``general.distance`` along the straight line, without ``near``."""
-    if p.field >= 0 or p.near > 0.0:
+    """``general.distance`` along the straight line."""
+    if p.field >= 0:
         return None
     state, lines = code.state, code.lines
     first, second = state.frame(p.first), state.frame(p.second)
@@ -36,7 +37,29 @@ def distance(code: TermCode, p: Any) -> Operand | None:
     if p.lead > 0.0:
         velocity, _ = state.velocity(p.first)
         d = [lines.sum(x, (f"{code.params}.lead", v)) for x, v in zip(d, velocity, strict=True)]
-    return length(code, d[:2] + [0.0] if p.planar else d)
+    away = length(code, d[:2] + [0.0] if p.planar else d)
+    if p.near == 0.0:
+        return away
+    share, left = lines.let(f"{away} / {code.params}.near"), f"left_{away}"
+    lines.add(decay(share, left))
+    return lines.let(f"1.0f - {left}")
+
+
+def orientation(code: TermCode, p: Any) -> Operand:
+    """``general.orientation``: twice the angle whose sine and cosine are those of half the turn."""
+    lines, (a, b) = code.lines, (code.state.frame(i).columns for i in (p.of, p.to))
+    if p.tilt:
+        # unit vectors: half their difference and half their sum
+        total = [lines.sum(x, y) for x, y in zip(a[2], b[2], strict=True)]
+        sine, cosine = length(code, lines.difference(a[2], b[2])), length(code, total)
+    else:
+        # Σ ‖R_a e_i - R_b e_i‖² = 8 sin²(θ/2)
+        miss = [x for pair in zip(a, b, strict=True) for x in lines.difference(*pair)]
+        squared = lines.let(f"0.125f * {text(squares(code, [text(x) for x in miss]))}")
+        sine, cosine = lines.let(f"VSQRT({squared})"), lines.let(f"VSQRT(VMAX(1.0f - {squared}, 0.0f))")
+    half = f"half_{sine}"
+    lines.add(angle(sine, cosine, half))
+    return lines.let(f"2.0f * {half}")
 
 
 def height(code: TermCode, p: Any) -> Operand:

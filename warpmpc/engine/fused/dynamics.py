@@ -13,7 +13,7 @@ import numpy as np
 
 from ...bake.lines import Lines, Matrix, Operand, Vector, known, literal, text
 from ...bake.number import sincos
-from .model import BALL, BOX, CYLINDER, ELLIPSOID, FREE, SLIDE, PhysicsModel, rotation
+from .model import BALL, BOX, CYLINDER, ELLIPSOID, FREE, MESH, SLIDE, PhysicsModel, rotation
 
 Inertia = list[Operand]
 """Of a body about the tree's point: xx, yy, zz, xy, xz, yz, mass times centre (3), mass."""
@@ -250,7 +250,7 @@ class Dynamics:
             for k in range(3):
                 lines.add(f"w.gpos[{g}][{k}] = {text(at[k])};")
                 for axis in range(3):
-                    if m.geom_type[g] in (BOX, CYLINDER, ELLIPSOID) or axis == 2:
+                    if m.geom_type[g] in (BOX, CYLINDER, ELLIPSOID, MESH) or axis == 2:
                         lines.add(f"w.gmat[{g}][{3 * k + axis}] = {text(axes[axis][k])};")
 
     def _keep(

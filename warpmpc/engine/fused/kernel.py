@@ -25,14 +25,23 @@ class FusedWork:
     overflow: wp.array[int]  # [W] nonzero where contacts were lost
 
 
-def make_kernel(source: str, lanes: int) -> wp.Kernel:
+CONTRACT = " -ffp-contract=fast"
+"""Compiler flag for products and sums in one instruction: a fifth less time in `mobile_pick`."""
+WARP = 32
+"""Lanes of a warp."""
+
+
+def make_kernel(source: str, lanes: int, threads: int) -> wp.Kernel:
     """Compile baked source into a kernel.
 
     Args:
         source: Body of the native function.
         lanes: Worlds that a thread takes on the CPU; on a GPU a thread takes one.
+        threads: Threads that share a world on a GPU, else 1.
     """
-    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
+    sharing = wp.constant(threads)
+    wide = WIDE if lanes == 16 else ""
+    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + wide + CONTRACT}
 
     @wp.func_native(source)
     def rollout(k: FusedWork, group: int, first: int, end: int): ...
@@ -44,7 +53,7 @@ def make_kernel(source: str, lanes: int) -> wp.Kernel:
         first: int,  # world of thread 0
         end: int,  # one past the last world
     ):
-        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one world."""
-        rollout(k, wp.tid(), first, end)
+        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one world, or a lane's part of it."""
+        rollout(k, wp.tid() // sharing, first, end)
 
     return fused_kernel

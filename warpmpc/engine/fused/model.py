@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
-PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID = (
+PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
     int(kind)
     for kind in (
         GEOM.mjGEOM_PLANE,
@@ -26,6 +26,7 @@ PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID = (
         GEOM.mjGEOM_CYLINDER,
         GEOM.mjGEOM_BOX,
         GEOM.mjGEOM_ELLIPSOID,
+        GEOM.mjGEOM_MESH,
     )
 )
 FREE, BALL, SLIDE, HINGE = (
@@ -259,28 +260,41 @@ def missing(model: mujoco.MjModel) -> str | None:
         if wrong(physics):
             return what
     kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
+    several = {pair for pair in kinds & CONVEX if FLAT.issuperset(pair)}
+    if several and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
+        return f"several contacts between {_names(min(several))} (multiccd: disable that flag for one contact)"
     for a, b in sorted(kinds - COLLIDES):
-        names = (GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in (a, b))
-        return f"contacts between {' and '.join(names)}"
+        return f"contacts between {_names((a, b))}"
     return None
 
 
-COLLIDES = frozenset(
+def _names(pair: tuple[int, int]) -> str:
+    return " and ".join(GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in pair)
+
+
+CONVEX = frozenset(
     (
-        (PLANE, SPHERE),
-        (PLANE, CAPSULE),
-        (PLANE, CYLINDER),
-        (PLANE, ELLIPSOID),
-        (PLANE, BOX),
-        (SPHERE, SPHERE),
-        (SPHERE, CAPSULE),
-        (SPHERE, CYLINDER),
-        (SPHERE, BOX),
-        (CAPSULE, CAPSULE),
-        (CAPSULE, BOX),
-        (BOX, BOX),
+        (SPHERE, ELLIPSOID),
+        (CAPSULE, ELLIPSOID),
+        (CAPSULE, CYLINDER),
+        (ELLIPSOID, ELLIPSOID),
+        (ELLIPSOID, CYLINDER),
+        (ELLIPSOID, BOX),
+        (CYLINDER, CYLINDER),
+        (CYLINDER, BOX),
+        *((kind, MESH) for kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)),
     )
 )
+"""Kinds of pairs that are looked at as any convex shapes."""
+FLAT = frozenset((CAPSULE, CYLINDER, BOX, MESH))
+"""Shapes with faces or edges: MuJoCo may find several contacts between two of them."""
+COLLIDES = CONVEX | {
+    *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
+    *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
+    (CAPSULE, CAPSULE),
+    (CAPSULE, BOX),
+    (BOX, BOX),
+}
 """Kinds of geoms whose contacts this engine finds."""
 
 

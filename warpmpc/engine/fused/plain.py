@@ -11,7 +11,7 @@ import warp as wp
 
 from ...bake.number import native_lanes
 from ...launch import Launcher
-from .kernel import FusedWork, make_kernel
+from .kernel import WARP, FusedWork, make_kernel
 from .model import PhysicsModel, missing
 from .source import RolloutSource
 
@@ -26,6 +26,8 @@ class PlainRollout:
         substeps: Physics steps per control.
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
         device: Warp device.
+        lanes: Worlds in a number on a CPU; as many as its registers hold if None.
+        share: Whether on a GPU a warp shares a world.
 
     Raises:
         ValueError: If the model has what the engine lacks.
@@ -41,6 +43,7 @@ class PlainRollout:
         arrays: Mapping[str, np.ndarray] | None = None,
         device: str = "cpu",
         lanes: int | None = None,
+        share: bool = True,
     ):
         lack = missing(model)
         if lack:
@@ -49,6 +52,7 @@ class PlainRollout:
         physics = PhysicsModel(model, arrays)
         nothing = np.zeros(0, dtype=np.int32)
         width = lanes or native_lanes()
+        sharing = WARP if wp.get_device(device).is_cuda and share else 1
         source = RolloutSource(
             model=physics,
             layout=None,
@@ -61,8 +65,10 @@ class PlainRollout:
             movable=nothing,
             watched=(),
             lanes=width,
+            shared=sharing > 1,
         )
-        self.kernel = make_kernel(source.write(), width)
+        self._sharing = sharing
+        self.kernel = make_kernel(source.write(), width, sharing)
         self._lanes = 1 if wp.get_device(device).is_cuda else width
         self._launch = Launcher(device)
         columns = physics.columns.values
@@ -101,4 +107,4 @@ class PlainRollout:
     def launch(self) -> None:
         """Roll out what was given last."""
         groups = -(-self.worlds // self._lanes)
-        self._launch(self.kernel, groups, [self.work, 0, self.worlds], [])
+        self._launch(self.kernel, groups * self._sharing, [self.work, 0, self.worlds], [], threads=WARP)

@@ -23,7 +23,7 @@ from ...model.randomize import batched_arrays
 from ...model.trajectory import Trajectory
 from ...scene.errors import SceneError
 from ..crew import Crew
-from .kernel import FusedWork, make_kernel
+from .kernel import WARP, FusedWork, make_kernel
 from .model import PhysicsModel, missing
 from .source import RolloutSource, Watch
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from ...scene.schema import Scene
     from ...task.observed import ObservedState
 
+MOST_SHARED = 4096
+"""Worlds up to which a warp shares one on a GPU; with more there are threads enough for one each."""
 PARTS = 4
 """Parts of the worlds per thread, as in the engine ``mujoco``."""
 
@@ -84,7 +86,8 @@ class FusedSimulator:
         arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
         self.model = PhysicsModel(world.model, arrays)
         self.trajectory = Trajectory.allocate(shape, compiled.layout, len(pairs), device)
-        self._kernel = make_kernel(self._source(compiled), native_lanes())
+        self._sharing = WARP if self._on_gpu and shape.worlds <= MOST_SHARED else 1
+        self._kernel = make_kernel(self._source(compiled), native_lanes(), self._sharing)
         self._bind(compiled.layout, world, substeps)
 
     def _source(self, compiled: CompiledScene) -> str:
@@ -101,6 +104,7 @@ class FusedSimulator:
             movable=world.movable,
             watched=watched(self.model, world),
             lanes=native_lanes(),
+            shared=self._sharing > 1,
         ).write()
 
     def _bind(self, layout: Layout, world: MujocoWorld, substeps: Sequence[int]) -> None:
@@ -160,7 +164,8 @@ class FusedSimulator:
         """Roll controls [T, W, nu] of the worlds of one part out."""
         first, count = self.parts[part]
         self._work.control = control
-        self._launch(self._kernel, -(-count // self.lanes), [self._work, first, first + count], [])
+        threads = self._sharing * -(-count // self.lanes)
+        self._launch(self._kernel, threads, [self._work, first, first + count], [], threads=WARP)
 
     def overflow_message(self, bits: int) -> str:
         """What overflowed."""

@@ -17,6 +17,7 @@ from ...kernels.geometry.kinematics import FREE
 from . import model as kinds
 from .dynamics import Dynamics, packed
 from .factor import couple, write_products, write_solve
+from .meshes import Hulls
 
 if TYPE_CHECKING:
     import mujoco
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from .model import PhysicsModel
 
 POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
-          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4}  # fmt: skip
+          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
+          (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
 """Most contacts of two geoms; one where nothing is said."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
@@ -36,7 +38,16 @@ LEAST_TOLERANCE = 1e-6
 LINE_SEARCH, LINE_TOLERANCE = 10, 0.01
 """Line search: most steps, and how flat the cost must be along the direction, MuJoCo's ``ls_tolerance``."""
 
-_TYPES = """#if defined(__CUDA_ARCH__)
+_TYPES = """#if defined(__CUDA_ARCH__) && SHARED
+#define COOPERATE 1
+#define EACH(k, n) for (int k = threadIdx.x & 31; k < (n); k += 32)
+#define SYNC __syncwarp();
+#else
+#define COOPERATE 0
+#define EACH(k, n) for (int k = 0; k < (n); ++k)
+#define SYNC
+#endif
+#if defined(__CUDA_ARCH__)
 #define FN static __device__ __noinline__
 #define INLINE static __device__ __forceinline__
 #define INNER __device__ __forceinline__
@@ -55,7 +66,7 @@ _TYPES = """#if defined(__CUDA_ARCH__)
 #endif
 #define NO ((I)0)
 """
-_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT")
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC")
 _BITS = """#if !defined(__CUDA_ARCH__)
 INLINE unsigned bits(I m) {
     typedef bool B __attribute__((ext_vector_type(LANES)));
@@ -83,7 +94,12 @@ const int lanes = 1, row = first + group;
 const int lanes = LANES, row = first + group * LANES;
 #endif
 const int count = end - row < lanes ? end - row : lanes;
+#if COOPERATE
+__shared__ Sim::World w;  // of the whole warp, which is a block
+for (int i = 0; i < NH; ++i) w.mm[i] = 0.0f;  // where branches do not meet it stays so
+#else
 Sim::World w;
+#endif
 for (int l = 0; l < lanes; ++l) {
     const size_t from = row + (l < count ? l : count - 1);
     const double* initial = (const double*)k.initial.data + from * k.initial.shape[1] + 1;
@@ -98,8 +114,10 @@ for (int l = 0; l < lanes; ++l) {
 }
 for (int i = 0; i < NV; ++i) w.x[i] = (T)0.0f;
 w.overflow = 0;
+SYNC
 Sim::place(w);
 Sim::move(w);
+SYNC
 for (int h = 0; h < steps; ++h) {
     T c[NCONTROL];
     for (int l = 0; l < lanes; ++l) {
@@ -107,6 +125,7 @@ for (int h = 0; h < steps; ++h) {
         for (int u = 0; u < controls; ++u) LANE(c[u], l) = from[u];
     }
     CONTROLS
+    SYNC
     const int substeps = k.substeps.data[h];
     WATCH_NOTHING
     for (int n = 0; n < substeps; ++n) {
@@ -170,6 +189,8 @@ class RolloutSource:
     movable: np.ndarray
     watched: Sequence[Watch]
     lanes: int
+    shared: bool
+    """Whether on a GPU the lanes of a warp share a world; else every thread has one of its own."""
 
     def write(self) -> str:
         """The source."""
@@ -201,11 +222,12 @@ class RolloutSource:
         tables = "\n".join(self._tables())
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
-        defines |= {"WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
+        defines["MESHES"] = int(bool(self._meshes))
+        defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
         undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
         inside = f"struct Sim {{\n{inside}\n}};"
-        return "\n".join((header(self.lanes), undo, _TYPES, defined, tables, inside, body, undo, ""))
+        return "\n".join((header(self.lanes), undo, defined, _TYPES, tables, inside, body, undo, ""))
 
     def _native(self, name: str) -> str:
         return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
@@ -326,6 +348,7 @@ class RolloutSource:
             _floats("geom_size", sizes[0]),
             _ints("geom_size_at", size_at),
             _floats("geom_bound", model.array("geom_rbound").max(axis=0)),
+            _ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
             _ints("dof_top", model.dof_top),
             _ints("scalar_q", m.jnt_qposadr[scalar]),
             _ints("scalar_dof", m.jnt_dofadr[scalar]),
@@ -335,8 +358,28 @@ class RolloutSource:
             _floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
             _ints("mocap_of", self.mocap),
             _ints("movable_of", self.movable),
+            *self._mesh_tables(),
             *self._watch_tables(),
         ]
+
+    def _mesh_tables(self) -> list[str]:
+        if not self._meshes:
+            return []
+        hulls = Hulls.of(self.model.mj, self._meshes)
+        return [
+            _floats("mesh_vertex", hulls.vertex),
+            _ints("mesh_first", hulls.first),
+            _ints("mesh_count", hulls.count),
+            _ints("mesh_face_first", hulls.face_first),
+            _floats("mesh_face_normal", hulls.face_normal),
+            _ints("mesh_face_vertex", hulls.face_vertex),
+        ]
+
+    @cached_property
+    def _meshes(self) -> set[int]:
+        """Meshes that may touch something."""
+        used = {g for pair in self.model.pairs for g in pair.geoms}
+        return {g for g in used if self.model.mj.geom_type[g] == kinds.MESH}
 
     def _watch_tables(self) -> list[str]:
         rows = [[watch for watch in self.watched if watch.pair == n] for n in range(len(self.model.pairs))]
@@ -370,7 +413,7 @@ class RolloutSource:
             seconds = ", ".join(str(self.model.pairs[n].geoms[1]) for n in numbers)
             out.append(
                 f"{{ static const int first[] = {{{firsts}}}, second[] = {{{seconds}}};\n"
-                f"for (int i = 0; i < {len(numbers)}; ++i) {{\n"
+                f"EACH(i, {len(numbers)}) {{\n"
                 f"const int pair = {numbers[0]} + i, a = first[i], b = second[i];\n"
                 f"{_near(kind)}\nif (VANY(near)) {name}(w, pair, a, b, near); }} }}"
             )
@@ -438,6 +481,9 @@ _WATCH_NOTHING = """float* const pushed = (float*)k.force.data + ((size_t)h * wo
 for (int i = 0; i < 3 * k.force.shape[2] * count; ++i) pushed[i] = 0.0f;
 const float share = 1.0f / substeps;  // the mean over the physics steps"""
 _WATCH = """for (int i = 0; i < w.contacts; ++i) {
+#if COOPERATE
+    if (threadIdx.x & 31) break;
+#endif
     const Sim::Contact& c = w.con[w.order[i]];
     T f0, f1, f2;
     Sim::contact_force(c, f0, f1, f2);
@@ -454,7 +500,8 @@ _WATCH = """for (int i = 0; i < w.contacts; ++i) {
             of[2] += sign * LANE(f.z, l);
         }
     }
-}"""
+}
+SYNC"""
 
 _NAMES = {
     kinds.PLANE: "plane",
@@ -463,9 +510,14 @@ _NAMES = {
     kinds.CYLINDER: "cylinder",
     kinds.BOX: "box",
     kinds.ELLIPSOID: "ellipsoid",
+    kinds.MESH: "mesh",
 }
-_PRIMITIVE = frozenset(kinds.COLLIDES - {(kinds.BOX, kinds.BOX)})
-_SOURCES = {"collide_primitive": _PRIMITIVE, "collide_box": frozenset({(kinds.BOX, kinds.BOX)})}
+_BOXES = frozenset({(kinds.BOX, kinds.BOX)})
+_SOURCES = {
+    "collide_primitive": kinds.COLLIDES - kinds.CONVEX - _BOXES,
+    "collide_box": _BOXES,
+    "collide_convex": kinds.CONVEX,
+}
 """Files with collision functions, and the kinds of pairs each is for."""
 
 

@@ -80,9 +80,9 @@ FN void plane_cylinder(World& w, int pair, int g1, int g2, I near) {
     const T rise = dot(n, z);
     const V3 down = choose(rise > 0.0f, z * splat(-1.0f), z);  // along the axis, towards the plane
     const T sink = -VABS(rise), c = dot(p - load(w.gpos[g1]), n);
-    V3 out = down * sink - n;  // across the axis, towards the plane
-    const T l2 = dot(out, out);
-    out = choose(l2 < 1e-12f, axis_of(w, g2, 0), out * (1.0f / VSQRT(VMAX(l2, splat(1e-12f)))));
+    const V3 c1 = cross(down, n), across = cross(down, c1);  // across the axis, towards the plane
+    const T l2 = dot(c1, c1);
+    const V3 out = choose(l2 < 1e-12f, axis_of(w, g2, 0), across * (1.0f / VSQRT(VMAX(l2, splat(1e-12f)))));
     const T fall = dot(out, n) * r;
     const V3 rim = p + out * r, end = down * h, t = tangent(n), side = cross(out, down) * (r * 0.8660254f);
     const T dist = c + sink * h + fall;
@@ -107,12 +107,12 @@ FN void plane_ellipsoid(World& w, int pair, int g1, int g2, I near) {
 
 // ---- spheres and capsules
 
-// a sphere at a and one at b; where the centres are the same, along z of geom 1 x z of geom 2, else x. Lanes in contact.
-INLINE I balls(World& w, int pair, int g1, int g2, I m, V3 a, T ra, V3 b, T rb) {
+// a sphere at a and one at b; where the centres are the same, along z of geom 1 x z of geom 2, else x
+INLINE void balls(World& w, int pair, int g1, int g2, I m, V3 a, T ra, V3 b, T rb) {
     const V3 d = b - a;
     const T l2 = dot(d, d), reach = ra + rb + pair_margin[pair];
     const I on = m & (l2 < reach * reach);
-    if (!VANY(on)) return on;
+    if (!VANY(on)) return;
     const T l = VSQRT(l2);
     V3 n = d * (1.0f / VMAX(l, splat(1e-10f)));
     const I same = l < 1e-10f;
@@ -123,7 +123,6 @@ INLINE I balls(World& w, int pair, int g1, int g2, I m, V3 a, T ra, V3 b, T rb) 
     }
     const T dist = l - ra - rb;
     put(w, pair, on, dist, a + n * (ra + 0.5f * dist), n, tangent(n));
-    return on;
 }
 
 FN void sphere_sphere(World& w, int pair, int g1, int g2, I near) {
@@ -136,15 +135,15 @@ FN void sphere_capsule(World& w, int pair, int g1, int g2, I near) {
     balls(w, pair, g1, g2, near, p, gsize(w, g1, 0), q + z * s, gsize(w, g2, 0));
 }
 
-// nearest points of the two segments; parallel ones: ends of the first against the second, then ends of the second
-// against the first, until there are two contacts
+// nearest points of the two segments; parallel ones (up to 1e-4 rad): both ends of the part of the first that is beside the
+// second, which may be the same point twice (measured with MuJoCo 3.17; 3.12 and earlier took ends only when exactly parallel)
 FN void capsule_capsule(World& w, int pair, int g1, int g2, I near) {
     const V3 p = load(w.gpos[g1]), q = load(w.gpos[g2]);
     const T h1 = gsize(w, g1, 1), h2 = gsize(w, g2, 1), r1 = gsize(w, g1, 0), r2 = gsize(w, g2, 0);
     const V3 a = axis_of(w, g1, 2) * h1, b = axis_of(w, g2, 2) * h2, d = q - p, n = cross(a, b);
     const T aa = h1 * h1, bb = h2 * h2, ab = dot(a, b), ad = dot(a, d), bd = dot(b, d), det = dot(n, n);
     const T one = splat(1.0f), ia = 1.0f / aa, ib = 1.0f / bb;
-    const I parallel = det < VMAX(splat(1e-15f), 1e-12f * aa * bb);
+    const I parallel = det < 1e-8f * aa * bb;
     // p + s a and q + t b; from triple products, which keep their digits when the lines are nearly parallel
     const T inv = 1.0f / VMAX(det, splat(1e-30f));
     T s = dot(cross(d, b), n) * inv, t = dot(cross(d, a), n) * inv;
@@ -152,18 +151,13 @@ FN void capsule_capsule(World& w, int pair, int g1, int g2, I near) {
     t = s == s1 ? t : (ab * s1 - bd) * ib;
     const T t1 = clip(t, one);
     s = t == t1 ? s1 : clip((ab * t1 + ad) * ia, one);
-    t = t1;
-    s = parallel ? one : s;
-    t = parallel ? clip((ab - bd) * ib, one) : t;
-    const I first = balls(w, pair, g1, g2, near, p + a * s, r1, q + b * t, r2);
+    s = parallel ? clip((ad + ab) * ia, one) : s;
+    t = parallel ? clip((ab * s - bd) * ib, one) : t1;
+    balls(w, pair, g1, g2, near, p + a * s, r1, q + b * t, r2);
     const I both = near & parallel;
     if (!VANY(both)) return;
-    I two = balls(w, pair, g1, g2, both, p - a, r1, q + b * clip((-ab - bd) * ib, one), r2);
-    I any = first | two;
-    two = first & two;
-    const I third = balls(w, pair, g1, g2, both & VNOT(two), p + a * clip((ab + ad) * ia, one), r1, q + b, r2);
-    two = two | (any & third);
-    balls(w, pair, g1, g2, both & VNOT(two), p + a * clip((ad - ab) * ia, one), r1, q - b, r2);
+    s = clip((ad - ab) * ia, one);
+    balls(w, pair, g1, g2, both, p + a * s, r1, q + b * clip((ab * s - bd) * ib, one), r2);
 }
 
 // against the mantle, a cap or the rim

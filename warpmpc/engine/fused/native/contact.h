@@ -24,27 +24,9 @@ INLINE T pair_inverse(const World& w, int pair) {
     return at >= 0 ? w.par[at] : splat(pair_inverse_[pair]);
 }
 
-// A contact of some lanes: into the first one of its group after which these lanes have no other, so that every lane
-// keeps its contacts in the order they came in, whatever its neighbours touch
-FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
-    const unsigned b = VBITS(lanes);
+// The rows of a contact of some lanes
+INLINE void fill(World& w, Contact& c, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
     const int g = pair_group[pair], count = group_count[g];
-    int at = w.contacts;
-    while (at > 0 && !(w.con[at - 1].group == g && (w.con[at - 1].used & b))) --at;
-    while (at < w.contacts && w.con[at].group != g) ++at;
-    if (at == w.contacts) {
-        if (at == CAPACITY) { w.overflow |= b; return; }
-        ++w.contacts;
-        Contact& c = w.con[at];
-        c.group = g;
-        c.count = count;
-        c.used = 0;
-        for (int k = 0; k < ROWS * count; ++k) c.jac[k] = zero();
-        c.ref0 = c.ref1 = c.ref2 = c.weight = c.mu = zero();
-        c.s0 = c.s1 = c.s2 = zero();
-    }
-    Contact& c = w.con[at];
-    c.used |= b;
     const V3 s = cross(n, t);
     const bool slides = group_slides[g];
     T v0 = zero(), v1 = v0, v2 = v0;
@@ -84,18 +66,83 @@ FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
 #endif
 }
 
+INLINE void empty(Contact& c, int group) {
+    c.group = group;
+    c.count = group_count[group];
+    c.used = 0;
+    for (int k = 0; k < ROWS * c.count; ++k) c.jac[k] = zero();
+    c.ref0 = c.ref1 = c.ref2 = c.weight = c.mu = zero();
+    c.s0 = c.s1 = c.s2 = zero();
+}
+#if COOPERATE
+// A contact that one lane has found: kept until all have looked
+FN void put(World& w, int pair, I here, T distance, V3 p, V3 n, V3 t) {
+    if (!here) return;
+    const int at = atomicAdd(&w.found, 1);
+    if (at >= CAPACITY) { w.overflow = 1; return; }
+    Raw& r = w.raw[at];
+    r.distance = distance;
+    r.point = p;
+    r.normal = n;
+    r.tangent = t;
+    r.pair = pair;
+}
+// What all lanes have found, in the order of the pairs: a pair is one lane's, so that its own contacts are in order
+FN void gather(World& w) {
+    SYNC
+    const int n = w.found < CAPACITY ? w.found : CAPACITY;
+    EACH(k, n) {
+        const Raw& r = w.raw[k];
+        int rank = 0;
+        for (int o = 0; o < n; ++o) rank += w.raw[o].pair < r.pair || (w.raw[o].pair == r.pair && o < k);
+        Contact& c = w.con[rank];
+        empty(c, pair_group[r.pair]);
+        c.used = 1;
+        w.order[k] = k;
+        fill(w, c, r.pair, YES, r.distance, r.point, r.normal, r.tangent);
+    }
+    w.contacts = n;
+    SYNC
+}
+#else
+// A contact of some lanes: into the first one of its group after which these lanes have no other, so that every lane
+// keeps its contacts in the order they came in, whatever its neighbours touch
+FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
+    const unsigned b = VBITS(lanes);
+    const int g = pair_group[pair];
+    int at = w.contacts;
+    while (at > 0 && !(w.con[at - 1].group == g && (w.con[at - 1].used & b))) --at;
+    while (at < w.contacts && w.con[at].group != g) ++at;
+    if (at == w.contacts) {
+        if (at == CAPACITY) { w.overflow |= b; return; }
+        ++w.contacts;
+        empty(w.con[at], g);
+    }
+    w.con[at].used |= b;
+    fill(w, w.con[at], pair, lanes, distance, p, n, t);
+}
+// By group, and within it as they came: an order that other lanes do not change
+INLINE void gather(World& w) {
+    for (int k = 0; k < w.contacts; ++k) {
+        int at = k;
+        for (; at > 0 && w.con[w.order[at - 1]].group > w.con[k].group; --at) w.order[at] = w.order[at - 1];
+        w.order[at] = k;
+    }
+}
+#endif
+
 // Limits of slides and hinges
 FN void limit(World& w) {
-    w.limits = 0;
-    for (int k = 0; k < LIMITS; ++k) {
+    w.limits = COOPERATE ? LIMITS : 0;
+    EACH(k, LIMITS) {
         const int i = limit_dof[k];
         const T q = w.q[limit_q[k]], low = q - limit_range[2 * k], high = limit_range[2 * k + 1] - q;
         const T distance = VMIN(low, high);
         const I m = distance < limit_margin[k];
-        if (!VANY(m)) continue;
+        if (!COOPERATE && !VANY(m)) continue;
         const T side = m ? (high < low ? splat(-1.0f) : splat(1.0f)) : zero(), beyond = distance - limit_margin[k];
         const T imp = impedance(limit_impedance + 4 * k, beyond);
-        const int at = limit_inverse_at[k], n = w.limits++;
+        const int at = limit_inverse_at[k], n = COOPERATE ? k : w.limits++;
         const T inverse = at >= 0 ? w.par[at] : splat(limit_inverse[k]);
         w.ldof[n] = i;
         w.lside[n] = side;
@@ -103,4 +150,5 @@ FN void limit(World& w) {
         w.lref[n] = m ? -limit_damping[k] * side * w.v[i] - limit_stiffness[k] * imp * beyond : zero();
         w.ls[n] = zero();
     }
+    SYNC
 }

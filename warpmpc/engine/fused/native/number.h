@@ -1,6 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 // Vectors of three numbers, and masks: what a comparison of numbers gives is all ones or nothing in every lane on a
 // CPU, 1 or 0 on a GPU, so that masks are combined by &, | and VNOT alone.
+#if COOPERATE
+// Sums and unions over the lanes of a warp that share one world, the same in all of them
+INLINE T total(T x) {
+    for (int m = 16; m; m >>= 1) x += __shfl_xor_sync(0xffffffffu, x, m);
+    return x;
+}
+INLINE I some(I m) { return __any_sync(0xffffffffu, m); }
+#else
+INLINE T total(T x) { return x; }
+INLINE I some(I m) { return m; }
+#endif
 INLINE T splat(float x) { return (T)x; }
 INLINE T zero() { return (T)0.0f; }
 struct V3 {

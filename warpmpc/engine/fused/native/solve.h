@@ -24,8 +24,10 @@ INLINE void edges(T mu, T a, T b, T c, T* e) {
     e[3] = a - y;
 }
 // Derivatives of the cost along the search direction, and lanes where an inequality has changed sides
-FN void slope(World& w, unsigned live, T step, T& d1, T& d2, I& changed) {
-    for (int n = 0; n < w.contacts; ++n) {
+FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
+    T d1 = zero(), d2 = d1;
+    I changed = NO;
+    EACH(n, w.contacts) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
         if (!group_slides[c.group]) {
@@ -52,7 +54,7 @@ FN void slope(World& w, unsigned live, T step, T& d1, T& d2, I& changed) {
         d1 += c.weight * p1;
         d2 += c.weight * p2;
     }
-    for (int k = 0; k < w.limits; ++k) {
+    EACH(k, w.limits) {
         const T at = w.la[k] + step * w.ls[k];
         const I on = at < 0.0f;
         const T u = on ? w.lweight[k] * w.ls[k] : zero();
@@ -60,35 +62,50 @@ FN void slope(World& w, unsigned live, T step, T& d1, T& d2, I& changed) {
         d2 += u * w.ls[k];
         changed |= (on ^ (w.la[k] < 0.0f)) & (w.lweight[k] > 0.0f);
     }
+    slope1 += total(d1);
+    slope2 += total(d2);
+    sides |= some(changed);
 }
 // Jᵀ D J and Jᵀ f of one contact: H and gradient of N degrees of freedom
+INLINE void add_entry(World& w, const Contact& c, int i, int j, T w00, T w01, T w02, T w11, T w22) {
+    const T *r = c.jac + ROWS * i, *o = c.jac + ROWS * j;
+    T* h = w.h + group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j];
+#if ROWS == 3
+    const T b0 = w00 * r[0] + w01 * r[1] + w02 * r[2], b1 = w01 * r[0] + w11 * r[1], b2 = w02 * r[0] + w22 * r[2];
+    *h += b0 * o[0] + b1 * o[1] + b2 * o[2];
+#else
+    *h += w00 * r[0] * o[0];
+#endif
+}
+INLINE void add_gradient(World& w, const Contact& c, int i, T f0, T f1, T f2, T* to) {
+    const T* r = c.jac + ROWS * i;
+#if ROWS == 3
+    to[group_dof[c.group * NNZ + i]] += r[0] * f0 + r[1] * f1 + r[2] * f2;
+#else
+    to[group_dof[c.group * NNZ + i]] += r[0] * f0;
+#endif
+}
 INLINE void add_block(const int N, World& w, const Contact& c, T w00, T w01, T w02, T w11, T w22, T f0, T f1, T f2) {
-    const int* dof = group_dof + c.group * NNZ;
-    const short* at = group_entry + c.group * NTRIANGLE;
+#if COOPERATE
+    EACH(e, N * (N + 1) / 2) add_entry(w, c, triangle_row[e], e - triangle_row[e] * (triangle_row[e] + 1) / 2, w00, w01, w02, w11, w22);
+    EACH(i, N) add_gradient(w, c, i, f0, f1, f2, w.grad);
+    SYNC
+#else
     UNROLL for (int i = 0; i < N; ++i) {
-        const T* r = c.jac + ROWS * i;
-#if ROWS == 3
-        w.grad[dof[i]] += r[0] * f0 + r[1] * f1 + r[2] * f2;
-        const T b0 = w00 * r[0] + w01 * r[1] + w02 * r[2], b1 = w01 * r[0] + w11 * r[1], b2 = w02 * r[0] + w22 * r[2];
-#else
-        w.grad[dof[i]] += r[0] * f0;
-        const T b0 = w00 * r[0];
-#endif
-        UNROLL for (int j = 0; j <= i; ++j) {
-            const T* o = c.jac + ROWS * j;
-            T* h = w.h + at[i * (i + 1) / 2 + j];
-#if ROWS == 3
-            *h += b0 * o[0] + b1 * o[1] + b2 * o[2];
-#else
-            *h += b0 * o[0];
-#endif
-        }
+        add_gradient(w, c, i, f0, f1, f2, w.grad);
+        UNROLL for (int j = 0; j <= i; ++j) add_entry(w, c, i, j, w00, w01, w02, w11, w22);
     }
+#endif
 }
 // Hessian and gradient of the cost
 FN void hessian(World& w, unsigned live) {
+#if COOPERATE
+    EACH(i, NH) w.h[i] = w.mm[i];
+#else
     copy_tree(w.mm, w.h);
-    for (int i = 0; i < NV; ++i) w.grad[i] = w.ma[i];
+#endif
+    EACH(i, NV) w.grad[i] = w.ma[i];
+    SYNC
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
@@ -111,24 +128,30 @@ FN void hessian(World& w, unsigned live) {
             f2 = c.mu * (e2 - e3);
         }
         if (!(VBITS(w00 > 0.0f) & live)) continue;
+#if COOPERATE
+        add_block(c.count, w, c, w00, w01, w02, w11, w22, f0, f1, f2);
+#else
         switch (c.count) {
 #define BLOCK(N) case N: add_block(N, w, c, w00, w01, w02, w11, w22, f0, f1, f2); break;
             BLOCKS
 #undef BLOCK
         }
+#endif
     }
-    for (int k = 0; k < w.limits; ++k) {
+    EACH(k, w.limits) {
         const T u = w.la[k] < 0.0f ? w.lweight[k] : zero();
         const int i = w.ldof[k];
         w.grad[i] += w.lside[k] * u * w.la[k];
         w.h[i * (i + 1) / 2 + i] += u;
     }
+    SYNC
 }
 // Accelerations x that minimize the cost; done: lanes that nothing constrains
 FN void newton(World& w, I done) {
     multiply(w.mm, w.x, w.ma);
-    for (int i = 0; i < NV; ++i) w.ma[i] -= w.fs[i];
-    for (int n = 0; n < w.contacts; ++n) {
+    SYNC
+    EACH(i, NV) w.ma[i] -= w.fs[i];
+    EACH(n, w.contacts) {
         Contact& c = w.con[n];
         T y0, y1, y2;
         project(c, w.x, y0, y1, y2);
@@ -136,31 +159,37 @@ FN void newton(World& w, I done) {
         c.a1 = y1 - c.ref1;
         c.a2 = y2 - c.ref2;
     }
-    for (int k = 0; k < w.limits; ++k) w.la[k] = w.lside[k] * w.x[w.ldof[k]] - w.lref[k];
+    EACH(k, w.limits) w.la[k] = w.lside[k] * w.x[w.ldof[k]] - w.lref[k];
+    SYNC
     for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
         const unsigned live = VBITS(VNOT(done));
         bool coupled = false;
         for (int n = 0; n < w.contacts; ++n) coupled |= (w.con[n].used & live) && group_couples[w.con[n].group];
-        if (coupled) for (int i = 0; i < NH; ++i) w.h[i] = zero();
+        if (coupled && !COOPERATE) for (int i = 0; i < NH; ++i) w.h[i] = zero();
         hessian(w, live);
         if (coupled) solve_coupled(w.h, w.grad, w.search, -1.0f);
         else solve_tree(w.h, w.grad, w.search, -1.0f);
+        SYNC
         multiply(w.mm, w.search, w.mv);
         T q1 = zero(), q2 = q1, decrement = q1;
-        for (int i = 0; i < NV; ++i) {
+        EACH(i, NV) {
             q1 += w.search[i] * w.ma[i];
             q2 += w.search[i] * w.mv[i];
             decrement -= w.search[i] * w.grad[i];
         }
+        q1 = total(q1);
+        q2 = total(q2);
+        decrement = total(decrement);
         done |= VNOT(decrement == decrement);  // what is not a number stays so
         const I last = (decrement < TOLERANCE) & VNOT(done);
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
-        for (int n = 0; n < w.contacts; ++n) {  // the last step, too: forces follow from where it ends
+        EACH(n, w.contacts) {  // for the last step, too: forces follow from where it ends
             Contact& c = w.con[n];
             if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
         }
-        for (int k = 0; k < w.limits; ++k) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
+        EACH(k, w.limits) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
+        SYNC
         for (int tries = 0; tries < LINE_SEARCH && VANY(active); ++tries) {
             T d1 = q1 + step * q2, d2 = q2;
             I changed = NO;
@@ -174,19 +203,20 @@ FN void newton(World& w, I done) {
             next = ((next <= low) | (next >= high)) ? 0.5f * (low + VMIN(high, 2.0f * low + 1.0f)) : next;
             step = active ? next : step;
         }
-        for (int i = 0; i < NV; ++i) {
+        EACH(i, NV) {
             w.x[i] = done ? w.x[i] : w.x[i] + step * w.search[i];
             w.ma[i] = done ? w.ma[i] : w.ma[i] + step * w.mv[i];
         }
         step = done ? zero() : step;
-        for (int n = 0; n < w.contacts; ++n) {
+        EACH(n, w.contacts) {
             Contact& c = w.con[n];
             if (!(c.used & live)) continue;
             c.a0 += step * c.s0;
             c.a1 += step * c.s1;
             c.a2 += step * c.s2;
         }
-        for (int k = 0; k < w.limits; ++k) w.la[k] += step * w.ls[k];
+        EACH(k, w.limits) w.la[k] += step * w.ls[k];
+        SYNC
         done |= exact;
         if (!VANY(VNOT(done))) break;
     }
@@ -209,17 +239,11 @@ INLINE void contact_force(const Contact& c, T& f0, T& f1, T& f2) {
 FN void add_forces(World& w) {
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
-        const int* dof = group_dof + c.group * NNZ;
         T f0, f1, f2;
         contact_force(c, f0, f1, f2);
-        for (int k = 0; k < c.count; ++k) {
-            const T* j = c.jac + ROWS * k;
-#if ROWS == 3
-            w.fs[dof[k]] += j[0] * f0 + j[1] * f1 + j[2] * f2;
-#else
-            w.fs[dof[k]] += j[0] * f0;
-#endif
-        }
+        EACH(k, c.count) add_gradient(w, c, k, f0, f1, f2, w.fs);
+        SYNC
     }
-    for (int k = 0; k < w.limits; ++k) w.fs[w.ldof[k]] -= w.lside[k] * w.lweight[k] * VMIN(w.la[k], zero());
+    EACH(k, w.limits) w.fs[w.ldof[k]] -= w.lside[k] * w.lweight[k] * VMIN(w.la[k], zero());
+    SYNC
 }

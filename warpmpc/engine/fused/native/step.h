@@ -22,13 +22,12 @@ INLINE I near_plane(World& w, int pair, int plane, int g) {
 }
 FN void collide(World& w) {
     w.contacts = 0;
+#if COOPERATE
+    w.found = 0;
+    SYNC
+#endif
     COLLISIONS
-    // by group, and within it as they came: an order that other lanes do not change
-    for (int k = 0; k < w.contacts; ++k) {
-        int at = k;
-        for (; at > 0 && w.con[w.order[at - 1]].group > w.con[k].group; --at) w.order[at] = w.order[at - 1];
-        w.order[at] = k;
-    }
+    gather(w);
 }
 INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in its own frame
     const T speed = VSQRT(dot(omega, omega));
@@ -48,12 +47,14 @@ INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in it
 FN void integrate(World& w, I alone) {
     solve_damped(w.mm, w.fs, w.search, 1.0f, w.damp);
     spin(w);
-    for (int i = 0; i < NV; ++i) {
+    SYNC
+    EACH(i, NV) {
         w.v[i] += TIMESTEP * w.search[i];
         w.x[i] = alone ? w.search[i] : w.x[i];
     }
-    for (int k = 0; k < SCALARS; ++k) w.q[scalar_q[k]] += TIMESTEP * w.v[scalar_dof[k]];
-    for (int k = 0; k < TURNING; ++k) {
+    SYNC
+    EACH(k, SCALARS) w.q[scalar_q[k]] += TIMESTEP * w.v[scalar_dof[k]];
+    EACH(k, TURNING) {
         T* q = w.q + turning_q[k];
         const T* v = w.v + turning_dof[k];
         if (turning_free[k]) {
@@ -62,19 +63,22 @@ FN void integrate(World& w, I alone) {
         } else
             turn(q, load(v));
     }
+    SYNC
 }
 // A step; before it everything has been moved to where the coordinates say, after it again
 FN void step(World& w) {
     drive(w);
+    SYNC
     collide(w);
     limit(w);
     I alone = YES;  // lanes that nothing constrains
     for (int n = 0; n < w.contacts; ++n) alone &= VNOT(w.con[n].weight > 0.0f);
     for (int k = 0; k < w.limits; ++k) alone &= VNOT(w.lweight[k] > 0.0f);
-    if (w.contacts + w.limits) {
+    if (VANY(VNOT(alone))) {
         newton(w, alone);
         add_forces(w);
     }
     integrate(w, alone);
     move(w);
+    SYNC
 }

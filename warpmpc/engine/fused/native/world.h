@@ -12,6 +12,13 @@ struct Contact {  // lanes may hold different pairs, all of one group: the same 
     int group, count;
     unsigned used;               // lanes that hold something
 };
+#if COOPERATE
+struct Raw {  // a contact that one lane of the warp has found
+    T distance;
+    V3 point, normal, tangent;
+    int pair;
+};
+#endif
 struct World {
     T q[NQ], v[NV], ctrl[NU], par[NPAR], mocap[7 * NMOCAP];
     T x[NV];                     // acceleration, and the solver's start in the next step
@@ -23,6 +30,10 @@ struct World {
     int contacts, limits, overflow;  // overflow: lanes whose contacts were too many
     int order[CAPACITY];         // of the contacts by group, which neighbours in other lanes do not change
     Contact con[CAPACITY];
+#if COOPERATE
+    Raw raw[CAPACITY];
+    int found;
+#endif
 };
 INLINE T gsize(const World& w, int g, int k) {
 #if SIZES_VARY

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shipped scenes stepped by the engines `fused` and `mujoco`, from the same states, in the same randomized worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import warp as wp
+
+import warpmpc
+from warpmpc.engine.fused.simulator import FusedSimulator
+from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.model.batch_size import BatchSize
+from warpmpc.model.compiled import compile_scene
+from warpmpc.model.mujoco_model import Options
+from warpmpc.model.pairs import Pair, collision_pairs
+from warpmpc.model.properties import draw_properties
+from warpmpc.task.observed import ObservedState
+
+EDGE = 3e-7
+"""How far states are moved to see how MuJoCo C itself replies to the rounding of floats [m, rad]."""
+
+
+@dataclass
+class Steps:
+    """Single steps of W worlds in both engines."""
+
+    v: np.ndarray  # [W] largest difference of joint velocities
+    q: np.ndarray  # [W] of joint coordinates
+    pose: np.ndarray  # [W] of body poses, but for the sign of quaternions
+    twist: np.ndarray  # [W] of body velocities
+    force: np.ndarray  # [W] of the forces of watched pairs [N]
+    strength: np.ndarray  # [W] largest force of a watched pair [N]
+    edge: np.ndarray  # [W] how much MuJoCo C's own velocities change when the state moves by EDGE
+
+    def __str__(self) -> str:
+        steady = self.edge < 1e-4
+        out = [f"{len(self.v)} steps, {100 * (self.strength > 0).mean():.0f} % with forces, MuJoCo jumps in {100 * (~steady).mean():.2f} %"]
+        for name in ("v", "q", "pose", "twist", "force"):
+            a = getattr(self, name)[steady]
+            out.append(f"{name} " + "/".join(f"{x:.1e}" for x in (*np.percentile(a, (50, 90, 99)), a.max())))
+        return "; ".join(out) + f"; dv beyond 1e-4: {100 * (self.v[steady] > 1e-4).mean():.2f} %"
+
+
+class Comparison:
+    """Both engines over a scene, for single physics steps of ``states`` states in ``samples`` worlds each.
+
+    Args:
+        name: Scene and variant.
+        states: Number of states E, visited by rollouts of the engine ``mujoco`` in closed loop.
+        samples: Worlds S per state, each with a draw of its own.
+        seconds: Length of the closed-loop run [s].
+        horizon: Steps rolled out.
+        substeps: Physics steps in each.
+    """
+
+    def __init__(self, name: str, *, states: int = 64, samples: int = 8, seconds: float = 4.0, horizon: int = 1, substeps: int = 1):
+        self.scene = warpmpc.load_scene(name, overrides=["planner.samples=16", "engine.threads=1"])
+        self.compiled = compile_scene(self.scene)
+        self.layout, self.horizon = self.compiled.layout, horizon
+        self.rng = np.random.default_rng(0)
+        self.state, self.sampled, timestep = self._visit(states, seconds)
+        self.shape = BatchSize(states, samples, 1, horizon)
+        objects = self.layout.group("objects")
+        self.pairs = collision_pairs(self.layout)
+        self.pairs += tuple(Pair(r.name, o.name) for r in self.layout.group("robots") for o in objects)
+        common = {
+            "substeps": [substeps] * horizon,
+            "timestep": timestep,
+            "pairs": self.pairs,
+            "properties": draw_properties(self.scene, self.layout, samples, seed=1),
+        }
+        self.fused = FusedSimulator(self.scene, self.compiled, self.shape, device="cpu", **common)
+        self.mujoco = MujocoEngine(
+            self.compiled, self.shape, threads=1, options=Options.of(self.scene.engine), sensors=(), **common
+        )
+        for model in {id(m): m for m in self.mujoco.models}.values():  # on to the minimum
+            model.opt.tolerance, model.opt.iterations = 0.0, 200
+            model.opt.ls_tolerance, model.opt.ls_iterations = 1e-10, 100
+
+    def _visit(self, states: int, seconds: float) -> tuple[ObservedState, np.ndarray, float]:
+        """States of rollouts in closed loop, controls ``[n, nu]`` that were sampled there, and the physics step [s]."""
+        controller = warpmpc.Controller(self.scene, engine="mujoco", compiled=self.compiled)
+        plant = warpmpc.Plant(self.scene, compiled=self.compiled, task=controller.task)
+        found, sampled = [], []
+        while not plant.done and plant.time < seconds:
+            plant.apply(controller.step(plant.observe()))
+            out = controller.engine.simulator.trajectory
+            t, w = self.rng.integers(out.joint_q.shape[0], size=8), self.rng.integers(out.joint_q.shape[1], size=8)
+            found += list(zip(out.joint_q.numpy()[t, w], out.joint_qd.numpy()[t, w], strict=True))
+            sampled.append(controller.engine.control.numpy()[t % self.scene.planner.horizon, w])
+        timestep = controller.engine.simulator.model.opt.timestep
+        rows = self.rng.choice(len(found), size=states, replace=len(found) < states)
+        given = {item.name: getattr(controller.planner.state, item.name) for item in fields(ObservedState)}
+        tiled = {
+            name: wp.array(np.repeat(a.numpy(), states, axis=0), dtype=a.dtype, device="cpu") for name, a in given.items()
+        }
+        tiled["joint_q"].assign(np.array([found[i][0] for i in rows]))
+        tiled["joint_qd"].assign(np.array([found[i][1] for i in rows]))
+        controller.engine.close()
+        return ObservedState(**tiled), np.concatenate(sampled), float(timestep)
+
+    def _roll(self, engine: FusedSimulator | MujocoEngine, control: np.ndarray) -> dict[str, np.ndarray]:
+        engine.clone(self.state)
+        engine.rollout(wp.array(control, dtype=float, device="cpu"))
+        out = engine.trajectory
+        assert not out.diverged.numpy().any()
+        assert not out.overflow.numpy().any()
+        names = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force")
+        return {name: getattr(out, name).numpy()[-self.horizon :].astype(float).copy() for name in names}
+
+    def rollouts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Both engines' trajectories under sampled controls."""
+        pick = self.rng.integers(len(self.sampled), size=(self.horizon, self.shape.worlds))
+        control = self.sampled[pick].astype(np.float32)
+        return self._roll(self.fused, control), self._roll(self.mujoco, control)
+
+    def steps(self, nudges: int = 3) -> Steps:
+        """Single steps compared."""
+        pick = self.rng.integers(len(self.sampled), size=(self.horizon, self.shape.worlds))
+        control = self.sampled[pick].astype(np.float32)
+        ours, theirs = self._roll(self.fused, control), self._roll(self.mujoco, control)
+        edge = np.zeros(self.shape.worlds)
+        start = self.mujoco.initial.copy()
+        nq = self.mujoco.model.nq
+        for _ in range(nudges):
+            self.mujoco.initial[:] = start
+            self.mujoco.initial[:, 1 : 1 + nq] += EDGE * self.rng.choice([-1.0, 1.0], (self.shape.worlds, nq))
+            self.mujoco.rollout(wp.array(control, dtype=float, device="cpu"))
+            near = self.mujoco.trajectory.joint_qd.numpy()[-self.horizon :]
+            edge = np.maximum(edge, np.abs(near - theirs["joint_qd"]).max(axis=(0, 2)))
+        return Steps(
+            v=_most(ours["joint_qd"] - theirs["joint_qd"]),
+            q=_most(_unsigned(ours["joint_q"], theirs["joint_q"]) - theirs["joint_q"]),
+            pose=_most(_turned(ours["body_q"], theirs["body_q"]) - theirs["body_q"]),
+            twist=_most(ours["body_qd"] - theirs["body_qd"]),
+            force=_most(ours["contact_force"] - theirs["contact_force"]),
+            strength=_most(theirs["contact_force"]),
+            edge=edge,
+        )
+
+
+def _most(difference: np.ndarray) -> np.ndarray:
+    """Largest entry of every world."""
+    rows = np.abs(np.moveaxis(difference, 1, 0)).reshape(difference.shape[1], -1)
+    return rows.max(axis=1, initial=0.0)
+
+
+def _turned(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Poses with the signs of others' quaternions."""
+    sign = np.where((ours[..., 3:] * theirs[..., 3:]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return np.concatenate([ours[..., :3], sign * ours[..., 3:]], axis=-1)
+
+
+def _unsigned(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Coordinates as they are: both engines keep a quaternion's sign."""
+    return ours
