@@ -351,6 +351,9 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "actuators with gains other than fixed and affine": lambda p: (
         not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
     ),
+    "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
+    "delays of actuators": lambda p: p.mj.actuator_delay.any(),
+    "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
     "a medium (density, viscosity or wind)": lambda p: (
         p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind)
     ),
