@@ -16,6 +16,7 @@ from warpmpc.model.compiled import compile_scene
 from warpmpc.model.mujoco_model import Options
 from warpmpc.model.pairs import Pair, collision_pairs
 from warpmpc.model.properties import draw_properties
+from warpmpc.model.trajectory import Trajectory
 from warpmpc.task.observed import ObservedState
 
 EDGE = 3e-7
@@ -110,29 +111,36 @@ class Comparison:
         names = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force")
         return {name: getattr(out, name).numpy()[-self.horizon :].astype(float).copy() for name in names}
 
-    def rollouts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Both engines' trajectories under sampled controls."""
+    def ends(self, nudge: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
+        """How far joint coordinates are apart after the whole horizon ``[W]``, and how far MuJoCo C takes a nudge."""
+        control = self._controls()
+        ours, theirs = (self._roll(engine, control)["joint_q"][-1:] for engine in (self.fused, self.mujoco))
+        near = self._nudged(control, nudge).joint_q.numpy()[-1:]
+        return _most(ours - theirs), _most(near - theirs)
+
+    def _controls(self) -> np.ndarray:
         pick = self.rng.integers(len(self.sampled), size=(self.horizon, self.shape.worlds))
-        control = self.sampled[pick].astype(np.float32)
-        return self._roll(self.fused, control), self._roll(self.mujoco, control)
+        return self.sampled[pick].astype(np.float32)
+
+    def _nudged(self, control: np.ndarray, nudge: float) -> Trajectory:
+        """MuJoCo C's rollouts from where the state has moved a little."""
+        nq = self.mujoco.model.nq
+        self.mujoco.clone(self.state)
+        self.mujoco.initial[:, 1 : 1 + nq] += nudge * self.rng.choice([-1.0, 1.0], (self.shape.worlds, nq))
+        self.mujoco.rollout(wp.array(control, dtype=float, device="cpu"))
+        return self.mujoco.trajectory
 
     def steps(self, nudges: int = 3) -> Steps:
         """Single steps compared."""
-        pick = self.rng.integers(len(self.sampled), size=(self.horizon, self.shape.worlds))
-        control = self.sampled[pick].astype(np.float32)
+        control = self._controls()
         ours, theirs = self._roll(self.fused, control), self._roll(self.mujoco, control)
         edge = np.zeros(self.shape.worlds)
-        start = self.mujoco.initial.copy()
-        nq = self.mujoco.model.nq
         for _ in range(nudges):
-            self.mujoco.initial[:] = start
-            self.mujoco.initial[:, 1 : 1 + nq] += EDGE * self.rng.choice([-1.0, 1.0], (self.shape.worlds, nq))
-            self.mujoco.rollout(wp.array(control, dtype=float, device="cpu"))
-            near = self.mujoco.trajectory.joint_qd.numpy()[-self.horizon :]
-            edge = np.maximum(edge, np.abs(near - theirs["joint_qd"]).max(axis=(0, 2)))
+            near = self._nudged(control, EDGE).joint_qd.numpy()[-self.horizon :]
+            edge = np.maximum(edge, _most(near - theirs["joint_qd"]))
         return Steps(
             v=_most(ours["joint_qd"] - theirs["joint_qd"]),
-            q=_most(_unsigned(ours["joint_q"], theirs["joint_q"]) - theirs["joint_q"]),
+            q=_most(ours["joint_q"] - theirs["joint_q"]),
             pose=_most(_turned(ours["body_q"], theirs["body_q"]) - theirs["body_q"]),
             twist=_most(ours["body_qd"] - theirs["body_qd"]),
             force=_most(ours["contact_force"] - theirs["contact_force"]),
@@ -152,7 +160,3 @@ def _turned(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     sign = np.where((ours[..., 3:] * theirs[..., 3:]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.concatenate([ours[..., :3], sign * ours[..., 3:]], axis=-1)
 
-
-def _unsigned(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """Coordinates as they are: both engines keep a quaternion's sign."""
-    return ours
