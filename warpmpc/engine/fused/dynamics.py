@@ -28,7 +28,7 @@ def packed(i: int, j: int) -> int:
 
 
 class Dynamics:
-    """Writes the functions ``place`` (once per rollout), ``move`` (after every step), ``drive`` (before it) and ``spin``.
+    """Writes ``place`` (once per rollout), ``drive`` (before every step), ``spin`` (within it) and ``move`` (after it).
 
     Args:
         model: The model.
@@ -88,7 +88,7 @@ class Dynamics:
             value, rate = self._actuator(lines, a, dof)
             force[dof].append((value, float(m.actuator_gear[a, 0])))
             if implicit and rate != 0.0:
-                damped[dof].append((rate, -float(m.actuator_gear[a, 0]) ** 2))
+                damped[dof].append((rate, -(float(m.actuator_gear[a, 0]) ** 2)))
         for i in range(m.nv):
             q = self.model.dof_coordinate[i]
             driven = lines.sum(*force[i])
@@ -152,14 +152,13 @@ class Dynamics:
         both, swept, gyro, lever = product(spin, arm), skew(carried), product(spin, local), skew(turned)
         # linear rows: heavy a + B α = push, B = -[r]× - h ([ω × r]× + [ω]× [r]×), both in the body's frame
         b = [
-            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)] for i in range(3)
+            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)]
+            for i in range(3)
         ]
         # angular rows: [r]× a + (I + h ([ω]× I - [I ω]×)) α = torque
         a = [
             [
-                lines.sum(
-                    local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), step * damping if i == j else 0.0
-                )
+                lines.sum(local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), step * damping if i == j else 0.0)
                 for j in range(3)
             ]
             for i in range(3)
@@ -189,7 +188,9 @@ class Dynamics:
         affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
         factor: Operand = float(gain[0])
         if affine:
-            factor = lines.sum(float(gain[0]), (float(gain[1]) * gear, f"w.q[{q}]"), (float(gain[2]) * gear, f"w.v[{dof}]"))
+            factor = lines.sum(
+                float(gain[0]), (float(gain[1]) * gear, f"w.q[{q}]"), (float(gain[2]) * gear, f"w.v[{dof}]")
+            )
         terms: list = [(factor, control)]
         rate: list = [(float(gain[2]), control)] if affine and gain[2] else []
         if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
@@ -400,7 +401,11 @@ class _Tree:
             self.turns[i] = axis
             self.slides[i] = lines.cross(axis, lines.difference(self.reference, anchor))
         rate = f"w.v[{i}]"
-        return position, columns, self._moved(self._scaled(self.turns[i], rate), self._scaled(self.slides[i], rate), motion)
+        return (
+            position,
+            columns,
+            self._moved(self._scaled(self.turns[i], rate), self._scaled(self.slides[i], rate), motion),
+        )
 
     def _refer(self, point: Vector) -> None:
         """Take spatial vectors about a point, unless one is chosen."""
@@ -439,7 +444,7 @@ class _Tree:
 
     def _turned(self, columns: Matrix, axis: list[float], angle: Operand, i: int) -> Matrix:
         """Columns after a turn about an axis of the body (Rodrigues)."""
-        lines, m = self.lines, self.mj
+        lines = self.lines
         s, c = f"sin{i}", f"cos{i}"
         lines.add(sincos(text(angle), s, c))
         along = [k for k in range(3) if abs(abs(axis[k]) - 1.0) < 1e-9]

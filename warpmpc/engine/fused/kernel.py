@@ -53,7 +53,7 @@ def make_kernel(source: str, lanes: int, threads: int) -> wp.Kernel:
         first: int,  # world of thread 0
         end: int,  # one past the last world
     ):
-        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one world, or a lane's part of it."""
+        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one, or a lane's part of it."""
         rollout(k, wp.tid() // sharing, first, end)
 
     return fused_kernel

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine ``fused`` takes from a compiled MuJoCo model: constants, and columns of what differs between worlds."""
+"""What the engine ``fused`` takes from a MuJoCo model: constants, and columns of what differs between worlds."""
 
 from __future__ import annotations
 
@@ -351,9 +351,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "actuators with gains other than fixed and affine": lambda p: (
         not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
     ),
-    "a medium (density, viscosity or wind)": lambda p: (
-        p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind)
-    ),
+    "a medium (density, viscosity or wind)": lambda p: p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind),
     "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
     "impedances of a power other than 2": lambda p: (
         (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.limited, 4] != 2.0).any()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts of a MuJoCo model by itself, without a scene: what tests and measurements compare with ``mujoco.rollout``."""
+"""Rollouts of a MuJoCo model without a scene: what tests and measurements compare with ``mujoco.rollout``."""
 
 from __future__ import annotations
 

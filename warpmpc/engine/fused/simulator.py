@@ -110,9 +110,7 @@ class FusedSimulator:
     def _bind(self, layout: Layout, world: MujocoWorld, substeps: Sequence[int]) -> None:
         shape, device, out = self.shape, self.device, self.trajectory
         self._nq = world.model.nq
-        self._table = joint_table(
-            layout, device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd
-        )
+        self._table = joint_table(layout, device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
         columns = self.model.columns.values
         par = np.zeros((max(1, len(columns)), shape.worlds), dtype=np.float32)
         for row, values in zip(par, columns, strict=False):
