@@ -35,8 +35,6 @@ JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
 LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
-LINE_SEARCH, LINE_TOLERANCE = 10, 0.01
-"""Line search: most steps, and how flat the cost must be along the direction, MuJoCo's ``ls_tolerance``."""
 
 _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC")
 
@@ -171,8 +169,8 @@ class RolloutSource:
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
-            "LINE_SEARCH": LINE_SEARCH,
-            "LINE_TOLERANCE": literal(LINE_TOLERANCE),
+            "LINE_SEARCH": int(m.opt.ls_iterations),
+            "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
             "TOLERANCE": literal(scale),
             "TIMESTEP": literal(float(m.opt.timestep)),
         }

@@ -184,7 +184,7 @@ FN void newton(World& w, I done) {
         const I last = (decrement < TOLERANCE) & VNOT(done);
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
-        if (VANY(active)) {
+        if (VANY(active | last)) {
             EACH(n, w.contacts) {
                 Contact& c = w.con[n];
                 if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
@@ -205,6 +205,7 @@ FN void newton(World& w, I done) {
             next = ((next <= low) | (next >= high)) ? 0.5f * (low + VMIN(high, 2.0f * low + 1.0f)) : next;
             step = active ? next : step;
         }
+        step = active ? low : step;  // whoever has not come to an end keeps what lies downhill for sure
         EACH(i, NV) {
             w.x[i] = done ? w.x[i] : w.x[i] + step * w.search[i];
             w.ma[i] = done ? w.ma[i] : w.ma[i] + step * w.mv[i];
