@@ -64,6 +64,11 @@ class Dynamics:
                 self._keep(lines, body, position, columns, (NOTHING, NOTHING))
         for body, (columns, position) in frames.items():
             self._geoms(lines, body, position, columns)
+        for i, g in enumerate(self.model.standing):
+            if g in self.used:
+                first = f"GIVEN_POSE + {12 * i}"
+                lines.add(f"for (int i = 0; i < 3; ++i) w.gpos[{g}][i] = splat(w.given[{first} + i]);")
+                lines.add(f"for (int i = 0; i < 9; ++i) w.gmat[{g}][i] = splat(w.given[{first} + 3 + i]);")
         return self._function("place", lines)
 
     def _move(self) -> str:
@@ -243,7 +248,7 @@ class Dynamics:
         """Centres and axes of a body's geoms."""
         m = self.mj
         for g in np.flatnonzero(m.geom_bodyid == body):
-            if int(g) not in self.used:
+            if int(g) not in self.used or int(g) in self.model.standing:
                 continue
             at = lines.transform(columns, known(m.geom_pos[g]), position)
             axes = lines.times(columns, rotation(m.geom_quat[g]))
@@ -313,8 +318,9 @@ class _Tree:
     def _visit(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> tuple[Inertia, Vector, Vector]:
         """Inertia and force of everything from a body on."""
         m, lines = self.mj, self.lines
-        position = lines.transform(columns, known(m.body_pos[b]), position)
-        columns = lines.times(columns, rotation(m.body_quat[b]))
+        if not m.body_jntnum[b] or m.jnt_type[m.body_jntadr[b]] != FREE:  # whose pose is all in its coordinates
+            position = lines.transform(columns, known(m.body_pos[b]), position)
+            columns = lines.times(columns, rotation(m.body_quat[b]))
         for j in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
             position, columns, motion = self._joint(j, position, columns, motion)
         own = range(m.body_dofadr[b], m.body_dofadr[b] + m.body_dofnum[b]) if m.body_dofnum[b] else range(0)

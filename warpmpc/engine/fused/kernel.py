@@ -15,6 +15,7 @@ class FusedWork:
     movable: wp.array2d[wp.transform]  # [W, n] obstacles that move with the task
     control: wp.array3d[float]  # [T, W, nu]
     substeps: wp.array[int]  # [T] physics steps in each control step
+    given: wp.array[float]  # numbers of the model that are no part of the source
     par: wp.array2d[float]  # [P, W] what differs between worlds
     joint_q: wp.array3d[float]  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float]  # [T+1, W, nv]

@@ -121,6 +121,7 @@ class FusedSimulator:
         work.mocap = self._table.mocap_pose
         work.movable = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device=device)
         work.substeps = wp.array(list(substeps), dtype=int, device=device)
+        work.given = wp.array(self.model.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
         work.joint_q, work.joint_qd = out.joint_q, out.joint_qd
         work.body_q, work.body_qd = out.body_q, out.body_qd

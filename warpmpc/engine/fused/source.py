@@ -33,9 +33,6 @@ MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-LEAST_TOLERANCE = 1e-6
-"""Of the solver: single precision has no more."""
-
 _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC")
 
 
@@ -147,7 +144,6 @@ class RolloutSource:
         m, model = self.model.mj, self.model
         longest = max([1, *(len(dofs) for _, dofs in self._groups)])
         bound = sum(POINTS.get(tuple(int(m.geom_type[g]) for g in pair.geoms), 1) for pair in model.pairs)
-        scale = 2.0 * max(float(m.opt.tolerance), LEAST_TOLERANCE) * float(m.stat.meaninertia) * max(1, m.nv)
         turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
         return {
             "NQ": m.nq,
@@ -171,7 +167,7 @@ class RolloutSource:
             "ITERATIONS": int(m.opt.iterations),
             "LINE_SEARCH": int(m.opt.ls_iterations),
             "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
-            "TOLERANCE": literal(scale),
+            **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
         }
 
@@ -204,9 +200,7 @@ class RolloutSource:
             _ints("pair_group", groups),
             _floats("pair_sign", signs),
             _floats("pair_margin", [pair.margin for pair in pairs]),
-            _floats("pair_mu", [pair.friction[0] if pair.slides else 0.0 for pair in pairs]),
             _ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
-            _floats("pair_inverse_", [pair.inverse[0] for pair in pairs]),
             _ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
             _floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
             _floats("pair_damping", [pair.rows.damping for pair in pairs]),
@@ -223,11 +217,8 @@ class RolloutSource:
             _floats("limit_stiffness", [rows.stiffness for rows in limits]),
             _floats("limit_damping", [rows.damping for rows in limits]),
             _floats("limit_impedance", [rows.impedance for rows in limits]),
-            _floats("limit_inverse", [inverse[0, dof] for dof in limit_dofs]),
             _ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
-            _floats("geom_size", sizes[0]),
             _ints("geom_size_at", size_at),
-            _floats("geom_bound", model.array("geom_rbound").max(axis=0)),
             _ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
             _ints("dof_top", model.dof_top),
             _ints("scalar_q", m.jnt_qposadr[scalar]),

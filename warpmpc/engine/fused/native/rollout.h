@@ -29,6 +29,7 @@ for (int l = 0; l < lanes; ++l) {
     for (int i = 0; i < PARAMETERS; ++i) LANE(w.par[i], l) = k.par.data[(size_t)i * worlds + from];
 }
 for (int i = 0; i < NV; ++i) w.x[i] = (T)0.0f;
+w.given = (const float*)k.given.data;
 w.overflow = 0;
 SYNC
 Sim::place(w);

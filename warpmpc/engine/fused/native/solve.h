@@ -181,7 +181,7 @@ FN void newton(World& w, I done) {
         q2 = total(q2);
         decrement = total(decrement);
         done |= VNOT(decrement == decrement);  // what is not a number stays so
-        const I last = (decrement < TOLERANCE) & VNOT(done);
+        const I last = (decrement < w.given[GIVEN_TOLERANCE]) & VNOT(done);
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
         if (VANY(active | last)) {
