@@ -265,9 +265,7 @@ register(
 register(
     EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
 )
-register(
-    EngineEntry(name=str(EngineName.FUSED), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_fused)
-)
+register(EngineEntry(name=str(EngineName.FUSED), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_fused))
 register(
     EngineEntry(
         name=str(EngineName.KINEMATIC),

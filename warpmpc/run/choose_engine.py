@@ -40,7 +40,7 @@ def choose_engine(
     terms: Sequence[CostTerm | ArrayCost] = (),
     compiled: CompiledScene | None = None,
 ) -> tuple[str, str]:
-    """Engine and device for a scene; with both left to ``auto``, GPU and CPU are compared by timing a few plans of each.
+    """Engine and device for a scene; with both left to ``auto``, GPU and CPU are compared by timing some plans.
 
     What was measured is kept on disk by scene (before any random draws), batch and hardware, so that the next start
     measures nothing.

@@ -28,7 +28,7 @@ def packed(i: int, j: int) -> int:
 
 
 class Dynamics:
-    """Writes the functions ``place`` (once per rollout), ``move`` (after every step), ``drive`` (before it) and ``spin``.
+    """Writes ``place`` (once per rollout), ``drive`` (before every step), ``spin`` (within it) and ``move`` (after it).
 
     Args:
         model: The model.
@@ -64,6 +64,11 @@ class Dynamics:
                 self._keep(lines, body, position, columns, (NOTHING, NOTHING))
         for body, (columns, position) in frames.items():
             self._geoms(lines, body, position, columns)
+        for i, g in enumerate(self.model.standing):
+            if g in self.used:
+                first = f"GIVEN_POSE + {12 * i}"
+                lines.add(f"for (int i = 0; i < 3; ++i) w.gpos[{g}][i] = splat(w.given[{first} + i]);")
+                lines.add(f"for (int i = 0; i < 9; ++i) w.gmat[{g}][i] = splat(w.given[{first} + 3 + i]);")
         return self._function("place", lines)
 
     def _move(self) -> str:
@@ -88,7 +93,7 @@ class Dynamics:
             value, rate = self._actuator(lines, a, dof)
             force[dof].append((value, float(m.actuator_gear[a, 0])))
             if implicit and rate != 0.0:
-                damped[dof].append((rate, -float(m.actuator_gear[a, 0]) ** 2))
+                damped[dof].append((rate, -(float(m.actuator_gear[a, 0]) ** 2)))
         for i in range(m.nv):
             q = self.model.dof_coordinate[i]
             driven = lines.sum(*force[i])
@@ -153,14 +158,13 @@ class Dynamics:
         both, swept, gyro, lever = product(spin, arm), skew(carried), product(spin, local), skew(turned)
         # linear rows: heavy a + B α = push, B = -[r]× - h ([ω × r]× + [ω]× [r]×), both in the body's frame
         b = [
-            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)] for i in range(3)
+            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)]
+            for i in range(3)
         ]
         # angular rows: [r]× a + (I + h ([ω]× I - [I ω]×)) α = torque
         a = [
             [
-                lines.sum(
-                    local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), extra if i == j else 0.0
-                )
+                lines.sum(local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), extra if i == j else 0.0)
                 for j in range(3)
             ]
             for i in range(3)
@@ -190,7 +194,9 @@ class Dynamics:
         affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
         factor: Operand = float(gain[0])
         if affine:
-            factor = lines.sum(float(gain[0]), (float(gain[1]) * gear, f"w.q[{q}]"), (float(gain[2]) * gear, f"w.v[{dof}]"))
+            factor = lines.sum(
+                float(gain[0]), (float(gain[1]) * gear, f"w.q[{q}]"), (float(gain[2]) * gear, f"w.v[{dof}]")
+            )
         terms: list = [(factor, control)]
         rate: list = [(float(gain[2]), control)] if affine and gain[2] else []
         if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
@@ -243,7 +249,7 @@ class Dynamics:
         """Centres and axes of a body's geoms."""
         m = self.mj
         for g in np.flatnonzero(m.geom_bodyid == body):
-            if int(g) not in self.used:
+            if int(g) not in self.used or int(g) in self.model.standing:
                 continue
             at = lines.transform(columns, known(m.geom_pos[g]), position)
             axes = lines.times(columns, rotation(m.geom_quat[g]))
@@ -313,8 +319,9 @@ class _Tree:
     def _visit(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> tuple[Inertia, Vector, Vector]:
         """Inertia and force of everything from a body on."""
         m, lines = self.mj, self.lines
-        position = lines.transform(columns, known(m.body_pos[b]), position)
-        columns = lines.times(columns, rotation(m.body_quat[b]))
+        if not m.body_jntnum[b] or m.jnt_type[m.body_jntadr[b]] != FREE:  # whose pose is all in its coordinates
+            position = lines.transform(columns, known(m.body_pos[b]), position)
+            columns = lines.times(columns, rotation(m.body_quat[b]))
         for j in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
             position, columns, motion = self._joint(j, position, columns, motion)
         own = range(m.body_dofadr[b], m.body_dofadr[b] + m.body_dofnum[b]) if m.body_dofnum[b] else range(0)
@@ -401,7 +408,11 @@ class _Tree:
             self.turns[i] = axis
             self.slides[i] = lines.cross(axis, lines.difference(self.reference, anchor))
         rate = f"w.v[{i}]"
-        return position, columns, self._moved(self._scaled(self.turns[i], rate), self._scaled(self.slides[i], rate), motion)
+        return (
+            position,
+            columns,
+            self._moved(self._scaled(self.turns[i], rate), self._scaled(self.slides[i], rate), motion),
+        )
 
     def _refer(self, point: Vector) -> None:
         """Take spatial vectors about a point, unless one is chosen."""
@@ -440,7 +451,7 @@ class _Tree:
 
     def _turned(self, columns: Matrix, axis: list[float], angle: Operand, i: int) -> Matrix:
         """Columns after a turn about an axis of the body (Rodrigues)."""
-        lines, m = self.lines, self.mj
+        lines = self.lines
         s, c = f"sin{i}", f"cos{i}"
         lines.add(sincos(text(angle), s, c))
         along = [k for k in range(3) if abs(abs(axis[k]) - 1.0) < 1e-9]

@@ -15,6 +15,7 @@ class FusedWork:
     movable: wp.array2d[wp.transform]  # [W, n] obstacles that move with the task
     control: wp.array3d[float]  # [T, W, nu]
     substeps: wp.array[int]  # [T] physics steps in each control step
+    given: wp.array[float]  # numbers of the model that are no part of the source
     par: wp.array2d[float]  # [P, W] what differs between worlds
     joint_q: wp.array3d[float]  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float]  # [T+1, W, nv]
@@ -53,7 +54,7 @@ def make_kernel(source: str, lanes: int, threads: int) -> wp.Kernel:
         first: int,  # world of thread 0
         end: int,  # one past the last world
     ):
-        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one world, or a lane's part of it."""
+        """One thread: all steps of as many worlds as a number has lanes; on a GPU of one, or a lane's part of it."""
         rollout(k, wp.tid() // sharing, first, end)
 
     return fused_kernel

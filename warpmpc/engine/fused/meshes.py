@@ -22,7 +22,7 @@ class Hulls:
     """First face of each vertex, and one more at the end."""
     face_normal: list[np.ndarray] = field(default_factory=list)
     face_vertex: list[list[int]] = field(default_factory=list)
-    """The other corners of the largest quadrangle in a face with the vertex, counted from the geom's first; -1 for none."""
+    """The other corners of a large quadrangle in a face with the vertex, counted from the geom's first; -1 for none."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, geoms: set[int]) -> Hulls:

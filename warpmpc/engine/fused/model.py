@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine ``fused`` takes from a compiled MuJoCo model: constants, and columns of what differs between worlds."""
+"""What the engine ``fused`` takes from a MuJoCo model: constants, and columns of what differs between worlds."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
 FREE, BALL, SLIDE, HINGE = (
     int(kind) for kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_BALL, JOINT.mjJNT_SLIDE, JOINT.mjJNT_HINGE)
 )
+LEAST_TOLERANCE = 1e-6
+"""Of the solver: single precision has no more."""
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
 """Bounds of an impedance (MuJoCo, "Solver parameters")."""
 _UNBOUNDED = 1e30
@@ -223,6 +225,41 @@ class PhysicsModel:
                 out.append(self._pair(int(first), int(second)))
         return sorted(out, key=lambda pair: tuple(int(m.geom_type[g]) for g in pair.geoms))
 
+    @cached_property
+    def standing(self) -> list[int]:
+        """Geoms that neither joints nor mocap bodies move."""
+        m = self.mj
+        rooted = [int(m.body_mocapid[m.body_rootid[m.geom_bodyid[g]]]) for g in range(m.ngeom)]
+        return [g for g in range(m.ngeom) if rooted[g] < 0 and not self.moves(int(m.geom_bodyid[g]))]
+
+    @cached_property
+    def _given(self) -> dict[str, np.ndarray]:
+        """Numbers that are no part of the source, since scenes draw them or they follow from where a scene starts."""
+        m, inverse = self.mj, self.array("dof_invweight0")[0]
+        data = mujoco.MjData(m)
+        mujoco.mj_kinematics(m, data)
+        tolerance = max(float(m.opt.tolerance), LEAST_TOLERANCE)
+        return {
+            "SIZE": self.array("geom_size")[0],
+            "BOUND": self.array("geom_rbound").max(axis=0),
+            "FRICTION": np.array([pair.friction[0] for pair in self.pairs]),
+            "PAIR_INVERSE": np.array([pair.inverse[0] for pair in self.pairs]),
+            "LIMIT_INVERSE": np.array([inverse[m.jnt_dofadr[j]] for j in self.limited]),
+            "TOLERANCE": np.array([2.0 * tolerance * float(m.stat.meaninertia) * max(1, m.nv)]),
+            "POSE": np.hstack([data.geom_xpos, data.geom_xmat])[self.standing],
+        }
+
+    @cached_property
+    def given(self) -> np.ndarray:
+        """The same, one after the other."""
+        return np.concatenate([np.ravel(values) for values in self._given.values()])
+
+    @cached_property
+    def given_at(self) -> dict[str, int]:
+        """Where each of them begins."""
+        sizes = [np.size(values) for values in self._given.values()]
+        return dict(zip(self._given, np.cumsum([0, *sizes]).tolist(), strict=False))
+
     def _pair(self, a: int, b: int) -> PairRow:
         """Mixed parameters of two geoms (MuJoCo, "Contact parameters")."""
         m, friction = self.mj, self.array("geom_friction")
@@ -354,9 +391,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
-    "a medium (density, viscosity or wind)": lambda p: (
-        p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind)
-    ),
+    "a medium (density, viscosity or wind)": lambda p: p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind),
     "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
     "impedances of a power other than 2": lambda p: (
         (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.limited, 4] != 2.0).any()

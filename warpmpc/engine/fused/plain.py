@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts of a MuJoCo model by itself, without a scene: what tests and measurements compare with ``mujoco.rollout``."""
+"""Rollouts of a MuJoCo model without a scene: what tests and measurements compare with ``mujoco.rollout``."""
 
 from __future__ import annotations
 
@@ -84,6 +84,7 @@ class PlainRollout:
         par = np.zeros((max(1, len(columns)), worlds), dtype=np.float32)
         for row, values in zip(par, columns, strict=False):
             row[:] = values
+        work.given = wp.array(physics.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
         work.joint_q, work.joint_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)

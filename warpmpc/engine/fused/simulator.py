@@ -110,9 +110,7 @@ class FusedSimulator:
     def _bind(self, layout: Layout, world: MujocoWorld, substeps: Sequence[int]) -> None:
         shape, device, out = self.shape, self.device, self.trajectory
         self._nq = world.model.nq
-        self._table = joint_table(
-            layout, device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd
-        )
+        self._table = joint_table(layout, device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
         columns = self.model.columns.values
         par = np.zeros((max(1, len(columns)), shape.worlds), dtype=np.float32)
         for row, values in zip(par, columns, strict=False):
@@ -123,6 +121,7 @@ class FusedSimulator:
         work.mocap = self._table.mocap_pose
         work.movable = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device=device)
         work.substeps = wp.array(list(substeps), dtype=int, device=device)
+        work.given = wp.array(self.model.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
         work.joint_q, work.joint_qd = out.joint_q, out.joint_qd
         work.body_q, work.body_qd = out.body_q, out.body_qd

@@ -33,119 +33,7 @@ MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-LEAST_TOLERANCE = 1e-6
-"""Of the solver: single precision has no more."""
-LINE_SEARCH, LINE_TOLERANCE = 10, 0.01
-"""Line search: most steps, and how flat the cost must be along the direction, MuJoCo's ``ls_tolerance``."""
-
-_TYPES = """#if defined(__CUDA_ARCH__) && SHARED
-#define COOPERATE 1
-#define EACH(k, n) for (int k = threadIdx.x & 31; k < (n); k += 32)
-#define SYNC __syncwarp();
-#else
-#define COOPERATE 0
-#define EACH(k, n) for (int k = 0; k < (n); ++k)
-#define SYNC
-#endif
-#if defined(__CUDA_ARCH__)
-#define FN static __device__ __noinline__
-#define INLINE static __device__ __forceinline__
-#define INNER __device__ __forceinline__
-#define UNROLL _Pragma("unroll")
-#define VNOT(m) (!(m))
-#define VBITS(m) ((m) ? 1u : 0u)
-#define YES ((I)1)
-#else
-#define FN __attribute__((noinline)) static
-#define INLINE __attribute__((always_inline)) static inline
-#define INNER __attribute__((always_inline)) inline
-#define UNROLL _Pragma("clang loop unroll(full)")
-#define VNOT(m) (~(m))
-#define VBITS(m) bits(m)
-#define YES ((I)(-1))
-#endif
-#define NO ((I)0)
-"""
 _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC")
-_BITS = """#if !defined(__CUDA_ARCH__)
-INLINE unsigned bits(I m) {
-    typedef bool B __attribute__((ext_vector_type(LANES)));
-    return __builtin_bit_cast(unsigned WORD, __builtin_convertvector(m, B));
-}
-#endif
-"""
-_WORD = {16: "short", 8: "char"}
-_SLOW_BITS = """#if !defined(__CUDA_ARCH__)
-INLINE unsigned bits(I m) {
-    unsigned b = 0;
-    for (int l = 0; l < LANES; ++l) b |= (m[l] < 0 ? 1u : 0u) << l;
-    return b;
-}
-#endif
-"""
-
-_BODY = """
-#define LANE(x, l) (((float*)&(x))[l])
-#define PUT(N, WIDTH, VALUE) { const T value = VALUE; for (int l = 0; l < count; ++l) to[l * WIDTH + N] = LANE(value, l); }
-const int worlds = k.control.shape[1], steps = k.control.shape[0], controls = k.control.shape[2];
-#if defined(__CUDA_ARCH__)
-const int lanes = 1, row = first + group;
-#else
-const int lanes = LANES, row = first + group * LANES;
-#endif
-const int count = end - row < lanes ? end - row : lanes;
-#if COOPERATE
-__shared__ Sim::World w;  // of the whole warp, which is a block
-for (int i = 0; i < NH; ++i) w.mm[i] = 0.0f;  // where branches do not meet it stays so
-#else
-Sim::World w;
-#endif
-for (int l = 0; l < lanes; ++l) {
-    const size_t from = row + (l < count ? l : count - 1);
-    const double* initial = (const double*)k.initial.data + from * k.initial.shape[1] + 1;
-    for (int i = 0; i < NQ; ++i) LANE(w.q[i], l) = (float)initial[i];
-    for (int i = 0; i < NV; ++i) LANE(w.v[i], l) = (float)initial[NQ + i];
-    const float* mocap = (const float*)k.mocap.data + 7 * from * k.mocap.shape[1];
-    for (int i = 0; i < 7 * NMOCAP; ++i) LANE(w.mocap[i], l) = mocap_start[i];
-    for (int i = 0; i < MOCAPS; ++i) MOVE_MOCAP(mocap_of, mocap)
-    const float* moved = (const float*)k.movable.data + 7 * from * k.movable.shape[1];
-    for (int i = 0; i < MOVABLES; ++i) MOVE_MOCAP(movable_of, moved)
-    for (int i = 0; i < PARAMETERS; ++i) LANE(w.par[i], l) = k.par.data[(size_t)i * worlds + from];
-}
-for (int i = 0; i < NV; ++i) w.x[i] = (T)0.0f;
-w.overflow = 0;
-SYNC
-Sim::place(w);
-Sim::move(w);
-SYNC
-for (int h = 0; h < steps; ++h) {
-    T c[NCONTROL];
-    for (int l = 0; l < lanes; ++l) {
-        const float* from = (const float*)k.control.data + ((size_t)h * worlds + row + (l < count ? l : count - 1)) * controls;
-        for (int u = 0; u < controls; ++u) LANE(c[u], l) = from[u];
-    }
-    CONTROLS
-    SYNC
-    const int substeps = k.substeps.data[h];
-    WATCH_NOTHING
-    for (int n = 0; n < substeps; ++n) {
-        Sim::step(w);
-        WATCH
-    }
-    RECORD
-}
-T bad = (T)0.0f;  // not a number where a state is none, one where it is too large
-for (int i = 0; i < NV; ++i) bad = VABS(w.v[i]) < 1e10f ? bad : (T)1.0f;
-for (int i = 0; i < NQ; ++i) bad = VABS(w.q[i]) < 1e10f ? bad : (T)1.0f;
-for (int l = 0; l < count; ++l) {
-    k.diverged.data[row + l] = LANE(bad, l) != 0.0f;
-    k.overflow.data[row + l] = (w.overflow >> l) & 1;
-}
-"""
-_MOVE = """{ float* to = (float*)w.mocap;
-    const float* p = FROM + 7 * i;
-    const int order[7] = {0, 1, 2, 6, 3, 4, 5};
-    for (int n = 0; n < 7; ++n) LANE(w.mocap[7 * TO[i] + n], l) = p[order[n]]; }"""
 
 
 @dataclass(frozen=True)
@@ -198,7 +86,6 @@ class RolloutSource:
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
-        bits = (_BITS if self.lanes in _WORD else _SLOW_BITS).replace("WORD", _WORD.get(self.lanes, ""))
         parts = [
             *(self._native(name) for name in ("number", "world", "collide_common")),
             *baked,
@@ -207,27 +94,17 @@ class RolloutSource:
             self._native("solve").replace("BLOCKS", self._blocks()),
             step,
         ]
-        inside = "\n".join((bits.replace("LANES", str(self.lanes)), *parts))
-        body = _BODY
-        for word, text in (
-            ("MOVE_MOCAP(mocap_of, mocap)", _MOVE.replace("FROM", "mocap").replace("TO", "mocap_of")),
-            ("MOVE_MOCAP(movable_of, moved)", _MOVE.replace("FROM", "moved").replace("TO", "movable_of")),
-            ("CONTROLS", self._controls()),
-            ("WATCH_NOTHING", _WATCH_NOTHING if self.watched else ""),
-            ("WATCH", _WATCH if self.watched else ""),
-            ("RECORD", self._record()),
-            ("LANES", str(self.lanes)),
-        ):
-            body = body.replace(word, text)
+        inside = "\n".join(("struct Sim {", *parts, "};"))
+        body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
         tables = "\n".join(self._tables())
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
         undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-        inside = f"struct Sim {{\n{inside}\n}};"
-        return "\n".join((header(self.lanes), undo, defined, _TYPES, tables, inside, body, undo, ""))
+        return "\n".join((header(self.lanes), undo, defined, self._native("types"), tables, inside, body, undo, ""))
 
     def _native(self, name: str) -> str:
         return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
@@ -267,7 +144,6 @@ class RolloutSource:
         m, model = self.model.mj, self.model
         longest = max([1, *(len(dofs) for _, dofs in self._groups)])
         bound = sum(POINTS.get(tuple(int(m.geom_type[g]) for g in pair.geoms), 1) for pair in model.pairs)
-        scale = 2.0 * max(float(m.opt.tolerance), LEAST_TOLERANCE) * float(m.stat.meaninertia) * max(1, m.nv)
         turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
         return {
             "NQ": m.nq,
@@ -289,9 +165,9 @@ class RolloutSource:
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
-            "LINE_SEARCH": LINE_SEARCH,
-            "LINE_TOLERANCE": literal(LINE_TOLERANCE),
-            "TOLERANCE": literal(scale),
+            "LINE_SEARCH": int(m.opt.ls_iterations),
+            "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
+            **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
         }
 
@@ -324,9 +200,7 @@ class RolloutSource:
             _ints("pair_group", groups),
             _floats("pair_sign", signs),
             _floats("pair_margin", [pair.margin for pair in pairs]),
-            _floats("pair_mu", [pair.friction[0] if pair.slides else 0.0 for pair in pairs]),
             _ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
-            _floats("pair_inverse_", [pair.inverse[0] for pair in pairs]),
             _ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
             _floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
             _floats("pair_damping", [pair.rows.damping for pair in pairs]),
@@ -343,11 +217,8 @@ class RolloutSource:
             _floats("limit_stiffness", [rows.stiffness for rows in limits]),
             _floats("limit_damping", [rows.damping for rows in limits]),
             _floats("limit_impedance", [rows.impedance for rows in limits]),
-            _floats("limit_inverse", [inverse[0, dof] for dof in limit_dofs]),
             _ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
-            _floats("geom_size", sizes[0]),
             _ints("geom_size_at", size_at),
-            _floats("geom_bound", model.array("geom_rbound").max(axis=0)),
             _ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
             _ints("dof_top", model.dof_top),
             _ints("scalar_q", m.jnt_qposadr[scalar]),
@@ -476,32 +347,6 @@ class RolloutSource:
             out.append(origin[i] + "".join(terms))
         return [*out, *(f"w.bang[{r}][{i}]" for i in range(3))]
 
-
-_WATCH_NOTHING = """float* const pushed = (float*)k.force.data + ((size_t)h * worlds + row) * 3 * k.force.shape[2];
-for (int i = 0; i < 3 * k.force.shape[2] * count; ++i) pushed[i] = 0.0f;
-const float share = 1.0f / substeps;  // the mean over the physics steps"""
-_WATCH = """for (int i = 0; i < w.contacts; ++i) {
-#if COOPERATE
-    if (threadIdx.x & 31) break;
-#endif
-    const Sim::Contact& c = w.con[w.order[i]];
-    T f0, f1, f2;
-    Sim::contact_force(c, f0, f1, f2);
-    const Sim::V3 normal = Sim::load(c.normal), along = Sim::load(c.tangent);
-    const Sim::V3 f = normal * f0 + along * f1 + Sim::cross(normal, along) * f2;
-    for (int l = 0; l < count; ++l) {
-        if (!((c.used >> l) & 1)) continue;
-        const int pair = ((const int*)&c.pair)[l];
-        for (int i = watch_first[pair]; i < watch_first[pair + 1]; ++i) {
-            float* of = pushed + 3 * (l * k.force.shape[2] + watch_index[i]);
-            const float sign = share * watch_sign[i];
-            of[0] += sign * LANE(f.x, l);
-            of[1] += sign * LANE(f.y, l);
-            of[2] += sign * LANE(f.z, l);
-        }
-    }
-}
-SYNC"""
 
 _NAMES = {
     kinds.PLANE: "plane",

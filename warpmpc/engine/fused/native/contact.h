@@ -17,11 +17,11 @@ INLINE T impedance(const float* p, T distance) {
 INLINE T row_weight(T inverse, T imp) { return 1.0f / VMAX(inverse * (1.0f - imp) / imp, splat(1e-15f)); }
 INLINE T pair_friction(const World& w, int pair) {
     const int at = pair_mu_at[pair];
-    return at >= 0 ? w.par[at] : splat(pair_mu[pair]);
+    return at >= 0 ? w.par[at] : splat(w.given[GIVEN_FRICTION + pair]);
 }
 INLINE T pair_inverse(const World& w, int pair) {
     const int at = pair_inverse_at[pair];
-    return at >= 0 ? w.par[at] : splat(pair_inverse_[pair]);
+    return at >= 0 ? w.par[at] : splat(w.given[GIVEN_PAIR_INVERSE + pair]);
 }
 
 // The rows of a contact of some lanes
@@ -143,7 +143,7 @@ FN void limit(World& w) {
         const T side = m ? (high < low ? splat(-1.0f) : splat(1.0f)) : zero(), beyond = distance - limit_margin[k];
         const T imp = impedance(limit_impedance + 4 * k, beyond);
         const int at = limit_inverse_at[k], n = COOPERATE ? k : w.limits++;
-        const T inverse = at >= 0 ? w.par[at] : splat(limit_inverse[k]);
+        const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_LIMIT_INVERSE + k]);
         w.ldof[n] = i;
         w.lside[n] = side;
         w.lweight[n] = m ? row_weight(inverse, imp) : zero();

@@ -1,6 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 // Vectors of three numbers, and masks: what a comparison of numbers gives is all ones or nothing in every lane on a
 // CPU, 1 or 0 on a GPU, so that masks are combined by &, | and VNOT alone.
+#if !defined(__CUDA_ARCH__)
+// Lanes of a mask as bits
+INLINE unsigned bits(I m) {
+#if LANES == 16 || LANES == 8
+    typedef bool B __attribute__((ext_vector_type(LANES)));
+#if LANES == 16
+    return __builtin_bit_cast(unsigned short, __builtin_convertvector(m, B));
+#else
+    return __builtin_bit_cast(unsigned char, __builtin_convertvector(m, B));
+#endif
+#else
+    unsigned b = 0;
+    for (int l = 0; l < LANES; ++l) b |= (m[l] < 0 ? 1u : 0u) << l;
+    return b;
+#endif
+}
+#endif
 #if COOPERATE
 // Sums and unions over the lanes of a warp that share one world, the same in all of them
 INLINE T total(T x) {

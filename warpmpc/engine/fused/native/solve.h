@@ -181,15 +181,17 @@ FN void newton(World& w, I done) {
         q2 = total(q2);
         decrement = total(decrement);
         done |= VNOT(decrement == decrement);  // what is not a number stays so
-        const I last = (decrement < TOLERANCE) & VNOT(done);
+        const I last = (decrement < w.given[GIVEN_TOLERANCE]) & VNOT(done);
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
-        EACH(n, w.contacts) {  // for the last step, too: forces follow from where it ends
-            Contact& c = w.con[n];
-            if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
+        if (VANY(active | last)) {
+            EACH(n, w.contacts) {
+                Contact& c = w.con[n];
+                if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
+            }
+            EACH(k, w.limits) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
+            SYNC
         }
-        EACH(k, w.limits) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
-        SYNC
         for (int tries = 0; tries < LINE_SEARCH && VANY(active); ++tries) {
             T d1 = q1 + step * q2, d2 = q2;
             I changed = NO;
@@ -203,6 +205,7 @@ FN void newton(World& w, I done) {
             next = ((next <= low) | (next >= high)) ? 0.5f * (low + VMIN(high, 2.0f * low + 1.0f)) : next;
             step = active ? next : step;
         }
+        step = active ? low : step;  // whoever has not come to an end keeps what lies downhill for sure
         EACH(i, NV) {
             w.x[i] = done ? w.x[i] : w.x[i] + step * w.search[i];
             w.ma[i] = done ? w.ma[i] : w.ma[i] + step * w.mv[i];

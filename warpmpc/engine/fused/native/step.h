@@ -4,13 +4,13 @@
 // Lanes whose geoms' bounding spheres meet
 INLINE I near_spheres(World& w, int pair, int a, int b) {
     const V3 d = load(w.gpos[a]) - load(w.gpos[b]);
-    const float reach = geom_bound[a] + geom_bound[b] + pair_margin[pair];
+    const float reach = bound(w, a) + bound(w, b) + pair_margin[pair];
     return dot(d, d) < reach * reach;
 }
 // Lanes where the sphere around one geom meets a box
 INLINE I near_box(World& w, int pair, int g, int box) {
     const V3 c = along_axes(w.gmat[box], load(w.gpos[g]) - load(w.gpos[box]));
-    const float reach = geom_bound[g] + pair_margin[pair];
+    const float reach = bound(w, g) + pair_margin[pair];
     const V3 o = {VMAX(VABS(c.x) - gsize(w, box, 0), zero()), VMAX(VABS(c.y) - gsize(w, box, 1), zero()),
                   VMAX(VABS(c.z) - gsize(w, box, 2), zero())};
     return dot(o, o) < reach * reach;
@@ -18,7 +18,7 @@ INLINE I near_box(World& w, int pair, int g, int box) {
 // Lanes where the sphere around a geom meets a plane
 INLINE I near_plane(World& w, int pair, int plane, int g) {
     const V3 n = axis_of(w, plane, 2);
-    return dot(load(w.gpos[g]) - load(w.gpos[plane]), n) < geom_bound[g] + pair_margin[pair];
+    return dot(load(w.gpos[g]) - load(w.gpos[plane]), n) < bound(w, g) + pair_margin[pair];
 }
 FN void collide(World& w) {
     w.contacts = 0;

@@ -20,6 +20,7 @@ struct Raw {  // a contact that one lane of the warp has found
 };
 #endif
 struct World {
+    const float* given;          // what scenes draw anew: numbers of the model that are no part of this source
     T q[NQ], v[NV], ctrl[NU], par[NPAR], mocap[7 * NMOCAP];
     T x[NV];                     // acceleration, and the solver's start in the next step
     T fs[NV], bias[NV], damp[NV], ma[NV], mv[NV], grad[NV], search[NV], mm[NH], h[NH];
@@ -40,5 +41,6 @@ INLINE T gsize(const World& w, int g, int k) {
     const int at = geom_size_at[3 * g + k];
     if (at >= 0) return w.par[at];
 #endif
-    return splat(geom_size[3 * g + k]);
+    return splat(w.given[GIVEN_SIZE + 3 * g + k]);
 }
+INLINE float bound(const World& w, int g) { return w.given[GIVEN_BOUND + g]; }

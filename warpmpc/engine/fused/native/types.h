@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Functions, loops and masks on either device. On a GPU a world is a thread's own, or the lanes of a warp share it
+// (COOPERATE): then every lane runs the same code with the same numbers, but for loops over EACH, which they divide
+// among themselves; SYNC stands wherever one lane reads what others wrote, or writes what they still read.
+#if defined(__CUDA_ARCH__) && SHARED
+#define COOPERATE 1
+#define EACH(k, n) for (int k = threadIdx.x & 31; k < (n); k += 32)
+#define SYNC __syncwarp();
+#else
+#define COOPERATE 0
+#define EACH(k, n) for (int k = 0; k < (n); ++k)
+#define SYNC
+#endif
+#if defined(__CUDA_ARCH__)
+#define FN static __device__ __noinline__
+#define INLINE static __device__ __forceinline__
+#define INNER __device__ __forceinline__
+#define UNROLL _Pragma("unroll")
+#define VNOT(m) (!(m))
+#define VBITS(m) ((m) ? 1u : 0u)
+#define YES ((I)1)
+#else
+#define FN __attribute__((noinline)) static
+#define INLINE __attribute__((always_inline)) static inline
+#define INNER __attribute__((always_inline)) inline
+#define UNROLL _Pragma("clang loop unroll(full)")
+#define VNOT(m) (~(m))
+#define VBITS(m) bits(m)
+#define YES ((I)(-1))
+#endif
+#define NO ((I)0)
+#define LANE(x, l) (((float*)&(x))[l])
+// a number of every lane into a row of the record
+#define PUT(N, WIDTH, VALUE) \
+    { const T value = VALUE; for (int l = 0; l < count; ++l) to[l * WIDTH + N] = LANE(value, l); }
