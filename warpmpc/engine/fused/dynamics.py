@@ -13,7 +13,7 @@ import numpy as np
 
 from ...bake.lines import Lines, Matrix, Operand, Vector, known, literal, text
 from ...bake.number import sincos
-from .model import BALL, BOX, CYLINDER, ELLIPSOID, FREE, MESH, SLIDE, PhysicsModel, rotation
+from .model import BALL, BOX, CONVEX, CYLINDER, ELLIPSOID, FREE, MESH, SLIDE, PhysicsModel, rotation
 
 Inertia = list[Operand]
 """Of a body about the tree's point: xx, yy, zz, xy, xz, yz, mass times centre (3), mass."""
@@ -39,6 +39,9 @@ class Dynamics:
         self.model, self.mj, self.recorded = model, model.mj, recorded
         self.used = {g for pair in model.pairs for g in pair.geoms}
         """Geoms that may touch something."""
+        kinds = ((pair, tuple(int(self.mj.geom_type[g]) for g in pair.geoms)) for pair in model.pairs)
+        self.convex = {g for pair, kind in kinds if kind in CONVEX for g in pair.geoms}
+        """Geoms that some other looks at as a convex shape, all of whose axes are needed."""
 
     def write(self) -> str:
         """Source of the functions."""
@@ -256,7 +259,7 @@ class Dynamics:
             for k in range(3):
                 lines.add(f"w.gpos[{g}][{k}] = {text(at[k])};")
                 for axis in range(3):
-                    if m.geom_type[g] in (BOX, CYLINDER, ELLIPSOID, MESH) or axis == 2:
+                    if axis == 2 or g in self.convex or m.geom_type[g] in (BOX, CYLINDER, ELLIPSOID, MESH):
                         lines.add(f"w.gmat[{g}][{3 * k + axis}] = {text(axes[axis][k])};")
 
     def _keep(
