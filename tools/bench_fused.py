@@ -86,13 +86,18 @@ def arm_with_box() -> mujoco.MjModel:
 
 
 def humanoid() -> mujoco.MjModel:
-    """Newton's ``nv_humanoid.xml`` with its own motors."""
+    """Newton's ``nv_humanoid.xml`` with its own motors over a floor, without the springs of its free joint."""
     folder = Path(importlib.util.find_spec("newton").submodule_search_locations[0])
     spec = mujoco.MjSpec.from_file(str(folder / "examples/assets/nv_humanoid.xml"))
-    for tendon in list(spec.tendons):
-        spec.delete(tendon)
+    for item in (*spec.sensors, *spec.tendons):
+        spec.delete(item)
+    if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9.0, 9.0, 0.1])
     model = spec.compile()
+    model.jnt_stiffness[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] = 0.0
     model.opt.timestep, model.opt.integrator = 0.005, mujoco.mjtIntegrator.mjINT_EULER
+    model.opt.iterations, model.opt.tolerance = 20, 1e-6
+    model.qpos0[2] = 1.3
     return model
 
 
