@@ -1,42 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shipped scenes in closed loop, randomized plant against randomized rollouts, over several seeds.
 
-Tests that take ``engine`` run on every engine with physics; ``newton`` needs a CUDA device: pytest -m gpu tests/scenes.
+With the engine that ``auto`` takes on the CPU; tests that take ``device`` also on a GPU: pytest -m gpu tests/scenes.
 """
 
 import numpy as np
 import pytest
-import warp as wp
 
 import warpmpc
 
 GRAZE = 5.0  # [N] net force below which a touched obstacle counts as grazed
 
 
-@pytest.fixture(params=["mujoco", "fused", pytest.param("newton", marks=pytest.mark.gpu)])
-def engine(request) -> str:
-    """The engines in turn."""
-    if request.param == "newton" and not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
-    return request.param
+pytestmark = pytest.mark.usefixtures("preferred")
 
 
-def episodes(name: str, seeds, overrides=(), engine="mujoco"):
+def episodes(name: str, seeds, overrides=(), device="cpu"):
     scene = warpmpc.load_scene(name, overrides=list(overrides))
-    device = "cuda:0" if engine == "newton" else "cpu"
-    return [warpmpc.run_episode(scene, seed=seed, engine=engine, device=device) for seed in seeds]
+    return [warpmpc.run_episode(scene, seed=seed, device=device) for seed in seeds]
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "fused"])
-def test_the_base_pushes_a_box_to_its_goal(engine):
-    (result,) = episodes("omni_push_box:A", (31,), engine=engine)
+def test_the_base_pushes_a_box_to_its_goal():
+    (result,) = episodes("omni_push_box:A", (31,))
     assert result.diverged_worlds == 0
     assert result.success, result
     assert result.max_force <= GRAZE, result
 
 
 @pytest.mark.slow
-def test_the_base_pushes_the_box_to_its_goal(engine):
+def test_the_base_pushes_the_box_to_its_goal(device):
     results = []
     for variant in "AB":
         scene = warpmpc.load_scene(f"omni_push_box:{variant}")
@@ -44,30 +36,28 @@ def test_the_base_pushes_the_box_to_its_goal(engine):
         assert set(scene.randomize) == {"box"}
         (step,) = scene.planner.dt
         assert scene.timing.control_dt / scene.plant.substeps < step / scene.engine.substeps
-        results += episodes(f"omni_push_box:{variant}", (31, 33), engine=engine)
+        results += episodes(f"omni_push_box:{variant}", (31, 33), device=device)
     assert all(r.diverged_worlds == 0 for r in results)
     assert all(r.success for r in results), results
     assert all(r.max_force <= GRAZE for r in results), results
 
 
 @pytest.mark.slow
-def test_the_disc_reaches_drawn_goals_without_collisions(engine):
-    results = episodes("point_reach", range(200, 210), engine=engine)
+def test_the_disc_reaches_drawn_goals_without_collisions(device):
+    results = episodes("point_reach", range(200, 210), device=device)
     assert sum(r.success for r in results) >= 9
     assert sum(r.max_force > 0.0 for r in results) <= 1
     assert np.mean([r.sim_time for r in results if r.success]) <= 2.7
     assert len({str(r.drawn) for r in results}) == 10
 
 
-def test_a_strangers_arm_reaches_a_pose(engine):
-    if engine == "fused":
-        pytest.skip("an equality couples the arm's fingers, and this engine has none")
-    for result in episodes("panda_reach_pose", (300, 301), engine=engine):
+def test_a_strangers_arm_reaches_a_pose(device):
+    for result in episodes("panda_reach_pose", (300, 301), device=device):
         assert result.success, result
 
 
-def test_the_mobile_arm_picks_the_cube_up_and_carries_it_off(engine):
-    (result,) = episodes("mobile_pick", (40,), engine=engine)
+def test_the_mobile_arm_picks_the_cube_up_and_carries_it_off(device):
+    (result,) = episodes("mobile_pick", (40,), device=device)
     assert result.diverged_worlds == 0
     assert result.success, result
     assert result.sim_time <= 25.0
@@ -87,14 +77,13 @@ def test_a_kicked_arm_recovers():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["mujoco", "fused"])
 @pytest.mark.parametrize("variant", ["A", "B"])
-def test_nine_of_ten_seeds_succeed(variant, engine):
-    assert sum(r.success for r in episodes(f"omni_push_box:{variant}", range(400, 410), engine=engine)) >= 9
+def test_nine_of_ten_seeds_succeed(variant):
+    assert sum(r.success for r in episodes(f"omni_push_box:{variant}", range(400, 410))) >= 9
 
 
-def test_the_arm_reaches_drawn_goals_between_spheres(engine):
-    results = episodes("panda_reach", (500, 501), ["timing.timeout=5.0"], engine)
+def test_the_arm_reaches_drawn_goals_between_spheres(device):
+    results = episodes("panda_reach", (500, 501), ["timing.timeout=5.0"], device)
     assert all(r.success for r in results), results
     assert all(r.max_force == 0.0 for r in results), results
     assert np.mean([r.sim_time for r in results]) <= 1.2
