@@ -166,7 +166,9 @@ def starts(model: mujoco.MjModel, worlds: int, *, seed: int = 0, speed: float = 
     return q, v
 
 
-def controls(model: mujoco.MjModel, steps: int, worlds: int, *, seed: int = 0, scale: float = 1.0, held: int = 10) -> np.ndarray:
+def controls(
+    model: mujoco.MjModel, steps: int, worlds: int, *, seed: int = 0, scale: float = 1.0, held: int = 10
+) -> np.ndarray:
     """Random controls ``[T, W, nu]``, each held for some steps; what floats can hold."""
     rng = np.random.default_rng(seed)
     u = scale * rng.normal(size=(-(-steps // held), worlds, model.nu))

@@ -55,7 +55,9 @@ def test_single_steps_of_made_up_trees_are_those_of_mujoco(text, integrator):
     check(step_differences(model, states, lanes=4))
 
 
-@pytest.mark.parametrize("lanes", [1, pytest.param(8, marks=pytest.mark.slow), pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "lanes", [1, pytest.param(8, marks=pytest.mark.slow), pytest.param(16, marks=pytest.mark.slow)]
+)
 def test_numbers_of_any_width_give_the_same(lanes):
     model, states = visited(CONTACTS)
     worlds, steps = len(states.q), 4

@@ -63,7 +63,9 @@ def joints(draw, name: str, kinds) -> tuple[str, list[str]]:
     if kind == "ball":
         return f"<joint {text}/>", []
     text += f'axis="{draw(directions())}" ' + some(draw, "range", st.sampled_from(["-0.3 0.4", "0 0.8"]))
-    text += some(draw, "stiffness", st.sampled_from([1.0, 15.0])) + some(draw, "springref", st.sampled_from([-0.2, 0.3]))
+    text += some(draw, "stiffness", st.sampled_from([1.0, 15.0])) + some(
+        draw, "springref", st.sampled_from([-0.2, 0.3])
+    )
     text += some(draw, "ref", st.sampled_from([0.1])) + some(draw, "actuatorfrcrange", st.sampled_from(["-1 2"]))
     text += some(draw, "solreflimit", st.sampled_from(["0.05 0.8", "-500 -30"]))
     drives = draw(
@@ -109,7 +111,11 @@ def models(draw) -> str:
         return f'<body pos="{row(place)}" quat="{draw(turns())}" {comp}>{"".join(parts)}</body>'
 
     trees = "".join(body(0) for _ in range(draw(st.integers(1, 2))))
-    block = '<body pos="0.3 0 0.1" quat="0.9 0 0.1 0.2"><geom type="box" size=".15 .1 .1"/></body>' if draw(st.booleans()) else ""
+    block = (
+        '<body pos="0.3 0 0.1" quat="0.9 0 0.1 0.2"><geom type="box" size=".15 .1 .1"/></body>'
+        if draw(st.booleans())
+        else ""
+    )
     integrator = draw(st.sampled_from(["Euler", "implicitfast"]))
     gravity = draw(st.sampled_from(["0 0 -9.81", "1 0 -9", "0 0 0"]))
     return (
