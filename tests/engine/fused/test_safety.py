@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import warp as wp
 from fused_models import CONTACTS, compile_model, controls, starts
+from native_robots import native_scene
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 
+import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine.fused import model as fused_model
 from warpmpc.engine.fused import simulator, source
@@ -305,3 +307,34 @@ def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp
         Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
 
 
+
+
+@wp.struct
+class SensedParams:
+    seen: int
+
+
+@warpmpc.cost_term("sensed")
+def sensed(s: warpmpc.StepView, p: SensedParams) -> float:
+    """What a sensor shows."""
+    return warpmpc.sensor(s, p.seen)
+
+
+SENSING = """
+<mujoco><worldbody><body name="cart" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/>
+  <geom type="sphere" size=".1"/><site name="tip"/></body></worldbody>
+<actuator><motor name="push" joint="x" ctrlrange="-1 1"/></actuator>
+<sensor><framepos name="tip" objtype="site" objname="tip"/></sensor></mujoco>
+"""
+
+
+@pytest.mark.usefixtures("preferred")
+def test_terms_that_read_sensors_take_another_engine(tmp_path):
+    path = tmp_path / "cart.xml"
+    path.write_text(SENSING)
+    scene = native_scene(path)
+    planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "seen": "r/tip"}]
+    scene = type(scene).model_validate({**scene.model_dump(), "cost": cost, "planner": planner})
+    assert Controller(scene, terms=[sensed], device="cpu").engine.name == "mujoco"
+    with pytest.raises(SceneError, match="the engine fused has no sensors"):
+        Controller(scene, terms=[sensed], engine="fused", device="cpu")
