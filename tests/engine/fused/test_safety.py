@@ -311,13 +311,13 @@ def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp
 
 @wp.struct
 class SensedParams:
-    seen: int
+    tip_sensor: int
 
 
 @warpmpc.cost_term("sensed")
 def sensed(s: warpmpc.StepView, p: SensedParams) -> float:
     """What a sensor shows."""
-    return warpmpc.sensor(s, p.seen)
+    return warpmpc.sensor(s, p.tip_sensor)
 
 
 SENSING = """
@@ -333,7 +333,7 @@ def test_terms_that_read_sensors_take_another_engine(tmp_path):
     path = tmp_path / "cart.xml"
     path.write_text(SENSING)
     scene = native_scene(path)
-    planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "seen": "r/tip"}]
+    planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "tip_sensor": "r/tip"}]
     scene = type(scene).model_validate({**scene.model_dump(), "cost": cost, "planner": planner})
     assert Controller(scene, terms=[sensed], device="cpu").engine.name == "mujoco"
     with pytest.raises(SceneError, match="the engine fused has no sensors"):
