@@ -37,7 +37,8 @@ class Steps:
 
     def __str__(self) -> str:
         steady = self.edge < 1e-4
-        out = [f"{len(self.v)} steps, {100 * (self.strength > 0).mean():.0f} % with forces, MuJoCo jumps in {100 * (~steady).mean():.2f} %"]
+        forces, jumps = 100 * (self.strength > 0).mean(), 100 * (~steady).mean()
+        out = [f"{len(self.v)} steps, {forces:.0f} % with forces, MuJoCo jumps in {jumps:.2f} %"]
         for name in ("v", "q", "pose", "twist", "force"):
             a = getattr(self, name)[steady]
             out.append(f"{name} " + "/".join(f"{x:.1e}" for x in (*np.percentile(a, (50, 90, 99)), a.max())))
@@ -56,7 +57,16 @@ class Comparison:
         substeps: Physics steps in each.
     """
 
-    def __init__(self, name: str, *, states: int = 64, samples: int = 8, seconds: float = 4.0, horizon: int = 1, substeps: int = 1):
+    def __init__(
+        self,
+        name: str,
+        *,
+        states: int = 64,
+        samples: int = 8,
+        seconds: float = 4.0,
+        horizon: int = 1,
+        substeps: int = 1,
+    ):
         self.scene = warpmpc.load_scene(name, overrides=["planner.samples=16", "engine.threads=1"])
         self.compiled = compile_scene(self.scene)
         self.layout, self.horizon = self.compiled.layout, horizon
@@ -94,9 +104,8 @@ class Comparison:
         timestep = controller.engine.simulator.model.opt.timestep
         rows = self.rng.choice(len(found), size=states, replace=len(found) < states)
         given = {item.name: getattr(controller.planner.state, item.name) for item in fields(ObservedState)}
-        tiled = {
-            name: wp.array(np.repeat(a.numpy(), states, axis=0), dtype=a.dtype, device="cpu") for name, a in given.items()
-        }
+        rows_of = {name: np.repeat(a.numpy(), states, axis=0) for name, a in given.items()}
+        tiled = {name: wp.array(rows_of[name], dtype=a.dtype, device="cpu") for name, a in given.items()}
         tiled["joint_q"].assign(np.array([found[i][0] for i in rows]))
         tiled["joint_qd"].assign(np.array([found[i][1] for i in rows]))
         controller.engine.close()
@@ -159,4 +168,3 @@ def _turned(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     """Poses with the signs of others' quaternions."""
     sign = np.where((ours[..., 3:] * theirs[..., 3:]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.concatenate([ours[..., :3], sign * ours[..., 3:]], axis=-1)
-

@@ -120,7 +120,8 @@ def test_neighbours_in_a_register_change_no_bit():
 def test_contacts_beyond_the_room_are_flagged_for_their_world_alone(monkeypatch):
     monkeypatch.setattr(source, "MOST_CONTACTS", 6)
     balls = "".join(
-        f'<body pos="{i} 0 0.5"><joint type="slide" axis="0 0 1"/><geom type="sphere" size=".1"/></body>' for i in range(8)
+        f'<body pos="{i} 0 0.5"><joint type="slide" axis="0 0 1"/><geom type="sphere" size=".1"/></body>'
+        for i in range(8)
     )
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{balls}</worldbody></mujoco>'
@@ -225,7 +226,8 @@ LACKS = {
         **drive('<plugin joint="h" plugin="mujoco.pid" instance="p"/>'),
     },
     "flexible bodies": {
-        "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" mass="1"/>'
+        "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" '
+        'dim="2" mass="1"/>'
     },
     "explicit contact pairs": {"end": '<contact><pair geom1="g" geom2="tip"/></contact>'},
     "torsional and rolling friction (condim 4 and 6)": {"geom": 'condim="4"'},
@@ -238,7 +240,10 @@ LACKS = {
     "actuators with gains other than fixed and affine": drive('<general joint="h" gaintype="user"/>'),
     "armatures of actuators": drive('<motor joint="h" armature="0.3"/>'),
     "delays of actuators": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
-    "groups of actuators that are switched off": {"option": 'actuatorgroupdisable="1"', **drive('<motor joint="h" group="1"/>')},
+    "groups of actuators that are switched off": {
+        "option": 'actuatorgroupdisable="1"',
+        **drive('<motor joint="h" group="1"/>'),
+    },
     "a medium (density, viscosity or wind)": {"option": 'density="1.2"'},
     "gaps of contacts": {"geom": 'margin="0.02" gap="0.01"'},
     "impedances of a power other than 2": {"geom": 'solimp="0.9 0.95 0.001 0.5 3"'},
@@ -253,7 +258,8 @@ LACKS = {
 
 
 def mjcf(**parts: str) -> str:
-    return BODY.format(**{"option": "", "flag": "", "before": "", "world": "", "joint": FREE, "geom": "", "hinge": "", "end": "", **parts})
+    nothing = dict.fromkeys(("option", "flag", "before", "world", "geom", "hinge", "end"), "")
+    return BODY.format(**{**nothing, "joint": FREE, **parts})
 
 
 UNWRITTEN = {"limited actuator forces of ball and free joints"}
@@ -274,13 +280,16 @@ def test_a_plain_model_lacks_nothing():
 
 
 def test_a_pair_of_shapes_without_contacts_is_named():
-    text = mjcf(before='<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>', world='<geom type="hfield" hfield="f"/>')
+    asset = '<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>'
+    text = mjcf(before=asset, world='<geom type="hfield" hfield="f"/>')
     assert fused_model.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
 
 
 @pytest.mark.usefixtures("preferred")
 @pytest.mark.parametrize(
-    "engine", [{"cone": "elliptic"}, {"integrator": "rk4"}, {"integrator": "implicit"}], ids=lambda e: next(iter(e.values()))
+    "engine",
+    [{"cone": "elliptic"}, {"integrator": "rk4"}, {"integrator": "implicit"}],
+    ids=lambda e: next(iter(e.values())),
 )
 def test_auto_takes_mujoco_where_the_engine_lacks_something(engine):
     scene = make_scene(planner={"samples": 4, "horizon": 2}, engine=engine)
@@ -300,13 +309,16 @@ def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp
     if what == "activations of actuators":
         del robot["drive"]
         path.write_text(path.read_text().replace('dyntype="integrator"', 'dyntype="integrator" ctrlrange="-1 1"'))
-    scene = make_scene(robot=[robot], ground=None, goal={"frame": "r/c", "position": (0.0, 0.0)}, planner={"samples": 4, "horizon": 2},
-                       cost=[{"term": "distance", "between": ["r/c", "goal"]}])  # fmt: skip
+    scene = make_scene(
+        robot=[robot],
+        ground=None,
+        goal={"frame": "r/c", "position": (0.0, 0.0)},
+        planner={"samples": 4, "horizon": 2},
+        cost=[{"term": "distance", "between": ["r/c", "goal"]}],
+    )
     assert Controller(scene, device="cpu", compiled=compiled(scene)).engine.name == "mujoco"
     with pytest.raises(SceneError, match=f"the engine fused has no {what}"):
         Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
-
-
 
 
 @wp.struct
