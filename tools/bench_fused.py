@@ -67,17 +67,13 @@ def quadruped() -> mujoco.MjModel:
 
 def arm_with_box() -> mujoco.MjModel:
     """Seven hinges on a column with a ball at the hand, and a box on the floor before it."""
-    links, end = "", ""
-    for i, (axis, length) in enumerate(
-        zip(
-            ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1"),
-            (0.05, 0.2, 0.2, 0.2, 0.15, 0.1, 0.05),
-            strict=True,
-        )
-    ):
+    links, end, bits = "", "", "contype='0' conaffinity"
+    for i, length in enumerate((0.05, 0.2, 0.2, 0.2, 0.15, 0.1, 0.05)):
+        axis = "0 1 0" if i % 2 else "0 0 1"
         links += (
-            f'<body pos="0 0 {0.33 if i == 0 else 0.0}"><joint name="j{i}" axis="{axis}" range="-2.6 2.6" damping="1" armature="0.1"/>'
-            f'<geom type="capsule" fromto="0 0 0 0 0 {length}" size="0.05" mass="1.5" contype="0" conaffinity="{int(i > 3)}"/>'
+            f'<body pos="0 0 {0.33 if i == 0 else 0.0}">'
+            f'<joint name="j{i}" axis="{axis}" range="-2.6 2.6" damping="1" armature="0.1"/>'
+            f'<geom type="capsule" fromto="0 0 0 0 0 {length}" size="0.05" mass="1.5" {bits}="{int(i > 3)}"/>'
             f'<body pos="0 0 {length}">'
         )
         end += "</body></body>"
@@ -239,13 +235,8 @@ def machine() -> dict:
             cpu = next((line.split(":")[1].strip() for line in file if line.startswith("model name")), cpu)
     except OSError:
         pass
-    return {
-        "cpu": cpu,
-        "cores": len(os.sched_getaffinity(0)),
-        "load": os.getloadavg(),
-        "warp": wp.__version__,
-        "mujoco": mujoco.__version__,
-    }
+    versions = {"warp": wp.__version__, "mujoco": mujoco.__version__}
+    return {"cpu": cpu, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg(), **versions}
 
 
 def main() -> None:
@@ -274,9 +265,7 @@ def main() -> None:
                 figures = [r["refused"], ""] if "refused" in r else [f"{r['p50_ms']:.2f}", f"{r['p99_ms']:.2f}"]
                 table.add_row(name, " ".join(overrides), engine, *figures, "-" if goal is None else f"{goal:g}")
     else:
-        table = Table(
-            "model", "worlds", "dofs", "fused [µs]", "mujoco.rollout [µs]", "ratio", "apart", "first call [s]"
-        )
+        table = Table("model", "worlds", "dofs", "fused [µs]", "mujoco.rollout", "ratio", "apart", "first call [s]")
         for name in options.name or (*OWN, *SCENES):
             for worlds in options.worlds:
                 try:
@@ -287,25 +276,16 @@ def main() -> None:
                     continue
                 results.append(r)
                 figures = [f"{r[key]:.2f}" for key in ("fused_us", "mujoco_us")]
-                table.add_row(
-                    name,
-                    str(worlds),
-                    str(r["dofs"]),
-                    *figures,
-                    f"{r['ratio']:.1f}",
-                    f"{r['apart_p50']:.0e}",
-                    f"{r['first_call_s']:.1f}",
-                )
+                figures += [f"{r['ratio']:.1f}", f"{r['apart_p50']:.0e}", f"{r['first_call_s']:.1f}"]
+                table.add_row(name, str(worlds), str(r["dofs"]), *figures)
     console = Console(width=150)
     console.print(table)
     after = machine()
-    console.print(
-        f"load {before['load'][0]:.1f} before, {after['load'][0]:.1f} after, {after['cores']} cores, {after['cpu']}"
-    )
+    load = f"load {before['load'][0]:.1f} before, {after['load'][0]:.1f} after"
+    console.print(f"{load}, {after['cores']} cores, {after['cpu']}")
     if options.json:
-        options.json.write_text(
-            json.dumps({"machine": before, "load_after": after["load"], "results": results}, indent=1)
-        )
+        told = {"machine": before, "load_after": after["load"], "results": results}
+        options.json.write_text(json.dumps(told, indent=1))
 
 
 if __name__ == "__main__":

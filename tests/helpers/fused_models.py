@@ -6,7 +6,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-OPTION = '<option timestep="0.004" integrator="{integrator}" iterations="50" tolerance="1e-8"><flag island="disable"/></option>'
+OPTION = """
+<option timestep="0.004" integrator="{integrator}" iterations="50" tolerance="1e-8"><flag island="disable"/></option>"""
 
 DYNAMICS = """
 <mujoco><compiler angle="radian" autolimits="true"/>{option}
@@ -46,10 +47,12 @@ DYNAMICS = """
         <joint name="arm_1" axis="0 0 1" range="-0.6 0.6" solreflimit="0.02 0.9" damping="0.5" armature="0.05"/>
         <inertial pos="0.1 0 0.1" mass="1.5" diaginertia="0.02 0.03 0.02"/>
         <body name="arm_2" pos="0.2 0 0.3" gravcomp="0.5">
-          <joint name="arm_2" axis="0 1 0.3" ref="0.3" range="-0.4 0.9" solreflimit="-800 -30" solimplimit="0.8 0.97 0.02 0.4 2"/>
+          <joint name="arm_2" axis="0 1 0.3" ref="0.3" range="-0.4 0.9" solreflimit="-800 -30"
+            solimplimit="0.8 0.97 0.02 0.4 2"/>
           <inertial pos="0.1 0 0.1" mass="1" diaginertia="0.02 0.03 0.02"/>
           <body name="arm_3" pos="0.2 0 0.1">
-            <joint name="arm_3" type="slide" axis="-1 0 0.5" ref="0.1" range="-0.1 0.3" margin="0.02" actuatorfrcrange="-6 5"/>
+            <joint name="arm_3" type="slide" axis="-1 0 0.5" ref="0.1" range="-0.1 0.3" margin="0.02"
+              actuatorfrcrange="-6 5"/>
             <inertial pos="0.1 0 0.1" mass="0.6" diaginertia="0.01 0.01 0.02"/>
             <body name="finger_1" pos="0.1 0.05 0"><joint name="finger_1" axis="0 0 -1"/>
               <inertial pos="0.05 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/></body>
@@ -102,7 +105,8 @@ CONTACTS = """
     <geom type="sphere" size=".1" mass="0.4" condim="1" solref="-2000 -20"/>
   </body>
   <body name="pill" pos="2 0 0.15" quat="0.7 0.7 0.1 0"><freejoint/>
-    <geom type="capsule" size=".06 .15" mass="0.6" priority="1" friction="0.3" solref="0.03 0.8" solimp="0.7 0.95 0.01 0.3 2"/>
+    <geom type="capsule" size=".06 .15" mass="0.6" priority="1" friction="0.3" solref="0.03 0.8"
+      solimp="0.7 0.95 0.01 0.3 2"/>
   </body>
   <body name="can" pos="3 0 0.25" quat="0.9 0.3 0 0.1"><freejoint/>
     <geom type="cylinder" size=".1 .15" mass="0.8" solmix="3" solref="0.01 1.2" friction="1.3"/>
@@ -127,9 +131,11 @@ CONTACTS = """
       </body>
     </body>
   </body>
-  <body name="shelf" pos="-2 0 0.6"><geom type="box" size="1.2 .2 .05" contype="4" conaffinity="4" margin="0.004"/></body>
+  <body name="shelf" pos="-2 0 0.6">
+    <geom type="box" size="1.2 .2 .05" contype="4" conaffinity="4" margin="0.004"/></body>
   <body name="fork" pos="-4 0 1">
-    <joint name="fork" type="slide" axis="0 0 1"/> <geom type="box" size=".05 .2 .02" mass="0.5" contype="0" conaffinity="0"/>
+    <joint name="fork" type="slide" axis="0 0 1"/>
+    <geom type="box" size=".05 .2 .02" mass="0.5" contype="0" conaffinity="0"/>
     <body name="tine_1" pos="0 0.2 -0.1"><joint name="tine_1" type="slide" axis="0 1 0" range="-0.3 0.3"/>
       <geom type="box" size=".05 .02 .1" mass="0.2" contype="8" conaffinity="8"/></body>
     <body name="tine_2" pos="0 -0.2 -0.1"><joint name="tine_2" type="slide" axis="0 1 0" range="-0.3 0.3"/>
@@ -166,10 +172,8 @@ def starts(model: mujoco.MjModel, worlds: int, *, seed: int = 0, speed: float = 
     return q, v
 
 
-def controls(
-    model: mujoco.MjModel, steps: int, worlds: int, *, seed: int = 0, scale: float = 1.0, held: int = 10
-) -> np.ndarray:
+def controls(model: mujoco.MjModel, steps: int, worlds: int, *, seed: int = 0, held: int = 10) -> np.ndarray:
     """Random controls ``[T, W, nu]``, each held for some steps; what floats can hold."""
     rng = np.random.default_rng(seed)
-    u = scale * rng.normal(size=(-(-steps // held), worlds, model.nu))
+    u = rng.normal(size=(-(-steps // held), worlds, model.nu))
     return np.repeat(u, held, axis=0)[:steps].astype(np.float32).astype(float)

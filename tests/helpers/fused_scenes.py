@@ -37,9 +37,8 @@ class Steps:
 
     def __str__(self) -> str:
         steady = self.edge < 1e-4
-        out = [
-            f"{len(self.v)} steps, {100 * (self.strength > 0).mean():.0f} % with forces, MuJoCo jumps in {100 * (~steady).mean():.2f} %"
-        ]
+        forces, jumps = 100 * (self.strength > 0).mean(), 100 * (~steady).mean()
+        out = [f"{len(self.v)} steps, {forces:.0f} % with forces, MuJoCo jumps in {jumps:.2f} %"]
         for name in ("v", "q", "pose", "twist", "force"):
             a = getattr(self, name)[steady]
             out.append(f"{name} " + "/".join(f"{x:.1e}" for x in (*np.percentile(a, (50, 90, 99)), a.max())))
@@ -105,10 +104,8 @@ class Comparison:
         timestep = controller.engine.simulator.model.opt.timestep
         rows = self.rng.choice(len(found), size=states, replace=len(found) < states)
         given = {item.name: getattr(controller.planner.state, item.name) for item in fields(ObservedState)}
-        tiled = {
-            name: wp.array(np.repeat(a.numpy(), states, axis=0), dtype=a.dtype, device="cpu")
-            for name, a in given.items()
-        }
+        rows_of = {name: np.repeat(a.numpy(), states, axis=0) for name, a in given.items()}
+        tiled = {name: wp.array(rows_of[name], dtype=a.dtype, device="cpu") for name, a in given.items()}
         tiled["joint_q"].assign(np.array([found[i][0] for i in rows]))
         tiled["joint_qd"].assign(np.array([found[i][1] for i in rows]))
         controller.engine.close()

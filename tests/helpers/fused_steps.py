@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single steps of the engine `fused` from states that MuJoCo C visits, and MuJoCo C's own steps from the same states."""
+"""Single steps of the engine `fused` from states that MuJoCo C visits, and MuJoCo C's own from there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from warpmpc.engine.mujoco import silence_mujoco
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from warpmpc.engine.mujoco import MujocoEngine
 
 
 def exact(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -127,10 +125,9 @@ class Differences:
         most = self.v.max(axis=1)
         p50, p90, p99 = np.percentile(most, (50, 90, 99))
         touching = (self.visited.rows > 0).mean()
-        return (
-            f"{len(most)} states, {100 * touching:.0f} % with constraints; |dv| p50 {p50:.1e}, p90 {p90:.1e}, p99 {p99:.1e}, "
-            f"largest {most.max():.1e}, beyond 1e-4: {100 * self.beyond(1e-4):.2f} %; |dq| largest {self.q.max():.1e}"
-        )
+        out = f"{len(most)} states, {100 * touching:.0f} % with constraints; |dv| p50 {p50:.1e}, p90 {p90:.1e}, "
+        out += f"p99 {p99:.1e}, largest {most.max():.1e}, beyond 1e-4: {100 * self.beyond(1e-4):.2f} %; "
+        return out + f"|dq| largest {self.q.max():.1e}"
 
 
 def step_differences(

@@ -240,6 +240,13 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     from .fused.simulator import FusedSimulator
 
+    if request.costs.sensors:
+        raise SceneError(
+            "the engine fused has no sensors, but cost terms read some",
+            key="engine.name",
+            file=request.scene.path,
+            allowed=["auto", "mujoco", "newton"],
+        )
     simulator = FusedSimulator(
         request.scene,
         request.compiled,

@@ -8,6 +8,7 @@ these states are counted and left out.
 
 import functools
 
+import bench_fused
 import numpy as np
 import pytest
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
@@ -55,9 +56,21 @@ def test_single_steps_of_made_up_trees_are_those_of_mujoco(text, integrator):
     check(step_differences(model, states, lanes=4))
 
 
-@pytest.mark.parametrize(
-    "lanes", [1, pytest.param(8, marks=pytest.mark.slow), pytest.param(16, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bench_fused.OWN)
+def test_single_steps_of_robots_are_those_of_mujoco(name):
+    model = bench_fused.OWN[name]()
+    q, v, u = bench_fused.spread(model, 24, seconds=0.2)
+    found = step_differences(model, visit([model], q, v, np.repeat(u[None], 120, axis=0), every=3))
+    assert (found.visited.rows > 0).mean() > 0.5, found
+    most = found.v.max(axis=1)
+
+    assert np.median(found.v) <= 2e-6, found
+    # the light limbs of the humanoid make much of the rounding of a state
+    assert (most <= 1e-4 + 2.0 * found.visited.edge).mean() >= 0.98, found
+
+
+@pytest.mark.parametrize("lanes", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (8, 16))])
 def test_numbers_of_any_width_give_the_same(lanes):
     model, states = visited(CONTACTS)
     worlds, steps = len(states.q), 4

@@ -63,9 +63,8 @@ def joints(draw, name: str, kinds) -> tuple[str, list[str]]:
     if kind == "ball":
         return f"<joint {text}/>", []
     text += f'axis="{draw(directions())}" ' + some(draw, "range", st.sampled_from(["-0.3 0.4", "0 0.8"]))
-    text += some(draw, "stiffness", st.sampled_from([1.0, 15.0])) + some(
-        draw, "springref", st.sampled_from([-0.2, 0.3])
-    )
+    text += some(draw, "stiffness", st.sampled_from([1.0, 15.0]))
+    text += some(draw, "springref", st.sampled_from([-0.2, 0.3]))
     text += some(draw, "ref", st.sampled_from([0.1])) + some(draw, "actuatorfrcrange", st.sampled_from(["-1 2"]))
     text += some(draw, "solreflimit", st.sampled_from(["0.05 0.8", "-500 -30"]))
     drives = draw(
@@ -75,13 +74,17 @@ def joints(draw, name: str, kinds) -> tuple[str, list[str]]:
                     f'<motor joint="{name}" gear="1.5"/>',
                     f'<position joint="{name}" kp="20" kv="1" ctrlrange="-0.5 0.5"/>',
                     f'<velocity joint="{name}" kv="2" forcerange="-2 2"/>',
-                    f'<general joint="{name}" gaintype="affine" gainprm="1 0.5 -0.2" biastype="affine" biasprm="0.3 -2 -0.3"/>',
+                    f'<general joint="{name}" gaintype="affine" gainprm="1 0.5 -0.2" '
+                    'biastype="affine" biasprm="0.3 -2 -0.3"/>',
                 ]
             ),
             max_size=2,
         )
     )
     return f"<joint {text}/>", drives
+
+
+BLOCK = '<body pos="0.3 0 0.1" quat="0.9 0 0.1 0.2"><geom type="box" size=".15 .1 .1"/></body>'
 
 
 @st.composite
@@ -111,11 +114,7 @@ def models(draw) -> str:
         return f'<body pos="{row(place)}" quat="{draw(turns())}" {comp}>{"".join(parts)}</body>'
 
     trees = "".join(body(0) for _ in range(draw(st.integers(1, 2))))
-    block = (
-        '<body pos="0.3 0 0.1" quat="0.9 0 0.1 0.2"><geom type="box" size=".15 .1 .1"/></body>'
-        if draw(st.booleans())
-        else ""
-    )
+    block = draw(st.sampled_from(["", BLOCK]))
     integrator = draw(st.sampled_from(["Euler", "implicitfast"]))
     gravity = draw(st.sampled_from(["0 0 -9.81", "1 0 -9", "0 0 0"]))
     return (

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import warp as wp
 from fused_models import CONTACTS, compile_model, controls, starts
+from native_robots import native_scene
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 
+import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine.fused import model as fused_model
 from warpmpc.engine.fused import simulator, source
@@ -224,7 +226,8 @@ LACKS = {
         **drive('<plugin joint="h" plugin="mujoco.pid" instance="p"/>'),
     },
     "flexible bodies": {
-        "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" mass="1"/>'
+        "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" '
+        'dim="2" mass="1"/>'
     },
     "explicit contact pairs": {"end": '<contact><pair geom1="g" geom2="tip"/></contact>'},
     "torsional and rolling friction (condim 4 and 6)": {"geom": 'condim="4"'},
@@ -255,19 +258,8 @@ LACKS = {
 
 
 def mjcf(**parts: str) -> str:
-    return BODY.format(
-        **{
-            "option": "",
-            "flag": "",
-            "before": "",
-            "world": "",
-            "joint": FREE,
-            "geom": "",
-            "hinge": "",
-            "end": "",
-            **parts,
-        }
-    )
+    nothing = dict.fromkeys(("option", "flag", "before", "world", "geom", "hinge", "end"), "")
+    return BODY.format(**{**nothing, "joint": FREE, **parts})
 
 
 UNWRITTEN = {"limited actuator forces of ball and free joints"}
@@ -288,10 +280,8 @@ def test_a_plain_model_lacks_nothing():
 
 
 def test_a_pair_of_shapes_without_contacts_is_named():
-    text = mjcf(
-        before='<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>',
-        world='<geom type="hfield" hfield="f"/>',
-    )
+    asset = '<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>'
+    text = mjcf(before=asset, world='<geom type="hfield" hfield="f"/>')
     assert fused_model.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
 
 
@@ -319,8 +309,44 @@ def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp
     if what == "activations of actuators":
         del robot["drive"]
         path.write_text(path.read_text().replace('dyntype="integrator"', 'dyntype="integrator" ctrlrange="-1 1"'))
-    scene = make_scene(robot=[robot], ground=None, goal={"frame": "r/c", "position": (0.0, 0.0)}, planner={"samples": 4, "horizon": 2},
-                       cost=[{"term": "distance", "between": ["r/c", "goal"]}])  # fmt: skip
+    scene = make_scene(
+        robot=[robot],
+        ground=None,
+        goal={"frame": "r/c", "position": (0.0, 0.0)},
+        planner={"samples": 4, "horizon": 2},
+        cost=[{"term": "distance", "between": ["r/c", "goal"]}],
+    )
     assert Controller(scene, device="cpu", compiled=compiled(scene)).engine.name == "mujoco"
     with pytest.raises(SceneError, match=f"the engine fused has no {what}"):
         Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
+
+
+@wp.struct
+class SensedParams:
+    tip_sensor: int
+
+
+@warpmpc.cost_term("sensed")
+def sensed(s: warpmpc.StepView, p: SensedParams) -> float:
+    """What a sensor shows."""
+    return warpmpc.sensor(s, p.tip_sensor)
+
+
+SENSING = """
+<mujoco><worldbody><body name="cart" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/>
+  <geom type="sphere" size=".1"/><site name="tip"/></body></worldbody>
+<actuator><motor name="push" joint="x" ctrlrange="-1 1"/></actuator>
+<sensor><framepos name="tip" objtype="site" objname="tip"/></sensor></mujoco>
+"""
+
+
+@pytest.mark.usefixtures("preferred")
+def test_terms_that_read_sensors_take_another_engine(tmp_path):
+    path = tmp_path / "cart.xml"
+    path.write_text(SENSING)
+    scene = native_scene(path)
+    planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "tip_sensor": "r/tip"}]
+    scene = type(scene).model_validate({**scene.model_dump(), "cost": cost, "planner": planner})
+    assert Controller(scene, terms=[sensed], device="cpu").engine.name == "mujoco"
+    with pytest.raises(SceneError, match="the engine fused has no sensors"):
+        Controller(scene, terms=[sensed], engine="fused", device="cpu")
