@@ -18,8 +18,11 @@ MODEL = """<mujoco>
   <worldbody>
     <geom type="plane" size="5 5 .1"/>
     <body pos="0 0 .3"><freejoint/><geom type="box" size=".1 .15 .1" mass="2"/>
-      <body pos=".1 0 0"><joint axis="0 1 0" range="-60 60" damping=".1"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
-        <body pos=".3 0 0"><joint axis="0 0 1" range="-40 40" armature=".01"/><geom type="sphere" size=".05" mass=".3"/></body>
+      <body pos=".1 0 0"><joint axis="0 1 0" range="-60 60" damping=".1"/>
+        <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
+        <body pos=".3 0 0"><joint axis="0 0 1" range="-40 40" armature=".01"/>
+          <geom type="sphere" size=".05" mass=".3"/>
+        </body>
       </body>
     </body>
     <body pos=".5 .1 .2"><freejoint/><geom type="box" size=".12 .1 .2" mass="1"/></body>
