@@ -113,7 +113,7 @@ class RolloutSource:
     def _groups(self) -> list[tuple[bool, tuple[int, ...]]]:
         """Whether a group of pairs has friction, and its degrees of freedom."""
         groups: list[tuple[bool, tuple[int, ...]]] = []
-        for slides, dofs in sorted({(p.slides, p.dofs) for p in self.model.pairs}, key=lambda g: -len(g[1])):
+        for slides, dofs in sorted({(p.slides, p.dofs) for p in self.model.pairs}, key=lambda g: (-len(g[1]), g)):
             if not any(self._fits(slides, dofs, group) for group in groups):
                 groups.append((slides, dofs))
         return groups
