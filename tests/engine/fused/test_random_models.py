@@ -141,7 +141,7 @@ def check(text: str) -> None:
     assert good[sane].mean() >= 0.97 if sane.any() else True, found
     steady = sane & (states.edge < 1e-4)
     if steady.any():
-        assert np.median(found.v[steady] / scale[steady, None]) <= 1e-6, found
+        assert np.median(found.v[steady] / scale[steady, None]) <= 5e-6, found  # pressed into the floor for good: 1e-6
 
 
 @settings(quiet, max_examples=4)
@@ -151,6 +151,7 @@ def test_random_models_step_as_in_mujoco(text):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @settings(quiet, max_examples=80)
 @given(models())
 def test_many_random_models_step_as_in_mujoco(text):
