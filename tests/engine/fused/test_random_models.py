@@ -139,9 +139,9 @@ def check(text: str) -> None:
     scale = 1.0 + np.abs(states.next_v).max(axis=1)
     good = found.v.max(axis=1) <= 1e-4 * scale + 20.0 * states.edge
     assert good[sane].mean() >= 0.97 if sane.any() else True, found
-    steady = sane & (states.edge < 1e-4)
-    if steady.any():
-        assert np.median(found.v[steady] / scale[steady, None]) <= 5e-6, found  # pressed into the floor for good: 1e-6
+    if sane.any():  # pressed deep into the floor, rounding shows: then MuJoCo C's own answer to a nudge is of its size
+        likely = 5e-6 * scale + 5.0 * states.edge
+        assert np.median((found.v.max(axis=1) / likely)[sane]) <= 1.0, found
 
 
 @settings(quiet, max_examples=4)
