@@ -131,7 +131,8 @@ def check(text: str) -> None:
     worlds = 6
     q, v = starts(model, worlds, seed=1)
     states = visit([model], q, v, controls(model, 40, worlds, seed=2), every=4)
-    sane = np.abs(states.v).max(axis=1) < 50.0  # deep in one another at the start
+    # models may begin deep in one another or in the floor, where stiff rows of little leverage multiply rounding
+    sane = (np.abs(states.v).max(axis=1) < 50.0) & (states.depth < 0.03)
     found = step_differences(model, states, lanes=1)
     note(text)
     note(str(found))
