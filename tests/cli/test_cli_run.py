@@ -72,7 +72,7 @@ def test_json_is_all_there_is_on_stdout(two_episodes):
         assert list(result["plan_ms"]) == ["p50", "p90", "p99", "max"]
         assert list(result["stages_ms"]) == ["begin", "propose", "evaluate", "update"]
         assert (result["scene"], result["variant"]) == ("omni_push_box", "B")
-        assert (result["engine"], result["device"]) == ("mujoco", "cpu")
+        assert (result["engine"], result["device"]) == ("fused", "cpu")
         assert (result["samples"], result["horizon"], result["steps"]) == (16, 4, 10)
         assert (result["success"], result["reason"], result["time_to_goal_s"]) == (False, "timeout", None)
         assert result["sim_time_s"] == pytest.approx(0.4)

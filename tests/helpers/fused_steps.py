@@ -37,6 +37,7 @@ class Visited:
     contacts: np.ndarray  # [N] contacts with a row
     rows: np.ndarray  # [N] constraint rows
     world: np.ndarray  # [N] world that each is of
+    depth: np.ndarray  # [N] how deep the deepest contact is [m]
     edge: np.ndarray  # [N] how much next_v changes at most when q moves by EDGE: much where a contact begins or ends
 
 
@@ -83,7 +84,8 @@ def visit(
                     _step(reference, one, data)
                     edge = max(edge, np.abs(near - one.qvel).max())
                 contacts = (one.contact.exclude == 0).sum()
-                row = (data.qpos, data.qvel, data.ctrl, one.qpos, one.qvel, contacts, one.nefc, w, edge)
+                depth = -min(one.contact.dist.min(initial=0.0), 0.0)
+                row = (data.qpos, data.qvel, data.ctrl, one.qpos, one.qvel, contacts, one.nefc, w, depth, edge)
                 for name, value in zip(found, row, strict=True):
                     found[name].append(np.copy(value))
             mujoco.mj_step(model, data)

@@ -131,7 +131,8 @@ def check(text: str) -> None:
     worlds = 6
     q, v = starts(model, worlds, seed=1)
     states = visit([model], q, v, controls(model, 40, worlds, seed=2), every=4)
-    sane = np.abs(states.v).max(axis=1) < 50.0  # deep in one another at the start
+    # models may begin deep in one another or in the floor, where stiff rows of little leverage multiply rounding
+    sane = (np.abs(states.v).max(axis=1) < 50.0) & (states.depth < 0.03)
     found = step_differences(model, states, lanes=1)
     note(text)
     note(str(found))
@@ -139,9 +140,9 @@ def check(text: str) -> None:
     scale = 1.0 + np.abs(states.next_v).max(axis=1)
     good = found.v.max(axis=1) <= 1e-4 * scale + 20.0 * states.edge
     assert good[sane].mean() >= 0.97 if sane.any() else True, found
-    steady = sane & (states.edge < 1e-4)
-    if steady.any():
-        assert np.median(found.v[steady] / scale[steady, None]) <= 1e-6, found
+    if sane.any():  # pressed deep into the floor, rounding shows: then MuJoCo C's own answer to a nudge is of its size
+        likely = 5e-6 * scale + 5.0 * states.edge
+        assert np.median((found.v.max(axis=1) / likely)[sane]) <= 1.0, found
 
 
 @settings(quiet, max_examples=4)
@@ -151,6 +152,7 @@ def test_random_models_step_as_in_mujoco(text):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @settings(quiet, max_examples=80)
 @given(models())
 def test_many_random_models_step_as_in_mujoco(text):
