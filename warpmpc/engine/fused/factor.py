@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of products and solves with matrices that have the mass matrix's pattern, along the tree without fill-in.
 
-A symmetric matrix is kept by rows (:func:`.dynamics.packed`); where two degrees of freedom are on different branches
+A symmetric matrix is kept by rows (:func:`.tree.packed`); where two degrees of freedom are on different branches
 its entry is zero and never touched (Featherstone 2008, section 6.5).
 """
 
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .dynamics import packed
 from .model import PhysicsModel
+from .tree import packed
 
 
 def write_products(model: PhysicsModel) -> str:

@@ -15,9 +15,10 @@ from ...bake.lines import literal
 from ...bake.number import header, sincos
 from ...kernels.geometry.kinematics import FREE
 from . import model as kinds
-from .dynamics import Dynamics, packed
+from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .meshes import Hulls
+from .tree import packed
 
 if TYPE_CHECKING:
     import mujoco
