@@ -38,12 +38,17 @@ EngineOption = Annotated[
     typer.Option(
         "--engine",
         metavar="ENGINE",
-        help="Engine of the rollouts: mujoco (on the CPU), newton (best on a GPU), or auto: the scene's choice, else "
-        "with a GPU the faster of the two, measured once.",
+        help="Engine of the rollouts: fused, mujoco (on the CPU), newton (on a GPU), kinematic (no physics), or auto: "
+        "the scene's choice, else fused where it can do what the scene asks for.",
     ),
 ]
 DeviceOption = Annotated[
-    str, typer.Option("--device", metavar="DEVICE", help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto.")
+    str,
+    typer.Option(
+        "--device",
+        metavar="DEVICE",
+        help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto: the faster, measured once.",
+    ),
 ]
 LAST_SEED = 2**28
 """Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
