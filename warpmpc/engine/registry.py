@@ -77,8 +77,6 @@ class EngineEntry:
     any_dt: bool
     """Whether its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     make: Callable[[EngineRequest, PhysicsSteps], Engine]
-    physics: bool = True
-    """Whether its rollouts are physics: ``auto`` chooses among those alone."""
 
 
 ENGINES: dict[str, EngineEntry] = {}
@@ -281,6 +279,5 @@ register(
         capturable=True,
         any_dt=True,
         make=_make_kinematic,
-        physics=False,
     )
 )
