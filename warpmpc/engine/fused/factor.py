@@ -14,12 +14,12 @@ from .tree import packed
 
 
 def write_products(model: PhysicsModel) -> str:
-    """Source of ``multiply`` (M a), ``copy_tree`` (entries of the pattern) and the solves."""
+    """Source of ``multiply`` (M a), ``copy_tree`` (entries of the pattern) and the solves; a warp has its own."""
     solves = (
         write_solve("solve_tree", model.ancestors),
         write_solve("solve_damped", model.ancestors, damped=True),
     )
-    return "\n".join((_multiply(model), _copy(model), *solves))
+    return "\n".join(("#if !COOPERATE", _multiply(model), _copy(model), *solves, "#endif"))
 
 
 def _multiply(model: PhysicsModel) -> str:

@@ -49,26 +49,11 @@ class PlainRollout:
         if lack:
             raise ValueError(f"the engine fused has no {lack}")
         self.mj, self.worlds, self.device = model, worlds, device
-        physics = PhysicsModel(model, arrays)
-        nothing = np.zeros(0, dtype=np.int32)
+        physics = self.physics = PhysicsModel(model, arrays)
         width = lanes or native_lanes()
         sharing = WARP if wp.get_device(device).is_cuda and share else 1
-        source = RolloutSource(
-            model=physics,
-            layout=None,
-            joint_q=nothing,
-            joint_qd=nothing,
-            bodies=(),
-            matrix=np.eye(model.nu),
-            offset=np.zeros(model.nu),
-            mocap=nothing,
-            movable=nothing,
-            watched=(),
-            lanes=width,
-            shared=sharing > 1,
-        )
         self._sharing = sharing
-        self.kernel = make_kernel(source.write(), width, sharing)
+        self.kernel = make_kernel(self.source(lanes=width, shared=sharing > 1), width, sharing)
         self._lanes = 1 if wp.get_device(device).is_cuda else width
         self._launch = Launcher(device)
         columns = physics.columns.values
@@ -89,6 +74,29 @@ class PlainRollout:
         work.joint_q, work.joint_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
         self.work = work
+
+    def source(self, *, lanes: int, shared: bool) -> str:
+        """Source of a rollout.
+
+        Args:
+            lanes: Worlds in a number on a CPU.
+            shared: Whether on a GPU a warp shares a world.
+        """
+        model, nothing = self.mj, np.zeros(0, dtype=np.int32)
+        return RolloutSource(
+            model=self.physics,
+            layout=None,
+            joint_q=nothing,
+            joint_qd=nothing,
+            bodies=(),
+            matrix=np.eye(model.nu),
+            offset=np.zeros(model.nu),
+            mocap=nothing,
+            movable=nothing,
+            watched=(),
+            lanes=lanes,
+            shared=shared,
+        ).write()
 
     def __call__(self, q: np.ndarray, v: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``[T, W, nq]`` and velocities ``[T, W, nv]`` after every control.

@@ -88,7 +88,7 @@ class RolloutSource:
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
-            *(self._native(name) for name in ("number", "world", "collide_common")),
+            *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
             *baked,
             self._native("contact"),
             *self._collision_sources(),
@@ -134,7 +134,7 @@ class RolloutSource:
     def _coupled(self) -> str:
         """The solve for matrices that all groups have added to."""
         rows = couple(self.model, [dofs for _, dofs in self._groups])
-        return write_solve("solve_coupled", rows)
+        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
 
     @cached_property
     def _sizes_vary(self) -> bool:

@@ -24,57 +24,49 @@ INLINE T pair_inverse(const World& w, int pair) {
     return at >= 0 ? w.par[at] : splat(w.given[GIVEN_PAIR_INVERSE + pair]);
 }
 
-// The rows of a contact of some lanes
-INLINE void fill(World& w, Contact& c, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
-    const int g = pair_group[pair], count = group_count[g];
-    const V3 s = cross(n, t);
-    const bool slides = group_slides[g];
-    T v0 = zero(), v1 = v0, v2 = v0;
-    for (int k = 0; k < count; ++k) {
-        const float sign = pair_sign[pair * NNZ + k];
-        if (sign == 0.0f) continue;
-        const int i = group_dof[g * NNZ + k];
-        const V3 d = (load(w.cl[i]) + cross(load(w.cw[i]), p - load(w.ref[dof_top[i]]))) * splat(sign);
-        const T vi = w.v[i], r0 = dot(n, d);
-        T* j = c.jac + ROWS * k;
-        v0 += r0 * vi;
-        j[0] = lanes ? r0 : j[0];
+// Entry k of a contact's rows: what its degree of freedom does along normal and tangents
+INLINE void entry(const World& w, int pair, int g, int k, V3 p, V3 n, V3 t, T* r) {
+    const float sign = pair_sign[pair * NNZ + k];
+    const int i = group_dof[g * NNZ + k];
+    const V3 d = (load(w.cl[i]) + cross(load(w.cw[i]), p - load(w.ref[dof_top[i]]))) * splat(sign);
+    r[0] = dot(n, d);
 #if ROWS == 3
-        if (!slides) continue;
-        const T r1 = dot(t, d), r2 = dot(s, d);
-        v1 += r1 * vi;
-        v2 += r2 * vi;
-        j[1] = lanes ? r1 : j[1];
-        j[2] = lanes ? r2 : j[2];
+    const bool slides = group_slides[g];
+    r[1] = slides ? dot(t, d) : zero();
+    r[2] = slides ? dot(cross(n, t), d) : zero();
 #endif
-    }
+}
+// What a contact of some lanes costs and refers to, from the velocities along its rows
+INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T* v) {
     const T beyond = distance - pair_margin[pair];
     const T imp = impedance(pair_impedance + 4 * pair, beyond);
     const float k = pair_stiffness[pair], damping = pair_damping[pair];
     c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
     c.mu = lanes ? pair_friction(w, pair) : c.mu;
-    c.ref0 = lanes ? -damping * v0 - k * imp * beyond : c.ref0;
-    c.ref1 = lanes ? -damping * v1 : c.ref1;
-    c.ref2 = lanes ? -damping * v2 : c.ref2;
+    for (int i = 0; i < ROWS; ++i) {
+        const T ref = -damping * v[i] - (i ? zero() : k * imp * beyond);
+        c.ref[i] = lanes ? ref : c.ref[i];
+    }
+}
 #if WATCHED
+INLINE void direct(Contact& c, int pair, I lanes, V3 n, V3 t) {
     const T* from[2] = {&n.x, &t.x};
     for (int i = 0; i < 3; ++i) {
         c.normal[i] = lanes ? from[0][i] : c.normal[i];
         c.tangent[i] = lanes ? from[1][i] : c.tangent[i];
     }
     c.pair = lanes ? (I)pair : c.pair;
+}
 #endif
-}
 
-INLINE void empty(Contact& c, int group) {
-    c.group = group;
-    c.count = group_count[group];
-    c.used = 0;
-    for (int k = 0; k < ROWS * c.count; ++k) c.jac[k] = zero();
-    c.ref0 = c.ref1 = c.ref2 = c.weight = c.mu = zero();
-    c.s0 = c.s1 = c.s2 = zero();
-}
 #if COOPERATE
+// Row i of a contact times a vector over all degrees of freedom
+INLINE T along(const Contact& c, const T* x, int i) {
+    const int* dof = group_dof + c.group * NNZ;
+    T y = zero();
+    for (int k = 0; k < c.count; ++k) y += c.jac[ROWS * k + i] * x[dof[k]];
+    return y;
+}
 // A contact that one lane has found: kept until all have looked
 FN void put(World& w, int pair, I here, T distance, V3 p, V3 n, V3 t) {
     if (!here) return;
@@ -87,24 +79,77 @@ FN void put(World& w, int pair, I here, T distance, V3 p, V3 n, V3 t) {
     r.tangent = t;
     r.pair = pair;
 }
-// What all lanes have found, in the order of the pairs: a pair is one lane's, so that its own contacts are in order
+// What all lanes have found, by group and in the order of the pairs: a pair is one lane's, so that its own contacts
+// are in order
 FN void gather(World& w) {
     SYNC
     const int n = w.found < CAPACITY ? w.found : CAPACITY;
     EACH(k, n) {
-        const Raw& r = w.raw[k];
+        const int pair = w.raw[k].pair, group = pair_group[pair];
         int rank = 0;
-        for (int o = 0; o < n; ++o) rank += w.raw[o].pair < r.pair || (w.raw[o].pair == r.pair && o < k);
-        Contact& c = w.con[rank];
-        empty(c, pair_group[r.pair]);
-        c.used = 1;
+        for (int o = 0; o < n; ++o) {
+            const int other = w.raw[o].pair, theirs = pair_group[other];
+            rank += theirs < group || (theirs == group && (other < pair || (other == pair && o < k)));
+        }
+        w.con[rank].raw = k;
+        w.con[rank].group = group;
+        w.con[rank].count = group_count[group];
+        w.con[rank].used = 1;
         w.order[k] = k;
-        fill(w, c, r.pair, YES, r.distance, r.point, r.normal, r.tangent);
     }
     w.contacts = n;
     SYNC
+    EACH(e, n * NNZ) {
+        Contact& c = w.con[e / NNZ];
+        const int k = e % NNZ;
+        if (k >= c.count) continue;
+        const Raw& r = w.raw[c.raw];
+        entry(w, r.pair, c.group, k, r.point, r.normal, r.tangent, c.jac + ROWS * k);
+    }
+    SYNC
+    EACH(k, n) {
+        Contact& c = w.con[k];
+        const Raw& r = w.raw[c.raw];
+        T v[ROWS];
+        for (int i = 0; i < ROWS; ++i) {
+            v[i] = along(c, w.v, i);
+            c.s[i] = zero();
+        }
+        soften(w, c, r.pair, YES, r.distance, v);
+#if WATCHED
+        direct(c, r.pair, YES, r.normal, r.tangent);
+#endif
+    }
+    SYNC
 }
 #else
+INLINE void empty(Contact& c, int group) {
+    c.group = group;
+    c.count = group_count[group];
+    c.used = 0;
+    c.weight = c.mu = zero();
+    for (int k = 0; k < ROWS * c.count; ++k) c.jac[k] = zero();
+    for (int i = 0; i < ROWS; ++i) c.ref[i] = c.s[i] = zero();
+}
+// The rows of a contact of some lanes
+INLINE void fill(World& w, Contact& c, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
+    T v[ROWS];
+    for (int i = 0; i < ROWS; ++i) v[i] = zero();
+    for (int k = 0; k < c.count; ++k) {
+        if (pair_sign[pair * NNZ + k] == 0.0f) continue;
+        const T vi = w.v[group_dof[c.group * NNZ + k]];
+        T r[ROWS], *j = c.jac + ROWS * k;
+        entry(w, pair, c.group, k, p, n, t, r);
+        for (int i = 0; i < ROWS; ++i) {
+            v[i] += r[i] * vi;
+            j[i] = lanes ? r[i] : j[i];
+        }
+    }
+    soften(w, c, pair, lanes, distance, v);
+#if WATCHED
+    direct(c, pair, lanes, n, t);
+#endif
+}
 // A contact of some lanes: into the first one of its group after which these lanes have no other, so that every lane
 // keeps its contacts in the order they came in, whatever its neighbours touch
 FN void put(World& w, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {

@@ -2,26 +2,34 @@
 // The constraint solver: primal Newton with exact line search (MuJoCo, "Computation: Solver algorithms"), until every
 // lane has converged. A lane that has does not change any more, whatever the others do.
 
-INLINE void project(const Contact& c, const T* a, T& y0, T& y1, T& y2) {
-    const int* dof = group_dof + c.group * NNZ;
-    y0 = y1 = y2 = zero();
-    for (int k = 0; k < c.count; ++k) {
-        const T b = a[dof[k]];
-        const T* j = c.jac + ROWS * k;
-        y0 += j[0] * b;
-#if ROWS == 3
-        y1 += j[1] * b;
-        y2 += j[2] * b;
-#endif
+// Rows of all contacts that live lanes have, times a vector over all degrees of freedom, into one of their fields
+INLINE void project(World& w, unsigned live, const T* x, T (Contact::*to)[ROWS]) {
+#if COOPERATE
+    EACH(e, ROWS * w.contacts) (w.con[e / ROWS].*to)[e % ROWS] = along(w.con[e / ROWS], x, e % ROWS);
+#else
+    for (int n = 0; n < w.contacts; ++n) {
+        Contact& c = w.con[n];
+        if (!(c.used & live)) continue;
+        const int* dof = group_dof + c.group * NNZ;
+        T sum[ROWS];
+        for (int i = 0; i < ROWS; ++i) sum[i] = zero();
+        for (int k = 0; k < c.count; ++k) {
+            const T b = x[dof[k]];
+            for (int i = 0; i < ROWS; ++i) sum[i] += c.jac[ROWS * k + i] * b;
+        }
+        for (int i = 0; i < ROWS; ++i) (c.*to)[i] = sum[i];
     }
+#endif
 }
-// The edges of a pyramid; without friction they are one row, four times
-INLINE void edges(T mu, T a, T b, T c, T* e) {
-    const T x = mu * b, y = mu * c;
-    e[0] = a + x;
-    e[1] = a - x;
-    e[2] = a + y;
-    e[3] = a - y;
+// The edges of a pyramid
+INLINE void edges(T mu, const T* along, T* e) {
+#if ROWS == 3
+    const T x = mu * along[1], y = mu * along[2];
+    e[0] = along[0] + x;
+    e[1] = along[0] - x;
+    e[2] = along[0] + y;
+    e[3] = along[0] - y;
+#endif
 }
 // Derivatives of the cost along the search direction, and lanes where an inequality has changed sides
 FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
@@ -31,17 +39,17 @@ FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
         if (!group_slides[c.group]) {
-            const T at = c.a0 + step * c.s0;
+            const T at = c.a[0] + step * c.s[0];
             const I on = at < 0.0f;
-            const T u = on ? c.weight * c.s0 : zero();
+            const T u = on ? c.weight * c.s[0] : zero();
             d1 += at * u;
-            d2 += u * c.s0;
-            changed |= (on ^ (c.a0 < 0.0f)) & (c.weight > 0.0f);
+            d2 += u * c.s[0];
+            changed |= (on ^ (c.a[0] < 0.0f)) & (c.weight > 0.0f);
             continue;
         }
         T a[4], s[4];
-        edges(c.mu, c.a0, c.a1, c.a2, a);
-        edges(c.mu, c.s0, c.s1, c.s2, s);
+        edges(c.mu, c.a, a);
+        edges(c.mu, c.s, s);
         T p1 = zero(), p2 = p1;
         for (int k = 0; k < 4; ++k) {
             const T at = a[k] + step * s[k];
@@ -66,37 +74,76 @@ FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
     slope2 += total(d2);
     sides |= some(changed);
 }
-// Jᵀ D J and Jᵀ f of one contact: H and gradient of N degrees of freedom
-INLINE void add_entry(World& w, const Contact& c, int i, int j, T w00, T w01, T w02, T w11, T w22) {
+// Second derivatives (00, 01, 02, 11, 22) and first ones of a contact's cost by its rows
+INLINE void derive(const Contact& c, T* second, T* first) {
+    if (ROWS == 1 || !group_slides[c.group]) {
+        second[0] = c.a[0] < 0.0f ? c.weight : zero();
+        second[1] = second[2] = second[3] = second[4] = first[1] = first[2] = zero();
+        first[0] = second[0] * c.a[0];
+        return;
+    }
+    T a[4], k[4];
+    edges(c.mu, c.a, a);
+    for (int u = 0; u < 4; ++u) k[u] = a[u] < 0.0f ? c.weight : zero();
+    second[0] = k[0] + k[1] + k[2] + k[3];
+    second[1] = c.mu * (k[0] - k[1]);
+    second[2] = c.mu * (k[2] - k[3]);
+    second[3] = c.mu * c.mu * (k[0] + k[1]);
+    second[4] = c.mu * c.mu * (k[2] + k[3]);
+    for (int u = 0; u < 4; ++u) k[u] *= a[u];
+    first[0] = k[0] + k[1] + k[2] + k[3];
+    first[1] = c.mu * (k[0] - k[1]);
+    first[2] = c.mu * (k[2] - k[3]);
+}
+// Entry (i, j) of Jᵀ D J, and entry i of Jᵀ f
+INLINE T second_of(const Contact& c, const T* d, int i, int j) {
     const T *r = c.jac + ROWS * i, *o = c.jac + ROWS * j;
-    T* h = w.h + group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j];
 #if ROWS == 3
-    const T b0 = w00 * r[0] + w01 * r[1] + w02 * r[2], b1 = w01 * r[0] + w11 * r[1], b2 = w02 * r[0] + w22 * r[2];
-    *h += b0 * o[0] + b1 * o[1] + b2 * o[2];
+    const T b0 = d[0] * r[0] + d[1] * r[1] + d[2] * r[2], b1 = d[1] * r[0] + d[3] * r[1], b2 = d[2] * r[0] + d[4] * r[2];
+    return b0 * o[0] + b1 * o[1] + b2 * o[2];
 #else
-    *h += w00 * r[0] * o[0];
+    return d[0] * r[0] * o[0];
 #endif
 }
-INLINE void add_gradient(World& w, const Contact& c, int i, T f0, T f1, T f2, T* to) {
+INLINE T first_of(const Contact& c, const T* f, int i) {
     const T* r = c.jac + ROWS * i;
 #if ROWS == 3
-    to[group_dof[c.group * NNZ + i]] += r[0] * f0 + r[1] * f1 + r[2] * f2;
+    return r[0] * f[0] + r[1] * f[1] + r[2] * f[2];
 #else
-    to[group_dof[c.group * NNZ + i]] += r[0] * f0;
+    return r[0] * f[0];
 #endif
 }
-INLINE void add_block(const int N, World& w, const Contact& c, T w00, T w01, T w02, T w11, T w22, T f0, T f1, T f2) {
 #if COOPERATE
-    EACH(e, N * (N + 1) / 2) add_entry(w, c, triangle_row[e], e - triangle_row[e] * (triangle_row[e] + 1) / 2, w00, w01, w02, w11, w22);
-    EACH(i, N) add_gradient(w, c, i, f0, f1, f2, w.grad);
-    SYNC
-#else
-    UNROLL for (int i = 0; i < N; ++i) {
-        add_gradient(w, c, i, f0, f1, f2, w.grad);
-        UNROLL for (int j = 0; j <= i; ++j) add_entry(w, c, i, j, w00, w01, w02, w11, w22);
+// What contacts add to a matrix, unless there is none, and to a vector: lanes take entries, and neighbours in the list
+// of one group share them
+INLINE void add_contacts(World& w, T* h, T* to) {
+    for (int n = 0; n < w.contacts;) {
+        const int g = w.con[n].group, first = n, count = group_count[g], size = count * (count + 1) / 2;
+        while (n < w.contacts && w.con[n].group == g) ++n;
+        EACH(e, size + count) {
+            T sum = zero();
+            if (e >= size) {
+                for (int m = first; m < n; ++m) sum += first_of(w.con[m], w.con[m].push, e - size);
+                to[group_dof[g * NNZ + e - size]] += sum;
+            } else if (h) {
+                const int i = triangle_row[e], j = e - i * (i + 1) / 2;
+                for (int m = first; m < n; ++m)
+                    if (w.con[m].curve[0] > 0.0f) sum += second_of(w.con[m], w.con[m].curve, i, j);
+                h[group_entry[g * NTRIANGLE + e]] += sum;
+            }
+        }
+        SYNC
     }
-#endif
 }
+#else
+INLINE void add_block(const int N, World& w, const Contact& c, const T* second, const T* first) {
+    UNROLL for (int i = 0; i < N; ++i) {
+        w.grad[group_dof[c.group * NNZ + i]] += first_of(c, first, i);
+        UNROLL for (int j = 0; j <= i; ++j)
+            w.h[group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j]] += second_of(c, second, i, j);
+    }
+}
+#endif
 // Hessian and gradient of the cost
 FN void hessian(World& w, unsigned live) {
 #if COOPERATE
@@ -105,39 +152,24 @@ FN void hessian(World& w, unsigned live) {
     copy_tree(w.mm, w.h);
 #endif
     EACH(i, NV) w.grad[i] = w.ma[i];
+#if COOPERATE
+    EACH(n, w.contacts) derive(w.con[n], w.con[n].curve, w.con[n].push);
     SYNC
+    add_contacts(w, w.h, w.grad);
+#else
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
-        T w00, w01 = zero(), w02 = w01, w11 = w01, w22 = w01, f0, f1 = w01, f2 = w01;
-        if (!group_slides[c.group]) {
-            w00 = c.a0 < 0.0f ? c.weight : zero();
-            f0 = w00 * c.a0;
-        } else {
-            T a[4], k[4];
-            edges(c.mu, c.a0, c.a1, c.a2, a);
-            for (int u = 0; u < 4; ++u) k[u] = a[u] < 0.0f ? c.weight : zero();
-            w00 = k[0] + k[1] + k[2] + k[3];
-            w01 = c.mu * (k[0] - k[1]);
-            w02 = c.mu * (k[2] - k[3]);
-            w11 = c.mu * c.mu * (k[0] + k[1]);
-            w22 = c.mu * c.mu * (k[2] + k[3]);
-            const T e0 = k[0] * a[0], e1 = k[1] * a[1], e2 = k[2] * a[2], e3 = k[3] * a[3];
-            f0 = e0 + e1 + e2 + e3;
-            f1 = c.mu * (e0 - e1);
-            f2 = c.mu * (e2 - e3);
-        }
-        if (!(VBITS(w00 > 0.0f) & live)) continue;
-#if COOPERATE
-        add_block(c.count, w, c, w00, w01, w02, w11, w22, f0, f1, f2);
-#else
+        T second[5], first[3];
+        derive(c, second, first);
+        if (!(VBITS(second[0] > 0.0f) & live)) continue;
         switch (c.count) {
-#define BLOCK(N) case N: add_block(N, w, c, w00, w01, w02, w11, w22, f0, f1, f2); break;
+#define BLOCK(N) case N: add_block(N, w, c, second, first); break;
             BLOCKS
 #undef BLOCK
         }
-#endif
     }
+#endif
     EACH(k, w.limits) {
         const T u = w.la[k] < 0.0f ? w.lweight[k] : zero();
         const int i = w.ldof[k];
@@ -146,30 +178,34 @@ FN void hessian(World& w, unsigned live) {
     }
     SYNC
 }
+// The step of Newton's method
+INLINE void descend(World& w, unsigned live) {
+#if COOPERATE
+    hessian(w, live);
+    solve_lanes(w.h, w.grad, w.search, -1.0f);
+#else
+    bool coupled = false;
+    for (int n = 0; n < w.contacts; ++n) coupled |= (w.con[n].used & live) && group_couples[w.con[n].group];
+    if (coupled) for (int i = 0; i < NH; ++i) w.h[i] = zero();
+    hessian(w, live);
+    if (coupled) solve_coupled(w.h, w.grad, w.search, -1.0f);
+    else solve_tree(w.h, w.grad, w.search, -1.0f);
+#endif
+}
 // Accelerations x that minimize the cost; done: lanes that nothing constrains
 FN void newton(World& w, I done) {
     multiply(w.mm, w.x, w.ma);
     SYNC
     EACH(i, NV) w.ma[i] -= w.fs[i];
-    EACH(n, w.contacts) {
-        Contact& c = w.con[n];
-        T y0, y1, y2;
-        project(c, w.x, y0, y1, y2);
-        c.a0 = y0 - c.ref0;
-        c.a1 = y1 - c.ref1;
-        c.a2 = y2 - c.ref2;
-    }
+    project(w, ~0u, w.x, &Contact::a);
+    SYNC
+    EACH(n, w.contacts)
+        for (int i = 0; i < ROWS; ++i) w.con[n].a[i] -= w.con[n].ref[i];
     EACH(k, w.limits) w.la[k] = w.lside[k] * w.x[w.ldof[k]] - w.lref[k];
     SYNC
     for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
         const unsigned live = VBITS(VNOT(done));
-        bool coupled = false;
-        for (int n = 0; n < w.contacts; ++n) coupled |= (w.con[n].used & live) && group_couples[w.con[n].group];
-        if (coupled && !COOPERATE) for (int i = 0; i < NH; ++i) w.h[i] = zero();
-        hessian(w, live);
-        if (coupled) solve_coupled(w.h, w.grad, w.search, -1.0f);
-        else solve_tree(w.h, w.grad, w.search, -1.0f);
-        SYNC
+        descend(w, live);
         multiply(w.mm, w.search, w.mv);
         T q1 = zero(), q2 = q1, decrement = q1;
         EACH(i, NV) {
@@ -185,10 +221,7 @@ FN void newton(World& w, I done) {
         T step = splat(1.0f), low = zero(), high = splat(1e9f);
         I active = VNOT(done | last), exact = last;
         if (VANY(active | last)) {
-            EACH(n, w.contacts) {
-                Contact& c = w.con[n];
-                if (c.used & live) project(c, w.search, c.s0, c.s1, c.s2);
-            }
+            project(w, live, w.search, &Contact::s);
             EACH(k, w.limits) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
             SYNC
         }
@@ -214,9 +247,7 @@ FN void newton(World& w, I done) {
         EACH(n, w.contacts) {
             Contact& c = w.con[n];
             if (!(c.used & live)) continue;
-            c.a0 += step * c.s0;
-            c.a1 += step * c.s1;
-            c.a2 += step * c.s2;
+            for (int i = 0; i < ROWS; ++i) c.a[i] += step * c.s[i];
         }
         EACH(k, w.limits) w.la[k] += step * w.ls[k];
         SYNC
@@ -225,28 +256,25 @@ FN void newton(World& w, I done) {
     }
 }
 // Force of a contact along normal and tangents
-INLINE void contact_force(const Contact& c, T& f0, T& f1, T& f2) {
-    f1 = f2 = zero();
-    if (!group_slides[c.group]) {
-        f0 = -c.weight * VMIN(c.a0, zero());
-        return;
-    }
-    T a[4];
-    edges(c.mu, c.a0, c.a1, c.a2, a);
-    for (int k = 0; k < 4; ++k) a[k] = -c.weight * VMIN(a[k], zero());
-    f0 = a[0] + a[1] + a[2] + a[3];
-    f1 = c.mu * (a[0] - a[1]);
-    f2 = c.mu * (a[2] - a[3]);
+INLINE void contact_force(const Contact& c, T* f) {
+    T second[5], first[3];
+    derive(c, second, first);
+    for (int i = 0; i < 3; ++i) f[i] = -first[i];
 }
 // All forces: the constraints' are added to the others'
 FN void add_forces(World& w) {
+#if COOPERATE
+    EACH(n, w.contacts) contact_force(w.con[n], w.con[n].push);
+    SYNC
+    add_contacts(w, nullptr, w.fs);
+#else
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
-        T f0, f1, f2;
-        contact_force(c, f0, f1, f2);
-        EACH(k, c.count) add_gradient(w, c, k, f0, f1, f2, w.fs);
-        SYNC
+        T f[3];
+        contact_force(c, f);
+        for (int k = 0; k < c.count; ++k) w.fs[group_dof[c.group * NNZ + k]] += first_of(c, f, k);
     }
+#endif
     EACH(k, w.limits) w.fs[w.ldof[k]] -= w.lside[k] * w.lweight[k] * VMIN(w.la[k], zero());
     SYNC
 }

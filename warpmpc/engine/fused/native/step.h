@@ -45,7 +45,15 @@ INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in it
     q[3] = nz * inv;
 }
 FN void integrate(World& w, I alone) {
+#if COOPERATE
+    EACH(i, NH) w.h[i] = w.mm[i];
+    SYNC
+    EACH(i, NV) w.h[i * (i + 1) / 2 + i] += w.damp[i];
+    SYNC
+    solve_lanes(w.h, w.fs, w.search, 1.0f);
+#else
     solve_damped(w.mm, w.fs, w.search, 1.0f, w.damp);
+#endif
     spin(w);
     SYNC
     EACH(i, NV) {

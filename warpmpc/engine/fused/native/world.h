@@ -2,14 +2,20 @@
 // The state of as many worlds as a number has lanes.
 struct Contact {  // lanes may hold different pairs, all of one group: the same degrees of freedom, in the same order
     T jac[ROWS * NNZ];           // normal and two tangents of every degree of freedom
-    T ref0, ref1, ref2;          // reference accelerations
-    T a0, a1, a2, s0, s1, s2;    // accelerations beyond the reference, and what a search direction adds to them
+    T ref[ROWS];                 // reference accelerations
+    T a[ROWS], s[ROWS];          // accelerations beyond the reference, and what a search direction adds to them
+#if COOPERATE
+    T curve[5], push[3];         // second and first derivatives of its cost, for all lanes of the warp
+#endif
     T mu, weight;                // friction, and inverse regularization; no weight where a lane is empty
 #if WATCHED
     T normal[3], tangent[3];
     I pair;                      // number of the lane's pair
 #endif
     int group, count;
+#if COOPERATE
+    int raw;                     // where it was found
+#endif
     unsigned used;               // lanes that hold something
 };
 #if COOPERATE

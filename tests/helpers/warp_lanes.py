@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs what a warp of a GPU runs, on the CPU: 32 lanes take turns from one synchronization to the next."""
+
+import ctypes
+import hashlib
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from warpmpc.engine.fused.kernel import FusedWork
+from warpmpc.engine.fused.plain import PlainRollout
+
+COMPILER = shutil.which("g++")
+_TYPES = {wp.float32: "float", wp.float64: "double", wp.int32: "int", float: "float", int: "int"}
+_LANES = """
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <ucontext.h>
+#define __CUDA_ARCH__ 900
+#define __device__
+#define __noinline__ __attribute__((noinline))
+#define __forceinline__ inline
+#define __shared__ static
+namespace {
+ucontext_t home, lane[32];
+bool ended[32];
+struct { int x; } threadIdx;
+void __syncwarp() { swapcontext(&lane[threadIdx.x], &home); }
+float slots[32];
+float __shfl_xor_sync(unsigned, float x, int m) {
+    slots[threadIdx.x] = x;
+    __syncwarp();
+    const float r = slots[threadIdx.x ^ m];
+    __syncwarp();
+    return r;
+}
+float __shfl_sync(unsigned, float x, int from) {
+    slots[threadIdx.x] = x;
+    __syncwarp();
+    const float r = slots[from];
+    __syncwarp();
+    return r;
+}
+bool __any_sync(unsigned, bool m) {
+    slots[threadIdx.x] = m;
+    __syncwarp();
+    bool r = false;
+    for (int l = 0; l < 32; ++l) r |= slots[l] != 0.0f;
+    __syncwarp();
+    return r;
+}
+int atomicAdd(int* p, int x) { const int was = *p; *p += x; return was; }
+int atomicOr(int* p, int x) { const int was = *p; *p |= x; return was; }
+template <class E> struct Array { E* data; int shape[4]; };
+"""
+_MAIN = """
+void rollout(FusedWork k, int group, int first, int end) {
+BODY
+}
+FusedWork* work;
+int chosen, last;
+void begin() { rollout(*work, chosen, 0, last); ended[threadIdx.x] = true; }
+}
+// All lanes of one world after the other, in an order that turns with `order`; nonzero if they do not end together
+extern "C" int run(FusedWork* k, int worlds, int order) {
+    static char* stacks = (char*)malloc(32u << 20);
+    work = k;
+    last = worlds;
+    for (int world = 0; world < worlds; ++world) {
+        chosen = order & 1 ? worlds - 1 - world : world;
+        for (int l = 0; l < 32; ++l) {
+            ended[l] = false;
+            getcontext(&lane[l]);
+            lane[l].uc_stack.ss_sp = stacks + (l << 20);
+            lane[l].uc_stack.ss_size = 1 << 20;
+            lane[l].uc_link = &home;
+            makecontext(&lane[l], begin, 0);
+        }
+        for (int ends = 0; !ends;) {
+            for (int i = 0; i < 32; ++i) {
+                const int l = order & 2 ? 31 - i : (i + 7 * (order >> 2)) & 31;
+                threadIdx.x = l;
+                swapcontext(&home, &lane[l]);
+                ends += ended[l];
+            }
+            if (ends && ends < 32) return 1;
+        }
+    }
+    return 0;
+}
+"""
+
+
+class LaneRollout(PlainRollout):
+    """A :class:`PlainRollout` by the lanes of a warp.
+
+    Args:
+        folder: Where its source is compiled.
+        order: Which lane comes first between two synchronizations, and which world; results must not depend on it.
+        **kwargs: As for :class:`PlainRollout`.
+    """
+
+    def __init__(self, *args, folder: Path, order: int = 0, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.order = order
+        source = self.source(lanes=4, shared=True)
+        fields = []
+        for name, var in FusedWork.vars.items():
+            fields.append(f"Array<{_c_type(var.type.dtype)}> {name};")
+        text = "\n".join((_LANES, "struct FusedWork {", *fields, "};", _MAIN.replace("BODY", source)))
+        stem = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
+        library = stem.with_suffix(".so")
+        if not library.exists():
+            stem.with_suffix(".cpp").write_text(text)
+            flags = ["-O1", "-std=c++17", "-w", "-shared", "-fPIC", "-fno-strict-aliasing"]
+            subprocess.run([COMPILER, *flags, "-o", library, stem.with_suffix(".cpp")], check=True)
+        self._run = ctypes.CDLL(str(library)).run
+
+    def launch(self) -> None:
+        """Roll out what was given last."""
+        numbers = []
+        for name in FusedWork.vars:
+            array = getattr(self.work, name)
+            shape = (*array.shape, 0, 0, 0, 0)[:4] if array is not None else (0, 0, 0, 0)
+            start = array.ptr or 0 if array is not None else 0
+            numbers += [np.array([start], dtype=np.uint64).tobytes(), np.array(shape, dtype=np.int32).tobytes()]
+        block = ctypes.create_string_buffer(b"".join(numbers))
+        if self._run(block, self.worlds, self.order):
+            raise RuntimeError("the lanes of a warp did not end together")
+
+
+def _c_type(dtype: type) -> str:
+    """Warp's vectors and transforms are rows of floats."""
+    return _TYPES.get(dtype, "float")

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// Products and solves that the lanes of a warp divide among themselves; matrices are packed by rows, with all entries.
+#if COOPERATE
+INLINE void multiply(const T* m, const T* x, T* y) {
+    EACH(i, NV) {
+        T sum = zero();
+        for (int j = 0; j < NV; ++j) sum += m[j <= i ? i * (i + 1) / 2 + j : j * (j + 1) / 2 + i] * x[j];
+        y[i] = sum;
+    }
+}
+// x = sign H⁻¹ g; Cholesky's factor takes the place of H but for its diagonal, which holds the squares. A lane has a row,
+// and the right-hand side is the last one: what is left of it after the factorization only has to go back.
+FN void solve_lanes(T* h, const T* g, T* x, float sign) {
+    const int lane = threadIdx.x & 31;
+    EACH(i, NV) x[i] = sign * g[i];
+    SYNC
+    for (int k = 0; k < NV; ++k) {
+        const T* pivot = h + k * (k + 1) / 2;
+        for (int i = k + lane; i <= NV; i += 32) {
+            T* row = i < NV ? h + i * (i + 1) / 2 : x;
+            T sum = row[k];
+#pragma unroll 4
+            for (int j = 0; j < k; ++j) sum -= row[j] * pivot[j];
+            row[k] = sum;
+        }
+        SYNC
+        const T inverse = 1.0f / VSQRT(pivot[k]);
+        for (int i = k + lane; i <= NV; i += 32)
+            if (i > k) (i < NV ? h + i * (i + 1) / 2 : x)[k] *= inverse;
+        SYNC
+    }
+    T left[(NV + 31) / 32], inverse[(NV + 31) / 32];
+#pragma unroll
+    for (int r = 0; r < (NV + 31) / 32; ++r) {
+        const int i = lane + 32 * r;
+        left[r] = i < NV ? x[i] : 0.0f;
+        inverse[r] = i < NV ? 1.0f / VSQRT(h[i * (i + 1) / 2 + i]) : 0.0f;
+    }
+#pragma unroll
+    for (int r = (NV + 31) / 32 - 1; r >= 0; --r)
+        for (int k = NV - 1 < 32 * r + 31 ? NV - 1 : 32 * r + 31; k >= 32 * r; --k) {
+            const T solved = __shfl_sync(0xffffffffu, left[r] * inverse[r], k & 31);
+#pragma unroll
+            for (int o = 0; o <= r; ++o) {
+                const int i = lane + 32 * o;
+                if (i < k) left[o] -= h[k * (k + 1) / 2 + i] * solved;
+                if (i == k) left[o] = solved;
+            }
+        }
+#pragma unroll
+    for (int r = 0; r < (NV + 31) / 32; ++r)
+        if (lane + 32 * r < NV) x[lane + 32 * r] = left[r];
+    SYNC
+}
+#endif
