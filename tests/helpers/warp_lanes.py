@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
+
 from warpmpc.engine.fused.kernel import FusedWork
 from warpmpc.engine.fused.plain import PlainRollout
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a warp of a GPU does, lane by lane on the CPU: the same as the registers do, in whatever order the lanes come."""
+"""What a warp of a GPU does, lane by lane on the CPU: the same as registers do, whichever lane comes first."""
 
 import numpy as np
 import pytest
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from warp_lanes import COMPILER, LaneRollout
+
 from warpmpc.engine.fused.plain import PlainRollout
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs g++")

@@ -64,7 +64,9 @@ class Dynamics:
         roots = [b for b in range(1, m.nbody) if self.model.moves(b) and not self.model.moves(int(m.body_parentid[b]))]
         for root in roots:
             Tree(self, lines, root).write()
-        return self._function("move", lines)
+        return "\n".join(
+            ("#if !COOPERATE  // a warp has its own, native/levels.h", self._function("move", lines), "#endif")
+        )
 
     def _drive(self) -> str:
         """Forces of bias, springs, dampers and actuators, and what velocity damps of them within an implicit step."""

@@ -17,7 +17,9 @@ from ...kernels.geometry.kinematics import FREE
 from . import model as kinds
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
+from .levels import Levels
 from .meshes import Hulls
+from .tables import floats, ints
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -34,7 +36,8 @@ MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC")
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC",
+           "NEAR_PAIRS")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,14 @@ class RolloutSource:
     def write(self) -> str:
         """The source."""
         dynamics = Dynamics(self.model, frozenset(self.bodies))
+        levels = Levels(dynamics)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
             *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
             *baked,
+            self._native("levels").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("contact"),
             *self._collision_sources(),
             self._native("solve").replace("BLOCKS", self._blocks()),
@@ -97,9 +102,9 @@ class RolloutSource:
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        tables = "\n".join(self._tables())
+        tables = "\n".join((*self._tables(), "#if COOPERATE", *levels.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
-        defines = {**self._sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines = {**self._sizes, **levels.sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
@@ -160,9 +165,13 @@ class RolloutSource:
             "NLIMIT": max(1, len(model.limited)),
             "LIMITS": len(model.limited),
             "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
+            "PAIRS": len(model.pairs),
             "ROWS": 3 if any(pair.slides for pair in model.pairs) else 1,
             "NNZ": longest,
             "NTRIANGLE": packed(longest, 0),
+            "FREE_JOINT": kinds.FREE,
+            "BALL_JOINT": kinds.BALL,
+            "SLIDE_JOINT": kinds.SLIDE,
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
@@ -198,38 +207,38 @@ class RolloutSource:
         scalar = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.SLIDE, kinds.HINGE)]
         turning = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.FREE, kinds.BALL)]
         return [
-            _ints("pair_group", groups),
-            _floats("pair_sign", signs),
-            _floats("pair_margin", [pair.margin for pair in pairs]),
-            _ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
-            _ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
-            _floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
-            _floats("pair_damping", [pair.rows.damping for pair in pairs]),
-            _floats("pair_impedance", [pair.rows.impedance for pair in pairs]),
-            _ints("group_count", [len(chain) for _, chain in self._groups]),
-            _ints("group_slides", [slides for slides, _ in self._groups]),
-            _ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
-            _ints("group_dof", dofs),
-            _ints("group_entry", entries, "short"),
-            _ints("limit_dof", limit_dofs),
-            _ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
-            _floats("limit_range", m.jnt_range[limited]),
-            _floats("limit_margin", m.jnt_margin[limited]),
-            _floats("limit_stiffness", [rows.stiffness for rows in limits]),
-            _floats("limit_damping", [rows.damping for rows in limits]),
-            _floats("limit_impedance", [rows.impedance for rows in limits]),
-            _ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
-            _ints("geom_size_at", size_at),
-            _ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
-            _ints("dof_top", model.dof_top),
-            _ints("scalar_q", m.jnt_qposadr[scalar]),
-            _ints("scalar_dof", m.jnt_dofadr[scalar]),
-            _ints("turning_q", m.jnt_qposadr[turning]),
-            _ints("turning_dof", m.jnt_dofadr[turning]),
-            _ints("turning_free", m.jnt_type[turning] == kinds.FREE),
-            _floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
-            _ints("mocap_of", self.mocap),
-            _ints("movable_of", self.movable),
+            ints("pair_group", groups),
+            floats("pair_sign", signs),
+            floats("pair_margin", [pair.margin for pair in pairs]),
+            ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
+            ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
+            floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
+            floats("pair_damping", [pair.rows.damping for pair in pairs]),
+            floats("pair_impedance", [pair.rows.impedance for pair in pairs]),
+            ints("group_count", [len(chain) for _, chain in self._groups]),
+            ints("group_slides", [slides for slides, _ in self._groups]),
+            ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
+            ints("group_dof", dofs),
+            ints("group_entry", entries, "short"),
+            ints("limit_dof", limit_dofs),
+            ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
+            floats("limit_range", m.jnt_range[limited]),
+            floats("limit_margin", m.jnt_margin[limited]),
+            floats("limit_stiffness", [rows.stiffness for rows in limits]),
+            floats("limit_damping", [rows.damping for rows in limits]),
+            floats("limit_impedance", [rows.impedance for rows in limits]),
+            ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
+            ints("geom_size_at", size_at),
+            ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
+            ints("dof_top", model.dof_top),
+            ints("scalar_q", m.jnt_qposadr[scalar]),
+            ints("scalar_dof", m.jnt_dofadr[scalar]),
+            ints("turning_q", m.jnt_qposadr[turning]),
+            ints("turning_dof", m.jnt_dofadr[turning]),
+            ints("turning_free", m.jnt_type[turning] == kinds.FREE),
+            floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
+            ints("mocap_of", self.mocap),
+            ints("movable_of", self.movable),
             *self._mesh_tables(),
             *self._watch_tables(),
         ]
@@ -239,12 +248,12 @@ class RolloutSource:
             return []
         hulls = Hulls.of(self.model.mj, self._meshes)
         return [
-            _floats("mesh_vertex", hulls.vertex),
-            _ints("mesh_first", hulls.first),
-            _ints("mesh_count", hulls.count),
-            _ints("mesh_face_first", hulls.face_first),
-            _floats("mesh_face_normal", hulls.face_normal),
-            _ints("mesh_face_vertex", hulls.face_vertex),
+            floats("mesh_vertex", hulls.vertex),
+            ints("mesh_first", hulls.first),
+            ints("mesh_count", hulls.count),
+            ints("mesh_face_first", hulls.face_first),
+            floats("mesh_face_normal", hulls.face_normal),
+            ints("mesh_face_vertex", hulls.face_vertex),
         ]
 
     @cached_property
@@ -257,9 +266,9 @@ class RolloutSource:
         rows = [[watch for watch in self.watched if watch.pair == n] for n in range(len(self.model.pairs))]
         flat = [watch for row in rows for watch in row]
         return [
-            _ints("watch_first", np.cumsum([0, *(len(row) for row in rows)])),
-            _ints("watch_index", [watch.index for watch in flat]),
-            _floats("watch_sign", [watch.sign for watch in flat]),
+            ints("watch_first", np.cumsum([0, *(len(row) for row in rows)])),
+            ints("watch_index", [watch.index for watch in flat]),
+            floats("watch_sign", [watch.sign for watch in flat]),
         ]
 
     def _blocks(self) -> str:
@@ -285,9 +294,7 @@ class RolloutSource:
             seconds = ", ".join(str(self.model.pairs[n].geoms[1]) for n in numbers)
             out.append(
                 f"{{ static const int first[] = {{{firsts}}}, second[] = {{{seconds}}};\n"
-                f"EACH(i, {len(numbers)}) {{\n"
-                f"const int pair = {numbers[0]} + i, a = first[i], b = second[i];\n"
-                f"{_near(kind)}\nif (VANY(near)) {name}(w, pair, a, b, near); }} }}"
+                f"NEAR_PAIRS({len(numbers)}, {numbers[0]}, {name}, {{ {_near(kind)} }}) }}"
             )
         return "\n".join(out)
 
@@ -349,6 +356,7 @@ class RolloutSource:
         return [*out, *(f"w.bang[{r}][{i}]" for i in range(3))]
 
 
+_HALF = ("half_sine", "half_cosine")
 _NAMES = {
     kinds.PLANE: "plane",
     kinds.SPHERE: "sphere",
@@ -375,19 +383,9 @@ def _mocap_bodies(m: mujoco.MjModel) -> list[int]:
 def _near(kind: tuple[int, int]) -> str:
     """The bounding test of a kind of pairs."""
     if kind[0] == kinds.PLANE:
-        return "const I near = near_plane(w, pair, a, b);"
+        return "near = near_plane(w, pair, a, b);"
     if kind == (kinds.BOX, kinds.BOX):  # both ways: one box may be large
-        return "I near = near_box(w, pair, a, b);\nif (VANY(near)) near &= near_box(w, pair, b, a);"
+        return "near = near_box(w, pair, a, b); if (VANY(near)) near &= near_box(w, pair, b, a);"
     if kind[1] == kinds.BOX:
-        return "const I near = near_box(w, pair, a, b);"
-    return "const I near = near_spheres(w, pair, a, b);"
-
-
-def _floats(name: str, values: object) -> str:
-    row = np.ravel(np.asarray(values, dtype=np.float64))
-    return f"static const float {name}[{max(1, row.size)}] = {{{', '.join(map(literal, row)) or '0.0f'}}};"
-
-
-def _ints(name: str, values: object, kind: str = "int") -> str:
-    row = np.ravel(np.asarray(values, dtype=np.int64))
-    return f"static const {kind} {name}[{max(1, row.size)}] = {{{', '.join(map(str, row)) or '0'}}};"
+        return "near = near_box(w, pair, a, b);"
+    return "near = near_spheres(w, pair, a, b);"

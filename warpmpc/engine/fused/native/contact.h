@@ -78,6 +78,7 @@ FN void put(World& w, int pair, I here, T distance, V3 p, V3 n, V3 t) {
     r.normal = n;
     r.tangent = t;
     r.pair = pair;
+    r.key = pair_group[pair] * PAIRS + pair;
 }
 // What all lanes have found, by group and in the order of the pairs: a pair is one lane's, so that its own contacts
 // are in order
@@ -85,12 +86,10 @@ FN void gather(World& w) {
     SYNC
     const int n = w.found < CAPACITY ? w.found : CAPACITY;
     EACH(k, n) {
-        const int pair = w.raw[k].pair, group = pair_group[pair];
+        const int key = w.raw[k].key, group = pair_group[w.raw[k].pair];
         int rank = 0;
-        for (int o = 0; o < n; ++o) {
-            const int other = w.raw[o].pair, theirs = pair_group[other];
-            rank += theirs < group || (theirs == group && (other < pair || (other == pair && o < k)));
-        }
+#pragma unroll 1
+        for (int o = 0; o < n; ++o) rank += w.raw[o].key < key || (w.raw[o].key == key && o < k);
         w.con[rank].raw = k;
         w.con[rank].group = group;
         w.con[rank].count = group_count[group];

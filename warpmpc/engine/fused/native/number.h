@@ -40,6 +40,7 @@ struct V3 {
 INLINE T dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE V3 cross(V3 a, V3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 INLINE V3 load(const T* p) { return {p[0], p[1], p[2]}; }
+INLINE V3 vector(const float* p) { return {splat(p[0]), splat(p[1]), splat(p[2])}; }
 // Quaternion (x, y, z, s) of a rotation by rows: from the largest of its four squares
 INLINE void quaternion(const T* r, T& x, T& y, T& z, T& s) {
     const T squares[4] = {1.0f + r[0] + r[4] + r[8], 1.0f + r[0] - r[4] - r[8], 1.0f - r[0] + r[4] - r[8],

@@ -33,3 +33,26 @@
 // a number of every lane into a row of the record
 #define PUT(N, WIDTH, VALUE) \
     { const T value = VALUE; for (int l = 0; l < count; ++l) to[l * WIDTH + N] = LANE(value, l); }
+// Look closely at those of N pairs of one kind, the first of them FIRST, that TEST finds near. A lane of a warp goes on
+// to the next such pair of its own before all of them look, so that few rounds are needed.
+#if COOPERATE
+#define NEAR_PAIRS(N, FIRST, LOOK, TEST)                                         \
+    for (int i = threadIdx.x & 31; some(i < (N)); i += 32) {                     \
+        int pair = FIRST, a = 0, b = 0;                                          \
+        I near = NO;                                                             \
+        for (; i < (N); i += 32) {                                               \
+            pair = FIRST + i, a = first[i], b = second[i];                       \
+            TEST                                                                 \
+            if (near) break;                                                     \
+        }                                                                        \
+        if (near) LOOK(w, pair, a, b, near);                                     \
+    }
+#else
+#define NEAR_PAIRS(N, FIRST, LOOK, TEST)                                         \
+    for (int i = 0; i < (N); ++i) {                                              \
+        const int pair = FIRST + i, a = first[i], b = second[i];                 \
+        I near;                                                                  \
+        TEST                                                                     \
+        if (VANY(near)) LOOK(w, pair, a, b, near);                               \
+    }
+#endif

@@ -22,8 +22,29 @@ struct Contact {  // lanes may hold different pairs, all of one group: the same 
 struct Raw {  // a contact that one lane of the warp has found
     T distance;
     V3 point, normal, tangent;
-    int pair;
+    int pair, key;               // key: by which contacts are put in order
 };
+#endif
+#if COOPERATE
+struct Frame {  // of a body that moves: columns of its rotation, and its origin
+    V3 x, y, z, p;
+    INNER V3 turned(V3 v) const { return x * v.x + y * v.y + z * v.z; }
+    INNER V3 at(const float* v) const { return turned(vector(v)) + p; }
+    INNER void turn(const float* rows) {  // on by a constant rotation
+        const V3 a = turned({rows[0], rows[3], rows[6]}), b = turned({rows[1], rows[4], rows[7]});
+        const V3 c = turned({rows[2], rows[5], rows[8]});
+        x = a, y = b, z = c;
+    }
+    INNER void orient(T w, T i, T j, T k) {  // on by a quaternion of any length
+        const T s = 2.0f / (w * w + i * i + j * j + k * k);
+        const V3 a = turned({1.0f - s * (j * j + k * k), s * (i * j + w * k), s * (i * k - w * j)});
+        const V3 b = turned({s * (i * j - w * k), 1.0f - s * (i * i + k * k), s * (j * k + w * i)});
+        const V3 c = turned({s * (i * k + w * j), s * (j * k - w * i), 1.0f - s * (i * i + j * j)});
+        x = a, y = b, z = c;
+    }
+};
+struct Motion { V3 angular, linear, turning, falling; };  // velocity and acceleration without joint accelerations
+struct Inertia { T xx, yy, zz, xy, xz, yz; V3 moment; T mass; };  // about the tree's point
 #endif
 struct World {
     const float* given;          // what scenes draw anew: numbers of the model that are no part of this source
@@ -40,6 +61,10 @@ struct World {
 #if COOPERATE
     Raw raw[CAPACITY];
     int found;
+    Frame frame[MOVING];         // of bodies that move, and what levels.h needs of them
+    Motion motion[MOVING];
+    Inertia inertia[MOVING];
+    V3 torque[MOVING], force[MOVING], twist[NV], shift[NV];
 #endif
 };
 INLINE T gsize(const World& w, int g, int k) {
