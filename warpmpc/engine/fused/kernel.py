@@ -42,7 +42,8 @@ def make_kernel(source: str, lanes: int, threads: int) -> wp.Kernel:
     """
     sharing = wp.constant(threads)
     wide = WIDE if lanes == 16 else ""
-    options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + wide + CONTRACT}
+    flags = (wp.config.cpu_compiler_flags or "") + wide + CONTRACT
+    options = {"cpu_compiler_flags": flags, "fast_math": True}
 
     @wp.func_native(source)
     def rollout(k: FusedWork, group: int, first: int, end: int): ...

@@ -256,6 +256,9 @@ FN void capsule_box(World& w, int pair, int g1, int g2, I near) {
         const T ma = s[j] * s[j], mb = -s[j] * ha[j], det = ma * (ha[j1] * ha[j1] + ha[j2] * ha[j2]);
         const I valid = det > 1e-7f * ma * mc;
         const T idet = 1.0f / VMAX(det, splat(1e-20f)), ima = 1.0f / ma;
+#if defined(__CUDA_ARCH__)
+#pragma unroll 1  // a GPU reads instructions more slowly than it runs them
+#endif
         for (int i = 0; i < 4; ++i) {
             const T dj = -p[j], d1 = (i & 1 ? s[j1] : -s[j1]) - p[j1], d2 = (i & 2 ? s[j2] : -s[j2]) - p[j2];
             const T u = -s[j] * dj, v = ha[j] * dj + ha[j1] * d1 + ha[j2] * d2;

@@ -59,14 +59,33 @@ INLINE void direct(Contact& c, int pair, I lanes, V3 n, V3 t) {
 }
 #endif
 
+// Rows of all contacts that live lanes have, times a vector over all degrees of freedom, into one of their fields
+FN void project(World& w, unsigned live, const T* x, T (Contact::*to)[ROWS]) {
 #if COOPERATE
-// Row i of a contact times a vector over all degrees of freedom
-INLINE T along(const Contact& c, const T* x, int i) {
-    const int* dof = group_dof + c.group * NNZ;
-    T y = zero();
-    for (int k = 0; k < c.count; ++k) y += c.jac[ROWS * k + i] * x[dof[k]];
-    return y;
+    EACH(e, ROWS * w.contacts) {
+        Contact& c = w.con[e / ROWS];
+        const int* dof = group_dof + c.group * NNZ;
+        const T* row = c.jac + e % ROWS;
+        T sum = zero();
+        for (int k = 0; k < c.count; ++k) sum += row[ROWS * k] * x[dof[k]];
+        (c.*to)[e % ROWS] = sum;
+    }
+#else
+    for (int n = 0; n < w.contacts; ++n) {
+        Contact& c = w.con[n];
+        if (!(c.used & live)) continue;
+        const int* dof = group_dof + c.group * NNZ;
+        T sum[ROWS];
+        for (int i = 0; i < ROWS; ++i) sum[i] = zero();
+        for (int k = 0; k < c.count; ++k) {
+            const T b = x[dof[k]];
+            for (int i = 0; i < ROWS; ++i) sum[i] += c.jac[ROWS * k + i] * b;
+        }
+        for (int i = 0; i < ROWS; ++i) (c.*to)[i] = sum[i];
+    }
+#endif
 }
+#if COOPERATE
 // A contact that one lane has found: kept until all have looked
 FN void put(World& w, int pair, I here, T distance, V3 p, V3 n, V3 t) {
     if (!here) return;
@@ -106,15 +125,13 @@ FN void gather(World& w) {
         entry(w, r.pair, c.group, k, r.point, r.normal, r.tangent, c.jac + ROWS * k);
     }
     SYNC
+    project(w, ~0u, w.v, &Contact::a);
+    SYNC
     EACH(k, n) {
         Contact& c = w.con[k];
         const Raw& r = w.raw[c.raw];
-        T v[ROWS];
-        for (int i = 0; i < ROWS; ++i) {
-            v[i] = along(c, w.v, i);
-            c.s[i] = zero();
-        }
-        soften(w, c, r.pair, YES, r.distance, v);
+        for (int i = 0; i < ROWS; ++i) c.s[i] = zero();
+        soften(w, c, r.pair, YES, r.distance, c.a);
 #if WATCHED
         direct(c, r.pair, YES, r.normal, r.tangent);
 #endif

@@ -1,13 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
 // Products and solves that the lanes of a warp divide among themselves; matrices are packed by rows, with all entries.
 #if COOPERATE
-INLINE void multiply(const T* m, const T* x, T* y) {
+FN void multiply(const T* m, const T* x, T* y) {
     EACH(i, NV) {
         T sum = zero();
         for (int j = 0; j < NV; ++j) sum += m[j <= i ? i * (i + 1) / 2 + j : j * (j + 1) / 2 + i] * x[j];
         y[i] = sum;
     }
 }
+#if NV <= 31
+// x = sign H⁻¹ g by Gauss-Jordan elimination: a lane has a row and its right-hand side in registers
+FN void solve_lanes(const T* h, const T* g, T* x, float sign) {
+    const int lane = threadIdx.x & 31, i = lane < NV ? lane : 0;
+    T row[NV], right = sign * g[i];
+#pragma unroll
+    for (int j = 0; j < NV; ++j) row[j] = h[j <= i ? i * (i + 1) / 2 + j : j * (j + 1) / 2 + i];
+#pragma unroll
+    for (int k = 0; k < NV; ++k) {
+        const T pivot = __shfl_sync(0xffffffffu, row[k], k), factor = lane == k ? 0.0f : row[k] / pivot;
+#pragma unroll
+        for (int j = k + 1; j < NV; ++j) row[j] -= factor * __shfl_sync(0xffffffffu, row[j], k);
+        right -= factor * __shfl_sync(0xffffffffu, right, k);
+    }
+    T own = row[0];
+#pragma unroll
+    for (int k = 1; k < NV; ++k) own = lane == k ? row[k] : own;
+    if (lane < NV) x[lane] = right / own;
+    SYNC
+}
+#else
 // x = sign H⁻¹ g; Cholesky's factor takes the place of H but for its diagonal, which holds the squares. A lane has a row,
 // and the right-hand side is the last one: what is left of it after the factorization only has to go back.
 FN void solve_lanes(T* h, const T* g, T* x, float sign) {
@@ -52,4 +73,5 @@ FN void solve_lanes(T* h, const T* g, T* x, float sign) {
         if (lane + 32 * r < NV) x[lane + 32 * r] = left[r];
     SYNC
 }
+#endif
 #endif

@@ -2,25 +2,6 @@
 // The constraint solver: primal Newton with exact line search (MuJoCo, "Computation: Solver algorithms"), until every
 // lane has converged. A lane that has does not change any more, whatever the others do.
 
-// Rows of all contacts that live lanes have, times a vector over all degrees of freedom, into one of their fields
-INLINE void project(World& w, unsigned live, const T* x, T (Contact::*to)[ROWS]) {
-#if COOPERATE
-    EACH(e, ROWS * w.contacts) (w.con[e / ROWS].*to)[e % ROWS] = along(w.con[e / ROWS], x, e % ROWS);
-#else
-    for (int n = 0; n < w.contacts; ++n) {
-        Contact& c = w.con[n];
-        if (!(c.used & live)) continue;
-        const int* dof = group_dof + c.group * NNZ;
-        T sum[ROWS];
-        for (int i = 0; i < ROWS; ++i) sum[i] = zero();
-        for (int k = 0; k < c.count; ++k) {
-            const T b = x[dof[k]];
-            for (int i = 0; i < ROWS; ++i) sum[i] += c.jac[ROWS * k + i] * b;
-        }
-        for (int i = 0; i < ROWS; ++i) (c.*to)[i] = sum[i];
-    }
-#endif
-}
 // The edges of a pyramid
 INLINE void edges(T mu, const T* along, T* e) {
 #if ROWS == 3
@@ -116,17 +97,19 @@ INLINE T first_of(const Contact& c, const T* f, int i) {
 #if COOPERATE
 // What contacts add to a matrix, unless there is none, and to a vector: lanes take entries, and neighbours in the list
 // of one group share them
-INLINE void add_contacts(World& w, T* h, T* to) {
+FN void add_contacts(World& w, T* h, T* to) {
     for (int n = 0; n < w.contacts;) {
         const int g = w.con[n].group, first = n, count = group_count[g], size = count * (count + 1) / 2;
         while (n < w.contacts && w.con[n].group == g) ++n;
         EACH(e, size + count) {
             T sum = zero();
             if (e >= size) {
+#pragma unroll 1
                 for (int m = first; m < n; ++m) sum += first_of(w.con[m], w.con[m].push, e - size);
                 to[group_dof[g * NNZ + e - size]] += sum;
             } else if (h) {
                 const int i = triangle_row[e], j = e - i * (i + 1) / 2;
+#pragma unroll 1
                 for (int m = first; m < n; ++m)
                     if (w.con[m].curve[0] > 0.0f) sum += second_of(w.con[m], w.con[m].curve, i, j);
                 h[group_entry[g * NTRIANGLE + e]] += sum;

@@ -4,7 +4,7 @@
 // among themselves; SYNC stands wherever one lane reads what others wrote, or writes what they still read.
 #if defined(__CUDA_ARCH__) && SHARED
 #define COOPERATE 1
-#define EACH(k, n) for (int k = threadIdx.x & 31; k < (n); k += 32)
+#define EACH(k, n) _Pragma("unroll 1") for (int k = threadIdx.x & 31; k < (n); k += 32)
 #define SYNC __syncwarp();
 #else
 #define COOPERATE 0
@@ -37,10 +37,10 @@
 // to the next such pair of its own before all of them look, so that few rounds are needed.
 #if COOPERATE
 #define NEAR_PAIRS(N, FIRST, LOOK, TEST)                                         \
-    for (int i = threadIdx.x & 31; some(i < (N)); i += 32) {                     \
+    _Pragma("unroll 1") for (int i = threadIdx.x & 31; some(i < (N)); i += 32) { \
         int pair = FIRST, a = 0, b = 0;                                          \
         I near = NO;                                                             \
-        for (; i < (N); i += 32) {                                               \
+        _Pragma("unroll 1") for (; i < (N); i += 32) {                           \
             pair = FIRST + i, a = first[i], b = second[i];                       \
             TEST                                                                 \
             if (near) break;                                                     \
