@@ -65,7 +65,7 @@ class Dynamics:
         for root in roots:
             Tree(self, lines, root).write()
         return "\n".join(
-            ("#if !COOPERATE  // a warp has its own, native/levels.h", self._function("move", lines), "#endif")
+            ("#if !COOPERATE  // a warp has its own, native/links.h", self._function("move", lines), "#endif")
         )
 
     def _drive(self) -> str:

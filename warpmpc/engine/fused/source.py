@@ -17,7 +17,7 @@ from ...kernels.geometry.kinematics import FREE
 from . import model as kinds
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
-from .levels import Levels
+from .links import Links
 from .meshes import Hulls
 from .tables import floats, ints
 from .tree import packed
@@ -87,14 +87,14 @@ class RolloutSource:
     def write(self) -> str:
         """The source."""
         dynamics = Dynamics(self.model, frozenset(self.bodies))
-        levels = Levels(dynamics)
+        links = Links(dynamics)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
             *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
             *baked,
-            self._native("levels").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
+            self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("contact"),
             *self._collision_sources(),
             self._native("solve").replace("BLOCKS", self._blocks()),
@@ -102,9 +102,9 @@ class RolloutSource:
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        tables = "\n".join((*self._tables(), "#if COOPERATE", *levels.tables(), "#endif"))
+        tables = "\n".join((*self._tables(), "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
-        defines = {**self._sizes, **levels.sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines = {**self._sizes, **links.sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}

@@ -61,7 +61,7 @@ struct World {
 #if COOPERATE
     Raw raw[CAPACITY];
     int found;
-    Frame frame[MOVING];         // of bodies that move, and what levels.h needs of them
+    Frame link[2][LINKS], frame[MOVING];  // of links, and of bodies that move; what lanes of links.h need of these
     Motion motion[MOVING];
     Inertia inertia[MOVING];
     V3 torque[MOVING], force[MOVING], twist[NV], shift[NV];

@@ -1,83 +1,97 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trees of bodies for the lanes of a warp, level by level: the formulas of tree.py, a body, an axis or an entry of the
-// mass matrix to a lane. Spatial vectors are taken about a point of each tree (Featherstone 2008, chapters 5 and 6).
+// Trees of bodies for the lanes of a warp: a link, a body, an axis or an entry of the mass matrix to a lane. A link is
+// what one joint moves. Spatial vectors are taken about a point of each tree (Featherstone 2008, chapters 5 and 6).
 #if COOPERATE
 INLINE void store(V3 v, T* to) { to[0] = v.x, to[1] = v.y, to[2] = v.z; }
-INLINE void moved(Motion& m, V3 turn, V3 slide) {
-    m.turning = m.turning + cross(m.angular, turn);
-    m.falling = m.falling + cross(m.angular, slide) + cross(m.linear, turn);
-    m.angular = m.angular + turn;
-    m.linear = m.linear + slide;
+// A link in the frame of the one above
+INLINE Frame link_of(const World& w, int l) {
+    Frame f = {{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}, vector(link_at + 3 * l)};
+    f.turn(link_turn + 9 * l);
+    const int j = link_joint[l];
+    if (j < 0) return f;
+    const T* q = w.q + joint_q[j];
+    const int kind = joint_kind[j];
+    if (kind == FREE_JOINT) {
+        const V3 x = {1.0f, 0.0f, 0.0f}, y = {0.0f, 1.0f, 0.0f}, z = {0.0f, 0.0f, 1.0f};
+        f = {x, y, z, load(q)};
+        f.orient(q[3], q[4], q[5], q[6]);
+        return f;
+    }
+    const V3 axis = vector(joint_axis + 3 * j), at = vector(joint_at + 3 * j);
+    if (kind == SLIDE_JOINT) {
+        f.p = f.p + f.turned(axis * (q[0] - joint_zero[j]));
+        return f;
+    }
+    const V3 anchor = f.p + f.turned(at);
+    if (kind == BALL_JOINT) f.orient(q[0], q[1], q[2], q[3]);
+    else {
+        const T angle = q[0] - joint_zero[j];
+        SINCOS_ANGLE
+        f.orient(half_cosine, half_sine * axis.x, half_sine * axis.y, half_sine * axis.z);
+    }
+    f.p = anchor - f.turned(at);
+    return f;
 }
-// Three degrees of freedom from i on that turn about the columns of a body, at an arm from the tree's point
-INLINE void spun(World& w, int i, const Frame& f, V3 arm, Motion& m) {
-    const V3 axes[3] = {f.x, f.y, f.z};
-    for (int k = 0; k < 3; ++k) {
-        store(axes[k], w.cw[i + k]);
-        store(cross(axes[k], arm), w.cl[i + k]);
-    }
-    const V3 spin = f.turned(load(w.v + i));
-    moved(m, spin, cross(spin, arm));
+// What velocities along the degrees of freedom of a list add up to, in rotation or at the tree's point
+INLINE V3 total_of(const World& w, const T (*axis)[3], const short* dof, int first, int end) {
+    V3 sum = {0.0f, 0.0f, 0.0f};
+    for (int n = first; n < end; ++n) sum = sum + load(axis[dof[n]]) * w.v[dof[n]];
+    return sum;
 }
-// A body after its joints
-INLINE void descend_to(World& w, int b) {
-    const int above = moving_above[b];
-    Frame f = {{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 0.0f}};
-    const V3 none = {0.0f, 0.0f, 0.0f};
-    Motion m = {none, none, none, vector(gravity) * -1.0f};
-    if (above >= 0) {
-        f = w.frame[above];
-        m = w.motion[above];
+// Where links are, by doubling: after round r a link knows its place in the one 2^r above; about which axes they move;
+// how fast bodies are, and what accelerates them without joint accelerations
+FN void travel(World& w) {
+    EACH(l, LINKS) w.link[0][l] = link_of(w, l);
+    SYNC
+    const Frame* links = w.link[0];
+#pragma unroll 1
+    for (int r = 0; r < ROUNDS; ++r) {
+        Frame* const next = w.link[(r + 1) & 1];
+        EACH(l, LINKS) {
+            const int above = link_above[r * LINKS + l];
+            Frame f = links[l];
+            if (above >= 0) {
+                const Frame o = links[above];
+                f = {o.turned(f.x), o.turned(f.y), o.turned(f.z), o.p + o.turned(f.p)};
+            }
+            next[l] = f;
+        }
+        SYNC
+        links = next;
     }
-    f.p = f.at(moving_at + 3 * b);
-    f.turn(moving_turn + 9 * b);
-    T* const reference = w.ref[moving_top[b]];
-    bool referred = above >= 0;
-    for (int j = moving_joint[b]; j < moving_joint[b] + moving_joints[b]; ++j) {
-        const T *q = w.q + joint_q[j], *v = w.v + joint_dof[j];
-        const int i = joint_dof[j];
-        if (joint_kind[j] == FREE_JOINT) {
-            f.p = load(q);
-            f.x = {1.0f, 0.0f, 0.0f}, f.y = {0.0f, 1.0f, 0.0f}, f.z = {0.0f, 0.0f, 1.0f};
-            f.orient(q[3], q[4], q[5], q[6]);
-            store(f.p, reference);
-            referred = true;
-            for (int k = 0; k < 3; ++k)
-                for (int c = 0; c < 3; ++c) w.cw[i + k][c] = 0.0f, w.cl[i + k][c] = k == c ? 1.0f : 0.0f;
-            m.linear = m.linear + load(v);
-            spun(w, i + 3, f, none, m);
-            continue;
-        }
-        const V3 anchor = f.at(joint_at + 3 * j), axis = f.turned(vector(joint_axis + 3 * j));
-        if (joint_kind[j] == SLIDE_JOINT) {
-            f.p = f.p + axis * (q[0] - joint_zero[j]);
-            store(none, w.cw[i]);
-            store(axis, w.cl[i]);
-            moved(m, none, axis * v[0]);
-            continue;
-        }
-        if (!referred) store(anchor, reference);
-        referred = true;
-        const V3 arm = load(reference) - anchor;
-        if (joint_kind[j] == BALL_JOINT) f.orient(q[0], q[1], q[2], q[3]);
-        else {
-            const T angle = q[0] - joint_zero[j];
-            SINCOS_ANGLE
-            const float* a = joint_axis + 3 * j;  // Rodrigues: half the angle as a quaternion
-            f.orient(half_cosine, half_sine * a[0], half_sine * a[1], half_sine * a[2]);
-        }
-        f.p = anchor - f.turned(vector(joint_at + 3 * j));
-        if (joint_kind[j] == BALL_JOINT) spun(w, i, f, arm, m);
-        else {
-            const V3 slide = cross(axis, arm);
-            store(axis, w.cw[i]);
-            store(slide, w.cl[i]);
-            moved(m, axis * v[0], slide * v[0]);
+    EACH(i, NV) {
+        const Frame& f = links[dof_link[i]];
+        const Frame& root = links[dof_root[i]];
+        const V3 reference = root.p + root.turned(vector(dof_root_at + 3 * i)), local = vector(dof_axis + 3 * i);
+        const V3 axis = dof_world[i] ? local : f.turned(local), none = {0.0f, 0.0f, 0.0f};
+        const V3 arm = reference - (f.p + f.turned(vector(dof_at + 3 * i)));
+        store(dof_turns[i] ? axis : none, w.cw[i]);
+        store(dof_turns[i] ? cross(axis, arm) : axis, w.cl[i]);
+        if (dof_top[i] == i) store(reference, w.ref[i]);
+    }
+    SYNC
+    EACH(i, NV) {  // what a joint's motion adds to accelerations, from that of the joints above it
+        const V3 turn = load(w.cw[i]) * w.v[i], slide = load(w.cl[i]) * w.v[i];
+        const V3 angular = total_of(w, w.cw, before_dof, before_first[i], before_first[i + 1]);
+        const V3 linear = total_of(w, w.cl, before_dof, before_first[i], before_first[i + 1]);
+        w.twist[i] = cross(angular, turn);
+        w.shift[i] = cross(angular, slide) + cross(linear, turn);
+    }
+    SYNC
+    EACH(e, 4 * MOVING) {
+        const int b = e >> 2, first = chain_first[b], end = chain_first[b + 1];
+        Motion& m = w.motion[b];
+        if ((e & 3) == 0) m.angular = total_of(w, w.cw, chain_dof, first, end);
+        if ((e & 3) == 1) m.linear = total_of(w, w.cl, chain_dof, first, end);
+        if (e & 2) {
+            V3 sum = e & 1 ? vector(gravity) * -1.0f : V3{0.0f, 0.0f, 0.0f};
+            const V3* const from = e & 1 ? w.shift : w.twist;
+            for (int n = first; n < end; ++n) sum = sum + from[chain_dof[n]];
+            (e & 1 ? m.falling : m.turning) = sum;
         }
     }
-    if (!referred) store(f.p, reference);
-    w.frame[b] = f;
-    w.motion[b] = m;
+    EACH(b, MOVING) w.frame[b] = links[moving_link[b]];
+    SYNC
 }
 INLINE T mass_of(const World& w, int b, int k) {
 #if MASSES_VARY
@@ -117,10 +131,7 @@ INLINE void weigh(World& w, int b) {
 }
 // Poses of bodies and geoms, axes, mass matrix and bias forces, from coordinates and velocities
 FN void move(World& w) {
-    for (int level = 0; level < LEVELS; ++level) {
-        EACH(n, level_first[level + 1] - level_first[level]) descend_to(w, level_body[level_first[level] + n]);
-        SYNC
-    }
+    travel(w);
     EACH(b, MOVING) weigh(w, b);
     EACH(n, MOVING_GEOMS) {
         const int g = moving_geom[n];
