@@ -158,7 +158,7 @@ class Links:
         ]
 
     def _root(self, body: int) -> tuple[int, np.ndarray]:
-        """A link of a tree's first body and the point on it that spatial vectors are taken about, as in :mod:`.tree`."""
+        """A link of a tree's first body, and the point on it that spatial vectors are taken about."""
         m = self.mj
         for j in self._joints(body):
             if m.jnt_type[j] != SLIDE:

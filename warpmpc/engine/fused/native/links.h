@@ -33,7 +33,8 @@ INLINE Frame link_of(const World& w, int l) {
     return f;
 }
 // What velocities along the degrees of freedom of a list add up to, in rotation or at the tree's point
-INLINE V3 total_of(const World& w, const T (*axis)[3], const short* dof, int first, int end) {
+FN V3 total_of(const World& w, bool linear, const short* dof, int first, int end) {
+    const T (*axis)[3] = linear ? w.cl : w.cw;
     V3 sum = {0.0f, 0.0f, 0.0f};
     for (int n = first; n < end; ++n) sum = sum + load(axis[dof[n]]) * w.v[dof[n]];
     return sum;
@@ -72,8 +73,8 @@ FN void travel(World& w) {
     SYNC
     EACH(i, NV) {  // what a joint's motion adds to accelerations, from that of the joints above it
         const V3 turn = load(w.cw[i]) * w.v[i], slide = load(w.cl[i]) * w.v[i];
-        const V3 angular = total_of(w, w.cw, before_dof, before_first[i], before_first[i + 1]);
-        const V3 linear = total_of(w, w.cl, before_dof, before_first[i], before_first[i + 1]);
+        const V3 angular = total_of(w, false, before_dof, before_first[i], before_first[i + 1]);
+        const V3 linear = total_of(w, true, before_dof, before_first[i], before_first[i + 1]);
         w.twist[i] = cross(angular, turn);
         w.shift[i] = cross(angular, slide) + cross(linear, turn);
     }
@@ -81,11 +82,13 @@ FN void travel(World& w) {
     EACH(e, 4 * MOVING) {
         const int b = e >> 2, first = chain_first[b], end = chain_first[b + 1];
         Motion& m = w.motion[b];
-        if ((e & 3) == 0) m.angular = total_of(w, w.cw, chain_dof, first, end);
-        if ((e & 3) == 1) m.linear = total_of(w, w.cl, chain_dof, first, end);
-        if (e & 2) {
+        if (!(e & 2)) {
+            const V3 sum = total_of(w, e & 1, chain_dof, first, end);
+            (e & 1 ? m.linear : m.angular) = sum;
+        } else {
             V3 sum = e & 1 ? vector(gravity) * -1.0f : V3{0.0f, 0.0f, 0.0f};
             const V3* const from = e & 1 ? w.shift : w.twist;
+#pragma unroll 2
             for (int n = first; n < end; ++n) sum = sum + from[chain_dof[n]];
             (e & 1 ? m.falling : m.turning) = sum;
         }
