@@ -41,6 +41,7 @@ from .keys import (
     Yaw,
 )
 from .native import general as native
+from .native import pushing as native_pushing
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
 from .resources.push_path import PushRequest
@@ -255,10 +256,26 @@ BUILTIN = {
     term.name: term
     for term in (
         CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance, native.distance),
-        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw),
-        CostTerm("push_alignment", pushing.push_alignment, pushing.PushAlignmentParams, _push_alignment, PushAlignment),
-        CostTerm("push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath),
-        CostTerm("contact_force", costs.contact_cost, costs.ContactForceParams, _contact_force, ContactForce),
+        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, native.yaw_error),
+        CostTerm(
+            "push_alignment",
+            pushing.push_alignment,
+            pushing.PushAlignmentParams,
+            _push_alignment,
+            PushAlignment,
+            native_pushing.push_alignment,
+        ),
+        CostTerm(
+            "push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath, native_pushing.push_path
+        ),
+        CostTerm(
+            "contact_force",
+            costs.contact_cost,
+            costs.ContactForceParams,
+            _contact_force,
+            ContactForce,
+            native.contact_cost,
+        ),
         CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots, native.control_effort),
         CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots, native.control_rate),
         CostTerm(
