@@ -40,7 +40,9 @@ from .keys import (
     Robots,
     Yaw,
 )
+from .native import clearance as native_clearance
 from .native import general as native
+from .native import grasping as native_grasping
 from .native import pushing as native_pushing
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
@@ -296,6 +298,7 @@ BUILTIN = {
             clearance.ObstacleClearanceParams,
             _obstacle_clearance,
             ObstacleClearance,
+            native_clearance.obstacle_clearance,
         ),
         CostTerm(
             "outline_clearance",
@@ -303,6 +306,7 @@ BUILTIN = {
             clearance.OutlineClearanceParams,
             _outline_clearance,
             OutlineClearance,
+            native_clearance.outline_clearance,
         ),
         CostTerm(
             "outline_distance",
@@ -310,16 +314,18 @@ BUILTIN = {
             clearance.OutlineDistanceParams,
             _outline_distance,
             OutlineDistance,
+            native_clearance.outline_distance,
         ),
-        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach),
+        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach, native_grasping.approach),
         CostTerm(
             "finger_alignment",
             grasping.finger_alignment,
             grasping.FingerAlignmentParams,
             _finger_alignment,
             FingerAlignment,
+            native_grasping.finger_alignment,
         ),
-        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
+        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper, native_grasping.gripper),
         CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm(
             "orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation, native.orientation
