@@ -179,7 +179,9 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     seen = wp.acos(p.radius / apart)
     for i in range(1, 4):
         part = seen * float(i) / 3.0
-        way = p.turn * wp.sqrt(apart * apart + p.radius * p.radius - 2.0 * apart * p.radius * wp.cos(part))
+        half = wp.sin(0.5 * part)
+        # the law of cosines, without the difference of nearly equal squares
+        way = p.turn * wp.sqrt((apart - p.radius) * (apart - p.radius) + 4.0 * apart * p.radius * half * half)
         left = sample_push(p.value, s.e, origin, p.cell, at, angle + part)
         right = sample_push(p.value, s.e, origin, p.cell, at, angle - part)
         best = wp.min(best, wp.min(left, right) + way)

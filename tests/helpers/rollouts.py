@@ -22,13 +22,13 @@ SHAPE = BatchSize(2, 3, 2, 5)
 class Rollouts(Judging):
     """Random rollouts of a small scene, judged by its cost terms."""
 
-    def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES):
+    def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES, shape=SHAPE):
         robot = {**DISC, "joint_q": (0.3, -0.2, 0.5), "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
         scene = make_scene(
             robot=[robot], object=[BOX], obstacle=obstacles, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
         )
-        super().__init__(scene, SHAPE, terms=terms)
-        self.t, self.w = SHAPE.horizon, SHAPE.worlds
+        super().__init__(scene, shape, terms=terms)
+        self.t, self.w = shape.horizon, shape.worlds
         rng = np.random.default_rng(seed)
         for array in vars(self.trajectory).values():
             if array.dtype is not int and array.size:
@@ -51,7 +51,7 @@ class Rollouts(Judging):
         body = self.layout.frame_body[index]
         local = self.layout.frame_pose[index].astype(np.float64)
         if body == -2:
-            base = np.broadcast_to(np.repeat(self.goal, SHAPE.rollouts, axis=0), (self.t, self.w, 7))
+            base = np.broadcast_to(np.repeat(self.goal, self.shape.rollouts, axis=0), (self.t, self.w, 7))
         elif body == -1:
             base = np.broadcast_to([0, 0, 0, 0, 0, 0, 1.0], (self.t, self.w, 7))
         else:

@@ -13,6 +13,7 @@ NAMES = (
     "VABS",
     "VSQRT",
     "VROUND",
+    "VFLOOR",
     "VANY",
     "VINT",
     "VFLOAT",
@@ -32,6 +33,7 @@ typedef int I;
 #define VABS(a) fabsf(a)
 #define VSQRT(a) sqrtf(a)
 #define VROUND(a) rintf(a)
+#define VFLOOR(a) floorf(a)
 #define VANY(m) (m)
 #define VINT(a) ((int)(a))
 #define VFLOAT(a) ((float)(a))
@@ -51,6 +53,7 @@ struct __attribute__((packed, aligned(4))) TU { T v; };
 #define VABS(a) __builtin_elementwise_abs(a)
 #define VSQRT(a) __builtin_elementwise_sqrt(a)
 #define VROUND(a) __builtin_elementwise_rint(a)
+#define VFLOOR(a) __builtin_elementwise_floor(a)
 #define VANY(m) (__builtin_reduce_or(m) != 0)
 #define VINT(a) __builtin_convertvector(a, I)
 #define VFLOAT(a) __builtin_convertvector(a, T)
@@ -148,6 +151,22 @@ def angle(sine: str, cosine: str, name: str) -> str:
     least = f"const T low = VMIN({sine}, {cosine}), high = VMAX({sine}, {cosine})"
     small = f"const T t = low / VMAX(high, 1.0e-30f); const T w = t * t; const T a = t * {series}"
     return f"T {name}; {{ {least}; {small}; {name} = VSELECT({sine} > {cosine}, {literal(np.pi / 2)} - a, a); }}"
+
+
+def direction(height: str, width: str, name: str) -> str:
+    """Statements that define the angle in [-π, π] of a point in the plane, 0 at the origin, to 1e-6 rad.
+
+    Args:
+        height: Name of its second coordinate, or an expression.
+        width: Name of its first coordinate, or an expression.
+        name: Name of the result.
+    """
+    first = angle("rise", "run", "part")
+    return (
+        f"T {name}; {{ const T rise = VABS({height}), run = VABS({width}); {first}"
+        f" part = VSELECT({width} < 0.0f, {literal(np.pi)} - part, part);"
+        f" {name} = VSELECT({height} < 0.0f, -part, part); }}"
+    )
 
 
 def native_lanes() -> int:

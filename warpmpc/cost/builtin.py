@@ -40,7 +40,10 @@ from .keys import (
     Robots,
     Yaw,
 )
+from .native import clearance as native_clearance
 from .native import general as native
+from .native import grasping as native_grasping
+from .native import pushing as native_pushing
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
 from .resources.push_path import PushRequest
@@ -255,10 +258,26 @@ BUILTIN = {
     term.name: term
     for term in (
         CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance, native.distance),
-        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw),
-        CostTerm("push_alignment", pushing.push_alignment, pushing.PushAlignmentParams, _push_alignment, PushAlignment),
-        CostTerm("push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath),
-        CostTerm("contact_force", costs.contact_cost, costs.ContactForceParams, _contact_force, ContactForce),
+        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, native.yaw_error),
+        CostTerm(
+            "push_alignment",
+            pushing.push_alignment,
+            pushing.PushAlignmentParams,
+            _push_alignment,
+            PushAlignment,
+            native_pushing.push_alignment,
+        ),
+        CostTerm(
+            "push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath, native_pushing.push_path
+        ),
+        CostTerm(
+            "contact_force",
+            costs.contact_cost,
+            costs.ContactForceParams,
+            _contact_force,
+            ContactForce,
+            native.contact_cost,
+        ),
         CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots, native.control_effort),
         CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots, native.control_rate),
         CostTerm(
@@ -279,6 +298,7 @@ BUILTIN = {
             clearance.ObstacleClearanceParams,
             _obstacle_clearance,
             ObstacleClearance,
+            native_clearance.obstacle_clearance,
         ),
         CostTerm(
             "outline_clearance",
@@ -286,6 +306,7 @@ BUILTIN = {
             clearance.OutlineClearanceParams,
             _outline_clearance,
             OutlineClearance,
+            native_clearance.outline_clearance,
         ),
         CostTerm(
             "outline_distance",
@@ -293,16 +314,18 @@ BUILTIN = {
             clearance.OutlineDistanceParams,
             _outline_distance,
             OutlineDistance,
+            native_clearance.outline_distance,
         ),
-        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach),
+        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach, native_grasping.approach),
         CostTerm(
             "finger_alignment",
             grasping.finger_alignment,
             grasping.FingerAlignmentParams,
             _finger_alignment,
             FingerAlignment,
+            native_grasping.finger_alignment,
         ),
-        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
+        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper, native_grasping.gripper),
         CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm(
             "orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation, native.orientation

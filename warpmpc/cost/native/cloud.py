@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ...bake.lines import Operand, literal
-from .collision import GroupCode, groups_of, variable
+from .collision import GroupCode, groups_of
+from .variables import variable
 from .volume import Grid, between, nearest
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from ...bake.lines import Operand, Vector, literal, text
 from ...kernels.terms.clearance import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
 from ...kernels.terms.collision import MESH
 from ...kernels.terms.view import TASK_BODY
+from .variables import variable
 from .volume import Grid, with_bound
 
 if TYPE_CHECKING:
@@ -81,13 +82,6 @@ def self_collision(code: TermCode, p: Any) -> Operand:
             add(f"{deepest} = VMAX({deepest}, {literal(total)} - VSQRT(d)); }}")
         add("}")
     return code.lines.let(f"{deepest} + {margin}")
-
-
-def variable(code: TermCode, name: str, value: str) -> str:
-    """A variable of a term that later statements change; returns its name."""
-    name = f"{name}_{code.params.replace('.', '_')}"
-    code.lines.add(f"T {name} = {value};")
-    return name
 
 
 def world_collision(code: TermCode, p: Any) -> Operand | None:

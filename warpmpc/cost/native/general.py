@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ...bake.lines import Operand, Vector, text
-from ...bake.number import angle, decay
+from ...bake.number import angle, decay, direction
+from .paths import detour
 
 if TYPE_CHECKING:
     from ...bake.state import TermCode
@@ -27,22 +28,50 @@ def beyond(code: TermCode, value: str, bound: str) -> str:
     return code.lines.let(f"VMAX(VABS({value}) - {bound}, 0.0f)")
 
 
-def distance(code: TermCode, p: Any) -> Operand | None:
-    """``general.distance`` along the straight line."""
-    if p.field >= 0:
-        return None
+def fading(code: TermCode, away: str, near: str) -> str:
+    """exp(-away / near)."""
+    share = code.lines.let(f"{away} / {near}")
+    left = f"left_{share}"
+    code.lines.add(decay(share, left))
+    return left
+
+
+def distance(code: TermCode, p: Any) -> Operand:
+    """``general.distance``."""
     state, lines = code.state, code.lines
     first, second = state.frame(p.first), state.frame(p.second)
-    d = lines.difference(first.position, second.position)
+    at = first.position
     if p.lead > 0.0:
         velocity, _ = state.velocity(p.first)
-        d = [lines.sum(x, (f"{code.params}.lead", v)) for x, v in zip(d, velocity, strict=True)]
+        at = [lines.sum(x, (f"{code.params}.lead", v)) for x, v in zip(at, velocity, strict=True)]
+    d = lines.difference(at, second.position)
     away = length(code, d[:2] + [0.0] if p.planar else d)
+    if p.field >= 0:
+        away = lines.let(f"{away} + {detour(code, p.field, at)}")
+    return away if p.near == 0.0 else lines.let(f"1.0f - {fading(code, away, f'{code.params}.near')}")
+
+
+def yaw_error(code: TermCode, p: Any) -> Operand:
+    """``general.yaw_error``: the angle between the x axes, seen from above."""
+    lines, a, b = code.lines, code.state.frame(p.of), code.state.frame(p.to)
+    (ax, ay, _), (bx, by, _) = ([text(x) for x in frame.columns[0]] for frame in (a, b))
+    sine, cosine = lines.let(f"{ay} * {bx} - {ax} * {by}"), lines.let(f"{ax} * {bx} + {ay} * {by}")
+    turn = f"turn_{sine}"
+    lines.add(direction(sine, cosine, turn))
+    error = lines.let(f"VABS({turn})")
+    if p.smooth > 0.0:
+        error = lines.let(f"VSQRT({error} * {error} + {code.params}.smooth * {code.params}.smooth)")
+        error = lines.let(f"{error} - {code.params}.smooth")
     if p.near == 0.0:
-        return away
-    share, left = lines.let(f"{away} / {code.params}.near"), f"left_{away}"
-    lines.add(decay(share, left))
-    return lines.let(f"1.0f - {left}")
+        return error
+    away = length(code, [*lines.difference(a.position, b.position)[:2], 0.0])
+    return lines.let(f"{error} * {fading(code, away, f'{code.params}.near')}")
+
+
+def contact_cost(code: TermCode, p: Any) -> Operand:
+    """``general.contact_cost``."""
+    pairs = range(p.first, p.first + p.count)
+    return code.lines.sum(*(length(code, code.state.force(pair)) for pair in pairs))
 
 
 def orientation(code: TermCode, p: Any) -> Operand:

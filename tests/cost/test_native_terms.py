@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baked source of cost terms says what their Warp functions say, many worlds at once and one alone."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+from native_terms import NativeJudge
+from push_scenes import block
+from rollouts import OBSTACLES, Rollouts
+from scipy.spatial.transform import Rotation
+
+from warpmpc.bake.number import native_lanes
+from warpmpc.model.batch_size import BatchSize
+
+SHAPE = BatchSize(2, 21, 2, 5)  # a number of worlds that fills no register; 420 states
+BLOCKS = [block(position=(0.0, 0.7)), block("post", size=(0.3, 0.3, 0.4), position=(-0.7, 0.4), yaw=0.7)]
+ANYWHERE = [
+    {"term": "distance", "between": ["base/tip", "box"]},
+    {"term": "distance", "between": ["box", "base/tip"], "lead": 0.7, "near": 0.5},
+    {"term": "yaw", "of": "box"},
+    {"term": "yaw", "of": "box", "near": 0.7, "smooth": 0.2},
+    {"term": "contact_force", "between": ["box", "obstacles"]},
+    {"term": "push_alignment", "pusher": "base/tip", "object": "box"},
+    {"term": "push_alignment", "pusher": "base/tip", "object": "box", "near": 0.4, "slack": 0.5},
+    {"term": "obstacle_clearance", "of": "base/tip", "radius": 0.1, "least": 0.03},
+    {"term": "obstacle_clearance", "of": "box", "to": "centre"},
+    {"term": "outline_clearance", "of": "base/tip", "within": 0.8},
+    {"term": "outline_clearance", "of": "box", "within": 0.5},
+    {"term": "outline_distance", "of": "base/tip", "object": "box", "inside": 3.0},
+    {"term": "approach", "hand": "base/tip", "object": "box", "width": 1.2, "rise": 0.8},
+    {"term": "finger_alignment", "hand": "base/tip", "object": "box"},
+    {"term": "gripper", "hand": "base/tip", "object": "box", "near": 1.8, "fingers": ["base/x", "base/yaw"]},
+]
+"""Terms of bodies that are anywhere and turned anyhow."""
+PUSH = {"pusher": "base/tip", "object": "box"}
+FOOTPRINT = {**PUSH, "term": "push_path", "width": 0.2, "length": 0.3}
+LEVEL = [
+    {"term": "distance", "between": ["base/tip", "box"], "metric": "geodesic"},
+    {"term": "distance", "between": ["box", "goal"], "metric": "geodesic", "near": 0.4, "lead": 0.2},
+    {"term": "yaw", "of": "box", "near": 0.3},
+    {"term": "push_alignment", **PUSH, "metric": "geodesic", "near": 0.2},
+    {**FOOTPRINT},
+    {**FOOTPRINT, "tolerance": 0.04, "steer": 0.6, "turn": 0.7, "lead": 0.05},
+    {**FOOTPRINT, "tolerance": 0.03, "steer": 2.0, "behind": 0.3},
+    {"term": "obstacle_clearance", "of": "base/tip", "radius": 0.1, "least": 0.03},
+    {"term": "outline_clearance", "of": "box", "within": 0.2},
+    {"term": "outline_clearance", "of": "base/tip", "within": 0.3},
+    {"term": "outline_distance", "of": "base/tip", "object": "box", "inside": 0.5},
+    {"term": "approach", "hand": "base/tip", "object": "box", "width": 0.05, "rise": 0.1},
+]
+"""Terms of a push in the plane."""
+
+
+def kind(cost: dict) -> str:
+    return "-".join(str(cost[key]) for key in ("term", "metric", "near", "steer", "to", "inside") if key in cost)
+
+
+def level(r: Rollouts) -> None:
+    """Put the bodies on the floor: anywhere, and where formulas change over."""
+    rng, goal = np.random.default_rng(5), r.goal.copy()
+    goal[:, :2] = [0.0, 0.1], [-0.4, -0.3]
+    goal[:, 3:] = Rotation.from_euler("zx", [[0.0, 0.0], [2.2, 0.02]]).as_quat()
+    r.goal = goal
+    r.set_goal(goal)
+    box, base = (r.layout.frame_body[r.layout.frame(name)] for name in ("box", "base/tip"))
+    body_q = r.trajectory.body_q.numpy()
+    shape = body_q.shape[:2]
+    own = np.repeat(goal, SHAPE.rollouts, axis=0)
+    for body, spread in ((box, 0.7), (base, 1.0)):
+        body_q[:, :, body, :3] = rng.normal(size=(*shape, 3)) * [spread, spread, 0.05]
+        turns = Rotation.from_euler("zxy", rng.normal(size=(shape[0] * shape[1], 3)) * [2.0, 0.01, 0.01])
+        body_q[:, :, body, 3:] = turns.as_quat().reshape(*shape, 4)
+    # at the goal, turned by whole and half quarters and by little
+    body_q[1, :, box] = own
+    angles = np.arange(SHAPE.worlds) * np.pi / 4
+    body_q[1, :, box, 3:] = (
+        Rotation.from_quat(own[:, 3:]) * Rotation.from_euler("z", angles[:, None] + 1e-3)
+    ).as_quat()
+    body_q[2, ::2, box, :2] = own[::2, :2] + 0.03 * rng.normal(size=(SHAPE.worlds // 2, 2))
+    # the pusher around the box, near and on the circle of the term's walk, and on top of it
+    circle = (
+        np.hypot(0.15, 0.25) + rng.choice([0.1, 0.4], SHAPE.worlds) + rng.choice([-1e-6, 0.0, 1e-6, 0.1], SHAPE.worlds)
+    )
+    circle[:4] = 0.02
+    around = np.stack([np.cos(angles + 0.3), np.sin(angles + 0.3)], axis=1)
+    body_q[3, :, base, :2] = body_q[3, :, box, :2] + circle[:, None] * around
+    body_q[3, :, base, :2] -= Rotation.from_quat(body_q[3, :, base, 3:]).apply([0.2, 0.0, 0.0])[:, :2]
+    # on the border of the grid, on its cells, and far beyond
+    paths = r.stack.terms[0][1].paths
+    rows, columns = paths.length.shape[1:]
+    low, high = np.array(paths.origin), np.array(paths.origin) + paths.cell * np.array([columns - 1, rows - 1])
+    places = [low, high, [low[0], high[1]], low - 0.3, high + [0.3, -0.5], high + 100.0, low - [1e4, 0.0]]
+    places += [low + paths.cell * np.array([3, 7]), [0.0, 0.7], [0.0, 0.3], [-0.7, 0.4]]
+    for i, place in enumerate(places):
+        body_q[4, 2 * i, box, :2] = place
+        body_q[4, 2 * i + 1, base, :2] = place
+        body_q[5, i, base, :2] = body_q[5, i, box, :2] = place
+    r.trajectory.body_q.assign(body_q)
+    r.observe()
+
+
+@functools.cache
+def judged(where: str) -> Rollouts:
+    """Rollouts, and the terms that judge them."""
+    costs, obstacles = {"anywhere": (ANYWHERE, OBSTACLES), "level": (LEVEL, BLOCKS)}[where]
+    r = Rollouts(*costs, obstacles=obstacles, shape=SHAPE, seed=len(costs))
+    if where == "level":
+        level(r)
+    return r
+
+
+@functools.cache
+def baked(where: str, lanes: int) -> np.ndarray:
+    """What baked source says ``[term, T, W]``."""
+    return NativeJudge(judged(where), lanes).cost()
+
+
+@functools.cache
+def plain(where: str) -> np.ndarray:
+    """What the Warp functions say ``[term, T, W]``."""
+    r = judged(where)
+    return np.stack([r.cost(i) for i in range(len(r.stack.terms))])
+
+
+CASES = [
+    (where, i, kind(cost))
+    for where, costs in (("anywhere", ANYWHERE), ("level", LEVEL))
+    for i, cost in enumerate(costs)
+]
+
+
+@pytest.mark.parametrize("lanes", [native_lanes(), 1])
+@pytest.mark.parametrize(("where", "term"), [case[:2] for case in CASES], ids=[f"{c[0]}-{c[2]}" for c in CASES])
+def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
+    expected = plain(where)[term]
+    assert np.ptp(expected) > 0.1
+    # far away places are known less exactly
+    far = np.abs(judged(where).trajectory.body_q.numpy()[1:]).max(axis=(2, 3))
+    found = baked(where, lanes)[term]
+    wrong = ~(np.abs(found - expected) <= 1e-5 * np.abs(expected) + 2e-6 * np.maximum(far, 1.0))
+    assert not wrong.any(), (np.argwhere(wrong), found[wrong], expected[wrong])
+
+
+@pytest.mark.skipif(90 not in wp.get_cuda_supported_archs(), reason="needs Warp with NVRTC")
+@pytest.mark.parametrize("where", ["anywhere", "level"])
+def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
+    module = NativeJudge(judged(where)).kernel.module
+    assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
+
+
+@pytest.mark.parametrize("where", ["anywhere", "level"])
+def test_a_world_that_diverged_changes_no_other(where):
+    judging = judged(where)
+    judge = NativeJudge(judging)
+    clean = judge.cost()
+    array = judging.trajectory.body_q
+    states = array.numpy().copy()
+    for w, value in ((0, np.nan), (5, np.inf), (30, -np.inf), (50, 1e30)):
+        poisoned = states.copy()
+        poisoned[1:, w] = value
+        array.assign(poisoned)
+        judge.read()
+        others = np.delete(np.arange(SHAPE.worlds), w)
+        np.testing.assert_array_equal(judge.cost()[..., others], clean[..., others])
+    array.assign(states)
