@@ -4,9 +4,11 @@ r"""Time plans on every engine against the same physics alone, over sample count
 
 States come from a closed-loop run of the scene, so that contacts are in play. Every plan is followed by the bare
 physics with the same worlds, states and controls: for ``newton`` the same solver steps in a CUDA graph of their own,
-for ``mujoco`` a bare call of ``mujoco.rollout``. Ratios are taken pair by pair.
+for ``mujoco`` a bare call of ``mujoco.rollout``; ``fused`` has none. Ratios are taken pair by pair. ``fused`` runs on
+the CPU and on the GPU, where there is one. Rows are written as they come; tools/plot_engines.py draws several files.
 
-    python tools/engines.py omni_push_box --samples 128,500,2048 --horizon 8 --json engines.json --plot engines.png
+    python tools/engines.py omni_push_box --samples sweep --limit 5 --json engines.json --plot engines.png
+    python tools/engines.py omni_push_box --engines fused@cuda:0,newton --samples 128,500,2048 --horizon 8
     python tools/engines.py omni_push_box --engines newton --samples 500 \\
         --case default: --case 'euler:engine.options.integrator="euler"'
 """
@@ -15,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
+import os
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -23,50 +25,21 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import warp as wp
-from bench import BareRollout
+from bench import machine
+from plan_times import bare_physics, batched, time_plans, visited_states
 from rich.console import Console
 from rich.table import Table
 
 import warpmpc
+from warpmpc.cli.run import start_warp
+from warpmpc.engine.registry import ENGINES, physics_steps
 from warpmpc.model.compiled import compile_scene
 from warpmpc.planner.step import STAGES
 
 STATES = 12
 """States from the closed-loop run that the plans are made from, in turn."""
-
-
-def visited_states(source: str, seconds: float, seed: int = 0) -> list[warpmpc.State]:
-    """States of a closed-loop run on the ``mujoco`` engine, evenly spaced over its first ``seconds``."""
-    scene = warpmpc.load_scene(source)
-    compiled = compile_scene(scene)
-    controller = warpmpc.Controller(scene, engine="mujoco", seed=seed, compiled=compiled)
-    plant = warpmpc.Plant(scene, seed=seed, compiled=compiled)
-    states = []
-    while not plant.done and plant.time < seconds:
-        states.append(plant.observe())
-        plant.apply(controller.step(states[-1]))
-    controller.engine.close()
-    return [states[i] for i in np.linspace(0, len(states) - 1, STATES).round().astype(int)]
-
-
-class BareGraph:
-    """The floor of the newton engine: the same solver steps captured alone."""
-
-    def __init__(self, engine):
-        self.device = wp.get_device(engine.device)
-        if self.device.is_cuda:
-            with wp.ScopedCapture(device=self.device) as capture:
-                engine.step_physics()
-            self._run = lambda: wp.capture_launch(capture.graph)
-        else:
-            self._run = engine.step_physics
-
-    def __call__(self) -> float:
-        """Step the engine's last rollouts again; returns the wall time [s]."""
-        start = time.perf_counter()
-        self._run()
-        wp.synchronize_device(self.device)
-        return time.perf_counter() - start
+SWEEP = "16,32,64,128,256,512,1024,2048,4096,8192"
+"""Sample counts of ``--samples sweep``."""
 
 
 def stage_times(controller: warpmpc.Controller, plans: int = 30) -> dict[str, float]:
@@ -131,59 +104,66 @@ def fidelity(controller: warpmpc.Controller, compiled, states: list[warpmpc.Stat
     return {f"p{p}": float(np.percentile(errors, p)) for p in (50, 90, 99)}
 
 
+def places(engines: str, device: str) -> list[tuple[str, str]]:
+    """Engines and the devices they run on here, from ``NAME`` and ``NAME@DEVICE`` separated by commas."""
+    out = []
+    for text in engines.split(","):
+        name, _, where = text.partition("@")
+        if where:
+            out.append((name, where))
+            continue
+        on_gpu = ENGINES[name].cuda and device != "cpu"
+        out += [(name, "cpu")] if ENGINES[name].cpu and not (name == "newton" and on_gpu) else []
+        out += [(name, device)] if on_gpu else []
+    return out
+
+
+def cpu_name() -> str:
+    """What the processor is called."""
+    return machine()["cpu"]
+
+
 def measure(source: str, case: str, overrides: list[str], engine: str, device: str, args, states) -> dict:
     """Time one engine on one scene; times in milliseconds."""
     scene = warpmpc.load_scene(source, overrides=overrides)
     compiled = compile_scene(scene)
-    cuda = engine == "newton" and wp.get_device(device).is_cuda
+    cuda = wp.get_device(device).is_cuda
     free = wp.get_device(device).free_memory if cuda else 0
     began = time.perf_counter()
-    controller = warpmpc.Controller(
-        scene, engine=engine, device=device if engine == "newton" else "cpu", envs=args.envs, compiled=compiled
-    )
-    if args.envs > 1:
-        states = [
-            warpmpc.State(np.tile(s.joint_q, (args.envs, 1)), np.tile(s.joint_qd, (args.envs, 1)), s.time)
-            for s in states
-        ]
+    controller = warpmpc.Controller(scene, engine=engine, device=device, envs=args.envs, compiled=compiled)
+    states = batched(states, args.envs)
     controller.step(states[0])
     controller.step(states[0])
     ready = time.perf_counter() - began
-    simulator = controller.engine.simulator
-    bare = BareGraph(simulator) if engine == "newton" else BareRollout(simulator)
-    plan, floor = [], []
-    for i in range(args.plans + 3):
-        start = time.perf_counter()
-        controller.step(states[i % len(states)])
-        took = time.perf_counter() - start
-        if i < 3:
-            continue
-        plan.append(1e3 * took)
-        floor.append(1e3 * bare())
+    bare = bare_physics(controller)
+    plan, floor = time_plans(controller, states, plans=args.plans, seconds=args.limit, bare=bare)
     shape = controller.shape
-    steps = shape.worlds * sum(simulator.substeps)
+    count = physics_steps(engine, scene, compiled, controller.planner.grid).count
+    steps = shape.worlds * sum(count)
     first = controller.info if args.envs == 1 else controller.info[0]
     row = {
         "scene": source,
         "case": case,
         "engine": engine,
-        "solver": str(scene.engine.solver) if engine == "newton" else "mujoco (C)",
-        "device": wp.get_device(controller.device).name if cuda else f"{platform.processor() or 'cpu'}",
+        "solver": str(scene.engine.solver) if engine == "newton" else None,
+        "device": wp.get_device(controller.device).name if cuda else cpu_name(),
+        "cores": None if cuda else scene.engine.threads or len(os.sched_getaffinity(0)),
         "envs": args.envs,
         "samples": shape.rollouts,
         "horizon": shape.horizon,
-        "substeps": simulator.substeps[0],
+        "substeps": count[0],
         "overrides": overrides,
         "plan_ms": {name: float(np.percentile(plan, p)) for name, p in (("p50", 50), ("p99", 99))},
-        "floor_ms": float(np.median(floor)),
-        "ratio": float(np.median(np.array(plan) / floor)),
+        "floor_ms": float(np.median(floor)) if floor else None,
+        "ratio": float(np.median(np.array(plan) / floor)) if floor else None,
+        "plans": len(plan),
         "plans_per_s": 1e3 / float(np.median(plan)),
         "world_steps_per_s": 1e3 * steps / float(np.median(plan)),
         "stages_ms": stage_times(controller),
         "memory_MiB": (free - wp.get_device(device).free_memory) / 2**20 if cuda else None,
         "start_s": ready,
         "diverged": first.diverged_worlds,
-        "overflow": int(simulator.trajectory.overflow.numpy().max()),
+        "overflow": int(controller.engine.overflow.numpy().max()),
     }
     if args.envs == 1:
         row["activities"] = activities(controller, states[-1])
@@ -222,8 +202,8 @@ def print_rows(rows: list[dict]) -> None:
             f"{r['horizon']}·{r['substeps']}",
             f"{r['plan_ms']['p50']:.3f}",
             f"{r['plan_ms']['p99']:.3f}",
-            f"{r['floor_ms']:.3f}",
-            f"{r['ratio']:.3f}",
+            "-" if r["floor_ms"] is None else f"{r['floor_ms']:.3f}",
+            "-" if r["ratio"] is None else f"{r['ratio']:.3f}",
             f"{1e-6 * r['world_steps_per_s']:.2f}",
             "-" if r.get("error_mm") is None else " / ".join(f"{v:.1f}" for v in r["error_mm"].values()),
             "-" if r["memory_MiB"] is None else f"{r['memory_MiB']:.0f}",
@@ -231,57 +211,32 @@ def print_rows(rows: list[dict]) -> None:
     Console(width=160).print(table)
 
 
-def plot_rows(rows: list[dict], file: Path) -> None:
-    """Plan time against samples, a line per scene, engine and case, with the floor dotted."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
-    lines = sorted({(r["scene"], r["engine"], r["case"]) for r in rows})
-    for scene, engine, case in lines:
-        own = sorted((r for r in rows if (r["scene"], r["engine"], r["case"]) == (scene, engine, case)), key=_samples)
-        k = [r["samples"] for r in own]
-        (line,) = axes.loglog(
-            k, [r["plan_ms"]["p50"] for r in own], "o-", label=" ".join((scene, engine, case)).strip()
-        )
-        axes.loglog(k, [r["floor_ms"] for r in own], ":", color=line.get_color())
-    axes.set_xlabel("rollouts K")
-    axes.set_ylabel("plan [ms], dotted: physics alone")
-    axes.grid(which="both", alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.savefig(file, dpi=130)
-
-
-def _samples(row: dict) -> int:
-    return row["samples"]
-
-
 def main() -> None:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+")
-    parser.add_argument("--engines", default="mujoco,newton")
-    parser.add_argument("--device", default="auto", help="device of the newton engine")
-    parser.add_argument("--samples", default="", help="sample counts, the scene's own when left out")
+    parser.add_argument("--engines", default="fused,mujoco,newton", help="NAME or NAME@DEVICE, separated by commas")
+    parser.add_argument("--device", default="auto", help="the GPU; auto: the preferred one, if there is any")
+    parser.add_argument("--samples", default="", help="sample counts, or sweep: 16 to 8192; the scene's own by default")
     parser.add_argument("--horizon", type=int)
     parser.add_argument("--envs", type=int, default=1)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--case", action="append", default=[], metavar="NAME:KEY=VALUE;...")
     parser.add_argument("--plans", type=int, default=100)
+    parser.add_argument("--limit", type=float, default=20.0, help="longest time for the plans of a row [s]")
     parser.add_argument("--seconds", type=float, default=8.0, help="length of the run that states are taken from")
     parser.add_argument("--fidelity", action="store_true", help="compare the newton engine's rollouts with MuJoCo's")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
 
+    start_warp()
     device = str(wp.get_preferred_device()) if args.device == "auto" else args.device
     common = [*args.set, *([f"planner.horizon={args.horizon}"] if args.horizon else [])]
     rows = []
     for source in args.scenes:
-        states = visited_states(source, args.seconds)
-        for samples in args.samples.split(","):
+        states = visited_states(source, args.seconds, count=STATES)
+        for samples in (SWEEP if args.samples == "sweep" else args.samples).split(","):
             for case in args.case or [":"]:
                 name, _, keys = case.partition(":")
                 overrides = [
@@ -289,17 +244,19 @@ def main() -> None:
                     *([f"planner.samples={samples}"] if samples else []),
                     *filter(None, keys.split(";")),
                 ]
-                for engine in args.engines.split(","):
+                for engine, where in places(args.engines, device):
                     try:
-                        rows.append(measure(source, name, overrides, engine, device, args, states))
+                        rows.append(measure(source, name, overrides, engine, where, args, states))
                     except Exception as error:  # one combination that a solver refuses must not end the others
-                        print(f"{source} {name} {engine} K {samples}: {type(error).__name__}: {error}")
+                        print(f"{source} {name} {engine} on {where} K {samples}: {type(error).__name__}: {error}")
                         continue
                     print_rows(rows[-1:])
                     if args.json:
                         args.json.write_text(json.dumps(_report(rows), indent=1))
     print_rows(rows)
     if args.plot:
+        from plot_engines import plot_rows
+
         plot_rows(rows, args.plot)
 
 

@@ -19,6 +19,7 @@ import warp as wp
 from ..bake.lines import Lines
 from ..bake.motion import WARP
 from ..bake.number import native_lanes
+from ..compiling import compile_kernel
 from ..bake.rollout import RolloutSource, TermSource
 from ..bake.state import StateCode, TermCode, moving_dofs
 from ..cost.kernel import judge_code
@@ -99,6 +100,7 @@ class KinematicEngine:
             judge = code
         self._judges = judge is not None
         self._kernel = make_kernel(source, self.costs.code.params, self.lanes, judge)
+        compile_kernel(self._kernel, self.device, 256, f"the rollouts of {request.scene.name}")
         self.parts, groups = self._split()
         self._groups = 0 if self._on_gpu else groups
         self._crew = Crew(self.threads, len(self.parts))

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...bake.number import native_lanes
+from ...compiling import compile_kernel
 from ...kernels.geometry.kinematics import BALL, FREE
 from ...kernels.worlds.clone import clone_mocap_kernel, clone_state_kernel, mujoco_state_kernel
 from ...launch import Launcher, Replay
@@ -88,6 +89,7 @@ class FusedSimulator:
         self.trajectory = Trajectory.allocate(shape, compiled.layout, len(pairs), device)
         self._sharing = WARP if self._on_gpu and shape.worlds <= MOST_SHARED else 1
         self._kernel = make_kernel(self._source(compiled), native_lanes(), self._sharing)
+        compile_kernel(self._kernel, device, WARP, f"the physics of {scene.name}")
         self._bind(compiled.layout, world, substeps)
 
     def _source(self, compiled: CompiledScene) -> str:

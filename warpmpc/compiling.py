@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that take seconds to compile, and what is shown meanwhile."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import warp as wp
+
+logger = logging.getLogger("warpmpc")
+
+
+def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, what: str) -> None:
+    """Compile a kernel's module unless that was done before, and load it.
+
+    While it compiles a terminal shows one line with the seconds; elsewhere the log has a line (INFO) before and after.
+
+    Args:
+        kernel: Kernel.
+        device: Device that it will be launched on.
+        block_dim: Threads in a block of its launches.
+        what: What it is for, such as a scene's name.
+    """
+    device = wp.get_device(device)
+    threads = block_dim if device.is_cuda else 1  # a CPU's launches have one thread in a block
+    if _cached(kernel.module, device, threads):
+        wp.load_module(kernel.module, device=device, block_dim=threads)
+        return
+    with _shown(f"compiling {what} for {device}, once"):
+        wp.load_module(kernel.module, device=device, block_dim=threads)
+
+
+def _cached(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
+    """Whether a module is loaded or Warp has it on disk; Warp does not say so by a public name."""
+    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
+    return (folder / module._get_compile_output_name(device, block_dim=block_dim)).is_file()
+
+
+@contextmanager
+def _shown(text: str) -> Iterator[None]:
+    """Show on stderr that something takes long, if that is a terminal, or else log it."""
+    begin = time.perf_counter()
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        sys.stderr.write("\r")  # a bar may be there already: it is drawn again when there is something to draw
+        columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+        with Progress(*columns, console=Console(stderr=True), transient=True) as line:
+            line.add_task(text, total=None)
+            yield
+    else:
+        logger.info("%s", text)
+        yield
+    logger.info("%s: %.1f s", text, time.perf_counter() - begin)
