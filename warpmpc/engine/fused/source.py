@@ -20,6 +20,7 @@ from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
 from .tables import floats, ints
+from .ties import TieTables
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -87,8 +88,8 @@ class RolloutSource:
     def write(self) -> str:
         """The source."""
         dynamics = Dynamics(self.model, frozenset(self.bodies))
-        links = Links(dynamics)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
+        links, ties = Links(dynamics), TieTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
@@ -97,14 +98,17 @@ class RolloutSource:
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("contact"),
             *self._collision_sources(),
+            self._native("ties").replace("BIND", dynamics.bind),
             self._native("solve").replace("BLOCKS", self._blocks()),
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        tables = "\n".join((*self._tables(), "#if COOPERATE", *links.tables(), "#endif"))
+        own = *ties.tables(), *dynamics.drive.tables()
+        tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
-        defines = {**self._sizes, **links.sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
@@ -138,7 +142,8 @@ class RolloutSource:
 
     def _coupled(self) -> str:
         """The solve for matrices that all groups have added to."""
-        rows = couple(self.model, [dofs for _, dofs in self._groups])
+        ties = (tie.dofs for tie in self.model.ties)
+        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
         return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
 
     @cached_property
@@ -321,6 +326,7 @@ class RolloutSource:
         if layout is None:
             put("joint_q", m.nq, 0, [f"w.q[{i}]" for i in range(m.nq)])
             put("joint_qd", m.nv, 0, [f"w.v[{i}]" for i in range(m.nv)])
+            put("act", m.na, 0, [f"w.act[{i}]" for i in range(m.na)])
             return "\n".join((*out, "}"))
         for b in range(layout.nb):
             r = rows.index(self.bodies[b])
