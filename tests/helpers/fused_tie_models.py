@@ -39,7 +39,7 @@ EQUALITIES = """
     <geom type="capsule" fromto="0 0 0 0.1 0 -0.3" size="0.04" mass="0.5"/>
     <body name="cone_2" pos="0.1 0 -0.3"><joint name="cone_2" type="ball" range="0 0.2" margin="0.05" springdamper="0 0"
         frictionloss="0.02" solreflimit="0.03 0.7"/><geom type="capsule" fromto="0 0 0 0.2 0 -0.2" size="0.04" mass="0.3"/></body></body>
-  <body name="cage" pos="4.5 3 1.2" quat="0.9 0.2 0.1 0.3"><joint type="free" stiffness="30" damping="0.4" frictionloss="0.1"/>
+  <body name="cage" pos="4.5 3 1.2" quat="0.9 0.2 0.1 0.3"><joint name="cage" type="free" stiffness="30" damping="0.4" frictionloss="0.1"/>
     <geom type="box" size=".1 .15 .08" mass="1.2"/></body>
 </worldbody>
 <equality>
@@ -55,7 +55,8 @@ EQUALITIES = """
 </equality>
 <actuator>
   <motor joint="gear_1" gear="0.3"/> <motor joint="four_1" gear="0.5"/> <motor joint="swing" gear="0.2"/>
-  <motor joint="cone_1" gear="0.2 0.1 0.3"/> <position joint="cone_2" kp="1.5" kv="0.1" gear="0.5 0.3 -0.2"/>
+  <motor joint="cone_1" gear="0.2 0.1 0.3"/> <velocity joint="cone_2" kv="0.1" gear="0.5 0.3 -0.2"/>
+  <velocity joint="cage" kv="0.5" gear="1 0 0.4 0.3 0 0"/>
 </actuator>
 </mujoco>
 """

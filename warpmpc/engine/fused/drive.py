@@ -11,7 +11,7 @@ import numpy as np
 from ...bake.lines import Lines, Operand, function, literal, text
 from .model import BALL, FREE, rotation
 from .tables import ints
-from .tie_rows import ball_angle, small_rotation
+from .tie_rows import small_rotation
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -50,6 +50,14 @@ class Drive:
         self._damped: dict[int, list] = {i: [] for i in range(m.nv)}
         self._spread: dict[tuple[int, int], list] = {}
         """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
+
+    def spreads(self, first: int) -> dict[tuple[int, int], int]:
+        """Numbers of the entries among six degrees of freedom from the first on; there are none before all is written."""
+        return {
+            (i - first, j - first): n
+            for n, (i, j) in enumerate(self._spread)
+            if first <= j and i < first + 6
+        }
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -139,14 +147,9 @@ class Drive:
         if kind == int(TRN.mjTRN_SITE):
             return self._site(lines, target, gear)
         dof, joint = int(m.jnt_dofadr[target]), int(m.jnt_type[target])
-        q = int(m.jnt_qposadr[target])
-        if joint == FREE:
-            return self._along((0.0, 0.0), [(dof + k, gear[k]) for k in range(6)], lines)
-        if joint == BALL:
-            axis, turn = ball_angle(lines, f"drive{a}", q)
-            length = lines.sum((lines.sum(*((g, x) for g, x in zip(gear[:3], axis, strict=True))), turn))
-            return self._along((1.0, length), [(dof + k, gear[k]) for k in range(3)], lines)
-        return Reach((gear[0], f"w.q[{q}]"), (gear[0], f"w.v[{dof}]"), [(dof, gear[0])])
+        if joint in (FREE, BALL):
+            return self._along([(dof + k, gear[k]) for k in range(6 if joint == FREE else 3)], lines)
+        return Reach((gear[0], f"w.q[{int(m.jnt_qposadr[target])}]"), (gear[0], f"w.v[{dof}]"), [(dof, gear[0])])
 
     def _site(self, lines: Lines, site: int, gear: list[float]) -> Reach:
         """A force and a torque at a site, along its axes."""
@@ -158,12 +161,13 @@ class Drive:
         for dof in sorted(self.model.body_dofs[body]):
             terms = [*zip(push, marks.lever(lines, mark, dof), strict=True)] if any(gear[:3]) else []
             arms.append((dof, lines.sum(*terms, *zip(twist, marks.axis(dof), strict=True))))
-        return self._along((0.0, 0.0), arms, lines)
+        return self._along(arms, lines)
 
-    def _along(self, length: tuple[Operand, Operand], arms: list[tuple[int, Operand]], lines: Lines) -> Reach:
+    def _along(self, arms: list[tuple[int, Operand]], lines: Lines) -> Reach:
+        """Something without a length."""
         arms = [(dof, arm) for dof, arm in arms if arm != 0.0]
         speed = lines.sum(*((arm, f"w.v[{dof}]") for dof, arm in arms))
-        return Reach(length, (1.0, speed), arms)
+        return Reach((0.0, 0.0), (1.0, speed), arms)
 
     def _actuator(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
         """Force of an actuator, and its derivative by its speed."""

@@ -10,6 +10,7 @@ from ...bake.lines import Lines, Matrix, Vector, function, known, text
 from .drive import Drive
 from .marks import Marks
 from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, FREE, MESH, PhysicsModel, rotation
+from .spin import write_spin
 from .tendons import Tendons
 from .tie_rows import TieRows
 from .tree import IDENTITY, NOTHING, Tree
@@ -36,7 +37,7 @@ class Dynamics:
 
     def write(self) -> str:
         """Source of the functions."""
-        forces = self.tendons.write(), self.drive.write(), self._spin()  # these ask for marks
+        forces = self.tendons.write(), self.drive.write(), write_spin(self.model, self.drive)  # these ask for marks
         self.bind = TieRows(self.model, self.marks, self.tendons).write()
         return "\n".join((*forces, self._place(), self._move()))
 
@@ -77,78 +78,6 @@ class Dynamics:
         return "\n".join(
             ("#if !COOPERATE  // a warp has its own, native/links.h", function("move", lines), "#endif")
         )
-
-    def _spin(self) -> str:
-        """Accelerations of bodies that float freely and alone, with their gyroscopic forces implicit.
-
-        MuJoCo's ``implicitfast`` leaves the derivative of bias forces out for trees of several degrees of freedom,
-        but not for these: (M + h ∂c/∂v) a = f, with the bias forces c_linear = m R (ω × (ω × r)) and
-        c_angular = ω × I ω of a body with centre of mass r and inertia I about its origin. The accelerations that
-        ``integrate`` has found for them are replaced.
-        """
-        m, lines = self.mj, Lines("g")
-        if m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
-            for j in np.flatnonzero(m.jnt_type == FREE):
-                first = int(m.jnt_dofadr[j])
-                if self.model.dof_top.count(first) == 6:
-                    self._spin_body(lines, int(m.jnt_bodyid[j]), first)
-        return function("spin", lines)
-
-    def _spin_body(self, lines: Lines, body: int, first: int) -> None:
-        """One body that floats alone, whose degrees of freedom begin at ``first``."""
-        columns = self.model.columns
-        mass, moment, inertia = self.model.rigid(body)
-        mass_of, r = columns.operand(mass), [columns.operand(moment[:, k]) for k in range(3)]
-        local = [[columns.operand(inertia[:, i, j]) for j in range(3)] for i in range(3)]
-        step, damping = float(self.mj.opt.timestep), float(self.mj.dof_damping[first])
-        extra = float(self.mj.dof_armature[first]) + step * damping  # on the diagonal
-        w3 = [f"w.v[{first + 3 + k}]" for k in range(3)]
-        turn = [[f"w.cw[{first + 3 + k}][{i}]" for i in range(3)] for k in range(3)]  # columns
-        heavy = lines.sum(mass_of, extra)
-        over = lines.let(f"1.0f / {text(heavy)}")
-        # forces in the body's frame; r is the centre times the mass
-        push = [lines.dot(column, [f"w.fs[{first + i}]" for i in range(3)]) for column in turn]
-        torque = [f"w.fs[{first + 3 + k}]" for k in range(3)]
-
-        def skew(v: Vector) -> list[Vector]:
-            """Rows of [v]×."""
-            x, y, z = v
-            return [[0.0, lines.sum((-1.0, z)), y], [z, 0.0, lines.sum((-1.0, x))], [lines.sum((-1.0, y)), x, 0.0]]
-
-        def product(a: list[Vector], b: list[Vector]) -> list[Vector]:
-            return [[lines.sum(*((a[i][k], b[k][j]) for k in range(3))) for j in range(3)] for i in range(3)]
-
-        spin, arm = skew(w3), skew(r)
-        turned = [lines.dot(row, w3) for row in local]
-        carried = lines.cross(w3, r)
-        both, swept, gyro, lever = product(spin, arm), skew(carried), product(spin, local), skew(turned)
-        # linear rows: heavy a + B α = push, B = -[r]× - h ([ω × r]× + [ω]× [r]×), both in the body's frame
-        b = [
-            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)]
-            for i in range(3)
-        ]
-        # angular rows: [r]× a + (I + h ([ω]× I - [I ω]×)) α = torque
-        a = [
-            [
-                lines.sum(local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), extra if i == j else 0.0)
-                for j in range(3)
-            ]
-            for i in range(3)
-        ]
-        less = product(arm, b)
-        schur = [[lines.sum(a[i][j], (lines.sum((-1.0, less[i][j])), over)) for j in range(3)] for i in range(3)]
-        pushed = [lines.sum((-1.0, x)) for x in lines.cross(r, push)]
-        right = [lines.sum(torque[i], (pushed[i], over)) for i in range(3)]
-        # Cramer's rule by the columns of the matrix
-        x, y, z = ([schur[i][j] for i in range(3)] for j in range(3))
-        minors = lines.cross(y, z), lines.cross(z, x), lines.cross(x, y)
-        scale = lines.let(f"1.0f / {text(lines.dot(x, minors[0]))}")
-        angular = [lines.let(f"{text(lines.dot(minor, right))} * {scale}") for minor in minors]
-        linear = [lines.let(f"({text(push[i])} - {text(lines.dot(b[i], angular))}) * {over}") for i in range(3)]
-        for i in range(3):
-            back = lines.sum(*((linear[k], turn[k][i]) for k in range(3)))
-            lines.add(f"w.search[{first + i}] = {text(back)};")
-            lines.add(f"w.search[{first + 3 + i}] = {angular[i]};")
 
     def columns(self, lines: Lines, q: list[str]) -> Matrix:
         """Columns of the matrix of a unit quaternion (w, x, y, z)."""

@@ -374,6 +374,14 @@ COLLIDES = CONVEX | {
 """Kinds of geoms whose contacts this engine finds."""
 
 
+def _ball_feedback(p: PhysicsModel) -> bool:
+    """Whether a force on a ball joint depends on its angle."""
+    m = p.mj
+    joints = np.flatnonzero(np.isin(m.actuator_trntype, _TRANSMISSIONS[:2]))
+    balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
+    return bool((m.actuator_gainprm[balls, 1] != 0.0).any() or (m.actuator_biasprm[balls, 1] != 0.0).any())
+
+
 def _in_parent(p: PhysicsModel) -> bool:
     """Whether actuators drive ball or free joints in the frame of the parent."""
     joints = p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT), 0]
@@ -457,6 +465,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "actuators that drive anything but joints, tendons and sites": lambda p: (
         not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or _in_parent(p)
     ),
+    "actuators with feedback of the angle of a ball joint": lambda p: _ball_feedback(p),
     "actuators at a site with a reference": lambda p: (
         p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE), 1] >= 0
     ).any(),
