@@ -116,9 +116,6 @@ class Links:
         """What armatures add to an entry of the mass matrix."""
         return (float(self.mj.dof_armature[i]) if i == j else 0.0) + self.model.tendon_armatures.get((i, j), 0.0)
 
-    def _place(self, body: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation and position of a body before its joints, in what moves above it or in the world."""
-
     def _joints(self, body: int) -> list[int]:
         first = int(self.mj.body_jntadr[body])
         return list(range(first, first + int(self.mj.body_jntnum[body])))
