@@ -102,22 +102,3 @@ def test_worlds_of_their_own_masses_are_softened_as_mujoco_does():
     states = visit(models, q, v, controls(nominal, 60, 6), every=3)
     found = step_differences(nominal, states, arrays=arrays)
     assert found.v.max(axis=1)[states.edge < 1e-4].max() <= 1e-4, found
-
-
-REFUSED = {
-    "wrap around": '<tendon><spatial><site site="s"/><geom geom="g"/><site site="t"/></spatial></tendon>',
-    "with a reference": '<actuator><motor site="s" refsite="t" gear="1 0 0 0 0 0"/></actuator>',
-    "integrators and filters": '<actuator><muscle joint="j" lengthrange="0 1"/></actuator>',
-    "angle of a ball": '<actuator><position joint="b" kp="3" gear="1 0 0"/></actuator>',
-    "forces of actuators on tendons": '<tendon><fixed actuatorfrcrange="-1 1"><joint joint="j" coef="1"/></fixed></tendon>',
-    "twice their margin": '<tendon><fixed range="0 0.1" margin="0.1"><joint joint="j" coef="1"/></fixed></tendon>',
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_left_out_is_named(what):
-    model = mujoco.MjModel.from_xml_string(f"""
-<mujoco><compiler autolimits="true"/><worldbody><site name="t" pos="1 0 0"/>
-<body><joint name="j" axis="0 1 0"/><geom name="g" type="sphere" size=".1"/><site name="s" pos="0 0 1"/>
-<body><joint name="b" type="ball"/><geom size=".1"/></body></body></worldbody>{REFUSED[what]}</mujoco>""")
-    assert what in missing(model)

@@ -13,8 +13,9 @@ import numpy as np
 
 from ...bake.lines import literal
 from ...bake.number import header, sincos
-from ...kernels.geometry.kinematics import FREE
+from ...kernels.geometry.kinematics import BALL, FREE
 from . import model as kinds
+from .coordinates import coordinates, velocities
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
@@ -84,6 +85,8 @@ class RolloutSource:
     lanes: int
     shared: bool
     """Whether on a GPU the lanes of a warp share a world; else every thread has one of its own."""
+    activations: Sequence[int] = ()
+    """The model's activation behind each of the layout's."""
 
     def write(self) -> str:
         """The source."""
@@ -338,16 +341,18 @@ class RolloutSource:
             q, v = int(self.joint_q[j]), int(self.joint_qd[j])
             if q < 0:
                 continue
-            first, dof, width = (
-                int(x) for x in (layout.joint_q_start[j], layout.joint_qd_start[j], layout.joint_dof_dim[j].sum())
-            )
-            if int(layout.joint_type[j]) == int(FREE):
-                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in (0, 1, 2, 4, 5, 6, 3)])
-                speeds = self._twist(int(layout.joint_child[j]), [f"w.v[{v + i}]" for i in range(3)])
-                put("joint_qd", layout.nv, dof, speeds)
-            else:
-                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in range(width)])
-                put("joint_qd", layout.nv, dof, [f"w.v[{v + i}]" for i in range(width)])
+            first, dof = int(layout.joint_q_start[j]), int(layout.joint_qd_start[j])
+            child = int(layout.joint_child[j])
+            turn = f"w.bmat[{rows.index(self.bodies[child])}]"
+            twist = self._twist(child, [f"w.v[{v + i}]" for i in range(3)]) if layout.joint_type[j] == FREE else []
+            if layout.joint_type[j] == BALL:
+                turn = "turned"
+                out.append(f"{{ T turned[9]; Sim::rows_of(w.q + {q}, turned);")
+            put("joint_q", layout.nq, first, coordinates(layout, j, q, turn))
+            put("joint_qd", layout.nv, dof, velocities(layout, j, v, turn, twist))
+            if layout.joint_type[j] == BALL:
+                out.append("}")
+        put("act", len(self.activations), 0, [f"w.act[{i}]" for i in self.activations])
         return "\n".join((*out, "}"))
 
     def _twist(self, body: int, origin: list[str]) -> list[str]:
