@@ -31,9 +31,11 @@ class Visited:
 
     q: np.ndarray  # [N, nq]
     v: np.ndarray  # [N, nv]
+    act: np.ndarray  # [N, na]
     control: np.ndarray  # [N, nu]
     next_q: np.ndarray  # [N, nq]
     next_v: np.ndarray  # [N, nv]
+    next_act: np.ndarray  # [N, na]
     contacts: np.ndarray  # [N] contacts with a row
     rows: np.ndarray  # [N] constraint rows
     world: np.ndarray  # [N] world that each is of
@@ -74,7 +76,8 @@ def visit(
         data, one = mujoco.MjData(model), mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = q[w], v[w]
         for t in range(len(control)):
-            data.qpos[:], data.qvel[:] = data.qpos.astype(np.float32), data.qvel.astype(np.float32)
+            for array in (data.qpos, data.qvel, data.act):
+                array[:] = array.astype(np.float32)
             data.ctrl[:] = control[t, w]
             if t % every == 0:
                 edge = 0.0
@@ -85,7 +88,8 @@ def visit(
                     edge = max(edge, np.abs(near - one.qvel).max())
                 contacts = (one.contact.exclude == 0).sum()
                 depth = -min(one.contact.dist.min(initial=0.0), 0.0)
-                row = (data.qpos, data.qvel, data.ctrl, one.qpos, one.qvel, contacts, one.nefc, w, depth, edge)
+                before, after = (data.qpos, data.qvel, data.act, data.ctrl), (one.qpos, one.qvel, one.act)
+                row = (*before, *after, contacts, one.nefc, w, depth, edge)
                 for name, value in zip(found, row, strict=True):
                     found[name].append(np.copy(value))
             mujoco.mj_step(model, data)
@@ -96,7 +100,7 @@ def _step(model: mujoco.MjModel, one: mujoco.MjData, data: mujoco.MjData, nudge:
     """One step from where ``data`` is, moved a little."""
     mujoco.mj_resetData(model, one)
     one.mocap_pos[:], one.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-    one.qpos[:], one.qvel[:], one.ctrl[:] = data.qpos, data.qvel, data.ctrl
+    one.qpos[:], one.qvel[:], one.act[:], one.ctrl[:] = data.qpos, data.qvel, data.act, data.ctrl
     if nudge is not None:
         mujoco.mj_integratePos(model, one.qpos, nudge, 1.0)
     mujoco.mj_step(model, one)
@@ -151,6 +155,7 @@ def step_differences(
     """
     arrays = {name: values[visited.world] for name, values in (arrays or {}).items()}
     engine = PlainRollout(model, len(visited.q), 1, arrays=arrays, lanes=lanes, device=device)
-    q, v = engine(visited.q, visited.v, visited.control[None])
+    q, v = engine(visited.q, visited.v, visited.control[None], visited.act)
     assert not engine.work.overflow.numpy().any()
+    np.testing.assert_allclose(engine.work.act.numpy()[1], visited.next_act, atol=2e-6)
     return Differences(np.abs(v[0] - visited.next_v), turned(model, q[0], visited.next_q), visited)

@@ -132,3 +132,8 @@ class Lines:
         if np.array_equal(fixed, np.eye(3)):
             return matrix
         return [self.transform(matrix, known(column)) for column in fixed.T]
+
+
+def function(name: str, lines: Lines) -> str:
+    """A function of a world with these statements."""
+    return f"FN void {name}(World& w) {{\n" + "\n".join(lines.statements) + "\n}"

@@ -219,8 +219,22 @@ def drive(text: str) -> dict:
 LACKS = {
     "an integrator other than euler and implicitfast": {"option": 'integrator="RK4"'},
     "elliptic friction cones": {"option": 'cone="elliptic"'},
-    "equality constraints": {"end": '<equality><weld body1="b" body2="c"/></equality>'},
-    "tendons": {"end": '<tendon><fixed name="t"><joint joint="h" coef="1"/></fixed></tendon>'},
+    "equalities of flexible bodies and distances": {
+        "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" '
+        'mass="1"><edge equality="true"/></flexcomp>'
+    },
+    "tendons that wrap around shapes": {
+        "world": '<site name="t" pos="1 0 0"/>',
+        "end": '<tendon><spatial><site site="s"/><geom geom="tip"/><site site="t"/></spatial></tendon>',
+    },
+    "armatures of tendons along sites": {
+        "world": '<site name="t" pos="1 0 0"/>',
+        "end": '<tendon><spatial armature="1"><site site="s"/><site site="t"/></spatial></tendon>',
+    },
+    "limits of the forces of actuators on tendons": {
+        "end": '<tendon><fixed actuatorfrcrange="-1 1"><joint joint="h" coef="1"/></fixed></tendon>'
+    },
+    "limits narrower than twice their margin": {"hinge": 'range="0 5" margin="0.1"'},
     "plugins": {
         "before": '<extension><plugin plugin="mujoco.pid"><instance name="p"/></plugin></extension>',
         **drive('<plugin joint="h" plugin="mujoco.pid" instance="p"/>'),
@@ -231,12 +245,18 @@ LACKS = {
     },
     "explicit contact pairs": {"end": '<contact><pair geom1="g" geom2="tip"/></contact>'},
     "torsional and rolling friction (condim 4 and 6)": {"geom": 'condim="4"'},
-    "friction loss": {"hinge": 'frictionloss="0.1"'},
-    "limits of ball joints": {"joint": '<joint name="j" type="ball" range="0 30"/>'},
-    "springs of ball and free joints": {"joint": '<joint name="j" type="ball" stiffness="1"/>'},
     "gravity compensation by actuators": {"hinge": 'actuatorgravcomp="true"'},
-    "activations of actuators": drive('<general joint="h" dyntype="integrator"/>'),
-    "actuators that drive anything but slides and hinges": drive('<motor site="s"/>'),
+    "activations but integrators and filters": drive('<muscle joint="h" lengthrange="0 1" ctrlrange="0 1"/>'),
+    "actuators that drive anything but joints, tendons and sites": drive('<adhesion body="b" ctrlrange="0 1"/>'),
+    "actuators with feedback of the angle of a ball joint": {
+        "joint": '<joint name="j" type="ball"/>',
+        **drive('<position joint="j" gear="1 0 0"/>'),
+    },
+    "actuators at a site with a reference": {
+        "world": '<site name="t" pos="1 0 0"/>',
+        **drive('<motor site="s" refsite="t"/>'),
+    },
+    "actuators of several controls": drive('<pid joint="h" kp="1"/>'),
     "actuators with gains other than fixed and affine": drive('<general joint="h" gaintype="user"/>'),
     "armatures of actuators": drive('<motor joint="h" armature="0.3"/>'),
     "delays of actuators": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
@@ -301,14 +321,13 @@ def test_auto_takes_mujoco_where_the_engine_lacks_something(engine):
 
 
 @pytest.mark.usefixtures("preferred")
-@pytest.mark.parametrize("what", ["friction loss", "equality constraints", "tendons", "activations of actuators"])
+@pytest.mark.parametrize("what", ["gravity compensation by actuators", "activations but integrators and filters"])
 def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(mjcf(**LACKS[what]).replace('<geom type="plane" size="5 5 .1"/>', ""))
     robot = {"name": "r", "asset": str(path), "floating": True, "drive": {"damping": 1.0, "limit": 1.0}}
-    if what == "activations of actuators":
+    if what == "activations but integrators and filters":
         del robot["drive"]
-        path.write_text(path.read_text().replace('dyntype="integrator"', 'dyntype="integrator" ctrlrange="-1 1"'))
     scene = make_scene(
         robot=[robot],
         ground=None,

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source of what does not branch: what stands still, what moves (:mod:`.tree`), and the forces of joints and drives."""
+"""Source of what does not branch: what stands still, what moves (:mod:`.tree`), and forces (:mod:`.drive`)."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
-from ...bake.lines import Lines, Matrix, Operand, Vector, known, literal, text
+from ...bake.lines import Lines, Matrix, Vector, function, known, text
+from .drive import Drive
+from .marks import Marks
 from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, FREE, MESH, PhysicsModel, rotation
+from .spin import write_spin
+from .tendons import Tendons
+from .tie_rows import TieRows
 from .tree import IDENTITY, NOTHING, Tree
 
 
 class Dynamics:
-    """Writes ``place`` (once per rollout), ``drive`` (before every step), ``spin`` (within it) and ``move`` (after it).
+    """Writes ``place`` (once per rollout), ``stretch`` and ``drive`` (before every step), ``spin`` and ``move`` (after it).
 
     Args:
         model: The model.
@@ -26,10 +31,15 @@ class Dynamics:
         kinds = ((pair, tuple(int(self.mj.geom_type[g]) for g in pair.geoms)) for pair in model.pairs)
         self.convex = {g for pair, kind in kinds if kind in CONVEX for g in pair.geoms}
         """Geoms that some other looks at as a convex shape, all of whose axes are needed."""
+        self.marks = Marks(model)
+        self.tendons = Tendons(model, self.marks)
+        self.drive = Drive(model, self.marks, self.tendons)
 
     def write(self) -> str:
         """Source of the functions."""
-        return "\n".join((self._place(), self._move(), self._drive(), self._spin()))
+        forces = self.tendons.write(), self.drive.write(), write_spin(self.model, self.drive)  # these ask for marks
+        self.bind = TieRows(self.model, self.marks, self.tendons).write()
+        return "\n".join((*forces, self._place(), self._move()))
 
     def _place(self) -> str:
         """What stands still: geoms fixed to the world, and those of mocap bodies, whose poses are given."""
@@ -51,12 +61,13 @@ class Dynamics:
                 self.keep(lines, body, position, columns, (NOTHING, NOTHING))
         for body, (columns, position) in frames.items():
             self.geoms(lines, body, position, columns)
+            self.marks.write(lines, body, position, columns, None)
         for i, g in enumerate(self.model.standing):
             if g in self.used:
                 first = f"GIVEN_POSE + {12 * i}"
                 lines.add(f"for (int i = 0; i < 3; ++i) w.gpos[{g}][i] = splat(w.given[{first} + i]);")
                 lines.add(f"for (int i = 0; i < 9; ++i) w.gmat[{g}][i] = splat(w.given[{first} + 3 + i]);")
-        return self._function("place", lines)
+        return function("place", lines)
 
     def _move(self) -> str:
         """Poses of bodies and geoms, axes, mass matrix and bias forces, from coordinates and velocities."""
@@ -65,149 +76,8 @@ class Dynamics:
         for root in roots:
             Tree(self, lines, root).write()
         return "\n".join(
-            ("#if !COOPERATE  // a warp has its own, native/links.h", self._function("move", lines), "#endif")
+            ("#if !COOPERATE  // a warp has its own, native/links.h", function("move", lines), "#endif")
         )
-
-    def _drive(self) -> str:
-        """Forces of bias, springs, dampers and actuators, and what velocity damps of them within an implicit step."""
-        m, lines = self.mj, Lines("d")
-        implicit = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        force: dict[int, list] = {i: [] for i in range(m.nv)}
-        damped: dict[int, list] = {i: [] for i in range(m.nv)}
-        disabled = m.opt.disableflags
-        for a in range(m.nu):
-            if disabled & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
-                break
-            dof = int(m.jnt_dofadr[m.actuator_trnid[a, 0]])
-            value, rate = self._actuator(lines, a, dof)
-            force[dof].append((value, float(m.actuator_gear[a, 0])))
-            if implicit and rate != 0.0:
-                damped[dof].append((rate, -(float(m.actuator_gear[a, 0]) ** 2)))
-        for i in range(m.nv):
-            q = self.model.dof_coordinate[i]
-            driven = lines.sum(*force[i])
-            joint = int(m.dof_jntid[i])
-            if force[i] and m.jnt_actfrclimited[joint]:
-                driven = self._clamp(lines, driven, m.jnt_actfrcrange[joint])
-            terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
-            damping, stiffness = float(m.dof_damping[i]), float(np.ravel(m.jnt_stiffness)[joint]) if q >= 0 else 0.0
-            if damping:
-                terms.append((-damping, f"w.v[{i}]"))
-                damped[i].append(damping)
-            if stiffness:
-                terms += [(-stiffness, f"w.q[{q}]"), stiffness * float(m.qpos_spring[q])]
-            lines.add(f"w.fs[{i}] = {text(lines.sum(*terms))};")
-            rate = lines.sum(*damped[i])
-            lines.add(f"w.damp[{i}] = {text(rate)} * {literal(float(m.opt.timestep))};")
-        return self._function("drive", lines)
-
-    def _spin(self) -> str:
-        """Accelerations of bodies that float freely and alone, with their gyroscopic forces implicit.
-
-        MuJoCo's ``implicitfast`` leaves the derivative of bias forces out for trees of several degrees of freedom,
-        but not for these: (M + h ∂c/∂v) a = f, with the bias forces c_linear = m R (ω × (ω × r)) and
-        c_angular = ω × I ω of a body with centre of mass r and inertia I about its origin. The accelerations that
-        ``integrate`` has found for them are replaced.
-        """
-        m, lines = self.mj, Lines("g")
-        if m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
-            for j in np.flatnonzero(m.jnt_type == FREE):
-                first = int(m.jnt_dofadr[j])
-                if self.model.dof_top.count(first) == 6:
-                    self._spin_body(lines, int(m.jnt_bodyid[j]), first)
-        return self._function("spin", lines)
-
-    def _spin_body(self, lines: Lines, body: int, first: int) -> None:
-        """One body that floats alone, whose degrees of freedom begin at ``first``."""
-        columns = self.model.columns
-        mass, moment, inertia = self.model.rigid(body)
-        mass_of, r = columns.operand(mass), [columns.operand(moment[:, k]) for k in range(3)]
-        local = [[columns.operand(inertia[:, i, j]) for j in range(3)] for i in range(3)]
-        step, damping = float(self.mj.opt.timestep), float(self.mj.dof_damping[first])
-        extra = float(self.mj.dof_armature[first]) + step * damping  # on the diagonal
-        w3 = [f"w.v[{first + 3 + k}]" for k in range(3)]
-        turn = [[f"w.cw[{first + 3 + k}][{i}]" for i in range(3)] for k in range(3)]  # columns
-        heavy = lines.sum(mass_of, extra)
-        over = lines.let(f"1.0f / {text(heavy)}")
-        # forces in the body's frame; r is the centre times the mass
-        push = [lines.dot(column, [f"w.fs[{first + i}]" for i in range(3)]) for column in turn]
-        torque = [f"w.fs[{first + 3 + k}]" for k in range(3)]
-
-        def skew(v: Vector) -> list[Vector]:
-            """Rows of [v]×."""
-            x, y, z = v
-            return [[0.0, lines.sum((-1.0, z)), y], [z, 0.0, lines.sum((-1.0, x))], [lines.sum((-1.0, y)), x, 0.0]]
-
-        def product(a: list[Vector], b: list[Vector]) -> list[Vector]:
-            return [[lines.sum(*((a[i][k], b[k][j]) for k in range(3))) for j in range(3)] for i in range(3)]
-
-        spin, arm = skew(w3), skew(r)
-        turned = [lines.dot(row, w3) for row in local]
-        carried = lines.cross(w3, r)
-        both, swept, gyro, lever = product(spin, arm), skew(carried), product(spin, local), skew(turned)
-        # linear rows: heavy a + B α = push, B = -[r]× - h ([ω × r]× + [ω]× [r]×), both in the body's frame
-        b = [
-            [lines.sum((-1.0, arm[i][j]), (-step, swept[i][j]), (-step, both[i][j])) for j in range(3)]
-            for i in range(3)
-        ]
-        # angular rows: [r]× a + (I + h ([ω]× I - [I ω]×)) α = torque
-        a = [
-            [
-                lines.sum(local[i][j], (step, gyro[i][j]), (-step, lever[i][j]), extra if i == j else 0.0)
-                for j in range(3)
-            ]
-            for i in range(3)
-        ]
-        less = product(arm, b)
-        schur = [[lines.sum(a[i][j], (lines.sum((-1.0, less[i][j])), over)) for j in range(3)] for i in range(3)]
-        pushed = [lines.sum((-1.0, x)) for x in lines.cross(r, push)]
-        right = [lines.sum(torque[i], (pushed[i], over)) for i in range(3)]
-        # Cramer's rule by the columns of the matrix
-        x, y, z = ([schur[i][j] for i in range(3)] for j in range(3))
-        minors = lines.cross(y, z), lines.cross(z, x), lines.cross(x, y)
-        scale = lines.let(f"1.0f / {text(lines.dot(x, minors[0]))}")
-        angular = [lines.let(f"{text(lines.dot(minor, right))} * {scale}") for minor in minors]
-        linear = [lines.let(f"({text(push[i])} - {text(lines.dot(b[i], angular))}) * {over}") for i in range(3)]
-        for i in range(3):
-            back = lines.sum(*((linear[k], turn[k][i]) for k in range(3)))
-            lines.add(f"w.search[{first + i}] = {text(back)};")
-            lines.add(f"w.search[{first + 3 + i}] = {angular[i]};")
-
-    def _actuator(self, lines: Lines, a: int, dof: int) -> tuple[Operand, Operand]:
-        """Force of an actuator, and its derivative by the velocity of its joint, over its gear."""
-        m, q = self.mj, self.model.dof_coordinate[dof]
-        gear, gain, bias = float(m.actuator_gear[a, 0]), m.actuator_gainprm[a], m.actuator_biasprm[a]
-        control: Operand = f"w.ctrl[{a}]"
-        if m.actuator_ctrllimited[a]:
-            control = self._clamp(lines, control, m.actuator_ctrlrange[a])
-        affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
-        factor: Operand = float(gain[0])
-        if affine:
-            factor = lines.sum(
-                float(gain[0]), (float(gain[1]) * gear, f"w.q[{q}]"), (float(gain[2]) * gear, f"w.v[{dof}]")
-            )
-        terms: list = [(factor, control)]
-        rate: list = [(float(gain[2]), control)] if affine and gain[2] else []
-        if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            terms += [
-                float(bias[0]),
-                (float(bias[1]) * gear, f"w.q[{q}]"),
-                (float(bias[2]) * gear, f"w.v[{dof}]"),
-            ]
-            rate.append(float(bias[2]))
-        force, slope = lines.sum(*terms), lines.sum(*rate)
-        if m.actuator_forcelimited[a] and isinstance(force, str):
-            low, high = (literal(float(x)) for x in m.actuator_forcerange[a])
-            if slope != 0.0:  # a force at its limit does not depend on velocity
-                slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
-            force = self._clamp(lines, force, m.actuator_forcerange[a])
-        return force, slope
-
-    def _clamp(self, lines: Lines, value: Operand, bounds: np.ndarray) -> Operand:
-        if isinstance(value, float):
-            return float(np.clip(value, *bounds))
-        low, high = (literal(float(x)) for x in bounds)
-        return lines.let(f"VMIN(VMAX({value}, (T){low}), (T){high})")
 
     def columns(self, lines: Lines, q: list[str]) -> Matrix:
         """Columns of the matrix of a unit quaternion (w, x, y, z)."""
@@ -257,6 +127,3 @@ class Dynamics:
             lines.add(f"w.blin[{row}][{k}] = {text(velocity[1][k])};")
             for axis in range(3):
                 lines.add(f"w.bmat[{row}][{3 * k + axis}] = {text(columns[axis][k])};")
-
-    def _function(self, name: str, lines: Lines) -> str:
-        return f"FN void {name}(World& w) {{\n" + "\n".join(lines.statements) + "\n}"

@@ -10,7 +10,7 @@ from ...bake.number import WIDE
 class FusedWork:
     """What rollouts start from and follow, and what they write down."""
 
-    initial: wp.array2d[wp.float64]  # [W, nstate] MuJoCo's time, qpos and qvel
+    initial: wp.array2d[wp.float64]  # [W, nstate] MuJoCo's time, qpos, qvel and act
     mocap: wp.array2d[wp.transform]  # [W, nm]
     movable: wp.array2d[wp.transform]  # [W, n] obstacles that move with the task
     control: wp.array3d[float]  # [T, W, nu]
@@ -19,6 +19,7 @@ class FusedWork:
     par: wp.array2d[float]  # [P, W] what differs between worlds
     joint_q: wp.array3d[float]  # [T+1, W, nq] slices 1..T are written
     joint_qd: wp.array3d[float]  # [T+1, W, nv]
+    act: wp.array3d[float]  # [T+1, W, na]
     body_q: wp.array3d[wp.transform]  # [T+1, W, nb]
     body_qd: wp.array3d[wp.spatial_vector]  # [T+1, W, nb]
     force: wp.array3d[wp.vec3]  # [T, W, pair] [N] on the pair's first side

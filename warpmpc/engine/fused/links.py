@@ -52,6 +52,8 @@ class Links:
             "ROUNDS": len(self._above),
             "MOVING_GEOMS": len(self._geoms),
             "KEPT": len(self._kept),
+            "MARKS": len(self.dynamics.marks.all),
+            "MOVING_MARKS": len(self._marks),
             "ENTRIES": sum(1 + len(self.model.ancestors[i]) for i in range(nv)),
             "MASSES_VARY": int((self._mass_at >= 0).any()),
         }
@@ -66,6 +68,7 @@ class Links:
         off = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         top = {b: min(model.body_dofs[b]) for b in self.bodies}
         rows = sorted(self.dynamics.recorded)
+        marks = [self.dynamics.marks.all[n] for n in self._marks]
         return [
             floats("link_at", [at for _, at in places]),
             floats("link_turn", [turn for turn, _ in places]),
@@ -88,7 +91,7 @@ class Links:
             floats("joint_axis", m.jnt_axis),
             floats("joint_zero", [m.qpos0[m.jnt_qposadr[j]] for j in joints]),
             ints("dof_body", dof_body),
-            floats("dof_armature", m.dof_armature),
+            floats("entry_armature", [self._armature(i, j) for i, j in entries]),
             ints("entry_row", [i for i, _ in entries], "short"),
             ints("entry_column", [j for _, j in entries], "short"),
             ints("entry_place", [packed(i, j) for i, j in entries], "short"),
@@ -96,9 +99,22 @@ class Links:
             ints("moving_geom_body", [self._row[int(m.geom_bodyid[g])] for g in self._geoms]),
             floats("moving_geom_at", m.geom_pos[self._geoms]),
             floats("moving_geom_turn", [rotation(m.geom_quat[g]) for g in self._geoms]),
+            ints("moving_mark", self._marks),
+            ints("moving_mark_body", [self._row[mark.body] for mark in marks]),
+            floats("moving_mark_at", [mark.at for mark in marks]),
+            floats("moving_mark_turn", [mark.turn for mark in marks]),
             ints("kept_row", [rows.index(b) for b in self._kept]),
             ints("kept_body", [self._row[b] for b in self._kept]),
         ]
+
+    @property
+    def _marks(self) -> list[int]:
+        """Marks on bodies that move."""
+        return [n for n, mark in enumerate(self.dynamics.marks.all) if mark.body in self._row]
+
+    def _armature(self, i: int, j: int) -> float:
+        """What armatures add to an entry of the mass matrix."""
+        return (float(self.mj.dof_armature[i]) if i == j else 0.0) + self.model.tendon_armatures.get((i, j), 0.0)
 
     def _joints(self, body: int) -> list[int]:
         first = int(self.mj.body_jntadr[body])

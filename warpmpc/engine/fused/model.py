@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,12 @@ import numpy as np
 
 from ...bake.lines import Operand
 from ...model.collisions import colliding_pairs
+from .tendons import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, fixed, tendon_armatures, tendon_dofs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from .ties import Tie
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
@@ -82,6 +85,11 @@ class Rows:
     damping: float
     impedance: tuple[float, float, float, float]
     """Least, most, width and midpoint; the power is 2."""
+
+    @property
+    def slipping(self) -> Rows:
+        """The same for friction, which has no place to come back to."""
+        return replace(self, stiffness=0.0)
 
     @classmethod
     def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
@@ -203,8 +211,37 @@ class PhysicsModel:
 
     @cached_property
     def limited(self) -> list[int]:
-        """Joints with a limit."""
-        return [int(j) for j in np.flatnonzero(self.mj.jnt_limited)]
+        """Slides and hinges with a limit."""
+        scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
+        return [int(j) for j in np.flatnonzero((self.mj.jnt_limited != 0) & scalar)]
+
+    @cached_property
+    def dry(self) -> list[int]:
+        """Degrees of freedom with friction of their own."""
+        return [int(i) for i in np.flatnonzero(self.mj.dof_frictionloss > 0.0)]
+
+    @cached_property
+    def ties(self) -> list[Tie]:
+        """Rows of constraints between known degrees of freedom, but for limits of slides and hinges."""
+        from .ties import ties
+
+        return ties(self)
+
+    @cached_property
+    def tendon_dofs(self) -> list[tuple[int, ...]]:
+        """Degrees of freedom that change the length of each tendon."""
+        return tendon_dofs(self)
+
+    @cached_property
+    def tendon_armatures(self) -> dict[tuple[int, int], float]:
+        """What armatures of tendons add to entries of the mass matrix."""
+        return tendon_armatures(self)
+
+    def slides(self, dof: int) -> bool:
+        """Whether a degree of freedom turns nothing."""
+        m, joint = self.mj, int(self.mj.dof_jntid[dof])
+        kind = int(m.jnt_type[joint])
+        return kind == SLIDE or (kind == FREE and dof < int(m.jnt_dofadr[joint]) + 3)
 
     def rows(self, solref: np.ndarray, solimp: np.ndarray) -> Rows:
         """Soft constraint parameters with this model's options."""
@@ -245,6 +282,8 @@ class PhysicsModel:
             "FRICTION": np.array([pair.friction[0] for pair in self.pairs]),
             "PAIR_INVERSE": np.array([pair.inverse[0] for pair in self.pairs]),
             "LIMIT_INVERSE": np.array([inverse[m.jnt_dofadr[j]] for j in self.limited]),
+            "TIE_INVERSE": np.array([values[0] for tie in self.ties for values in tie.inverse]),
+            "DRY_INVERSE": inverse[self.dry],
             "TOLERANCE": np.array([2.0 * tolerance * float(m.stat.meaninertia) * max(1, m.nv)]),
             "POSE": np.hstack([data.geom_xpos, data.geom_xmat])[self.standing],
         }
@@ -335,9 +374,18 @@ COLLIDES = CONVEX | {
 """Kinds of geoms whose contacts this engine finds."""
 
 
-def _driven(p: PhysicsModel) -> np.ndarray:
-    """Types of the joints that actuators drive."""
-    return p.mj.jnt_type[p.mj.actuator_trnid[:, 0]]
+def _ball_feedback(p: PhysicsModel) -> bool:
+    """Whether a force on a ball joint depends on its angle."""
+    m = p.mj
+    joints = np.flatnonzero(np.isin(m.actuator_trntype, _TRANSMISSIONS[:2]))
+    balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
+    return bool((m.actuator_gainprm[balls, 1] != 0.0).any() or (m.actuator_biasprm[balls, 1] != 0.0).any())
+
+
+def _in_parent(p: PhysicsModel) -> bool:
+    """Whether actuators drive ball or free joints in the frame of the parent."""
+    joints = p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT), 0]
+    return bool(np.isin(p.mj.jnt_type[joints], (FREE, BALL)).any())
 
 
 def _contacts(p: PhysicsModel) -> np.ndarray:
@@ -361,30 +409,67 @@ _DISABLED = (
 _INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
 _AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_TRANSMISSIONS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtTrn.mjTRN_JOINT,
+        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
+        mujoco.mjtTrn.mjTRN_TENDON,
+        mujoco.mjtTrn.mjTRN_SITE,
+    )
+)
+_DYNAMICS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtDyn.mjDYN_NONE,
+        mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        mujoco.mjtDyn.mjDYN_FILTER,
+        mujoco.mjtDyn.mjDYN_FILTEREXACT,
+    )
+)
+_EQUALITIES = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtEq.mjEQ_CONNECT,
+        mujoco.mjtEq.mjEQ_WELD,
+        mujoco.mjtEq.mjEQ_JOINT,
+        mujoco.mjtEq.mjEQ_TENDON,
+    )
+)
+_WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "an integrator other than euler and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
     "elliptic friction cones": lambda p: p.mj.opt.cone and (p.mj.geom_condim > 1).any(),
-    "equality constraints": lambda p: p.mj.neq,
-    "tendons": lambda p: p.mj.ntendon,
+    "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
+    "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
+    "armatures of tendons along sites": lambda p: any(
+        not fixed(p.mj, int(t)) for t in np.flatnonzero(p.mj.tendon_armature)
+    ),
+    "limits of the forces of actuators on tendons": lambda p: p.mj.tendon_actfrclimited.any(),
+    "limits narrower than twice their margin": lambda p: (
+        (np.ptp(p.mj.jnt_range[p.limited], axis=1) < 2.0 * p.mj.jnt_margin[p.limited]).any()
+        or (np.ptp(p.mj.tendon_range, axis=1) < 2.0 * p.mj.tendon_margin)[p.mj.tendon_limited != 0].any()
+    ),
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
     "explicit contact pairs": lambda p: p.mj.npair,
     "torsional and rolling friction (condim 4 and 6)": lambda p: (p.mj.geom_condim[_contacts(p)] > 3).any(),
-    "friction loss": lambda p: (p.mj.dof_frictionloss > 0.0).any(),
-    "limits of ball joints": lambda p: (p.mj.jnt_limited[p.mj.jnt_type == BALL] != 0).any(),
-    "springs of ball and free joints": lambda p: np.ravel(
-        p.mj.jnt_stiffness[np.isin(p.mj.jnt_type, (FREE, BALL))]
-    ).any(),
     "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
         np.isin(p.mj.jnt_type, (FREE, BALL))
     ].any(),
     "gravity compensation by actuators": lambda p: p.mj.jnt_actgravcomp.any(),
-    "activations of actuators": lambda p: p.mj.na,
-    "actuators that drive anything but slides and hinges": lambda p: (
-        not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or not np.isin(_driven(p), (SLIDE, HINGE)).all()
+    "activations but integrators and filters": lambda p: (
+        not np.isin(p.mj.actuator_dyntype, _DYNAMICS).all() or p.mj.na != np.sum(p.mj.actuator_dyntype != _DYNAMICS[0])
     ),
+    "actuators that drive anything but joints, tendons and sites": lambda p: (
+        not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or _in_parent(p)
+    ),
+    "actuators with feedback of the angle of a ball joint": lambda p: _ball_feedback(p),
+    "actuators at a site with a reference": lambda p: (
+        p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE), 1] >= 0
+    ).any(),
+    "actuators of several controls": lambda p: (p.mj.actuator_ctrlnum != 1).any() or (p.mj.actuator_outnum != 1).any(),
     "actuators with gains other than fixed and affine": lambda p: (
         not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
     ),
@@ -394,10 +479,17 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "a medium (density, viscosity or wind)": lambda p: p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind),
     "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
     "impedances of a power other than 2": lambda p: (
-        (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.limited, 4] != 2.0).any()
+        (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.mj.jnt_limited != 0, 4] != 2.0).any()
+        or any((p.mj.eq_solimp[p.mj.eq_active0 != 0, 4] != 2.0))
+        or any(p.mj.tendon_solimp_lim[p.mj.tendon_limited != 0, 4] != 2.0)
     ),
     "damping and stiffness that depend on speed and angle": lambda p: (
-        p.mj.dof_dampingpoly.any() or p.mj.jnt_stiffnesspoly.any() or p.mj.actuator_damping.any()
+        p.mj.dof_dampingpoly.any()
+        or p.mj.jnt_stiffnesspoly.any()
+        or p.mj.actuator_damping.any()
+        or p.mj.actuator_dampingpoly.any()
+        or p.mj.tendon_dampingpoly.any()
+        or p.mj.tendon_stiffnesspoly.any()
     ),
     "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
     "a solver other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),

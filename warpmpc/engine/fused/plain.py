@@ -62,7 +62,7 @@ class PlainRollout:
         def zeros(*dims: int, dtype: type = float) -> wp.array:
             return wp.zeros(dims, dtype=dtype, device=device)
 
-        work.initial = zeros(worlds, 1 + model.nq + model.nv, dtype=wp.float64)
+        work.initial = zeros(worlds, 1 + model.nq + model.nv + model.na, dtype=wp.float64)
         work.mocap, work.movable = zeros(worlds, 0, dtype=wp.transform), zeros(worlds, 0, dtype=wp.transform)
         work.control = zeros(steps, worlds, model.nu)
         work.substeps = wp.array([substeps] * steps, dtype=int, device=device)
@@ -72,6 +72,7 @@ class PlainRollout:
         work.given = wp.array(physics.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
         work.joint_q, work.joint_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
+        work.act = zeros(steps + 1, worlds, model.na)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
         self.work = work
 
@@ -98,16 +99,20 @@ class PlainRollout:
             shared=shared,
         ).write()
 
-    def __call__(self, q: np.ndarray, v: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self, q: np.ndarray, v: np.ndarray, control: np.ndarray, act: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``[T, W, nq]`` and velocities ``[T, W, nv]`` after every control.
 
         Args:
             q: Coordinates at the start ``[W, nq]``.
             v: Velocities at the start ``[W, nv]``.
             control: ``[T, W, nu]``.
+            act: Activations at the start ``[W, na]``, zero if None.
         """
         work = self.work
-        work.initial.assign(np.hstack([np.zeros((len(q), 1)), q, v]))
+        start = np.zeros((len(q), self.mj.na)) if act is None else act
+        work.initial.assign(np.hstack([np.zeros((len(q), 1)), q, v, start]))
         if control.size:
             work.control.assign(control.astype(np.float32))
         self.launch()

@@ -13,11 +13,15 @@ import warp as wp
 
 from ...bake.number import native_lanes
 from ...compiling import compile_kernel
-from ...kernels.geometry.kinematics import BALL, FREE
-from ...kernels.worlds.clone import clone_mocap_kernel, clone_state_kernel, mujoco_state_kernel
+from ...kernels.worlds.clone import (
+    clone_activation_kernel,
+    clone_mocap_kernel,
+    clone_state_kernel,
+    mujoco_activation_kernel,
+    mujoco_state_kernel,
+)
 from ...launch import Launcher, Replay
 from ...model.joints import joint_table
-from ...model.layout import IDENTITY
 from ...model.mujoco_model import MujocoWorld, Options, make_world
 from ...model.pairs import Pair
 from ...model.randomize import batched_arrays
@@ -75,7 +79,7 @@ class FusedSimulator:
     ):
         self.shape, self.pairs, self.device = shape, pairs, device
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=Options.of(scene.engine), sensors=())
-        refuse(scene, world, compiled.layout)
+        refuse(scene, world)
         self.world = world
         self._on_gpu = wp.get_device(device).is_cuda
         self._launch = Launcher(device)
@@ -107,6 +111,7 @@ class FusedSimulator:
             watched=watched(self.model, world),
             lanes=native_lanes(),
             shared=self._sharing > 1,
+            activations=world.activation.tolist(),
         ).write()
 
     def _bind(self, layout: Layout, world: MujocoWorld, substeps: Sequence[int]) -> None:
@@ -117,7 +122,8 @@ class FusedSimulator:
         par = np.zeros((max(1, len(columns)), shape.worlds), dtype=np.float32)
         for row, values in zip(par, columns, strict=False):
             row[:] = values
-        nstate = 1 + world.model.nq + world.model.nv
+        nstate = 1 + world.model.nq + world.model.nv + world.model.na
+        self._activation = wp.array(nstate - world.model.na + world.activation, dtype=int, device=device)
         work = FusedWork()
         work.initial = wp.zeros((shape.worlds, nstate), dtype=wp.float64, device=device)
         work.mocap = self._table.mocap_pose
@@ -126,7 +132,7 @@ class FusedSimulator:
         work.given = wp.array(self.model.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
         work.joint_q, work.joint_qd = out.joint_q, out.joint_qd
-        work.body_q, work.body_qd = out.body_q, out.body_qd
+        work.body_q, work.body_qd, work.act = out.body_q, out.body_qd, out.act
         work.force, work.diverged, work.overflow = out.contact_force, out.diverged, out.overflow
         self._work = work
 
@@ -151,6 +157,10 @@ class FusedSimulator:
         self._launch(clone_state_kernel, count, inputs, [out.joint_q, out.joint_qd, out.body_q, out.body_qd])
         inputs = [self._table, self._nq, out.joint_q, out.joint_qd, first]
         self._launch(mujoco_state_kernel, count, inputs, [work.initial])
+        if self._activation.size:
+            dim = (count, self._activation.size)
+            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
+            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [work.initial])
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""
@@ -185,20 +195,13 @@ def _split(shape: BatchSize, threads: int, lanes: int) -> list[tuple[int, int]]:
     return [(first, min(size, shape.worlds - first)) for first in range(0, shape.worlds, size)]
 
 
-def refuse(scene: Scene, world: MujocoWorld, layout: Layout) -> None:
+def refuse(scene: Scene, world: MujocoWorld) -> None:
     """What a scene has and this engine lacks is an error.
 
     Raises:
         SceneError: If there is such a thing.
     """
     lack = missing(world.model)
-    turning = layout.joint_type == int(BALL)
-    free = layout.joint_type == int(FREE)
-    anchors = np.stack([layout.joint_pose_parent, layout.joint_pose_child])
-    if lack is None and turning.any():
-        lack = "ball joints"
-    if lack is None and not (anchors[:, free] == IDENTITY).all():
-        lack = "free joints with anchors of their own"
     if lack:
         raise SceneError(
             f"the engine fused has no {lack}", key="engine.name", file=scene.path, allowed=["auto", "mujoco", "newton"]

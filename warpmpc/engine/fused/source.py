@@ -13,13 +13,15 @@ import numpy as np
 
 from ...bake.lines import literal
 from ...bake.number import header, sincos
-from ...kernels.geometry.kinematics import FREE
+from ...kernels.geometry.kinematics import BALL, FREE
 from . import model as kinds
+from .coordinates import coordinates, velocities
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
 from .tables import floats, ints
+from .ties import TieTables
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -83,12 +85,14 @@ class RolloutSource:
     lanes: int
     shared: bool
     """Whether on a GPU the lanes of a warp share a world; else every thread has one of its own."""
+    activations: Sequence[int] = ()
+    """The model's activation behind each of the layout's."""
 
     def write(self) -> str:
         """The source."""
         dynamics = Dynamics(self.model, frozenset(self.bodies))
-        links = Links(dynamics)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
+        links, ties = Links(dynamics), TieTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
@@ -97,14 +101,17 @@ class RolloutSource:
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("contact"),
             *self._collision_sources(),
+            self._native("ties").replace("BIND", dynamics.bind),
             self._native("solve").replace("BLOCKS", self._blocks()),
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        tables = "\n".join((*self._tables(), "#if COOPERATE", *links.tables(), "#endif"))
+        own = *ties.tables(), *dynamics.drive.tables()
+        tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
-        defines = {**self._sizes, **links.sizes, "NPAR": max(1, columns), "PARAMETERS": columns}
+        defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
@@ -138,7 +145,8 @@ class RolloutSource:
 
     def _coupled(self) -> str:
         """The solve for matrices that all groups have added to."""
-        rows = couple(self.model, [dofs for _, dofs in self._groups])
+        ties = (tie.dofs for tie in self.model.ties)
+        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
         return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
 
     @cached_property
@@ -321,6 +329,7 @@ class RolloutSource:
         if layout is None:
             put("joint_q", m.nq, 0, [f"w.q[{i}]" for i in range(m.nq)])
             put("joint_qd", m.nv, 0, [f"w.v[{i}]" for i in range(m.nv)])
+            put("act", m.na, 0, [f"w.act[{i}]" for i in range(m.na)])
             return "\n".join((*out, "}"))
         for b in range(layout.nb):
             r = rows.index(self.bodies[b])
@@ -332,16 +341,18 @@ class RolloutSource:
             q, v = int(self.joint_q[j]), int(self.joint_qd[j])
             if q < 0:
                 continue
-            first, dof, width = (
-                int(x) for x in (layout.joint_q_start[j], layout.joint_qd_start[j], layout.joint_dof_dim[j].sum())
-            )
-            if int(layout.joint_type[j]) == int(FREE):
-                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in (0, 1, 2, 4, 5, 6, 3)])
-                speeds = self._twist(int(layout.joint_child[j]), [f"w.v[{v + i}]" for i in range(3)])
-                put("joint_qd", layout.nv, dof, speeds)
-            else:
-                put("joint_q", layout.nq, first, [f"w.q[{q + i}]" for i in range(width)])
-                put("joint_qd", layout.nv, dof, [f"w.v[{v + i}]" for i in range(width)])
+            first, dof = int(layout.joint_q_start[j]), int(layout.joint_qd_start[j])
+            child = int(layout.joint_child[j])
+            turn = f"w.bmat[{rows.index(self.bodies[child])}]"
+            twist = self._twist(child, [f"w.v[{v + i}]" for i in range(3)]) if layout.joint_type[j] == FREE else []
+            if layout.joint_type[j] == BALL:
+                turn = "turned"
+                out.append(f"{{ T turned[9]; Sim::rows_of(w.q + {q}, turned);")
+            put("joint_q", layout.nq, first, coordinates(layout, j, q, turn))
+            put("joint_qd", layout.nv, dof, velocities(layout, j, v, turn, twist))
+            if layout.joint_type[j] == BALL:
+                out.append("}")
+        put("act", len(self.activations), 0, [f"w.act[{i}]" for i in self.activations])
         return "\n".join((*out, "}"))
 
     def _twist(self, body: int, origin: list[str]) -> list[str]:

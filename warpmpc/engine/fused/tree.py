@@ -94,6 +94,7 @@ class Tree:
             arm = lines.difference(position, self.reference)
             at_origin = self._sum(linear, lines.cross(angular, arm))
             self.dynamics.keep(lines, b, position, columns, (angular, at_origin))
+        self._mark(b, position, columns, motion)
         inertia = self._inertia(b, position, columns)
         share = float(m.body_gravcomp[b])
         felt = [self.lines.sum(x, share * g) for x, g in zip(falling, self.gravity, strict=True)] if share else falling
@@ -118,15 +119,28 @@ class Tree:
         self._axes(own, inertia, torque, force)
         return inertia, torque, force
 
+    def _mark(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> None:
+        """Marks on a body; their acceleration is that of points of the body, without gravity."""
+        lines, marks = self.lines, self.dynamics.marks
+        if not any(marks.all[n].body == b for n in marks.pushed):
+            marks.write(lines, b, position, columns, None)
+            return
+        angular, linear, turning, falling = motion
+        arm = lines.difference(position, self.reference)
+        speed = self._sum(linear, lines.cross(angular, arm))
+        freely = self._sum(falling, self.gravity)
+        at_origin = self._sum(freely, lines.cross(turning, arm), lines.cross(angular, speed))
+        marks.write(lines, b, position, columns, (angular, turning, at_origin))
+
     def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""
-        m, lines, moment = self.mj, self.lines, inertia[6:9]
+        m, lines, moment, armature = self.mj, self.lines, inertia[6:9], self.model.tendon_armatures
         for i in own:
             turn = self._sum(self._times(inertia, self.turns[i]), lines.cross(moment, self.slides[i]))
             push = lines.difference(self._scaled(self.slides[i], inertia[9]), lines.cross(moment, self.turns[i]))
             for j in [i, *self.model.ancestors[i]]:
                 products = [*zip(self.turns[j], turn, strict=True), *zip(self.slides[j], push, strict=True)]
-                entry = lines.sum(*products, float(m.dof_armature[i]) if i == j else 0.0)
+                entry = lines.sum(*products, armature.get((i, j), 0.0) + (float(m.dof_armature[i]) if i == j else 0.0))
                 lines.add(f"w.mm[{packed(i, j)}] = {text(entry)};")
             products = [*zip(self.turns[i], torque, strict=True), *zip(self.slides[i], force, strict=True)]
             lines.add(f"w.bias[{i}] = {text(lines.sum(*products))};")

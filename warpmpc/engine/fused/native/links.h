@@ -144,6 +144,23 @@ FN void move(World& w) {
         const V3 axes[3] = {f.x, f.y, f.z};
         for (int k = 0; k < 3; ++k) w.gmat[g][k] = axes[k].x, w.gmat[g][3 + k] = axes[k].y, w.gmat[g][6 + k] = axes[k].z;
     }
+#if MARKS
+    EACH(n, MOVING_MARKS) {
+        const int b = moving_mark_body[n], k = moving_mark[n];
+        Frame f = w.frame[b];
+        const Motion m = w.motion[b];
+        const V3 at = f.at(moving_mark_at + 3 * n), arm = at - load(w.ref[moving_top[b]]);
+        store(at, w.mark_at[k]);
+        store(m.angular, w.mark_spin[k]);
+        store(m.turning, w.mark_turning[k]);
+        store(m.falling + vector(gravity) + cross(m.turning, arm) + cross(m.angular, m.linear + cross(m.angular, arm)),
+              w.mark_falling[k]);
+        f.turn(moving_mark_turn + 9 * n);
+        const V3 axes[3] = {f.x, f.y, f.z};
+        T* turn = w.mark_turn[k];
+        for (int i = 0; i < 3; ++i) turn[i] = axes[i].x, turn[3 + i] = axes[i].y, turn[6 + i] = axes[i].z;
+    }
+#endif
     EACH(n, KEPT) {
         const int b = kept_body[n], r = kept_row[n];
         const Frame f = w.frame[b];
@@ -178,7 +195,7 @@ FN void move(World& w) {
     SYNC
     EACH(e, ENTRIES) {
         const int i = entry_row[e], j = entry_column[e];
-        w.mm[entry_place[e]] = dot(load(w.cw[j]), w.twist[i]) + dot(load(w.cl[j]), w.shift[i]) + (i == j ? dof_armature[i] : 0.0f);
+        w.mm[entry_place[e]] = dot(load(w.cw[j]), w.twist[i]) + dot(load(w.cl[j]), w.shift[i]) + entry_armature[e];
     }
 }
 #endif

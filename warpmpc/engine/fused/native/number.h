@@ -41,6 +41,13 @@ INLINE T dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 INLINE V3 cross(V3 a, V3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 INLINE V3 load(const T* p) { return {p[0], p[1], p[2]}; }
 INLINE V3 vector(const float* p) { return {splat(p[0]), splat(p[1]), splat(p[2])}; }
+// Rotation by rows of a quaternion (w, x, y, z)
+INLINE void rows_of(const T* q, T* r) {
+    const T w = q[0], x = q[1], y = q[2], z = q[3], s = 2.0f / (w * w + x * x + y * y + z * z);
+    r[0] = 1.0f - s * (y * y + z * z), r[1] = s * (x * y - w * z), r[2] = s * (x * z + w * y);
+    r[3] = s * (x * y + w * z), r[4] = 1.0f - s * (x * x + z * z), r[5] = s * (y * z - w * x);
+    r[6] = s * (x * z - w * y), r[7] = s * (y * z + w * x), r[8] = 1.0f - s * (x * x + y * y);
+}
 // Quaternion (x, y, z, s) of a rotation by rows: from the largest of its four squares
 INLINE void quaternion(const T* r, T& x, T& y, T& z, T& s) {
     const T squares[4] = {1.0f + r[0] + r[4] + r[8], 1.0f + r[0] - r[4] - r[8], 1.0f - r[0] + r[4] - r[8],

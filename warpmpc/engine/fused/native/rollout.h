@@ -19,6 +19,9 @@ for (int l = 0; l < lanes; ++l) {
     const double* initial = (const double*)k.initial.data + from * k.initial.shape[1] + 1;
     for (int i = 0; i < NQ; ++i) LANE(w.q[i], l) = (float)initial[i];
     for (int i = 0; i < NV; ++i) LANE(w.v[i], l) = (float)initial[NQ + i];
+#if ACTS
+    for (int i = 0; i < ACTS; ++i) LANE(w.act[i], l) = (float)initial[NQ + NV + i];
+#endif
     const float* mocap = (const float*)k.mocap.data + 7 * from * k.mocap.shape[1];
     for (int i = 0; i < 7 * NMOCAP; ++i) LANE(w.mocap[i], l) = mocap_start[i];
     for (int i = 0; i < MOCAPS; ++i)

@@ -51,6 +51,7 @@ FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
         d2 += u * w.ls[k];
         changed |= (on ^ (w.la[k] < 0.0f)) & (w.lweight[k] > 0.0f);
     }
+    slope_ties(w, step, d1, d2, changed);
     slope1 += total(d1);
     slope2 += total(d2);
     sides |= some(changed);
@@ -160,6 +161,7 @@ FN void hessian(World& w, unsigned live) {
         w.h[i * (i + 1) / 2 + i] += u;
     }
     SYNC
+    add_ties(w, w.h, w.grad, 1.0f);
 }
 // The step of Newton's method
 INLINE void descend(World& w, unsigned live) {
@@ -167,7 +169,7 @@ INLINE void descend(World& w, unsigned live) {
     hessian(w, live);
     solve_lanes(w.h, w.grad, w.search, -1.0f);
 #else
-    bool coupled = false;
+    bool coupled = ties_couple(w, live);
     for (int n = 0; n < w.contacts; ++n) coupled |= (w.con[n].used & live) && group_couples[w.con[n].group];
     if (coupled) for (int i = 0; i < NH; ++i) w.h[i] = zero();
     hessian(w, live);
@@ -185,6 +187,7 @@ FN void newton(World& w, I done) {
     EACH(n, w.contacts)
         for (int i = 0; i < ROWS; ++i) w.con[n].a[i] -= w.con[n].ref[i];
     EACH(k, w.limits) w.la[k] = w.lside[k] * w.x[w.ldof[k]] - w.lref[k];
+    start_ties(w);
     SYNC
     for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
         const unsigned live = VBITS(VNOT(done));
@@ -206,6 +209,7 @@ FN void newton(World& w, I done) {
         if (VANY(active | last)) {
             project(w, live, w.search, &Contact::s);
             EACH(k, w.limits) w.ls[k] = w.lside[k] * w.search[w.ldof[k]];
+            search_ties(w);
             SYNC
         }
         for (int tries = 0; tries < LINE_SEARCH && VANY(active); ++tries) {
@@ -233,6 +237,7 @@ FN void newton(World& w, I done) {
             for (int i = 0; i < ROWS; ++i) c.a[i] += step * c.s[i];
         }
         EACH(k, w.limits) w.la[k] += step * w.ls[k];
+        step_ties(w, step);
         SYNC
         done |= exact;
         if (!VANY(VNOT(done))) break;
@@ -260,4 +265,5 @@ FN void add_forces(World& w) {
 #endif
     EACH(k, w.limits) w.fs[w.ldof[k]] -= w.lside[k] * w.lweight[k] * VMIN(w.la[k], zero());
     SYNC
+    add_ties(w, nullptr, w.fs, -1.0f);
 }

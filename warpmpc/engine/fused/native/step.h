@@ -48,9 +48,14 @@ FN void integrate(World& w, I alone) {
 #if COOPERATE
     EACH(i, NH) w.h[i] = w.mm[i];
     SYNC
+    EACH(k, SPREAD) w.h[spread_place[k]] += w.spread[k];
     EACH(i, NV) w.h[i * (i + 1) / 2 + i] += w.damp[i];
     SYNC
     solve_lanes(w.h, w.fs, w.search, 1.0f);
+#elif SPREAD
+    copy_tree(w.mm, w.h);
+    for (int k = 0; k < SPREAD; ++k) w.h[spread_place[k]] += w.spread[k];
+    solve_damped(w.h, w.fs, w.search, 1.0f, w.damp);
 #else
     solve_damped(w.mm, w.fs, w.search, 1.0f, w.damp);
 #endif
@@ -61,6 +66,9 @@ FN void integrate(World& w, I alone) {
         w.x[i] = alone ? w.search[i] : w.x[i];
     }
     SYNC
+#if ACTS
+    EACH(i, ACTS) w.act[i] = w.act_next[i];
+#endif
     EACH(k, SCALARS) w.q[scalar_q[k]] += TIMESTEP * w.v[scalar_dof[k]];
     EACH(k, TURNING) {
         T* q = w.q + turning_q[k];
@@ -75,11 +83,21 @@ FN void integrate(World& w, I alone) {
 }
 // A step; before it everything has been moved to where the coordinates say, after it again
 FN void step(World& w) {
+#if TENDONS
+    stretch(w);
+#endif
     drive(w);
     SYNC
     collide(w);
     limit(w);
-    I alone = YES;  // lanes that nothing constrains
+#if TIES
+    bind(w);
+#endif
+#if DRY
+    dry(w);
+#endif
+    SYNC
+    I alone = untied(w);  // lanes that nothing constrains
     for (int n = 0; n < w.contacts; ++n) alone &= VNOT(w.con[n].weight > 0.0f);
     for (int k = 0; k < w.limits; ++k) alone &= VNOT(w.lweight[k] > 0.0f);
     if (VANY(VNOT(alone))) {

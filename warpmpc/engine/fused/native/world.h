@@ -55,6 +55,25 @@ struct World {
     T bpos[NB][3], bmat[NB][9], bang[NB][3], blin[NB][3];
     T lside[NLIMIT], lweight[NLIMIT], lref[NLIMIT], la[NLIMIT], ls[NLIMIT];  // limits: side, ..., as in Contact
     int ldof[NLIMIT];
+#if TIES
+    T tie_jac[TIES][TIE_DOFS], tie_weight[TIES], tie_ref[TIES], tie_a[TIES], tie_s[TIES];  // ties.h: as in Contact
+#endif
+#if DRY
+    T dry_weight[DRY], dry_ref[DRY], dry_a[DRY], dry_s[DRY];  // friction of joints: the same
+#endif
+#if TENDONS
+    T tendon_length[TENDONS], tendon_speed[TENDONS], tendon_arm[TENDON_ARMS];
+#endif
+#if MARKS
+    T mark_at[MARKS][3], mark_turn[MARKS][9];  // points and frames on bodies
+    T mark_spin[MARKS][3], mark_turning[MARKS][3], mark_falling[MARKS][3];  // motion, while no joint accelerates
+#endif
+#if ACTS
+    T act[ACTS], act_next[ACTS];  // activations of actuators, and those after the step
+#endif
+#if SPREAD
+    T spread[SPREAD];            // what an implicit step adds to the mass matrix off its diagonal
+#endif
     int contacts, limits, overflow;  // overflow: lanes whose contacts were too many
     int order[CAPACITY];         // of the contacts by group, which neighbours in other lanes do not change
     Contact con[CAPACITY];

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ties: rows of constraints between degrees of freedom that are known beforehand.
+
+These are equalities, limits of ball joints and tendons, friction of tendons. What is baked here gives their Jacobians
+and distances; ``native/ties.h`` softens them and takes them into the solver, contacts beside them come and go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from .model import BALL, Rows
+from .tables import floats, ints
+from .tree import packed
+
+if TYPE_CHECKING:
+    from .model import PhysicsModel
+
+CONNECT, WELD, JOINT, TENDON = (
+    int(kind)
+    for kind in (
+        mujoco.mjtEq.mjEQ_CONNECT,
+        mujoco.mjtEq.mjEQ_WELD,
+        mujoco.mjtEq.mjEQ_JOINT,
+        mujoco.mjtEq.mjEQ_TENDON,
+    )
+)
+FREELY = 3e38
+"""A force without bound."""
+
+
+@dataclass(frozen=True)
+class Tie:
+    """One row, or several of the same degrees of freedom that are softened together."""
+
+    kind: str
+    """``equality``, ``ball`` (limit), ``limit`` or ``friction`` (of a tendon)."""
+    index: int
+    """Of the equality, joint or tendon."""
+    dofs: tuple[int, ...]
+    rows: Rows
+    inverse: tuple[np.ndarray, ...]
+    """Approximate inverse inertia along each row ``[W]`` or ``[1]``."""
+    low: float = -FREELY
+    """Least derivative of the cost by the row, which is the force with the other sign [N]."""
+    high: float = FREELY
+    """The largest."""
+
+
+def ties(model: PhysicsModel) -> list[Tie]:
+    """All ties of a model."""
+    m, out = model.mj, []
+    for e in np.flatnonzero(m.eq_active0[: m.neq]):
+        out.append(_equality(model, int(e)))
+    for j in np.flatnonzero((m.jnt_type == BALL) & (m.jnt_limited != 0)):
+        dof = int(m.jnt_dofadr[j])
+        rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
+        inverse = model.array("dof_invweight0")[:, dof]
+        out.append(Tie("ball", int(j), (dof, dof + 1, dof + 2), rows, (inverse,), high=0.0))
+    for t in range(m.ntendon):
+        dofs, inverse = model.tendon_dofs[t], model.array("tendon_invweight0")[:, t]
+        loss = float(m.tendon_frictionloss[t])
+        if loss > 0.0:
+            rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
+            out.append(Tie("friction", t, dofs, rows, (inverse,), -loss, loss))
+        if m.tendon_limited[t]:
+            rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
+            out.append(Tie("limit", t, dofs, rows, (inverse,), high=0.0))
+    return out
+
+
+def ends(m: mujoco.MjModel, e: int) -> tuple[int, int]:
+    """Bodies of a connect or weld."""
+    pair = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+    if int(m.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        return int(m.site_bodyid[pair[0]]), int(m.site_bodyid[pair[1]])
+    return pair
+
+
+def _equality(model: PhysicsModel, e: int) -> Tie:
+    m, kind = model.mj, int(model.mj.eq_type[e])
+    rows = model.rows(m.eq_solref[e], m.eq_solimp[e])
+    first, second = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+    if kind == JOINT:
+        dofs = tuple(int(m.jnt_dofadr[j]) for j in (first, second) if j >= 0)
+        weights = model.array("dof_invweight0")
+        return Tie("equality", e, dofs, rows, (sum(weights[:, dof] for dof in dofs),))
+    if kind == TENDON:
+        tendons = [t for t in (first, second) if t >= 0]
+        dofs = tuple(sorted({dof for t in tendons for dof in model.tendon_dofs[t]}))
+        weights = model.array("tendon_invweight0")
+        return Tie("equality", e, dofs, rows, (sum(weights[:, t] for t in tendons),))
+    bodies, weights = ends(m, e), model.array("body_invweight0")
+    dofs = tuple(sorted(model.body_dofs[bodies[0]] | model.body_dofs[bodies[1]]))
+    moved, turned = (weights[:, bodies[0], k] + weights[:, bodies[1], k] for k in (0, 1))
+    return Tie("equality", e, dofs, rows, (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3)
+
+
+class TieTables:
+    """Sizes and tables of the rows.
+
+    Args:
+        model: The model.
+    """
+
+    def __init__(self, model: PhysicsModel):
+        self.model = model
+        self.rows = [(tie, inverse) for tie in model.ties for inverse in tie.inverse]
+        """Of all ties, one after the other."""
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Macros of the source."""
+        longest = max([1, *(len(tie.dofs) for tie in self.model.ties)])
+        return {"TIES": len(self.rows), "TIE_DOFS": longest, "DRY": len(self.model.dry)}
+
+    def tables(self) -> list[str]:
+        """Definitions of the tables."""
+        out = []
+        if self.rows:
+            longest, above, index = self.sizes["TIE_DOFS"], self.model.ancestors, self.model.columns.index
+            dofs, entries = np.zeros((len(self.rows), longest), int), np.zeros((len(self.rows), packed(longest, 0)), int)
+            for k, (tie, _) in enumerate(self.rows):
+                dofs[k, : len(tie.dofs)] = tie.dofs
+                for a, i in enumerate(tie.dofs):
+                    for b, j in enumerate(tie.dofs[: a + 1]):
+                        entries[k, packed(a, b)] = packed(max(i, j), min(i, j))
+            couples = [any(j not in above[i] for i in tie.dofs for j in tie.dofs if j < i) for tie, _ in self.rows]
+            out += [
+                ints("tie_count", [len(tie.dofs) for tie, _ in self.rows]),
+                ints("tie_dof", dofs),
+                ints("tie_entry", entries, "short"),
+                ints("tie_couples", couples),
+                ints("tie_inverse_at", [index(inverse) for _, inverse in self.rows]),
+                floats("tie_stiffness", [tie.rows.stiffness for tie, _ in self.rows]),
+                floats("tie_damping", [tie.rows.damping for tie, _ in self.rows]),
+                floats("tie_impedance", [tie.rows.impedance for tie, _ in self.rows]),
+                floats("tie_low", [tie.low for tie, _ in self.rows]),
+                floats("tie_high", [tie.high for tie, _ in self.rows]),
+            ]
+        if self.model.dry:
+            m, inverse = self.model.mj, self.model.array("dof_invweight0")
+            soft = [self.model.rows(m.dof_solref[i], m.dof_solimp[i]).slipping for i in self.model.dry]
+            out += [
+                ints("dry_dof", self.model.dry),
+                floats("dry_force", m.dof_frictionloss[self.model.dry]),
+                floats("dry_damping", [rows.damping for rows in soft]),
+                floats("dry_impedance", [rows.impedance[0] for rows in soft]),
+                ints("dry_inverse_at", [self.model.columns.index(inverse[:, i]) for i in self.model.dry]),
+            ]
+        return out
