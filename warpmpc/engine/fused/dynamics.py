@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from ...bake.lines import Lines, Matrix, Vector, function, known, text
 from .drive import Drive
 from .marks import Marks
-from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, FREE, MESH, PhysicsModel, rotation
+from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, MESH, PhysicsModel, rotation
 from .spin import write_spin
 from .tendons import Tendons
 from .tie_rows import TieRows

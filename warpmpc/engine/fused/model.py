@@ -480,7 +480,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
     "impedances of a power other than 2": lambda p: (
         (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.mj.jnt_limited != 0, 4] != 2.0).any()
-        or any((p.mj.eq_solimp[p.mj.eq_active0 != 0, 4] != 2.0))
+        or any(p.mj.eq_solimp[p.mj.eq_active0 != 0, 4] != 2.0)
         or any(p.mj.tendon_solimp_lim[p.mj.tendon_limited != 0, 4] != 2.0)
     ),
     "damping and stiffness that depend on speed and angle": lambda p: (
