@@ -56,18 +56,29 @@ def side_of(angle: float) -> float:
 
 @wp.func
 def sample_push(value: wp.array4d[float], e: int, origin: wp.vec2, cell: float, at: wp.vec2, angle: float) -> float:
-    """Value [E, 16, rows, columns] of an object at a point with its pusher in a direction, interpolated linearly.
+    """Value [E, rows, columns, 16] of an object at a point with its pusher in a direction, interpolated linearly.
 
-    Beyond the grid it grows by the distance from it.
+    The values of a cell lie side by side, since terms ask for several directions at one point. Beyond the grid a value
+    grows by the distance from it.
     """
     side = side_of(angle)
     low = int(side) % 16
+    next = (low + 1) % 16
     part = side - wp.floor(side)
-    field = value[e]
-    here = sample_field(field, low, origin, cell, at)
-    there = sample_field(field, (low + 1) % 16, origin, cell, at)
-    across = wp.vec2(cell * float(field.shape[2] - 1), cell * float(field.shape[1] - 1))
-    inside = wp.min(wp.max(at, origin), origin + across)
+    last = wp.vec2(float(value.shape[2]) - 1.0, float(value.shape[1]) - 1.0)
+    x = wp.clamp((at[0] - origin[0]) / cell, 0.0, last[0])
+    y = wp.clamp((at[1] - origin[1]) / cell, 0.0, last[1])
+    i = wp.min(int(x), value.shape[2] - 2)
+    j = wp.min(int(y), value.shape[1] - 2)
+    u = x - float(i)
+    v = y - float(j)
+    first = (1.0 - u) * value[e, j, i, low] + u * value[e, j, i + 1, low]
+    second = (1.0 - u) * value[e, j + 1, i, low] + u * value[e, j + 1, i + 1, low]
+    here = (1.0 - v) * first + v * second
+    first = (1.0 - u) * value[e, j, i, next] + u * value[e, j, i + 1, next]
+    second = (1.0 - u) * value[e, j + 1, i, next] + u * value[e, j + 1, i + 1, next]
+    there = (1.0 - v) * first + v * second
+    inside = wp.min(wp.max(at, origin), origin + cell * last)
     return (1.0 - part) * here + part * there + wp.length(at - inside)
 
 

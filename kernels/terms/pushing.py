@@ -67,7 +67,7 @@ class PushPathParams:
     object: int
     goal: int
     tolerance: float  # [m] along each axis of the goal
-    value: wp.array4d[float]  # [E, 16, rows, columns] work left, in the goal's frame [m]
+    value: wp.array4d[float]  # [E, rows, columns, 16] work left, in the goal's frame [m]
     origin: wp.array[wp.vec2]  # [E] place of the first cell in the goal's frame [m]
     cell: float  # [m]
     field: int  # distance field of the pusher to the object

@@ -45,7 +45,7 @@ class Pushing(Judging):
         self.set_goal(np.array([pose(*goal) for goal in goals]))
 
     def values(self) -> np.ndarray:
-        """Values of the first term ``[E, 16, rows, columns]``."""
+        """Values of the first term ``[E, rows, columns, 16]``."""
         return self.stack.terms[0][1].value.numpy().copy()
 
     def cost(self, box, pusher) -> np.ndarray:

@@ -73,7 +73,7 @@ def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: 
     at = np.where(far, at, np.sign(at) * np.maximum(np.abs(at) - play, 0.0) * 2.5 / 1.5)
 
     _, params = r.stack.terms[0]
-    table, cell = params.value.numpy().astype(np.float64), params.cell
+    table, cell = np.moveaxis(params.value.numpy().astype(np.float64), -1, 1), params.cell
     tables = [
         RegularGridInterpolator([np.arange(n) for n in (17, *v.shape[1:])], np.concatenate([v, v[:1]])) for v in table
     ]

@@ -41,7 +41,7 @@ class Pushing:
 
     @property
     def values(self) -> np.ndarray:
-        """Values in use ``[E, 16, rows, columns]``, a copy."""
+        """Values in use ``[E, rows, columns, 16]``, a copy."""
         return self.stack.terms[0][1].value.numpy().copy()
 
     @property

@@ -54,7 +54,7 @@ def side_at(angle, device: str) -> np.ndarray:
 
 def sample(value: np.ndarray, at, angle, device: str) -> np.ndarray:
     """Samples [E, n] of values [E, 16, rows, columns] at points [n, 2] and directions [n]."""
-    (found,) = sampled(sample_push_kernel, value, at, angle, device=device)
+    (found,) = sampled(sample_push_kernel, np.moveaxis(value, 1, -1), at, angle, device=device)
     return found
 
 

@@ -143,9 +143,10 @@ def _lookup(params: str) -> str:
         f" const T at_{axis} = VSELECT(off_{axis} < 0.0f, -left_{axis}, left_{axis});\n"
         for axis in "xy"
     )
-    corners = (f"VGATHER(plane, first + {offset})" for offset in ("0", "1", "columns", "(columns + 1)"))
-    return f"""{shrunk}const int rows = {params}.value.shape[2], columns = {params}.value.shape[3];
-const float* plane = (const float*){params}.value.data + (size_t)e * {params}.value.shape[1] * rows * columns;
+    nearby = [f"VGATHER(cells, here + {offset})" for offset in ("0", "16", "row", "(row + 16)")]
+    own = [f"VLOAD(of + {offset})" for offset in ("side", "(16 + side)", "(row + side)", "(row + 16 + side)")]
+    return f"""{shrunk}const int rows = {params}.value.shape[1], columns = {params}.value.shape[2], row = 16 * columns;
+const float* cells = (const float*){params}.value.data + (size_t)e * rows * row;
 const float* origin = (const float*){params}.origin.data + 2 * e;
 const float cell = {params}.cell, origin_x = origin[0], origin_y = origin[1];
 const T px = at_x, py = at_y;
@@ -153,11 +154,14 @@ const T px = at_x, py = at_y;
 const T over_x = px - VMIN(VMAX(px, origin_x), origin_x + cell * (columns - 1.0f));
 const T over_y = py - VMIN(VMAX(py, origin_y), origin_y + cell * (rows - 1.0f));
 const T beyond = VSQRT(over_x * over_x + over_y * over_y);
-const int many = rows * columns;
+#if defined(__CUDA_ARCH__)
 const auto side = [&](I of) -> T {{
-const I first = at + (of & 15) * many;
-return {BETWEEN.format(*corners)};
+const I here = 16 * at + (of & 15);
+return {BETWEEN.format(*nearby)};
 }};
+#else
+{_ALL_SIDES.format(between=BETWEEN.format(*own))}
+#endif
 const auto value = [&](T towards) -> T {{
 const T quarters = towards * {literal(2 / math.pi)};
 const T quarter = VFLOOR(quarters);
@@ -172,6 +176,19 @@ return (1.0f - share) * side(low) + share * side(low + 1);
 }};"""
 
 
+_ALL_SIDES = """enum {{ WORLDS = sizeof(T) / sizeof(float) }};
+float sides[16 * WORLDS], us[WORLDS], vs[WORLDS];
+I own;
+VSTORE(us, u);
+VSTORE(vs, v);
+for (int l = 0; l < WORLDS; ++l) {{
+const float* of = cells + 16 * at[l];
+const T u = (T)us[l], v = (T)vs[l];
+own[l] = 16 * l;
+for (int side = 0; side < 16; side += WORLDS) VSTORE(sides + 16 * l + side, {between});
+}}
+const auto side = [&](I of) -> T {{ return VGATHER(sides, own + (of & 15)); }};"""
+"""``side`` on a CPU: one world after the other all its sides, which lie side by side, in one or a few registers."""
 _STEP = literal(float(ATAN_HALF))
 _WALK = """const T cosine = VMIN(radius / VMAX(apart, radius), 1.0f);
 const T sine = VSQRT((1.0f - cosine) * (1.0f + cosine));

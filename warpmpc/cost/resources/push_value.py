@@ -62,7 +62,7 @@ class PushValues(Idle):
         grid = self._ground.grid
         side = grid.size(grid.clearance.shape)
         for params, _ in self._readers:
-            params.value = wp.zeros((envs, len(STEPS), side, side), dtype=float, device=device)
+            params.value = wp.zeros((envs, side, side, len(STEPS)), dtype=float, device=device)
             params.origin = wp.zeros(envs, dtype=wp.vec2, device=device)
             params.cell = grid.cell
         self._shown = np.full((envs, 7), np.nan, dtype=np.float32)  # goals of the values in use
@@ -111,7 +111,7 @@ class PushValues(Idle):
     def _take(self, e: int, goal: np.ndarray, values: list[tuple[np.ndarray, np.ndarray]]) -> None:
         for (params, _), (value, origin) in zip(self._readers, values, strict=True):
             with capturing:
-                params.value[e].assign(value.astype(np.float32))
+                params.value[e].assign(np.ascontiguousarray(np.moveaxis(value, 0, -1), dtype=np.float32))
                 params.origin[e : e + 1].assign(origin[None].astype(np.float32))
         self._shown[e] = goal
 
