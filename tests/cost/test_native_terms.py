@@ -10,12 +10,18 @@ from native_terms import NativeJudge
 from push_scenes import block
 from rollouts import OBSTACLES, Rollouts
 from scipy.spatial.transform import Rotation
+from small_scenes import BOX
 
 from warpmpc.bake.number import native_lanes
 from warpmpc.model.batch_size import BatchSize
 
 SHAPE = BatchSize(2, 21, 2, 5)  # a number of worlds that fills no register; 420 states
 BLOCKS = [block(position=(0.0, 0.7)), block("post", size=(0.3, 0.3, 0.4), position=(-0.7, 0.4), yaw=0.7)]
+OBJECTS = [
+    BOX,
+    {**BOX, "name": "bar", "size": (0.5, 0.3, 0.2), "position": (0.6, -1.0, 0.1)},
+    {**BOX, "name": "can", "shape": "cylinder", "size": (0.2, 0.2), "position": (-0.6, -1.0, 0.1)},
+]
 ANYWHERE = [
     {"term": "distance", "between": ["base/tip", "box"]},
     {"term": "distance", "between": ["box", "base/tip"], "lead": 0.7, "near": 0.5},
@@ -43,18 +49,22 @@ LEVEL = [
     {"term": "push_alignment", **PUSH, "metric": "geodesic", "near": 0.2},
     {**FOOTPRINT},
     {**FOOTPRINT, "tolerance": 0.04, "steer": 0.6, "turn": 0.7, "lead": 0.05},
-    {**FOOTPRINT, "tolerance": 0.03, "steer": 2.0, "behind": 0.3},
+    {**FOOTPRINT, "object": "bar", "tolerance": 0.03, "steer": 2.0, "behind": 0.3},
+    {**FOOTPRINT, "object": "can", "tolerance": 0.05, "steer": 0.5},
     {"term": "obstacle_clearance", "of": "base/tip", "radius": 0.1, "least": 0.03},
     {"term": "outline_clearance", "of": "box", "within": 0.2},
     {"term": "outline_clearance", "of": "base/tip", "within": 0.3},
     {"term": "outline_distance", "of": "base/tip", "object": "box", "inside": 0.5},
+    {"term": "outline_distance", "of": "base/tip", "object": "can"},
     {"term": "approach", "hand": "base/tip", "object": "box", "width": 0.05, "rise": 0.1},
 ]
 """Terms of a push in the plane."""
 
 
 def kind(cost: dict) -> str:
-    return "-".join(str(cost[key]) for key in ("term", "metric", "near", "steer", "to", "inside") if key in cost)
+    return "-".join(
+        str(cost[key]) for key in ("term", "object", "metric", "near", "steer", "to", "inside") if key in cost
+    )
 
 
 def level(r: Rollouts) -> None:
@@ -64,7 +74,7 @@ def level(r: Rollouts) -> None:
     goal[:, 3:] = Rotation.from_euler("zx", [[0.0, 0.0], [2.2, 0.02]]).as_quat()
     r.goal = goal
     r.set_goal(goal)
-    box, base = (r.layout.frame_body[r.layout.frame(name)] for name in ("box", "base/tip"))
+    box, bar, can, base = (r.layout.frame_body[r.layout.frame(name)] for name in ("box", "bar", "can", "base/tip"))
     body_q = r.trajectory.body_q.numpy()
     shape = body_q.shape[:2]
     own = np.repeat(goal, SHAPE.rollouts, axis=0)
@@ -97,6 +107,7 @@ def level(r: Rollouts) -> None:
         body_q[4, 2 * i, box, :2] = place
         body_q[4, 2 * i + 1, base, :2] = place
         body_q[5, i, base, :2] = body_q[5, i, box, :2] = place
+    body_q[:, :, [bar, can]] = body_q[:, :, [box]]
     r.trajectory.body_q.assign(body_q)
     r.observe()
 
@@ -105,7 +116,8 @@ def level(r: Rollouts) -> None:
 def judged(where: str) -> Rollouts:
     """Rollouts, and the terms that judge them."""
     costs, obstacles = {"anywhere": (ANYWHERE, OBSTACLES), "level": (LEVEL, BLOCKS)}[where]
-    r = Rollouts(*costs, obstacles=obstacles, shape=SHAPE, seed=len(costs))
+    objects = OBJECTS if where == "level" else OBJECTS[:1]
+    r = Rollouts(*costs, obstacles=obstacles, objects=objects, shape=SHAPE, seed=len(costs))
     if where == "level":
         level(r)
     return r

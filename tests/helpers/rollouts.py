@@ -22,10 +22,23 @@ SHAPE = BatchSize(2, 3, 2, 5)
 class Rollouts(Judging):
     """Random rollouts of a small scene, judged by its cost terms."""
 
-    def __init__(self, *costs: dict, seed: int = 0, terms=(), scale: float = 1.0, obstacles=OBSTACLES, shape=SHAPE):
+    def __init__(
+        self,
+        *costs: dict,
+        seed: int = 0,
+        terms=(),
+        scale: float = 1.0,
+        obstacles=OBSTACLES,
+        objects=(BOX,),
+        shape=SHAPE,
+    ):
         robot = {**DISC, "joint_q": (0.3, -0.2, 0.5), "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
         scene = make_scene(
-            robot=[robot], object=[BOX], obstacle=obstacles, cost=costs, goal={"object": "box", "position": (1, 2, 0.5)}
+            robot=[robot],
+            object=list(objects),
+            obstacle=obstacles,
+            cost=costs,
+            goal={"object": "box", "position": (1, 2, 0.5)},
         )
         super().__init__(scene, shape, terms=terms)
         self.t, self.w = shape.horizon, shape.worlds
