@@ -31,6 +31,9 @@ NATIVE = [
     {"term": "posture", "weight": 0.1},
     {"term": "control_effort", "weight": 0.02},
     {"term": "control_rate", "weight": 0.03},
+    {"term": "yaw", "of": "arm/tool", "to": "goal", "near": 0.5, "weight": 3.0},
+    {"term": "approach", "hand": "arm/tool", "object": "box", "width": 0.5, "rise": 0.3},
+    {"term": "finger_alignment", "hand": "arm/tool", "object": "box"},
 ]
 ARM = [
     {"term": "pose", "of": "arm/tool", "position": (3.0, 2.0, 1.0), "rotation": (0.5, 0.0, 0.2)},
@@ -57,7 +60,17 @@ COLLISION = [
     {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},
     {"term": "world_collision", "name": "hit", "form": "binary", "margin": 0.02},
 ]
-WARP = [{"term": "yaw", "of": "arm/tool", "to": "goal", "weight": 3.0}]
+WARP = [{"term": "low", "frame": "arm/tool", "weight": 3.0}]
+
+
+@wp.struct
+class LowParams:
+    frame: int
+
+
+@warpmpc.cost_term("low")
+def low(s: warpmpc.StepView, p: LowParams) -> float:
+    return warpmpc.frame_position(s, p.frame)[2] ** 2.0
 
 
 def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, obstacles: list = (), **planner):
@@ -194,7 +207,7 @@ def test_every_drive_and_spline_moves_the_joints_alike(mode, spline):
 
 def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch():
     for robot in ("panda", "mobile_panda"):
-        mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2)
+        mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2, terms=[low])
         assert mpc.engine.records
         check(mpc, expected)
         plain = mpc.engine.rollouts(range(mpc.shape.worlds))
@@ -208,14 +221,6 @@ def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch(
 
 
 def test_users_terms_of_both_kinds_are_judged():
-    @wp.struct
-    class LowParams:
-        frame: int
-
-    @warpmpc.cost_term("low")
-    def low(s: warpmpc.StepView, p: LowParams) -> float:
-        return warpmpc.frame_position(s, p.frame)[2] ** 2.0
-
     @warpmpc.array_cost("still")
     def still(batch):
         return (batch["joint_qd"][1:] ** 2).sum(axis=-1)
@@ -281,7 +286,7 @@ def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
     modes = ("acceleration", "velocity", "position") if cost in ("baked", "recorded") else ("acceleration",)
     for mode in modes:
         scene = scene_of(robot, mode, GPU_COSTS[cost], OBSTACLES, horizon=40)
-        mpc, expected = planned(scene, envs=2, device="cuda")
+        mpc, expected = planned(scene, envs=2, terms=[low], device="cuda")
         assert mpc.graph.captured is not None
         check(mpc, expected, 2e-4 if cost == "arm" else 2e-5)
 
