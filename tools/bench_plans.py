@@ -44,6 +44,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     from bench_fused import machine
+
     from warpmpc.cli.run import start_warp
 
     start_warp()
