@@ -134,3 +134,33 @@ TENDONS = """
 </mujoco>
 """
 """Tendons along joints and sites with everything they have, what drives them, thrusters and activations."""
+
+PAIRS = """
+<mujoco><compiler angle="radian" autolimits="true"/>{option}
+<default><geom contype="0" conaffinity="0"/></default>
+<worldbody>
+  <geom name="floor" type="plane" size="9 9 .1" contype="1"/>
+  <body name="box" pos="0 0 0.2" quat="0.9 0.1 0.2 0.1"><freejoint/><geom name="box" type="box" size=".1 .15 .12" mass="1"/>
+  </body>
+  <body name="ball" pos="0.1 0 0.45"><freejoint/><geom name="ball" type="sphere" size=".12" mass="0.6"/></body>
+  <body name="pill" pos="1 0 0.12" quat="0.7 0.7 0.1 0"><freejoint/>
+    <geom name="pill" type="capsule" size=".06 .15" mass="0.6" conaffinity="1" priority="1" solimp="0.7 0.95 0.02 0.3 3"/></body>
+  <body name="upper" pos="-1 0 0.5"><joint name="upper" axis="0 1 0" damping="0.1" range="-0.5 0.6" solimplimit="0.8 0.97 0.05 0.4 1"/>
+    <geom name="upper" type="capsule" fromto="0 0 0 0.3 0 0" size=".05" mass="0.6"/>
+    <body name="lower" pos="0.3 0 0"><joint name="lower" axis="0 1 0" range="-1 1"/>
+      <geom name="lower" type="capsule" fromto="0 0 0 0 0 -0.3" size=".05" mass="0.4" conaffinity="1"/></body></body>
+  <body name="beam" pos="2 0 1"><joint name="beam" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.05" mass="0.7"/></body>
+</worldbody>
+<contact>
+  <pair geom1="floor" geom2="box" condim="3" friction="0.4 0.4 0.005 0.0001 0.0001" solref="0.03 0.9" margin="0.01"/>
+  <pair geom1="ball" geom2="box" condim="1" solimp="0.6 0.9 0.02 0.4 4"/>
+  <pair geom1="ball" geom2="floor"/>
+  <pair geom1="lower" geom2="floor" condim="3" friction="1.2 1.2 0.005 0.0001 0.0001" solimp="0.8 0.95 0.01 0.5 2"/>
+  <exclude body1="upper" body2="lower"/>
+</contact>
+<equality><joint joint1="beam" polycoef="0.3 0 0 0 0" solimp="0.5 0.95 0.5 0.6 5"/></equality>
+<actuator><motor joint="upper" gear="3"/> <motor joint="lower" gear="2"/></actuator>
+</mujoco>
+"""
+"""Explicit pairs, of geoms that would touch anyway and of others; impedances of several powers."""

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
-from fused_tie_models import EQUALITIES, TENDONS
+from fused_tie_models import EQUALITIES, PAIRS, TENDONS
 from warp_lanes import COMPILER, LaneRollout
 
 from warpmpc.engine.fused.model import PhysicsModel, missing
 from warpmpc.engine.fused.plain import PlainRollout
 
-MODELS = {"equalities": EQUALITIES, "tendons": TENDONS}
+MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS}
 
 
 @functools.cache

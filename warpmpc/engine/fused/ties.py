@@ -138,7 +138,7 @@ class TieTables:
                 ints("tie_inverse_at", [index(inverse) for _, inverse in self.rows]),
                 floats("tie_stiffness", [tie.rows.stiffness for tie, _ in self.rows]),
                 floats("tie_damping", [tie.rows.damping for tie, _ in self.rows]),
-                floats("tie_impedance", [tie.rows.impedance for tie, _ in self.rows]),
+                floats("tie_impedance", self.model.impedances([tie.rows for tie, _ in self.rows])),
                 floats("tie_low", [tie.low for tie, _ in self.rows]),
                 floats("tie_high", [tie.high for tie, _ in self.rows]),
             ]
