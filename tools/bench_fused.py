@@ -112,7 +112,18 @@ def of_scene(name: str) -> mujoco.MjModel:
     return make_world(compiled, timestep=step, options=Options.of(scene.engine), sensors=()).model
 
 
+def shadow_hand() -> mujoco.MjModel:
+    """The Shadow hand of gymnasium-robotics with a block; friction along tangents, one contact of a mesh and a box."""
+    folder = Path(importlib.util.find_spec("gymnasium_robotics").submodule_search_locations[0])
+    model = mujoco.MjModel.from_xml_path(str(folder / "envs/assets/hand/manipulate_block.xml"))
+    model.geom_condim[:], model.pair_dim[:] = np.minimum(model.geom_condim, 3), np.minimum(model.pair_dim, 3)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
+    return model
+
+
 OWN = {"quadruped": quadruped, "humanoid": humanoid, "arm_with_box": arm_with_box}
+if importlib.util.find_spec("gymnasium_robotics"):
+    OWN["shadow_hand"] = shadow_hand
 SCENES = (
     "omni_push_box",
     "omni_push_sphere",

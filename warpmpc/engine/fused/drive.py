@@ -52,12 +52,8 @@ class Drive:
         """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
 
     def spreads(self, first: int) -> dict[tuple[int, int], int]:
-        """Numbers of the entries among six degrees of freedom from the first on; there are none before all is written."""
-        return {
-            (i - first, j - first): n
-            for n, (i, j) in enumerate(self._spread)
-            if first <= j and i < first + 6
-        }
+        """Numbers of the entries among six degrees of freedom from the first on, once all is written."""
+        return {(i - first, j - first): n for n, (i, j) in enumerate(self._spread) if first <= j and i < first + 6}
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -129,7 +125,9 @@ class Drive:
             for j, b in arms:
                 if j == i:
                     square = a * a if isinstance(a, float) else lines.sum((a, a))
-                    self._damped[i].append((rate, -square) if isinstance(square, float) else self._less(lines, rate, square))
+                    self._damped[i].append(
+                        (rate, -square) if isinstance(square, float) else self._less(lines, rate, square)
+                    )
                 elif j in self.model.ancestors[i]:
                     both = lines.sum((a, b))
                     self._spread.setdefault((i, j), []).append(self._less(lines, rate, both))

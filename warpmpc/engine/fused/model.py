@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from ...bake.lines import Operand
 from ...model.collisions import colliding_pairs
+from .rows import Rows
 from .tendons import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, fixed, tendon_armatures, tendon_dofs
+from .ties import Tie, find_ties
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from .ties import Tie
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
@@ -37,8 +37,6 @@ FREE, BALL, SLIDE, HINGE = (
 )
 LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
-LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
-"""Bounds of an impedance (MuJoCo, "Solver parameters")."""
 MOST_POWER = 16
 """Of an impedance."""
 _UNBOUNDED = 1e30
@@ -77,45 +75,6 @@ class Columns:
         """Values of all worlds ``[W]``, or of one ``[1]``, as an operand of baked source."""
         column = self.index(values)
         return float(values[0]) if column < 0 else f"w.par[{column}]"
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Soft constraint parameters of one limit or pair (MuJoCo, "Solver parameters")."""
-
-    stiffness: float
-    damping: float
-    impedance: tuple[float, float, float, float]
-    """Least, most, width and midpoint."""
-    power: float = 2.0
-    """Of the distance over the width, on both sides of the midpoint."""
-
-    @property
-    def slipping(self) -> Rows:
-        """The same for friction, which has no place to come back to."""
-        return replace(self, stiffness=0.0)
-
-    @classmethod
-    def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
-        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``)."""
-        least, most, width, middle, power = solimp
-        most = float(np.clip(most, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        if solref[0] > 0.0:
-            constant = max(solref[0], 2.0 * timestep) if safe else solref[0]
-            stiffness, damping = 1.0 / (most * constant * solref[1]) ** 2, 2.0 / (most * constant)
-        else:
-            stiffness, damping = -solref[0] / most**2, -solref[1] / most
-        least = float(np.clip(least, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        middle = float(np.clip(middle, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        shape = least, most, max(float(width), 1e-15), middle
-        return cls(float(stiffness), float(damping), shape, max(1.0, float(power)))
-
-    @property
-    def powered(self) -> tuple[float, ...]:
-        """Impedance with its power, and the factors of both pieces."""
-        _, _, _, middle = self.impedance
-        low, high = (x ** (1.0 - self.power) for x in (middle, 1.0 - middle))
-        return *self.impedance, self.power, low, high
 
 
 @dataclass(frozen=True)
@@ -240,9 +199,7 @@ class PhysicsModel:
     @cached_property
     def ties(self) -> list[Tie]:
         """Rows of constraints between known degrees of freedom, but for limits of slides and hinges."""
-        from .ties import ties
-
-        return ties(self)
+        return find_ties(self)
 
     @cached_property
     def tendon_dofs(self) -> list[tuple[int, ...]]:
@@ -516,7 +473,12 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
-    "a medium (density, viscosity or wind)": lambda p: p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind),
+    "a medium (density, viscosity) in implicit steps": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
+    ),
+    "shapes of their own in a medium": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
+    ),
     "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any() or p.mj.pair_gap.any(),
     "impedances whose power is no whole number": lambda p: any(
         not row.power.is_integer() or row.power > MOST_POWER

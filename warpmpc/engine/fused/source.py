@@ -21,7 +21,7 @@ from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
 from .tables import floats, ints
-from .ties import TieTables
+from .tie_tables import TieTables
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -102,15 +102,17 @@ class RolloutSource:
             self._native("contact"),
             *self._collision_sources(),
             self._native("ties").replace("BIND", dynamics.bind),
+            self._native("medium"),
             self._native("solve").replace("BLOCKS", self._blocks()),
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        own = *ties.tables(), *dynamics.drive.tables()
+        own = *ties.tables(), *dynamics.drive.tables(), *dynamics.medium.tables()
         tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= dynamics.medium.sizes
         defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))

@@ -130,7 +130,7 @@ class Tree:
         speed = self._sum(linear, lines.cross(angular, arm))
         freely = self._sum(falling, self.gravity)
         at_origin = self._sum(freely, lines.cross(turning, arm), lines.cross(angular, speed))
-        marks.write(lines, b, position, columns, (angular, turning, at_origin))
+        marks.write(lines, b, position, columns, (angular, turning, speed, at_origin))
 
     def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""

@@ -48,7 +48,9 @@ FN void integrate(World& w, I alone) {
 #if COOPERATE
     EACH(i, NH) w.h[i] = w.mm[i];
     SYNC
+#if SPREAD
     EACH(k, SPREAD) w.h[spread_place[k]] += w.spread[k];
+#endif
     EACH(i, NV) w.h[i * (i + 1) / 2 + i] += w.damp[i];
     SYNC
     solve_lanes(w.h, w.fs, w.search, 1.0f);
@@ -88,6 +90,9 @@ FN void step(World& w) {
 #endif
     drive(w);
     SYNC
+#if WET
+    resist(w);
+#endif
     collide(w);
     limit(w);
 #if TIES
