@@ -274,7 +274,7 @@ LACKS = {
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
     "noslip iterations": {"option": 'noslip_iterations="3"'},
     "a solver other than Newton": {"option": 'solver="CG"'},
-    "disabled or enabled parts of the physics (option flags)": {"flag": 'spring="disable"'},
+    "disabled or enabled parts of the physics (option flags)": {"flag": 'actuation="disable"'},
     "more than 64 degrees of freedom": {
         "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(11))
     },

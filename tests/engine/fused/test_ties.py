@@ -108,3 +108,26 @@ def test_worlds_of_their_own_masses_are_softened_as_mujoco_does():
     states = visit(models, q, v, controls(nominal, 60, 6), every=3)
     found = step_differences(nominal, states, arrays=arrays)
     assert found.v.max(axis=1)[states.edge < 1e-4].max() <= 1e-4, found
+
+
+FLAGS = (
+    ("tendons", "Euler", ("EULERDAMP",)),
+    ("tendons", "implicitfast", ("DAMPER",)),
+    ("tendons", "implicitfast", ("SPRING", "LIMIT", "FRICTIONLOSS", "EQUALITY", "CLAMPCTRL")),
+    ("swimmers", "Euler", ("SPRING", "DAMPER")),
+    ("equalities", "implicitfast", ("CONSTRAINT", "GRAVITY")),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator", "parts"),
+    [FLAGS[0], *(pytest.param(*flags, marks=pytest.mark.slow) for flags in FLAGS[1:])],
+)
+def test_parts_of_the_physics_are_left_out_as_mujoco_does(name, integrator, parts):
+    model = compile_model(MODELS[name], integrator)
+    for part in parts:
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}"))
+    q, v = starts(model, 8)
+    states = visit([model], q, v, controls(model, 40, 8), every=4)
+    found = step_differences(model, states, lanes=4)
+    assert found.v.max(axis=1)[states.edge < 1e-4].max() <= 1e-4, found

@@ -25,7 +25,7 @@ class Medium:
 
     def __init__(self, model: PhysicsModel, marks: Marks):
         self.model, m = model, model.mj
-        there = bool(m.opt.density or m.opt.viscosity)
+        there = bool(m.opt.density or m.opt.viscosity) and model.passive
         self.bodies = [b for b in range(1, m.nbody) if there and model.moves(b) and m.body_mass[b] > 0.0]
         self._marks = [marks.index(b, m.body_ipos[b], rotation(m.body_iquat[b])) for b in self.bodies]
         marks.turned.update(self._marks)

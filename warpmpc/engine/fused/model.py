@@ -108,6 +108,20 @@ class PhysicsModel:
     def __init__(self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None):
         self.mj, self.columns = model, Columns(arrays or {})
 
+    def off(self, part: str) -> bool:
+        """Whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
+        return bool(self.mj.opt.disableflags & flag)
+
+    @property
+    def passive(self) -> bool:
+        """Whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
+        return not (self.off("SPRING") and self.off("DAMPER"))
+
+    def lift(self, body: int) -> float:
+        """Share of a body's weight that is compensated."""
+        return float(self.mj.body_gravcomp[body]) if self.passive else 0.0
+
     def array(self, name: str) -> np.ndarray:
         """An array of the model with a first axis for worlds, of length 1 where all are alike."""
         found = self.columns.arrays.get(name)
@@ -183,6 +197,8 @@ class PhysicsModel:
     @cached_property
     def limited(self) -> list[int]:
         """Slides and hinges with a limit."""
+        if self.off("LIMIT") or self.off("CONSTRAINT"):
+            return []
         scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
         return [int(j) for j in np.flatnonzero((self.mj.jnt_limited != 0) & scalar)]
 
@@ -194,6 +210,8 @@ class PhysicsModel:
     @cached_property
     def dry(self) -> list[int]:
         """Degrees of freedom with friction of their own."""
+        if self.off("FRICTIONLOSS") or self.off("CONSTRAINT"):
+            return []
         return [int(i) for i in np.flatnonzero(self.mj.dof_frictionloss > 0.0)]
 
     @cached_property
@@ -397,6 +415,15 @@ _DISABLED = (
     | mujoco.mjtDisableBit.mjDSBL_MULTICCD
     | mujoco.mjtDisableBit.mjDSBL_SENSOR
     | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    | mujoco.mjtDisableBit.mjDSBL_SPRING
+    | mujoco.mjtDisableBit.mjDSBL_DAMPER
+    | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 )
 """Flags that change nothing here, or that are heeded."""
 _INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))

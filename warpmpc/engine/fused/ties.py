@@ -52,9 +52,13 @@ class Tie:
 def find_ties(model: PhysicsModel) -> list[Tie]:
     """All ties of a model."""
     m, out = model.mj, []
-    for e in np.flatnonzero(m.eq_active0[: m.neq]):
+    if model.off("CONSTRAINT"):
+        return []
+    for e in np.flatnonzero(m.eq_active0[: m.neq]) if not model.off("EQUALITY") else ():
         out.append(_equality(model, int(e)))
-    for j in np.flatnonzero((m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)):
+    limited, rubbed = not model.off("LIMIT"), not model.off("FRICTIONLOSS")
+    balls = (m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)
+    for j in np.flatnonzero(balls) if limited else ():
         dof = int(m.jnt_dofadr[j])
         rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
         inverse = model.array("dof_invweight0")[:, dof]
@@ -62,10 +66,10 @@ def find_ties(model: PhysicsModel) -> list[Tie]:
     for t in range(m.ntendon):
         dofs, inverse = model.tendon_dofs[t], model.array("tendon_invweight0")[:, t]
         loss = float(m.tendon_frictionloss[t])
-        if loss > 0.0:
+        if loss > 0.0 and rubbed:
             rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
             out.append(Tie("friction", t, dofs, rows, (inverse,), -loss, loss))
-        if m.tendon_limited[t]:
+        if m.tendon_limited[t] and limited:
             rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
             out.append(Tie("limit", t, dofs, rows, (inverse,), high=0.0))
     return out
