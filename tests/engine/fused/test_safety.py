@@ -243,7 +243,10 @@ LACKS = {
         "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" '
         'dim="2" mass="1"/>'
     },
-    "explicit contact pairs": {"end": '<contact><pair geom1="g" geom2="tip"/></contact>'},
+    "adhesion of explicit pairs": {"end": '<contact><pair geom1="g" geom2="tip" adhesion="1"/></contact>'},
+    "friction that differs along the tangents of an explicit pair": {
+        "end": '<contact><pair geom1="g" geom2="tip" friction="1 0.5"/></contact>'
+    },
     "torsional and rolling friction (condim 4 and 6)": {"geom": 'condim="4"'},
     "gravity compensation by actuators": {"hinge": 'actuatorgravcomp="true"'},
     "activations but integrators and filters": drive('<muscle joint="h" lengthrange="0 1" ctrlrange="0 1"/>'),
@@ -264,13 +267,14 @@ LACKS = {
         "option": 'actuatorgroupdisable="1"',
         **drive('<motor joint="h" group="1"/>'),
     },
-    "a medium (density, viscosity or wind)": {"option": 'density="1.2"'},
+    "a medium (density, viscosity) in implicit steps": {"option": 'density="1.2" integrator="implicitfast"'},
+    "shapes of their own in a medium": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
     "gaps of contacts": {"geom": 'margin="0.02" gap="0.01"'},
-    "impedances of a power other than 2": {"geom": 'solimp="0.9 0.95 0.001 0.5 3"'},
+    "impedances whose power is no whole number": {"geom": 'priority="1" solimp="0.9 0.95 0.001 0.5 2.5"'},
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
     "noslip iterations": {"option": 'noslip_iterations="3"'},
     "a solver other than Newton": {"option": 'solver="CG"'},
-    "disabled or enabled parts of the physics (option flags)": {"flag": 'spring="disable"'},
+    "disabled or enabled parts of the physics (option flags)": {"flag": 'actuation="disable"'},
     "more than 64 degrees of freedom": {
         "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(11))
     },

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction of joints, equalities, tendons, activations and thrusters of the engine `fused` against MuJoCo C."""
+"""Friction of joints, equalities, tendons, activations, thrusters, explicit pairs and media against MuJoCo C."""
 
 import functools
 
@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
-from fused_tie_models import EQUALITIES, TENDONS
+from fused_tie_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from warp_lanes import COMPILER, LaneRollout
 
 from warpmpc.engine.fused.model import PhysicsModel, missing
 from warpmpc.engine.fused.plain import PlainRollout
 
-MODELS = {"equalities": EQUALITIES, "tendons": TENDONS}
+MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmers": SWIMMERS}
 
 
 @functools.cache
@@ -25,8 +25,14 @@ def visited(name: str, integrator: str, seed: int = 0):
     return model, visit([model], q, v, controls(model, 90, 16, seed=seed), every=3)
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("integrator", ["implicitfast", pytest.param("Euler", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "integrator"),
+    [
+        *((name, "implicitfast") for name in MODELS if name != "swimmers"),
+        ("swimmers", "Euler"),
+        *(pytest.param(name, "Euler", marks=pytest.mark.slow) for name in MODELS if name != "swimmers"),
+    ],
+)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_single_steps_are_those_of_mujoco(name, integrator, seed):
     """Activations too: `step_differences` compares them."""
@@ -50,7 +56,7 @@ def test_every_kind_of_row_is_there_and_none_is_refused():
 
 @pytest.mark.parametrize("name", MODELS)
 def test_neighbours_do_not_change_a_bit(name):
-    model, states = visited(name, "implicitfast")
+    model, states = visited(name, "Euler" if name == "swimmers" else "implicitfast")
     few, rng = 8, np.random.default_rng(0)
     chosen, others = np.arange(few), rng.permutation(len(states.q))[: 3 * few]
     order = rng.permutation(4 * few)
@@ -70,7 +76,7 @@ def _starts(states, rows):
 @pytest.mark.skipif(COMPILER is None, reason="needs g++")
 @pytest.mark.parametrize("name", MODELS)
 def test_lanes_of_a_warp_do_the_same(name, tmp_path_factory):
-    model, states = visited(name, "implicitfast")
+    model, states = visited(name, "Euler" if name == "swimmers" else "implicitfast")
     rows = np.arange(4)
     expected = [x.copy() for x in PlainRollout(model, 4, 3)(*_starts(states, rows))]
     lanes = LaneRollout(model, 4, 3, folder=tmp_path_factory.getbasetemp())
@@ -101,4 +107,27 @@ def test_worlds_of_their_own_masses_are_softened_as_mujoco_does():
     q, v = starts(nominal, 6)
     states = visit(models, q, v, controls(nominal, 60, 6), every=3)
     found = step_differences(nominal, states, arrays=arrays)
+    assert found.v.max(axis=1)[states.edge < 1e-4].max() <= 1e-4, found
+
+
+FLAGS = (
+    ("tendons", "Euler", ("EULERDAMP",)),
+    ("tendons", "implicitfast", ("DAMPER",)),
+    ("tendons", "implicitfast", ("SPRING", "LIMIT", "FRICTIONLOSS", "EQUALITY", "CLAMPCTRL")),
+    ("swimmers", "Euler", ("SPRING", "DAMPER")),
+    ("equalities", "implicitfast", ("CONSTRAINT", "GRAVITY")),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator", "parts"),
+    [FLAGS[0], *(pytest.param(*flags, marks=pytest.mark.slow) for flags in FLAGS[1:])],
+)
+def test_parts_of_the_physics_are_left_out_as_mujoco_does(name, integrator, parts):
+    model = compile_model(MODELS[name], integrator)
+    for part in parts:
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}"))
+    q, v = starts(model, 8)
+    states = visit([model], q, v, controls(model, 40, 8), every=4)
+    found = step_differences(model, states, lanes=4)
     assert found.v.max(axis=1)[states.edge < 1e-4].max() <= 1e-4, found

@@ -52,12 +52,8 @@ class Drive:
         """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
 
     def spreads(self, first: int) -> dict[tuple[int, int], int]:
-        """Numbers of the entries among six degrees of freedom from the first on; there are none before all is written."""
-        return {
-            (i - first, j - first): n
-            for n, (i, j) in enumerate(self._spread)
-            if first <= j and i < first + 6
-        }
+        """Numbers of the entries among six degrees of freedom from the first on, once all is written."""
+        return {(i - first, j - first): n for n, (i, j) in enumerate(self._spread) if first <= j and i < first + 6}
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -87,9 +83,10 @@ class Drive:
             if self._force[i] and m.jnt_actfrclimited[joint]:
                 driven = clamp(lines, driven, m.jnt_actfrcrange[joint])
             terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
-            damping = float(m.dof_damping[i])
+            damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[i])
             if damping:
                 terms.append((-damping, f"w.v[{i}]"))
+            if damping and (self._implicit or not self.model.off("EULERDAMP")):
                 self._damped[i].append(damping)
             lines.add(f"w.fs[{i}] = {text(lines.sum(*terms, *pulls[i]))};")
             rate = lines.sum(*self._damped[i])
@@ -106,9 +103,9 @@ class Drive:
             force, arms = self.tendons.force(lines, t), self.tendons.arms(t)
             for dof, arm in arms if force != 0.0 else ():
                 out[dof].append((force, arm))
-            if self._implicit and m.tendon_damping[t]:
+            if self._implicit and m.tendon_damping[t] and not self.model.off("DAMPER"):
                 self._resist(lines, -float(m.tendon_damping[t]), arms)
-        for j in np.flatnonzero(np.ravel(m.jnt_stiffness)):
+        for j in np.flatnonzero(np.ravel(m.jnt_stiffness)) if not self.model.off("SPRING") else ():
             stiffness, q, dof = float(np.ravel(m.jnt_stiffness)[j]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
             kind = int(m.jnt_type[j])
             if kind == FREE:
@@ -129,7 +126,9 @@ class Drive:
             for j, b in arms:
                 if j == i:
                     square = a * a if isinstance(a, float) else lines.sum((a, a))
-                    self._damped[i].append((rate, -square) if isinstance(square, float) else self._less(lines, rate, square))
+                    self._damped[i].append(
+                        (rate, -square) if isinstance(square, float) else self._less(lines, rate, square)
+                    )
                 elif j in self.model.ancestors[i]:
                     both = lines.sum((a, b))
                     self._spread.setdefault((i, j), []).append(self._less(lines, rate, both))
@@ -174,7 +173,7 @@ class Drive:
         m = self.mj
         gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
         control: Operand = f"w.ctrl[{a}]"
-        if m.actuator_ctrllimited[a]:
+        if m.actuator_ctrllimited[a] and not self.model.off("CLAMPCTRL"):
             control = clamp(lines, control, m.actuator_ctrlrange[a])
         if m.actuator_actnum[a]:
             control = self._activation(lines, a, control)

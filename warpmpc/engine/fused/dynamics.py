@@ -8,6 +8,7 @@ import numpy as np
 from ...bake.lines import Lines, Matrix, Vector, function, known, text
 from .drive import Drive
 from .marks import Marks
+from .medium import Medium
 from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, MESH, PhysicsModel, rotation
 from .spin import write_spin
 from .tendons import Tendons
@@ -16,7 +17,7 @@ from .tree import IDENTITY, NOTHING, Tree
 
 
 class Dynamics:
-    """Writes ``place`` (once per rollout), ``stretch`` and ``drive`` (before every step), ``spin`` and ``move`` (after it).
+    """Writes ``place`` (once per rollout), ``stretch`` and ``drive`` (before a step), ``spin`` and ``move`` (after it).
 
     Args:
         model: The model.
@@ -37,6 +38,7 @@ class Dynamics:
     def write(self) -> str:
         """Source of the functions."""
         forces = self.tendons.write(), self.drive.write(), write_spin(self.model, self.drive)  # these ask for marks
+        self.medium = Medium(self.model, self.marks)
         self.bind = TieRows(self.model, self.marks, self.tendons).write()
         return "\n".join((*forces, self._place(), self._move()))
 
@@ -74,9 +76,7 @@ class Dynamics:
         roots = [b for b in range(1, m.nbody) if self.model.moves(b) and not self.model.moves(int(m.body_parentid[b]))]
         for root in roots:
             Tree(self, lines, root).write()
-        return "\n".join(
-            ("#if !COOPERATE  // a warp has its own, native/links.h", function("move", lines), "#endif")
-        )
+        return "\n".join(("#if !COOPERATE  // a warp has its own, native/links.h", function("move", lines), "#endif"))
 
     def columns(self, lines: Lines, q: list[str]) -> Matrix:
         """Columns of the matrix of a unit quaternion (w, x, y, z)."""

@@ -80,7 +80,7 @@ class Links:
             *self._lists("before", [self._before(i) for i in range(m.nv)]),
             *self._lists("chain", [sorted(model.body_dofs[b]) for b in self.bodies]),
             *self._axes(),
-            floats("moving_lift", [m.body_gravcomp[b] for b in self.bodies]),
+            floats("moving_lift", [model.lift(b) for b in self.bodies]),
             floats("moving_mass", self._mass),
             ints("moving_mass_at", self._mass_at),
             floats("gravity", np.zeros(3) if off else m.opt.gravity),

@@ -121,9 +121,12 @@ class Marks:
             if motion is not None and n in self.pushed:
                 self._move(lines, n, lines.difference(at, position), *motion)
 
-    def _move(self, lines: Lines, n: int, arm: Vector, spin: Vector, turning: Vector, falling: Vector) -> None:
-        swept = lines.cross(spin, lines.cross(spin, arm))
-        rows = (("spin", spin), ("turning", turning))
+    def _move(
+        self, lines: Lines, n: int, arm: Vector, spin: Vector, turning: Vector, speed: Vector, falling: Vector
+    ) -> None:
+        carried = lines.cross(spin, arm)
+        swept, fast = lines.cross(spin, carried), [lines.sum(*parts) for parts in zip(speed, carried, strict=True)]
+        rows = (("spin", spin), ("turning", turning), ("speed", fast))
         falls = [lines.sum(*parts) for parts in zip(falling, lines.cross(turning, arm), swept, strict=True)]
         for name, values in (*rows, ("falling", falls)):
             for k in range(3):

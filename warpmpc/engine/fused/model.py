@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from ...bake.lines import Operand
 from ...model.collisions import colliding_pairs
+from .rows import Rows
 from .tendons import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, fixed, tendon_armatures, tendon_dofs
+from .ties import Tie, find_ties
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from .ties import Tie
+    from collections.abc import Callable, Mapping, Sequence
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
@@ -37,8 +37,8 @@ FREE, BALL, SLIDE, HINGE = (
 )
 LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
-LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
-"""Bounds of an impedance (MuJoCo, "Solver parameters")."""
+MOST_POWER = 16
+"""Of an impedance."""
 _UNBOUNDED = 1e30
 
 
@@ -78,35 +78,6 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Soft constraint parameters of one limit or pair (MuJoCo, "Solver parameters")."""
-
-    stiffness: float
-    damping: float
-    impedance: tuple[float, float, float, float]
-    """Least, most, width and midpoint; the power is 2."""
-
-    @property
-    def slipping(self) -> Rows:
-        """The same for friction, which has no place to come back to."""
-        return replace(self, stiffness=0.0)
-
-    @classmethod
-    def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
-        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``)."""
-        least, most, width, middle, _ = solimp
-        most = float(np.clip(most, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        if solref[0] > 0.0:
-            constant = max(solref[0], 2.0 * timestep) if safe else solref[0]
-            stiffness, damping = 1.0 / (most * constant * solref[1]) ** 2, 2.0 / (most * constant)
-        else:
-            stiffness, damping = -solref[0] / most**2, -solref[1] / most
-        least = float(np.clip(least, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        middle = float(np.clip(middle, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        return cls(float(stiffness), float(damping), (least, most, max(float(width), 1e-15), middle))
-
-
-@dataclass(frozen=True)
 class PairRow:
     """Two geoms that may touch."""
 
@@ -136,6 +107,20 @@ class PhysicsModel:
 
     def __init__(self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None):
         self.mj, self.columns = model, Columns(arrays or {})
+
+    def off(self, part: str) -> bool:
+        """Whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
+        return bool(self.mj.opt.disableflags & flag)
+
+    @property
+    def passive(self) -> bool:
+        """Whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
+        return not (self.off("SPRING") and self.off("DAMPER"))
+
+    def lift(self, body: int) -> float:
+        """Share of a body's weight that is compensated."""
+        return float(self.mj.body_gravcomp[body]) if self.passive else 0.0
 
     def array(self, name: str) -> np.ndarray:
         """An array of the model with a first axis for worlds, of length 1 where all are alike."""
@@ -212,20 +197,27 @@ class PhysicsModel:
     @cached_property
     def limited(self) -> list[int]:
         """Slides and hinges with a limit."""
+        if self.off("LIMIT") or self.off("CONSTRAINT"):
+            return []
         scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
         return [int(j) for j in np.flatnonzero((self.mj.jnt_limited != 0) & scalar)]
 
     @cached_property
+    def limits(self) -> list[Rows]:
+        """Parameters of these limits."""
+        return [self.rows(self.mj.jnt_solref[j], self.mj.jnt_solimp[j]) for j in self.limited]
+
+    @cached_property
     def dry(self) -> list[int]:
         """Degrees of freedom with friction of their own."""
+        if self.off("FRICTIONLOSS") or self.off("CONSTRAINT"):
+            return []
         return [int(i) for i in np.flatnonzero(self.mj.dof_frictionloss > 0.0)]
 
     @cached_property
     def ties(self) -> list[Tie]:
         """Rows of constraints between known degrees of freedom, but for limits of slides and hinges."""
-        from .ties import ties
-
-        return ties(self)
+        return find_ties(self)
 
     @cached_property
     def tendon_dofs(self) -> list[tuple[int, ...]]:
@@ -249,6 +241,16 @@ class PhysicsModel:
         safe = not option.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
         return Rows.of(solref, solimp, float(option.timestep), safe=bool(safe))
 
+    def impedances(self, rows: Sequence[Rows]) -> list[tuple[float, ...]]:
+        """What the source needs of impedances: powers only where one is not 2."""
+        return [row.powered if self.powers else row.impedance for row in rows]
+
+    @cached_property
+    def powers(self) -> bool:
+        """Whether any impedance has a power other than 2."""
+        rows = [*self.limits, *(pair.rows for pair in self.pairs), *(tie.rows for tie in self.ties)]
+        return any(row.power != 2.0 for row in rows)
+
     @cached_property
     def pairs(self) -> list[PairRow]:
         """All pairs of geoms that may touch, by their kinds."""
@@ -256,10 +258,12 @@ class PhysicsModel:
         if m.opt.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
             return []
         out = []
-        for a, b in np.argwhere(np.triu(colliding_pairs(m), 1)):
+        told = {tuple(sorted((int(m.pair_geom1[p]), int(m.pair_geom2[p])))): p for p in range(m.npair)}
+        met = {(int(a), int(b)) for a, b in np.argwhere(np.triu(colliding_pairs(m), 1))}
+        for a, b in sorted(met | set(told)):
             first, second = (a, b) if m.geom_type[a] <= m.geom_type[b] else (b, a)
             if self.moves(int(m.geom_bodyid[a])) or self.moves(int(m.geom_bodyid[b])):
-                out.append(self._pair(int(first), int(second)))
+                out.append(self._pair(first, second, told.get((a, b))))
         return sorted(out, key=lambda pair: tuple(int(m.geom_type[g]) for g in pair.geoms))
 
     @cached_property
@@ -299,10 +303,18 @@ class PhysicsModel:
         sizes = [np.size(values) for values in self._given.values()]
         return dict(zip(self._given, np.cumsum([0, *sizes]).tolist(), strict=False))
 
-    def _pair(self, a: int, b: int) -> PairRow:
-        """Mixed parameters of two geoms (MuJoCo, "Contact parameters")."""
+    def _pair(self, a: int, b: int, told: int | None) -> PairRow:
+        """Parameters of two geoms: those of an explicit pair, or mixed ones (MuJoCo, "Contact parameters")."""
         m, friction = self.mj, self.array("geom_friction")
-        if m.geom_priority[a] != m.geom_priority[b]:
+        margin = float(m.geom_margin[a] + m.geom_margin[b]) if told is None else float(m.pair_margin[told])
+        if told is not None:
+            condim, solref, solimp, mu = (
+                m.pair_dim[told],
+                m.pair_solref[told],
+                m.pair_solimp[told],
+                m.pair_friction[told, :1],
+            )
+        elif m.geom_priority[a] != m.geom_priority[b]:
             g = a if m.geom_priority[a] > m.geom_priority[b] else b
             condim, solref, solimp, mu = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g], friction[:, g, 0]
         else:
@@ -325,7 +337,6 @@ class PhysicsModel:
         chains = self.body_dofs[bodies[0]], self.body_dofs[bodies[1]]
         dofs = tuple(sorted(chains[0] ^ chains[1]))
         signs = tuple(1.0 if dof in chains[1] else -1.0 for dof in dofs)
-        margin = float(m.geom_margin[a] + m.geom_margin[b])
         return PairRow((a, b), self.rows(solref, solimp), margin, slides, mu, inverse, dofs, signs)
 
 
@@ -404,6 +415,15 @@ _DISABLED = (
     | mujoco.mjtDisableBit.mjDSBL_MULTICCD
     | mujoco.mjtDisableBit.mjDSBL_SENSOR
     | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    | mujoco.mjtDisableBit.mjDSBL_SPRING
+    | mujoco.mjtDisableBit.mjDSBL_DAMPER
+    | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 )
 """Flags that change nothing here, or that are heeded."""
 _INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -453,7 +473,11 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     ),
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
-    "explicit contact pairs": lambda p: p.mj.npair,
+    "adhesion of explicit pairs": lambda p: p.mj.pair_adhesion.any(),
+    "friction that differs along the tangents of an explicit pair": lambda p: (
+        (p.mj.pair_friction[:, 0] != p.mj.pair_friction[:, 1])[p.mj.pair_dim > 1].any()
+        or (p.mj.opt.cone and p.mj.pair_solreffriction.any())
+    ),
     "torsional and rolling friction (condim 4 and 6)": lambda p: (p.mj.geom_condim[_contacts(p)] > 3).any(),
     "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
         np.isin(p.mj.jnt_type, (FREE, BALL))
@@ -476,12 +500,16 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
-    "a medium (density, viscosity or wind)": lambda p: p.mj.opt.density or p.mj.opt.viscosity or np.any(p.mj.opt.wind),
-    "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any(),
-    "impedances of a power other than 2": lambda p: (
-        (p.mj.geom_solimp[_contacts(p), 4] != 2.0).any() or (p.mj.jnt_solimp[p.mj.jnt_limited != 0, 4] != 2.0).any()
-        or any(p.mj.eq_solimp[p.mj.eq_active0 != 0, 4] != 2.0)
-        or any(p.mj.tendon_solimp_lim[p.mj.tendon_limited != 0, 4] != 2.0)
+    "a medium (density, viscosity) in implicit steps": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
+    ),
+    "shapes of their own in a medium": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
+    ),
+    "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any() or p.mj.pair_gap.any(),
+    "impedances whose power is no whole number": lambda p: any(
+        not row.power.is_integer() or row.power > MOST_POWER
+        for row in (*(pair.rows for pair in p.pairs), *(tie.rows for tie in p.ties), *p.limits)
     ),
     "damping and stiffness that depend on speed and angle": lambda p: (
         p.mj.dof_dampingpoly.any()

@@ -21,7 +21,7 @@ from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
 from .tables import floats, ints
-from .ties import TieTables
+from .tie_tables import TieTables
 from .tree import packed
 
 if TYPE_CHECKING:
@@ -102,15 +102,17 @@ class RolloutSource:
             self._native("contact"),
             *self._collision_sources(),
             self._native("ties").replace("BIND", dynamics.bind),
+            self._native("medium"),
             self._native("solve").replace("BLOCKS", self._blocks()),
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
         body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
-        own = *ties.tables(), *dynamics.drive.tables()
+        own = *ties.tables(), *dynamics.drive.tables(), *dynamics.medium.tables()
         tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= dynamics.medium.sizes
         defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
@@ -176,6 +178,7 @@ class RolloutSource:
             "PAIRS": len(model.pairs),
             "ROWS": 3 if any(pair.slides for pair in model.pairs) else 1,
             "NNZ": longest,
+            "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
             "FREE_JOINT": kinds.FREE,
             "BALL_JOINT": kinds.BALL,
@@ -208,7 +211,7 @@ class RolloutSource:
             signs[n, [chain.index(dof) for dof in pair.dofs]] = pair.signs
         limited = model.limited
         limit_dofs = [int(m.jnt_dofadr[j]) for j in limited]
-        limits = [model.rows(m.jnt_solref[j], m.jnt_solimp[j]) for j in limited]
+        limits = model.limits
         inverse = model.array("dof_invweight0")
         sizes = model.array("geom_size")
         size_at = [index(sizes[:, g, k]) for g in range(m.ngeom) for k in range(3)]
@@ -222,7 +225,7 @@ class RolloutSource:
             ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
             floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
             floats("pair_damping", [pair.rows.damping for pair in pairs]),
-            floats("pair_impedance", [pair.rows.impedance for pair in pairs]),
+            floats("pair_impedance", model.impedances([pair.rows for pair in pairs])),
             ints("group_count", [len(chain) for _, chain in self._groups]),
             ints("group_slides", [slides for slides, _ in self._groups]),
             ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
@@ -234,7 +237,7 @@ class RolloutSource:
             floats("limit_margin", m.jnt_margin[limited]),
             floats("limit_stiffness", [rows.stiffness for rows in limits]),
             floats("limit_damping", [rows.damping for rows in limits]),
-            floats("limit_impedance", [rows.impedance for rows in limits]),
+            floats("limit_impedance", model.impedances(limits)),
             ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
             ints("geom_size_at", size_at),
             ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),

@@ -95,7 +95,8 @@ class Spin:
 
     def _alone(self) -> None:
         m, lines, first = self.model.mj, self.lines, self.first
-        extra = float(m.dof_armature[first]) + float(m.opt.timestep) * float(m.dof_damping[first])  # on the diagonal
+        damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[first])
+        extra = float(m.dof_armature[first]) + float(m.opt.timestep) * damping  # on the diagonal
         heavy = lines.sum(self._mass, extra)
         over = lines.let(f"1.0f / {text(heavy)}")
         # forces in the body's frame; r is the centre times the mass

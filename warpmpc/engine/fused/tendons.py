@@ -68,7 +68,8 @@ class Tendons:
     def force(self, lines: Lines, tendon: int) -> Operand:
         """Force of a tendon's spring and damper [N]."""
         m, terms = self.mj, []
-        stiffness, damping = float(m.tendon_stiffness[tendon]), float(m.tendon_damping[tendon])
+        stiffness = 0.0 if self.model.off("SPRING") else float(m.tendon_stiffness[tendon])
+        damping = 0.0 if self.model.off("DAMPER") else float(m.tendon_damping[tendon])
         if stiffness:
             low, high = (float(x) for x in m.tendon_lengthspring[tendon])
             length = f"w.tendon_length[{tendon}]"

@@ -97,9 +97,7 @@ class TieRows:
         """The same for lengths of tendons."""
         m = self.mj
         pair = [int(t) for t in (m.eq_obj1id[tie.index], m.eq_obj2id[tie.index])]
-        moved = [
-            self._lines.sum(f"w.tendon_length[{t}]", -float(m.tendon_length0[t])) if t >= 0 else 0.0 for t in pair
-        ]
+        moved = [self._lines.sum(f"w.tendon_length[{t}]", -float(m.tendon_length0[t])) if t >= 0 else 0.0 for t in pair]
         self._coupled(tie, moved, [dict(self.tendons.arms(t)) if t >= 0 else {} for t in pair])
 
     def _coupled(self, tie: Tie, moved: list[Operand], arms: list[dict[int, Operand]]) -> None:
@@ -133,7 +131,9 @@ class TieRows:
         curving = lines.difference(marks.falling(pair[0]), marks.falling(pair[1]))
         jacobian: dict[int, Vector] = {}
         for dof in tie.dofs:
-            levers = [marks.lever(lines, n, dof) if dof in chain else [0.0] * 3 for n, chain in zip(pair, chains)]
+            levers = [
+                marks.lever(lines, n, dof) if dof in chain else [0.0] * 3 for n, chain in zip(pair, chains, strict=True)
+            ]
             jacobian[dof] = lines.difference(*levers)
         squares = lines.dot(apart, apart)
         bent = None

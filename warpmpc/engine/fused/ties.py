@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .model import BALL, Rows
-from .tables import floats, ints
-from .tree import packed
+from .rows import Rows
 
 if TYPE_CHECKING:
     from .model import PhysicsModel
@@ -51,12 +49,16 @@ class Tie:
     """The largest."""
 
 
-def ties(model: PhysicsModel) -> list[Tie]:
+def find_ties(model: PhysicsModel) -> list[Tie]:
     """All ties of a model."""
     m, out = model.mj, []
-    for e in np.flatnonzero(m.eq_active0[: m.neq]):
+    if model.off("CONSTRAINT"):
+        return []
+    for e in np.flatnonzero(m.eq_active0[: m.neq]) if not model.off("EQUALITY") else ():
         out.append(_equality(model, int(e)))
-    for j in np.flatnonzero((m.jnt_type == BALL) & (m.jnt_limited != 0)):
+    limited, rubbed = not model.off("LIMIT"), not model.off("FRICTIONLOSS")
+    balls = (m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)
+    for j in np.flatnonzero(balls) if limited else ():
         dof = int(m.jnt_dofadr[j])
         rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
         inverse = model.array("dof_invweight0")[:, dof]
@@ -64,10 +66,10 @@ def ties(model: PhysicsModel) -> list[Tie]:
     for t in range(m.ntendon):
         dofs, inverse = model.tendon_dofs[t], model.array("tendon_invweight0")[:, t]
         loss = float(m.tendon_frictionloss[t])
-        if loss > 0.0:
+        if loss > 0.0 and rubbed:
             rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
             out.append(Tie("friction", t, dofs, rows, (inverse,), -loss, loss))
-        if m.tendon_limited[t]:
+        if m.tendon_limited[t] and limited:
             rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
             out.append(Tie("limit", t, dofs, rows, (inverse,), high=0.0))
     return out
@@ -98,58 +100,3 @@ def _equality(model: PhysicsModel, e: int) -> Tie:
     dofs = tuple(sorted(model.body_dofs[bodies[0]] | model.body_dofs[bodies[1]]))
     moved, turned = (weights[:, bodies[0], k] + weights[:, bodies[1], k] for k in (0, 1))
     return Tie("equality", e, dofs, rows, (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3)
-
-
-class TieTables:
-    """Sizes and tables of the rows.
-
-    Args:
-        model: The model.
-    """
-
-    def __init__(self, model: PhysicsModel):
-        self.model = model
-        self.rows = [(tie, inverse) for tie in model.ties for inverse in tie.inverse]
-        """Of all ties, one after the other."""
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Macros of the source."""
-        longest = max([1, *(len(tie.dofs) for tie in self.model.ties)])
-        return {"TIES": len(self.rows), "TIE_DOFS": longest, "DRY": len(self.model.dry)}
-
-    def tables(self) -> list[str]:
-        """Definitions of the tables."""
-        out = []
-        if self.rows:
-            longest, above, index = self.sizes["TIE_DOFS"], self.model.ancestors, self.model.columns.index
-            dofs, entries = np.zeros((len(self.rows), longest), int), np.zeros((len(self.rows), packed(longest, 0)), int)
-            for k, (tie, _) in enumerate(self.rows):
-                dofs[k, : len(tie.dofs)] = tie.dofs
-                for a, i in enumerate(tie.dofs):
-                    for b, j in enumerate(tie.dofs[: a + 1]):
-                        entries[k, packed(a, b)] = packed(max(i, j), min(i, j))
-            couples = [any(j not in above[i] for i in tie.dofs for j in tie.dofs if j < i) for tie, _ in self.rows]
-            out += [
-                ints("tie_count", [len(tie.dofs) for tie, _ in self.rows]),
-                ints("tie_dof", dofs),
-                ints("tie_entry", entries, "short"),
-                ints("tie_couples", couples),
-                ints("tie_inverse_at", [index(inverse) for _, inverse in self.rows]),
-                floats("tie_stiffness", [tie.rows.stiffness for tie, _ in self.rows]),
-                floats("tie_damping", [tie.rows.damping for tie, _ in self.rows]),
-                floats("tie_impedance", [tie.rows.impedance for tie, _ in self.rows]),
-                floats("tie_low", [tie.low for tie, _ in self.rows]),
-                floats("tie_high", [tie.high for tie, _ in self.rows]),
-            ]
-        if self.model.dry:
-            m, inverse = self.model.mj, self.model.array("dof_invweight0")
-            soft = [self.model.rows(m.dof_solref[i], m.dof_solimp[i]).slipping for i in self.model.dry]
-            out += [
-                ints("dry_dof", self.model.dry),
-                floats("dry_force", m.dof_frictionloss[self.model.dry]),
-                floats("dry_damping", [rows.damping for rows in soft]),
-                floats("dry_impedance", [rows.impedance[0] for rows in soft]),
-                ints("dry_inverse_at", [self.model.columns.index(inverse[:, i]) for i in self.model.dry]),
-            ]
-        return out

@@ -96,7 +96,7 @@ class Tree:
             self.dynamics.keep(lines, b, position, columns, (angular, at_origin))
         self._mark(b, position, columns, motion)
         inertia = self._inertia(b, position, columns)
-        share = float(m.body_gravcomp[b])
+        share = self.model.lift(b)
         felt = [self.lines.sum(x, share * g) for x, g in zip(falling, self.gravity, strict=True)] if share else falling
         moment, mass = inertia[6:9], inertia[9]
         spin = self._sum(self._times(inertia, angular), lines.cross(moment, linear))
@@ -130,7 +130,7 @@ class Tree:
         speed = self._sum(linear, lines.cross(angular, arm))
         freely = self._sum(falling, self.gravity)
         at_origin = self._sum(freely, lines.cross(turning, arm), lines.cross(angular, speed))
-        marks.write(lines, b, position, columns, (angular, turning, at_origin))
+        marks.write(lines, b, position, columns, (angular, turning, speed, at_origin))
 
     def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""

@@ -8,9 +8,14 @@ INLINE V3 tangent(V3 n) {
     const V3 t = along - n * dot(n, along);
     return t * (1.0f / VSQRT(dot(t, t)));
 }
-// Impedance at a distance: least, most, width, midpoint; power 2
+// Impedance at a distance: least, most, width, midpoint; power 2, or power and the factors of both pieces
 INLINE T impedance(const float* p, T distance) {
     const T x = VMIN(VABS(distance) * (1.0f / p[2]), splat(1.0f));
+#if SOFT == 7
+    T rise = x, fall = 1.0f - x;
+    for (int k = 1; k < (int)p[4]; ++k) rise *= x, fall *= 1.0f - x;
+    return p[0] + (x > p[3] ? 1.0f - p[6] * fall : p[5] * rise) * (p[1] - p[0]);
+#endif
     const T o = 1.0f - x, low = x * x * (1.0f / p[3]), high = 1.0f - o * o * (1.0f / (1.0f - p[3]));
     return p[0] + (x > p[3] ? high : low) * (p[1] - p[0]);
 }
@@ -39,7 +44,7 @@ INLINE void entry(const World& w, int pair, int g, int k, V3 p, V3 n, V3 t, T* r
 // What a contact of some lanes costs and refers to, from the velocities along its rows
 INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T* v) {
     const T beyond = distance - pair_margin[pair];
-    const T imp = impedance(pair_impedance + 4 * pair, beyond);
+    const T imp = impedance(pair_impedance + SOFT * pair, beyond);
     const float k = pair_stiffness[pair], damping = pair_damping[pair];
     c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
     c.mu = lanes ? pair_friction(w, pair) : c.mu;
@@ -202,7 +207,7 @@ FN void limit(World& w) {
         const I m = distance < limit_margin[k];
         if (!COOPERATE && !VANY(m)) continue;
         const T side = m ? (high < low ? splat(-1.0f) : splat(1.0f)) : zero(), beyond = distance - limit_margin[k];
-        const T imp = impedance(limit_impedance + 4 * k, beyond);
+        const T imp = impedance(limit_impedance + SOFT * k, beyond);
         const int at = limit_inverse_at[k], n = COOPERATE ? k : w.limits++;
         const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_LIMIT_INVERSE + k]);
         w.ldof[n] = i;

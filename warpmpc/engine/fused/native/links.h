@@ -153,6 +153,7 @@ FN void move(World& w) {
         store(at, w.mark_at[k]);
         store(m.angular, w.mark_spin[k]);
         store(m.turning, w.mark_turning[k]);
+        store(m.linear + cross(m.angular, arm), w.mark_speed[k]);
         store(m.falling + vector(gravity) + cross(m.turning, arm) + cross(m.angular, m.linear + cross(m.angular, arm)),
               w.mark_falling[k]);
         f.turn(moving_mark_turn + 9 * n);

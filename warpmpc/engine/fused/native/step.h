@@ -90,6 +90,9 @@ FN void step(World& w) {
 #endif
     drive(w);
     SYNC
+#if WET
+    resist(w);
+#endif
     collide(w);
     limit(w);
 #if TIES

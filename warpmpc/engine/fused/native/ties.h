@@ -7,7 +7,7 @@
 // joint accelerates
 #if TIES
 INLINE void tie(World& w, int k, T distance, T measure, T rate, T curving, I on) {
-    const T imp = impedance(tie_impedance + 4 * k, measure);
+    const T imp = impedance(tie_impedance + SOFT * k, measure);
     const int at = tie_inverse_at[k];
     const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_TIE_INVERSE + k]);
     w.tie_weight[k] = on ? row_weight(inverse, imp) : zero();

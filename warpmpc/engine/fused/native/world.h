@@ -66,7 +66,11 @@ struct World {
 #endif
 #if MARKS
     T mark_at[MARKS][3], mark_turn[MARKS][9];  // points and frames on bodies
-    T mark_spin[MARKS][3], mark_turning[MARKS][3], mark_falling[MARKS][3];  // motion, while no joint accelerates
+    T mark_spin[MARKS][3], mark_turning[MARKS][3], mark_speed[MARKS][3];
+    T mark_falling[MARKS][3];    // as mark_turning, acceleration while no joint accelerates
+#endif
+#if WET
+    V3 wet_force[WET], wet_torque[WET];  // of the medium on bodies
 #endif
 #if ACTS
     T act[ACTS], act_next[ACTS];  // activations of actuators, and those after the step

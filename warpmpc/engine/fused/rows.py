@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How soft a row of constraint is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
+"""Bounds of an impedance (MuJoCo, "Solver parameters")."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Soft constraint parameters of one limit or pair (MuJoCo, "Solver parameters")."""
+
+    stiffness: float
+    damping: float
+    impedance: tuple[float, float, float, float]
+    """Least, most, width and midpoint."""
+    power: float = 2.0
+    """Of the distance over the width, on both sides of the midpoint."""
+
+    @property
+    def slipping(self) -> Rows:
+        """The same for friction, which has no place to come back to."""
+        return replace(self, stiffness=0.0)
+
+    @classmethod
+    def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
+        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``)."""
+        least, most, width, middle, power = solimp
+        most = float(np.clip(most, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        if solref[0] > 0.0:
+            constant = max(solref[0], 2.0 * timestep) if safe else solref[0]
+            stiffness, damping = 1.0 / (most * constant * solref[1]) ** 2, 2.0 / (most * constant)
+        else:
+            stiffness, damping = -solref[0] / most**2, -solref[1] / most
+        least = float(np.clip(least, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        middle = float(np.clip(middle, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        shape = least, most, max(float(width), 1e-15), middle
+        return cls(float(stiffness), float(damping), shape, max(1.0, float(power)))
+
+    @property
+    def powered(self) -> tuple[float, ...]:
+        """Impedance with its power, and the factors of both pieces."""
+        _, _, _, middle = self.impedance
+        low, high = (x ** (1.0 - self.power) for x in (middle, 1.0 - middle))
+        return *self.impedance, self.power, low, high
