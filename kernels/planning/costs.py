@@ -85,29 +85,13 @@ def explain_cost_kernel(
     term_cost[e, i] = total
 
 
-@wp.kernel
-def risk_kernel(
-    # inputs
-    rollout_cost: wp.array[float],  # [W]
-    observed: wp.array[int],  # [E] whether there is an observation to plan from
-    domains: int,
-    mode: int,
-    alpha: float,
-    row: int,  # e·S + s of thread 0
-    # outputs
-    sample_cost: wp.array2d[float],  # [E, S]
-):
+@wp.func
+def sample_risk(rollout_cost: wp.array[float], first: int, domains: int, mode: int, alpha: float) -> float:
     """Reduce one sample's costs over its domains: their mean, the worst, or the mean of the worst share α (CVaR).
 
     α = 1 is the mean, α ≤ 1/D the worst; in between a domain may count in part (Rockafellar and Uryasev 2002). One
-    diverged domain makes the sample +inf in every mode. Where there is no observation all samples are: nothing is
-    learned from what was rolled out then.
+    diverged domain makes the sample +inf in every mode.
     """
-    thread = wp.tid()
-    e = (row + thread) // sample_cost.shape[1]
-    s = (row + thread) % sample_cost.shape[1]
-
-    first = (row + thread) * domains
     worst = float(-wp.inf)
     total = float(0.0)
     finite = bool(True)
@@ -128,5 +112,23 @@ def risk_kernel(
             for d in range(domains):
                 excess += tail_part(rollout_cost, first, domains, d, tail) * rollout_cost[first + d]
             risk = excess / tail
+    return wp.where(finite, risk, wp.inf)
 
-    sample_cost[e, s] = wp.where(finite and observed[e] != 0, risk, wp.inf)
+
+@wp.kernel
+def risk_kernel(
+    # inputs
+    rollout_cost: wp.array[float],  # [W]
+    observed: wp.array[int],  # [E] whether there is an observation to plan from
+    domains: int,
+    mode: int,
+    alpha: float,
+    row: int,  # e·S + s of thread 0
+    # outputs
+    sample_cost: wp.array2d[float],  # [E, S]
+):
+    """One thread: the cost of one sample. Without an observation it is +inf: nothing is learned from such rollouts."""
+    at = row + wp.tid()
+    e = at // sample_cost.shape[1]
+    risk = sample_risk(rollout_cost, at * domains, domains, mode, alpha)
+    sample_cost[e, at % sample_cost.shape[1]] = wp.where(observed[e] != 0, risk, wp.inf)

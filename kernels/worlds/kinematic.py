@@ -4,16 +4,13 @@
 import warp as wp
 
 from ..geometry.kinematics import JointTable, forward_kinematics
-from ..planning.splines import Spline, evaluate_spline, knot_place, locate
+from .judging import TAPS
 
 wp.set_module_options({"enable_backward": False})
 
 VELOCITY = wp.constant(0)
 POSITION = wp.constant(1)
 ACCELERATION = wp.constant(2)
-
-TAPS = wp.constant(4)
-"""Most knots that a control depends on."""
 
 
 @wp.struct
@@ -47,35 +44,6 @@ class KinematicWork:
     record_qd: wp.array3d[float]  # [T+1, W, nv]
     record_body_q: wp.array3d[wp.transform]  # [T+1, W, nb]
     record_body_qd: wp.array3d[wp.spatial_vector]  # [T+1, W, nb]
-
-
-@wp.kernel
-def taps_kernel(
-    # inputs
-    unit: wp.array3d[float],  # [P, P, 1] one knot after the other is one, all others zero
-    s: Spline,
-    step_time: wp.array[float],  # [T] time of each step after the present [s]
-    step_place: wp.array[float],  # [T] the same in knots, for evenly spaced ones
-    offset: wp.array[float],  # [E] time from the first knot to the present [s]
-    # outputs
-    tap: wp.array3d[int],  # [E, T, TAPS]
-    share: wp.array3d[float],  # [E, T, TAPS]
-):
-    """One thread: the knots that the control of one step depends on, and how much; a spline is linear in its knots."""
-    e, t = wp.tid()
-    place = step_place[t] + offset[e] / s.knot_dt
-    if s.even == 0:
-        place = knot_place(s, step_time[t] + offset[e])
-    at = locate(unit.shape[0], s.kind, place)
-    for k in range(TAPS):
-        # knots next to the first one of its segment, which comes first: with one tap it is the only one
-        knot = at.i + k
-        if k == TAPS - 1:
-            knot = at.i - 1
-        tap[e, t, k] = wp.clamp(knot, 0, unit.shape[0] - 1)
-        share[e, t, k] = 0.0
-        if knot >= 0 and knot < unit.shape[0]:
-            share[e, t, k] = evaluate_spline(unit[knot], s, s.kind, 0, at)
 
 
 @wp.func
@@ -142,48 +110,3 @@ def kinematic_rollout_kernel(
         follow(drives, control, t, w, k.dt[t], joint_q, joint_qd)
     for t in range(joint_q.shape[0]):
         forward_kinematics(table, t, w, joint_q, joint_qd, body_q, body_qd)
-
-
-@wp.kernel
-def finish_kernel(
-    # inputs
-    total: wp.array2d[float],  # [term, W] of terms that were summed on the way
-    stage_cost: wp.array3d[float],  # [term, T, W] of terms that were not, or empty
-    staged: wp.array[int],  # [n] which they are
-    step_weight: wp.array[float],  # [T]
-    observed: wp.array[int],  # [E] whether there is an observation to plan from
-    first: int,  # world of thread 0
-    # outputs
-    term_total: wp.array2d[float],  # [term, W] of all terms
-    diverged: wp.array[int],  # [W]
-    cost: wp.array2d[float],  # [E, S] +inf where it is not finite
-):
-    """One thread: one sample's cost, S = Σ_t γ^t Σ_i c_i."""
-    w = first + wp.tid()
-    for n in range(staged.shape[0]):
-        i = staged[n]
-        part = float(0.0)
-        for t in range(stage_cost.shape[1]):
-            part += step_weight[t] * stage_cost[i, t, w]
-        term_total[i, w] = part
-    sum = float(0.0)
-    for i in range(total.shape[0]):
-        sum += total[i, w]
-    finite = wp.isfinite(sum)
-    diverged[w] = wp.where(finite, 0, 1)
-    e = w // cost.shape[1]
-    cost[e, w % cost.shape[1]] = wp.where(finite and observed[e] != 0, sum, wp.inf)
-
-
-@wp.kernel
-def explain_total_kernel(
-    # inputs
-    total: wp.array2d[float],  # [term, W]
-    sample: wp.array[int],  # [E]
-    samples: int,
-    # outputs
-    term_cost: wp.array2d[float],  # [E, term]
-):
-    """One thread: what one term added to the cost of one environment's sample."""
-    e, i = wp.tid()
-    term_cost[e, i] = total[i, e * samples + sample[e]]

@@ -11,24 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.kinematic import TAPS
-from .lines import Lines, Operand, text
+from ..kernels.worlds.judging import TAPS
+from .lines import Operand, text
 from .motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, own, start_cpu, start_gpu
 from .number import header
+from .terms import CONTROL, POINTERS, TIMES, TermSource, sums
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
     from .state import StateCode
-
-
-@dataclass(frozen=True)
-class TermSource:
-    """The source of one term."""
-
-    index: int
-    """Its row among all terms."""
-    lines: Lines
-    value: Operand
 
 
 @dataclass(frozen=True)
@@ -56,7 +47,8 @@ class RolloutSource:
         record = "\n".join(self._record()) if self.records else ""  # may ask the state for more
         once = "\n".join(self.state.once.statements)
         shared = "\n".join(self.state.lines.statements)
-        step = "\n".join((*map(self._term, self.terms), record))
+        totals = "\n".join(term.start for term in self.terms)
+        step = "\n".join((*(term.step for term in self.terms), record))
         kept, held = self.state.kept, self.state.held
         first = -1 if self.records or kept or held else 0  # the observed state is recorded, or asked for later
         return f"""{header(self.lanes)}
@@ -65,16 +57,18 @@ const int steps = k.dt.shape[0];
 #if defined(__CUDA_ARCH__)
 const int lane = group & {WARP - 1}, row = group >> 5;
 const int e = row / samples;
-{_POINTERS}
+{POINTERS}
+{_THETA}
 {once}
-{self._totals()}
+{totals}
 {start_gpu(self._drives, self._layout.nu)}
 {"".join(f"float in_{value} = 0.0f;" for value in kept)}{"".join(f"float {name} = 0.0f;" for name in held.values())}
 for (int block = {first}; block < steps; block += {WARP}) {{
 const int h = block + lane;
 const bool live = h >= 0 && h < steps, seen = h < steps;
 const int at = h < 0 ? 0 : (h < steps ? h : steps - 1);
-{_STEP}
+{TIMES}
+{CONTROL}
 {self._controls("theta[tap[{tap}] * controls + {u}]")}
 {motion_gpu(self._drives, self._layout.actuator_matrix)}
 {shared}
@@ -88,20 +82,22 @@ __syncwarp(); // what other lanes recorded is read next
 const int groups = (samples + {self.lanes - 1}) / {self.lanes};
 const int e = group / groups, from = (group % groups) * {self.lanes};
 const int row = e * samples + from, count = samples - from < {self.lanes} ? samples - from : {self.lanes};
-{_POINTERS}
+{POINTERS}
+{_THETA}
 T knot[{self.knots * self._layout.nu}]; // of these samples, side by side
 for (int l = 0; l < {self.lanes}; ++l) {{
 const float* own = theta + (l < count ? l : count - 1) * knots * controls;
 for (int i = 0; i < {self.knots * self._layout.nu}; ++i) knot[i][l] = own[i];
 }}
 {once}
-{self._totals()}
+{totals}
 {start_cpu(self._drives, self._layout.nu)}
 {"".join(f"T {name} = (T)0.0f;" for name in (*kept.values(), *held.values()))}
 for (int h = {first}; h < steps; ++h) {{
 const bool live = h >= 0, seen = true;
 const int at = h < 0 ? 0 : h;
-{_STEP}
+{TIMES}
+{CONTROL}
 {self._controls("knot[tap[{tap}] * controls + {u}]")}
 {motion_cpu(self._drives, self._layout.actuator_matrix)}
 {shared}
@@ -109,7 +105,7 @@ const int at = h < 0 ? 0 : h;
 {step}
 {"".join(f"{name} = {value};" for value, name in kept.items())}
 }}
-{self._sum_cpu()}
+{sums(self.terms)}
 #endif
 """
 
@@ -125,15 +121,6 @@ const int at = h < 0 ? 0 : h;
             for row, (dof, mode) in enumerate(zip(layout.actuator_dof, layout.actuator_mode, strict=True))
         ]
 
-    def _totals(self) -> str:
-        return "\n".join(f"T total{term.index} = (T)0.0f;" for term in self.terms)
-
-    def _term(self, term: TermSource) -> str:
-        """A term's statements; without weight it is off."""
-        body = "\n".join(term.lines.statements)
-        total = f"total{term.index} += counts * {text(term.value)};"
-        return f"if (live && weight[{term.index}] != 0.0f) {{\n{body}\n{total}\n}}"
-
     def _controls(self, knot: str) -> str:
         """Controls ``c0``, ``c1``, ... of the step."""
         taps = {int(ZERO): 1, int(LINEAR): 2}.get(self.spline, int(TAPS))
@@ -142,13 +129,6 @@ const int at = h < 0 ? 0 : h;
             knots = (f"share[{tap}] * {knot.format(tap=tap, u=u)}" for tap in range(taps))
             out.append(f"const T c{u} = VMIN(VMAX({' + '.join(knots)}, k.lower.data[{u}]), k.upper.data[{u}]);")
         return "\n".join(out)
-
-    def _sum_cpu(self) -> str:
-        out = ["for (int l = 0; l < count; ++l) {"]
-        for term in self.terms:
-            i = term.index
-            out.append(f"k.total.data[{i} * worlds + row + l] = weight[{i}] * total{i}[l];")
-        return "\n".join((*out, "}"))
 
     def _sum_gpu(self) -> str:
         out = []
@@ -197,17 +177,4 @@ const int at = h < 0 ? 0 : h;
         return out
 
 
-_POINTERS = """const int worlds = k.total.shape[1];
-const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;
-const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
-const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
-const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
-const float* weight = (const float*)k.weight.data + e * k.weight.shape[1];
-const float* last_control = (const float*)s.last_control.data + e * controls;"""
-
-_STEP = f"""const float dt = k.dt.data[at];
-const float counts = live ? k.step_weight.data[at] : 0.0f;
-const float gap = at == 0 ? dt : 0.5f * (dt + k.dt.data[at - 1]); // between the middles of two steps
-const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins
-const int* tap = (const int*)k.tap.data + (e * steps + at) * {int(TAPS)};
-const float* share = (const float*)k.share.data + (e * steps + at) * {int(TAPS)};"""
+_THETA = "const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;"

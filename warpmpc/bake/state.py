@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
 
 
+class NotBaked(Exception):
+    """A term asked for something about the state that only its Warp function can have."""
+
+
 @dataclass(frozen=True)
 class FrameCode:
     """Where a frame is."""

@@ -9,18 +9,9 @@ from ..bake.number import WIDE
 from ..cost.kernel import JudgeCode
 from ..kernels.terms.view import StepView
 from ..kernels.worlds.kinematic import KinematicWork
+from .judging_kernel import judging_functions
 
 WARP = wp.constant(32)
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-__syncwarp();
-#endif
-""")
-def wait_for_lanes():
-    """What one lane of a warp wrote is there for the others."""
-    ...
 
 
 def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -> wp.Kernel:
@@ -53,15 +44,15 @@ def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -
 
         return kinematic_kernel
 
-    judge_step, judge_params, advance_step = judge.step, judge.params, judge.advance
-    advances = wp.constant(judge.advances)
+    own_params = judge.params
+    judge_world, judge_group = judging_functions(judge, lanes)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=options)
     def judging_kernel(
         # inputs
-        view: StepView,
+        s: StepView,
         p: params,
-        own: judge_params,
+        own: own_params,
         first: int,  # group of thread 0
         groups: int,  # of an environment on the CPU, 0 on a GPU
         samples: int,
@@ -71,31 +62,10 @@ def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -
     ):
         """One thread: as above, and then the terms that read the record."""
         group = first + wp.tid()
-        rollout(view, p, k, group)
-        s = view
+        rollout(s, p, k, group)
         if groups > 0:
-            s.e = group // groups
-            start = (group % groups) * lanes
-            for sample in range(start, wp.min(start + lanes, samples)):
-                s.w = s.e * samples + sample
-                if advances:
-                    for t in range(k.dt.shape[0] + 1):
-                        s.t = t
-                        advance_step(s, own)
-                for t in range(k.dt.shape[0]):
-                    s.t = t + 1
-                    judge_step(s, own, k.weight, cost)
+            judge_group(s, own, group, groups, samples, k.weight, cost)
         else:
-            s.w = group // WARP
-            s.e = s.w // samples
-            if advances:
-                if group % WARP == 0:
-                    for t in range(k.dt.shape[0] + 1):
-                        s.t = t
-                        advance_step(s, own)
-                wait_for_lanes()
-            for t in range(group % WARP, k.dt.shape[0], WARP):
-                s.t = t + 1
-                judge_step(s, own, k.weight, cost)
+            judge_world(s, own, group // WARP, samples, group % WARP, WARP, k.weight, cost)
 
     return judging_kernel

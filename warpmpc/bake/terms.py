@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of cost terms that a rollout evaluates on its way: written by any engine, around a state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..cost.term import CostTerm
+from ..kernels.worlds.judging import TAPS
+from .lines import Lines, Operand, text
+from .state import NotBaked, TermCode
+
+if TYPE_CHECKING:
+    from ..cost.stack import CostStack
+    from .state import StateCode
+
+POINTERS = """const int worlds = k.total.shape[1];
+const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
+const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
+const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
+const float* weight = (const float*)k.weight.data + e * k.weight.shape[1];
+const float* last_control = (const float*)s.last_control.data + e * controls;"""
+"""What the source of terms reads of an environment ``e``."""
+TIMES = """const float dt = k.dt.data[at];
+const float counts = live ? k.step_weight.data[at] : 0.0f;
+const float gap = at == 0 ? dt : 0.5f * (dt + k.dt.data[at - 1]); // between the middles of two steps
+const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins"""
+"""What it knows about the step ``at``."""
+CONTROL = f"""const int* tap = (const int*)k.tap.data + (e * steps + at) * {int(TAPS)};
+const float* share = (const float*)k.share.data + (e * steps + at) * {int(TAPS)};"""
+"""Knots that the step's control depends on, and how much."""
+
+
+@dataclass(frozen=True)
+class TermSource:
+    """The source of one term."""
+
+    index: int
+    """Its row among all terms."""
+    lines: Lines
+    value: Operand
+
+    @property
+    def start(self) -> str:
+        """Its sum, before the first step."""
+        return f"T total{self.index} = (T)0.0f;"
+
+    @property
+    def step(self) -> str:
+        """Its statements of one step; without weight it is off."""
+        body = "\n".join(self.lines.statements)
+        total = f"total{self.index} += counts * {text(self.value)};"
+        return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
+
+
+def bake(costs: CostStack, state: StateCode) -> tuple[tuple[TermSource, ...], list[int]]:
+    """Source of all terms that can be written, and the numbers of those that cannot.
+
+    Args:
+        costs: The terms.
+        state: What they may ask about a state, in which they leave what they share.
+    """
+    baked, staged = [], []
+    for i, (term, bound) in enumerate(costs.terms):
+        code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
+        native = term.native if isinstance(term, CostTerm) else None
+        try:
+            value = native(code, bound) if native else None
+        except NotBaked:
+            value = None
+        if value is None:
+            staged.append(i)
+        else:
+            baked.append(TermSource(i, code.lines, value))
+    return tuple(baked), staged
+
+
+def sums(terms: Sequence[TermSource]) -> str:
+    """Statements that write the sums of ``count`` samples from ``row`` on down, on a CPU."""
+    rows = (f"k.total.data[{t.index} * worlds + row + l] = weight[{t.index}] * total{t.index}[l];" for t in terms)
+    return "\n".join(("for (int l = 0; l < count; ++l) {", *rows, "}"))
