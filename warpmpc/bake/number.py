@@ -61,7 +61,7 @@ struct __attribute__((packed, aligned(4))) TU { T v; };
 #define VSTORE(p, x) (((TU*)(p))->v = (x))
 #define VSELECT(m, a, b) ((m) ? (T)(a) : (T)(b))
 #define VTWO(k) __builtin_bit_cast(T, (VINT(k) + 127) << 23)
-auto VGATHER = [](const float* p, I i) -> T {
+static const auto VGATHER = [](const float* p, I i) -> T {
 GATHER
 T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r;
 };

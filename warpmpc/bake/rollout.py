@@ -177,4 +177,5 @@ const int at = h < 0 ? 0 : h;
         return out
 
 
-_THETA = "const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;"
+_THETA = """const int worlds = k.total.shape[1];
+const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;"""

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from ..cost.stack import CostStack
     from .state import StateCode
 
-POINTERS = """const int worlds = k.total.shape[1];
-const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
+POINTERS = """const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
 const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
 const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
 const float* weight = (const float*)k.weight.data + e * k.weight.shape[1];

@@ -236,26 +236,9 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
 
 
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    from .fused.simulator import FusedSimulator
+    from .fused.engine import FusedEngine
 
-    if request.costs.sensors:
-        raise SceneError(
-            "the engine fused has no sensors, but cost terms read some",
-            key="engine.name",
-            file=request.scene.path,
-            allowed=["auto", "mujoco", "newton"],
-        )
-    simulator = FusedSimulator(
-        request.scene,
-        request.compiled,
-        request.shape,
-        substeps=steps.count,
-        timestep=steps.length[0],
-        pairs=request.costs.pairs,
-        properties=request.properties,
-        device=request.device,
-    )
-    return _recorded(request, simulator)
+    return FusedEngine(request, steps)
 
 
 def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:

@@ -10,7 +10,9 @@ import numpy as np
 import warp as wp
 
 from ...bake.number import native_lanes
+from ...kernels.worlds.judging import TAPS
 from ...launch import Launcher
+from .exchange import Exchange
 from .kernel import WARP, FusedWork, make_kernel
 from .model import PhysicsModel, missing
 from .source import RolloutSource
@@ -63,16 +65,19 @@ class PlainRollout:
             return wp.zeros(dims, dtype=dtype, device=device)
 
         work.initial = zeros(worlds, 1 + model.nq + model.nv + model.na, dtype=wp.float64)
-        work.mocap, work.movable = zeros(worlds, 0, dtype=wp.transform), zeros(worlds, 0, dtype=wp.transform)
-        work.control = zeros(steps, worlds, model.nu)
+        work.knots, work.domains, work.records = zeros(1, worlds, steps, model.nu), 1, 1
+        tap = np.zeros((1, steps, int(TAPS)), dtype=np.int32)
+        tap[0, :, 0] = np.arange(steps)  # a control is its own knot
+        work.tap, work.share = wp.array(tap, device=device), wp.full(tap.shape, 1.0, dtype=float, device=device)
+        work.lower, work.upper = (wp.full(model.nu, x, dtype=float, device=device) for x in (-np.inf, np.inf))
         work.substeps = wp.array([substeps] * steps, dtype=int, device=device)
         par = np.zeros((max(1, len(columns)), worlds), dtype=np.float32)
         for row, values in zip(par, columns, strict=False):
             row[:] = values
         work.given = wp.array(physics.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
-        work.joint_q, work.joint_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
-        work.act = zeros(steps + 1, worlds, model.na)
+        work.record_q, work.record_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
+        work.record_act = zeros(steps + 1, worlds, model.na)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
         self.work = work
 
@@ -83,21 +88,8 @@ class PlainRollout:
             lanes: Worlds in a number on a CPU.
             shared: Whether on a GPU a warp shares a world.
         """
-        model, nothing = self.mj, np.zeros(0, dtype=np.int32)
-        return RolloutSource(
-            model=self.physics,
-            layout=None,
-            joint_q=nothing,
-            joint_qd=nothing,
-            bodies=(),
-            matrix=np.eye(model.nu),
-            offset=np.zeros(model.nu),
-            mocap=nothing,
-            movable=nothing,
-            watched=(),
-            lanes=lanes,
-            shared=shared,
-        ).write()
+        plain = Exchange(layout=None, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu))
+        return RolloutSource(self.physics, plain, lanes, shared).write()
 
     def __call__(
         self, q: np.ndarray, v: np.ndarray, control: np.ndarray, act: np.ndarray | None = None
@@ -114,11 +106,11 @@ class PlainRollout:
         start = np.zeros((len(q), self.mj.na)) if act is None else act
         work.initial.assign(np.hstack([np.zeros((len(q), 1)), q, v, start]))
         if control.size:
-            work.control.assign(control.astype(np.float32))
+            work.knots.assign(control.astype(np.float32).swapaxes(0, 1)[None])
         self.launch()
-        return work.joint_q.numpy()[1:], work.joint_qd.numpy()[1:]
+        return work.record_q.numpy()[1:], work.record_qd.numpy()[1:]
 
     def launch(self) -> None:
         """Roll out what was given last."""
         groups = -(-self.worlds // self._lanes)
-        self._launch(self.kernel, groups * self._sharing, [self.work, 0, self.worlds], [], threads=WARP)
+        self._launch(self.kernel, groups * self._sharing, [0], [self.work], threads=WARP)

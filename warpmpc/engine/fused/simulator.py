@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``fused``: rollouts of MuJoCo's physics in one launch, with worlds in the lanes of a register."""
+"""The physics of a scene in the engine ``fused``: its model, its source, and rollouts of given controls."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -13,24 +13,17 @@ import warp as wp
 
 from ...bake.number import native_lanes
 from ...compiling import compile_kernel
-from ...kernels.worlds.clone import (
-    clone_activation_kernel,
-    clone_mocap_kernel,
-    clone_state_kernel,
-    mujoco_activation_kernel,
-    mujoco_state_kernel,
-)
-from ...launch import Launcher, Replay
-from ...model.joints import joint_table
+from ...kernels.worlds.judging import TAPS
+from ...launch import Launcher
 from ...model.mujoco_model import MujocoWorld, Options, make_world
 from ...model.pairs import Pair
 from ...model.randomize import batched_arrays
 from ...model.trajectory import Trajectory
 from ...scene.errors import SceneError
-from ..crew import Crew
+from .exchange import Exchange, Watch
 from .kernel import WARP, FusedWork, make_kernel
 from .model import PhysicsModel, missing
-from .source import RolloutSource, Watch
+from .source import RolloutSource
 
 if TYPE_CHECKING:
     from ...model.batch_size import BatchSize
@@ -39,15 +32,14 @@ if TYPE_CHECKING:
     from ...model.properties import Properties
     from ...scene.schema import Scene
     from ...task.observed import ObservedState
+    from .terms import Judged
 
 MOST_SHARED = 4096
 """Worlds up to which a warp shares one on a GPU; with more there are threads enough for one each."""
-PARTS = 4
-"""Parts of the worlds per thread, as in the engine ``mujoco``."""
 
 
 class FusedSimulator:
-    """Rolls controls out in a kernel that is compiled for the scene's model.
+    """The worlds of a scene.
 
     Args:
         scene: The scene.
@@ -62,8 +54,6 @@ class FusedSimulator:
     Raises:
         SceneError: If the scene's model has what this engine lacks.
     """
-
-    name = "fused"
 
     def __init__(
         self,
@@ -80,26 +70,15 @@ class FusedSimulator:
         self.shape, self.pairs, self.device = shape, pairs, device
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=Options.of(scene.engine), sensors=())
         refuse(scene, world)
-        self.world = world
-        self._on_gpu = wp.get_device(device).is_cuda
+        self.world, self.layout = world, compiled.layout
+        on_gpu = wp.get_device(device).is_cuda
+        self.sharing = WARP if on_gpu and shape.worlds <= MOST_SHARED else 1
+        """Threads that share a world."""
+        self._lanes = 1 if on_gpu else native_lanes()
         self._launch = Launcher(device)
-        self.lanes = 1 if self._on_gpu else native_lanes()
-        self.threads = 1 if self._on_gpu else scene.engine.threads or len(os.sched_getaffinity(0))
-        self.parts = [(0, shape.worlds)] if self._on_gpu else _split(shape, self.threads, self.lanes)
-        """First world and number of worlds of each part that a thread takes."""
-        self._crew = Crew(self.threads, len(self.parts))
         arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
         self.model = PhysicsModel(world.model, arrays)
-        self.trajectory = Trajectory.allocate(shape, compiled.layout, len(pairs), device)
-        self._sharing = WARP if self._on_gpu and shape.worlds <= MOST_SHARED else 1
-        self._kernel = make_kernel(self._source(compiled), native_lanes(), self._sharing)
-        compile_kernel(self._kernel, device, WARP, f"the physics of {scene.name}")
-        self._bind(compiled.layout, world, substeps)
-
-    def _source(self, compiled: CompiledScene) -> str:
-        world = self.world
-        return RolloutSource(
-            model=self.model,
+        self.exchange = Exchange(
             layout=compiled.layout,
             joint_q=world.joint_q,
             joint_qd=world.joint_qd,
@@ -108,91 +87,76 @@ class FusedSimulator:
             offset=world.actuator_offset,
             mocap=world.mocap,
             movable=world.movable,
-            watched=watched(self.model, world),
-            lanes=native_lanes(),
-            shared=self._sharing > 1,
             activations=world.activation.tolist(),
-        ).write()
+            watched=watched(self.model, world),
+            pairs=len(pairs),
+        )
+        self._substeps, self._name = list(substeps), scene.name
 
-    def _bind(self, layout: Layout, world: MujocoWorld, substeps: Sequence[int]) -> None:
-        shape, device, out = self.shape, self.device, self.trajectory
-        self._nq = world.model.nq
-        self._table = joint_table(layout, device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
-        columns = self.model.columns.values
-        par = np.zeros((max(1, len(columns)), shape.worlds), dtype=np.float32)
-        for row, values in zip(par, columns, strict=False):
-            row[:] = values
-        nstate = 1 + world.model.nq + world.model.nv + world.model.na
-        self._activation = wp.array(nstate - world.model.na + world.activation, dtype=int, device=device)
-        work = FusedWork()
-        work.initial = wp.zeros((shape.worlds, nstate), dtype=wp.float64, device=device)
-        work.mocap = self._table.mocap_pose
-        work.movable = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device=device)
-        work.substeps = wp.array(list(substeps), dtype=int, device=device)
-        work.given = wp.array(self.model.given, dtype=float, device=device)
-        work.par = wp.array(par, dtype=float, device=device)
-        work.joint_q, work.joint_qd = out.joint_q, out.joint_qd
-        work.body_q, work.body_qd, work.act = out.body_q, out.body_qd, out.act
-        work.force, work.diverged, work.overflow = out.contact_force, out.diverged, out.overflow
-        self._work = work
-
-    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
-        """Put worlds into the observed state; nothing of an earlier plan remains.
+    def source(self, *, judged: Judged | None = None, knots: int = 1) -> str:
+        """Source of a rollout; parameters of the worlds are known when it is written.
 
         Args:
-            state: The observed state.
-            first: First of the worlds.
-            count: How many they are, all from the first on if None.
+            judged: Cost terms that are summed on the way.
+            knots: Most knots that a control depends on.
         """
-        count = self.shape.worlds - first if count is None else count
-        out, work, rollouts = self.trajectory, self._work, self.shape.rollouts
-        if work.mocap.shape[1]:
-            inputs = [state.mocap, rollouts, first]
-            self._launch(clone_mocap_kernel, (count, work.mocap.shape[1]), inputs, [work.mocap])
-        movable = work.movable.shape[1]
-        if movable:
-            poses = state.pose[:, state.pose.shape[1] - movable :]
-            self._launch(clone_mocap_kernel, (count, movable), [poses, rollouts, first], [work.movable])
-        inputs = [self._table, state.joint_q, state.joint_qd, rollouts, first]
-        self._launch(clone_state_kernel, count, inputs, [out.joint_q, out.joint_qd, out.body_q, out.body_qd])
-        inputs = [self._table, self._nq, out.joint_q, out.joint_qd, first]
-        self._launch(mujoco_state_kernel, count, inputs, [work.initial])
-        if self._activation.size:
-            dim = (count, self._activation.size)
-            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
-            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [work.initial])
+        shared = self.sharing > 1
+        return RolloutSource(self.model, self.exchange, native_lanes(), shared, judged, knots).write()
 
-    def run(self, replays: Sequence[Replay]) -> None:
-        """Run one sequence of launches for each of :attr:`parts`, on all threads."""
-        self._crew.run(replays)
+    def fill(self, work: FusedWork) -> None:
+        """Set what the physics reads that no plan changes; after :meth:`source`."""
+        columns, device = self.model.columns.values, self.device
+        par = np.zeros((max(1, len(columns)), self.shape.worlds), dtype=np.float32)
+        for row, values in zip(par, columns, strict=False):
+            row[:] = values
+        work.substeps = wp.array(self._substeps, dtype=int, device=device)
+        work.given = wp.array(self.model.given, dtype=float, device=device)
+        work.par = wp.array(par, dtype=float, device=device)
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """What :meth:`rollout` records."""
+        return Trajectory.allocate(self.shape, self.layout, len(self.pairs), self.device)
+
+    @cached_property
+    def _kernel(self) -> wp.Kernel:
+        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
+        return kernel
+
+    @cached_property
+    def work(self) -> FusedWork:
+        """What rollouts of given controls start from; the controls of a step are its own knots."""
+        shape, work, out, device = self.shape, FusedWork(), self.trajectory, self.device
+        self._kernel  # writes the source
+        self.fill(work)
+        tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)
+        tap[:, :, 0] = np.arange(shape.horizon)
+        share = np.zeros(tap.shape, dtype=np.float32)
+        share[:, :, 0] = 1.0
+        work.tap, work.share = wp.array(tap, device=device), wp.array(share, device=device)
+        nu = self.layout.nu
+        work.lower, work.upper = (wp.full(nu, sign * np.inf, dtype=float, device=device) for sign in (-1.0, 1.0))
+        work.domains, work.records = 1, 1
+        work.control, work.force = out.control, out.contact_force
+        work.record_q, work.record_qd = out.joint_q, out.joint_qd
+        work.record_body_q, work.record_body_qd, work.record_act = out.body_q, out.body_qd, out.act
+        work.diverged, work.overflow = out.diverged, out.overflow
+        return work
+
+    def clone(self, state: ObservedState) -> None:
+        """Let rollouts begin in an observed state."""
+        work = self.work
+        work.act = state.act
+        work.joint_q, work.joint_qd, work.mocap, work.pose = state.joint_q, state.joint_qd, state.mocap, state.pose
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
-        for part in range(len(self.parts)):
-            self.rollout_part(control, part)
-
-    def rollout_part(self, control: wp.array, part: int) -> None:
-        """Roll controls [T, W, nu] of the worlds of one part out."""
-        first, count = self.parts[part]
-        self._work.control = control
-        threads = self._sharing * -(-count // self.lanes)
-        self._launch(self._kernel, threads, [self._work, first, first + count], [], threads=WARP)
-
-    def overflow_message(self, bits: int) -> str:
-        """What overflowed."""
-        return "more contacts at once than the engine fused has room for: try the engine mujoco"
-
-    def close(self) -> None:
-        """Stop the threads."""
-        self._crew.close()
-
-
-def _split(shape: BatchSize, threads: int, lanes: int) -> list[tuple[int, int]]:
-    """First world and number of worlds of each part: whole groups of lanes, and all domains of a sample."""
-    step = int(np.lcm(lanes, shape.domains))
-    groups = -(-shape.worlds // step)
-    size = (groups if threads == 1 else max(1, -(-groups // (PARTS * threads)))) * step
-    return [(first, min(size, shape.worlds - first)) for first in range(0, shape.worlds, size)]
+        shape = self.shape
+        knots = control.numpy().swapaxes(0, 1).reshape(shape.envs, shape.rollouts, shape.horizon, -1)
+        self.work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
+        groups = shape.envs * -(-shape.rollouts // self._lanes)
+        self._launch(self._kernel, groups * self.sharing, [0], [self.work], threads=WARP)
 
 
 def refuse(scene: Scene, world: MujocoWorld) -> None:

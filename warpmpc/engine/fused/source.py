@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -13,9 +13,8 @@ import numpy as np
 
 from ...bake.lines import literal
 from ...bake.number import header, sincos
-from ...kernels.geometry.kinematics import BALL, FREE
+from ...bake.terms import CONTROL
 from . import model as kinds
-from .coordinates import coordinates, velocities
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
@@ -27,8 +26,9 @@ from .tree import packed
 if TYPE_CHECKING:
     import mujoco
 
-    from ...model.layout import Layout
+    from .exchange import Exchange
     from .model import PhysicsModel
+    from .terms import Judged
 
 POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
           (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
@@ -43,54 +43,28 @@ _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LAN
 
 
 @dataclass(frozen=True)
-class Watch:
-    """A pair of geoms whose contact force counts towards a watched pair of entities."""
-
-    pair: int
-    """Number of the pair of geoms."""
-    index: int
-    """Number of the watched pair."""
-    sign: float
-    """1 where the force on the second geom is the force on the first entity."""
-
-
-@dataclass(frozen=True)
 class RolloutSource:
-    """Writes the body of ``rollout(k: FusedWork, group: int, first: int, end: int)``.
+    """Writes the body of ``rollout([s: StepView, p: Params,] k: FusedWork, group: int)``.
 
     Args:
         model: The model.
-        layout: What the record is kept in; the model's own coordinates and velocities if None.
-        joint_q: First coordinate in the model of each of the layout's joints, -1 where it has none.
-        joint_qd: First velocity of the same.
-        bodies: The model's body behind each of the layout's.
-        matrix: From controls to the model's ``ctrl`` ``[model.nu, nu]``.
-        offset: Of the same ``[model.nu]``.
-        mocap: Mocap body of the model behind each of the layout's.
-        movable: The same behind each obstacle that moves with the task.
-        watched: Watched pairs of geoms.
+        exchange: What is observed, driven, watched and recorded of it.
         lanes: Worlds in a number on a CPU.
+        shared: Whether on a GPU the lanes of a warp share a world; else every thread has one of its own.
+        judged: Cost terms that are summed on the way.
+        knots: Most knots that a control depends on.
     """
 
     model: PhysicsModel
-    layout: Layout | None
-    joint_q: np.ndarray
-    joint_qd: np.ndarray
-    bodies: Sequence[int]
-    matrix: np.ndarray
-    offset: np.ndarray
-    mocap: np.ndarray
-    movable: np.ndarray
-    watched: Sequence[Watch]
+    exchange: Exchange
     lanes: int
     shared: bool
-    """Whether on a GPU the lanes of a warp share a world; else every thread has one of its own."""
-    activations: Sequence[int] = ()
-    """The model's activation behind each of the layout's."""
+    judged: Judged | None = None
+    knots: int = 1
 
     def write(self) -> str:
         """The source."""
-        dynamics = Dynamics(self.model, frozenset(self.bodies))
+        dynamics = Dynamics(self.model, frozenset(self.exchange.bodies))
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         links, ties = Links(dynamics), TieTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
@@ -104,10 +78,11 @@ class RolloutSource:
             self._native("ties").replace("BIND", dynamics.bind),
             self._native("medium"),
             self._native("solve").replace("BLOCKS", self._blocks()),
+            self._native("watch"),
+            self._native("joints"),
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
-        body = self._native("rollout").replace("CONTROLS", self._controls()).replace("RECORD", self._record())
         own = *ties.tables(), *dynamics.drive.tables(), *dynamics.medium.tables()
         tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
@@ -116,10 +91,19 @@ class RolloutSource:
         defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
-        defines |= {"SHARED": int(self.shared), "WATCHED": int(bool(self.watched)), "SIZES_VARY": int(self._sizes_vary)}
+        defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
+        defines |= self.exchange.sizes | {"TERMS": int(self.judged is not None)}
+        defines["FIRST"] = self.judged.first if self.judged else 0
         undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-        return "\n".join((header(self.lanes), undo, defined, self._native("types"), tables, inside, body, undo, ""))
+        return "\n".join((header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, ""))
+
+    def _rollout(self) -> str:
+        parts = {"STEP_CONTROL": CONTROL, "START": self._native("start"), "RECORD": self._native("record")}
+        parts |= {f"TERMS_{name}": "" for name in ("START", "BEFORE", "STEP", "END")}
+        if self.judged:
+            parts |= self.judged.parts()
+        return re.sub("|".join(sorted(parts, key=len, reverse=True)), lambda m: parts[m[0]], self._native("rollout"))
 
     def _native(self, name: str) -> str:
         return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
@@ -165,12 +149,9 @@ class RolloutSource:
             "NQ": m.nq,
             "NV": m.nv,
             "NU": max(1, m.nu),
-            "NCONTROL": max(1, self.matrix.shape[1]),
             "NMOCAP": max(1, m.nmocap),
-            "MOCAPS": len(self.mocap),
-            "MOVABLES": len(self.movable),
             "NG": max(1, m.ngeom),
-            "NB": max(1, len(self.bodies)),
+            "NB": max(1, len(self.exchange.bodies)),
             "NH": packed(m.nv, 0),
             "NLIMIT": max(1, len(model.limited)),
             "LIMITS": len(model.limited),
@@ -247,11 +228,9 @@ class RolloutSource:
             ints("turning_q", m.jnt_qposadr[turning]),
             ints("turning_dof", m.jnt_dofadr[turning]),
             ints("turning_free", m.jnt_type[turning] == kinds.FREE),
-            floats("mocap_start", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
-            ints("mocap_of", self.mocap),
-            ints("movable_of", self.movable),
+            floats("mocap_rest", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
+            *self.exchange.tables(len(pairs), groups),
             *self._mesh_tables(),
-            *self._watch_tables(),
         ]
 
     def _mesh_tables(self) -> list[str]:
@@ -272,15 +251,6 @@ class RolloutSource:
         """Meshes that may touch something."""
         used = {g for pair in self.model.pairs for g in pair.geoms}
         return {g for g in used if self.model.mj.geom_type[g] == kinds.MESH}
-
-    def _watch_tables(self) -> list[str]:
-        rows = [[watch for watch in self.watched if watch.pair == n] for n in range(len(self.model.pairs))]
-        flat = [watch for row in rows for watch in row]
-        return [
-            ints("watch_first", np.cumsum([0, *(len(row) for row in rows)])),
-            ints("watch_index", [watch.index for watch in flat]),
-            floats("watch_sign", [watch.sign for watch in flat]),
-        ]
 
     def _blocks(self) -> str:
         return " ".join(f"BLOCK({n})" for n in sorted({len(dofs) for _, dofs in self._groups}))
@@ -308,66 +278,6 @@ class RolloutSource:
                 f"NEAR_PAIRS({len(numbers)}, {numbers[0]}, {name}, {{ {_near(kind)} }}) }}"
             )
         return "\n".join(out)
-
-    def _controls(self) -> str:
-        """What actuators are told by the controls ``c``."""
-        out = []
-        for a, row in enumerate(self.matrix):
-            terms = [f"{literal(float(x))} * c[{u}]" for u, x in enumerate(row) if x]
-            terms.append(f"(T){literal(float(self.offset[a]))}")
-            out.append(f"w.ctrl[{a}] = {' + '.join(terms)};")
-        return "\n".join(out)
-
-    def _record(self) -> str:
-        """Statements that write the state after a control down, as slice h + 1, and the forces on the way."""
-        layout, rows, m = self.layout, sorted(set(self.bodies)), self.model.mj
-        out = ["{ const size_t slice = (size_t)(h + 1) * worlds + row;"]
-
-        def put(array: str, width: int, first: int, values: Iterable[str]) -> None:
-            out.append(f"{{ float* to = (float*)k.{array}.data + slice * {width} + {first};")
-            for n, value in enumerate(values):
-                out.append(f"PUT({n}, {width}, {value})")
-            out.append("}")
-
-        if layout is None:
-            put("joint_q", m.nq, 0, [f"w.q[{i}]" for i in range(m.nq)])
-            put("joint_qd", m.nv, 0, [f"w.v[{i}]" for i in range(m.nv)])
-            put("act", m.na, 0, [f"w.act[{i}]" for i in range(m.na)])
-            return "\n".join((*out, "}"))
-        for b in range(layout.nb):
-            r = rows.index(self.bodies[b])
-            out.append(f"{{ T x, y, z, s; Sim::quaternion(w.bmat[{r}], x, y, z, s);")
-            put("body_q", 7 * layout.nb, 7 * b, [*(f"w.bpos[{r}][{i}]" for i in range(3)), "x", "y", "z", "s"])
-            out.append("}")
-            put("body_qd", 6 * layout.nb, 6 * b, self._twist(b, [f"w.blin[{r}][{i}]" for i in range(3)]))
-        for j in range(len(layout.joint_type)):
-            q, v = int(self.joint_q[j]), int(self.joint_qd[j])
-            if q < 0:
-                continue
-            first, dof = int(layout.joint_q_start[j]), int(layout.joint_qd_start[j])
-            child = int(layout.joint_child[j])
-            turn = f"w.bmat[{rows.index(self.bodies[child])}]"
-            twist = self._twist(child, [f"w.v[{v + i}]" for i in range(3)]) if layout.joint_type[j] == FREE else []
-            if layout.joint_type[j] == BALL:
-                turn = "turned"
-                out.append(f"{{ T turned[9]; Sim::rows_of(w.q + {q}, turned);")
-            put("joint_q", layout.nq, first, coordinates(layout, j, q, turn))
-            put("joint_qd", layout.nv, dof, velocities(layout, j, v, turn, twist))
-            if layout.joint_type[j] == BALL:
-                out.append("}")
-        put("act", len(self.activations), 0, [f"w.act[{i}]" for i in self.activations])
-        return "\n".join((*out, "}"))
-
-    def _twist(self, body: int, origin: list[str]) -> list[str]:
-        """Velocity of a body's centre of mass, given its origin's, and its angular velocity."""
-        r = sorted(set(self.bodies)).index(self.bodies[body])
-        com, out = self.layout.body_com[body], []
-        for i, j, n in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            # ω × (R c)
-            terms = [f" {sign} w.bang[{r}][{a}] * {literal(float(com[c]))} * w.bmat[{r}][{3 * of + c}]"
-                     for sign, a, of in (("+", j, n), ("-", n, j)) for c in range(3) if com[c]]  # fmt: skip
-            out.append(origin[i] + "".join(terms))
-        return [*out, *(f"w.bang[{r}][{i}]" for i in range(3))]
 
 
 _HALF = ("half_sine", "half_cosine")

@@ -30,9 +30,9 @@
 #endif
 #define NO ((I)0)
 #define LANE(x, l) (((float*)&(x))[l])
-// a number of every lane into a row of the record
-#define PUT(N, WIDTH, VALUE) \
-    { const T value = VALUE; for (int l = 0; l < count; ++l) to[l * WIDTH + N] = LANE(value, l); }
+// Number N of every world's in a row of the record: WIDTH numbers a world, TO where the first world's begin
+#define PUT(TO, WIDTH, N, VALUE) \
+    { const T value = VALUE; for (int l = 0; l < count; ++l) (TO)[l * (WIDTH) + (N)] = LANE(value, l); }
 // Look closely at those of N pairs of one kind, the first of them FIRST, that TEST finds near. A lane of a warp goes on
 // to the next such pair of its own before all of them look, so that few rounds are needed.
 #if COOPERATE

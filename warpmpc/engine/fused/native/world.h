@@ -49,9 +49,13 @@ struct Inertia { T xx, yy, zz, xy, xz, yz; V3 moment; T mass; };  // about the t
 struct World {
     const float* given;          // what scenes draw anew: numbers of the model that are no part of this source
     T q[NQ], v[NV], ctrl[NU], par[NPAR], mocap[7 * NMOCAP];
+    T c[NCONTROL];               // controls of the scene
     T x[NV];                     // acceleration, and the solver's start in the next step
     T fs[NV], bias[NV], damp[NV], ma[NV], mv[NV], grad[NV], search[NV], mm[NH], h[NH];
     T ref[NV][3], cw[NV][3], cl[NV][3], gpos[NG][3], gmat[NG][9];
+#if WATCHED
+    T pushed[3 * WATCHED];       // forces of watched pairs
+#endif
     T bpos[NB][3], bmat[NB][9], bang[NB][3], blin[NB][3];
     T lside[NLIMIT], lweight[NLIMIT], lref[NLIMIT], la[NLIMIT], ls[NLIMIT];  // limits: side, ..., as in Contact
     int ldof[NLIMIT];
