@@ -56,22 +56,22 @@ bool __any_sync(unsigned, bool m) {
 int atomicAdd(int* p, int x) { const int was = *p; *p += x; return was; }
 int atomicOr(int* p, int x) { const int was = *p; *p |= x; return was; }
 template <class E> struct Array { E* data; int shape[4]; };
+struct Number { int value, none; operator int() const { return value; } };
 """
 _MAIN = """
-void rollout(FusedWork k, int group, int first, int end) {
+void rollout(FusedWork k, int group) {
 BODY
 }
 FusedWork* work;
-int chosen, last;
-void begin() { rollout(*work, chosen, 0, last); ended[threadIdx.x] = true; }
+int group;
+void begin() { rollout(*work, group); ended[threadIdx.x] = true; }
 }
 // All lanes of one world after the other, in an order that turns with `order`; nonzero if they do not end together
 extern "C" int run(FusedWork* k, int worlds, int order) {
     static char* stacks = (char*)malloc(32u << 20);
     work = k;
-    last = worlds;
     for (int world = 0; world < worlds; ++world) {
-        chosen = order & 1 ? worlds - 1 - world : world;
+        group = order & 1 ? worlds - 1 - world : world;
         for (int l = 0; l < 32; ++l) {
             ended[l] = false;
             getcontext(&lane[l]);
@@ -110,7 +110,8 @@ class LaneRollout(PlainRollout):
         source = self.source(lanes=4, shared=True)
         fields = []
         for name, var in FusedWork.vars.items():
-            fields.append(f"Array<{_c_type(var.type.dtype)}> {name};")
+            kind = f"Array<{_c_type(var.type.dtype)}>" if hasattr(var.type, "dtype") else "Number"
+            fields.append(f"{kind} {name};")
         text = "\n".join((_LANES, "struct FusedWork {", *fields, "};", _MAIN.replace("BODY", source)))
         stem = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
         library = stem.with_suffix(".so")
@@ -125,6 +126,9 @@ class LaneRollout(PlainRollout):
         numbers = []
         for name in FusedWork.vars:
             array = getattr(self.work, name)
+            if isinstance(array, int):
+                numbers.append(np.array([array, 0], dtype=np.int32).tobytes())
+                continue
             shape = (*array.shape, 0, 0, 0, 0)[:4] if array is not None else (0, 0, 0, 0)
             start = array.ptr or 0 if array is not None else 0
             numbers += [np.array([start], dtype=np.uint64).tobytes(), np.array(shape, dtype=np.int32).tobytes()]

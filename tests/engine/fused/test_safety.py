@@ -13,8 +13,9 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 
 import warpmpc
 from warpmpc import Controller, SceneError, State
+from warpmpc.engine.fused import engine as fused_engine
 from warpmpc.engine.fused import model as fused_model
-from warpmpc.engine.fused import simulator, source
+from warpmpc.engine.fused import source
 from warpmpc.engine.fused.plain import PlainRollout
 from warpmpc.engine.fused.simulator import FusedSimulator
 from warpmpc.model.batch_size import BatchSize
@@ -76,12 +77,12 @@ def test_a_world_that_blows_up_is_flagged_and_disturbs_nobody(scene):
         if name == "control":
             poisoned[2:, world] = np.nan
         else:  # a mass that is no number
-            engine._work.par.numpy()[0, world], kept = np.nan, engine._work.par.numpy()[0, world]
+            engine.work.par.numpy()[0, world], kept = np.nan, engine.work.par.numpy()[0, world]
         found = rolled(engine, poisoned, q, qd)
         assert_others_alike(clean, found, world)
         if name == "par":
             assert found["diverged"].nonzero()[0].tolist() == [world]
-            engine._work.par.numpy()[0, world] = kept
+            engine.work.par.numpy()[0, world] = kept
         else:  # drives have limits: what is no number becomes one of them
             assert not found["diverged"].any()
             assert np.isfinite(found["joint_q"]).all()
@@ -169,13 +170,13 @@ def test_one_seed_gives_the_same_commands_on_any_number_of_threads(scene):
 def sources(monkeypatch):
     """Sources that simulators compile."""
     written: list[str] = []
-    make = simulator.make_kernel
+    make = fused_engine.make_kernel
 
     def remember(text: str, *args, **kwargs):
         written.append(text)
         return make(text, *args, **kwargs)
 
-    monkeypatch.setattr(simulator, "make_kernel", remember)
+    monkeypatch.setattr(fused_engine, "make_kernel", remember)
     return written
 
 
@@ -195,7 +196,7 @@ def test_weights_goals_samples_and_horizons_do_not_compile_again(scene, sources)
         controller.step(State.start(controller.layout))
         controller.task["goal"] = [0.3, 0.2, 0.0, 0.0, 0.0, 0.0, 1.0]
         controller.step(State.start(controller.layout))
-        modules.add(controller.engine.simulator._kernel.module.name)
+        modules.add(controller.engine._kernel.module.name)
     assert len(set(sources)) == 1
     assert len(modules) == 1
 
