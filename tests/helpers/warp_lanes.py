@@ -95,19 +95,15 @@ extern "C" int run(FusedWork* k, int worlds, int order) {
 """
 
 
-class LaneRollout(PlainRollout):
-    """A :class:`PlainRollout` by the lanes of a warp.
+class Lanes:
+    """A rollout by the lanes of a warp.
 
     Args:
-        folder: Where its source is compiled.
-        order: Which lane comes first between two synchronizations, and which world; results must not depend on it.
-        **kwargs: As for :class:`PlainRollout`.
+        source: Its source, for a warp to a world.
+        folder: Where it is compiled.
     """
 
-    def __init__(self, *args, folder: Path, order: int = 0, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.order = order
-        source = self.source(lanes=4, shared=True)
+    def __init__(self, source: str, folder: Path):
         fields = []
         for name, var in FusedWork.vars.items():
             kind = f"Array<{_c_type(var.type.dtype)}>" if hasattr(var.type, "dtype") else "Number"
@@ -121,11 +117,11 @@ class LaneRollout(PlainRollout):
             subprocess.run([COMPILER, *flags, "-o", library, stem.with_suffix(".cpp")], check=True)
         self._run = ctypes.CDLL(str(library)).run
 
-    def launch(self) -> None:
-        """Roll out what was given last."""
+    def __call__(self, work: FusedWork, worlds: int, order: int = 0) -> None:
+        """Roll worlds out; ``order`` says which lane comes first between two synchronizations, and which world."""
         numbers = []
         for name in FusedWork.vars:
-            array = getattr(self.work, name)
+            array = getattr(work, name)
             if isinstance(array, int):
                 numbers.append(np.array([array, 0], dtype=np.int32).tobytes())
                 continue
@@ -133,8 +129,28 @@ class LaneRollout(PlainRollout):
             start = array.ptr or 0 if array is not None else 0
             numbers += [np.array([start], dtype=np.uint64).tobytes(), np.array(shape, dtype=np.int32).tobytes()]
         block = ctypes.create_string_buffer(b"".join(numbers))
-        if self._run(block, self.worlds, self.order):
+        if self._run(block, worlds, order):
             raise RuntimeError("the lanes of a warp did not end together")
+
+
+class LaneRollout(PlainRollout):
+    """A :class:`PlainRollout` by the lanes of a warp.
+
+    Args:
+        folder: Where its source is compiled.
+        **kwargs: As for :class:`PlainRollout`.
+    """
+
+    order = 0
+    """Which lane comes first, and which world; results must not depend on it."""
+
+    def __init__(self, *args, folder: Path, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._run = Lanes(self.source(lanes=4, shared=True), folder)
+
+    def launch(self) -> None:
+        """Roll out what was given last."""
+        self._run(self.work, self.worlds, self.order)
 
 
 def _c_type(dtype: type) -> str:
