@@ -143,7 +143,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("lanes", [native_lanes(), 1])
+@pytest.mark.parametrize("lanes", sorted({1, 4, native_lanes()}))
 @pytest.mark.parametrize(("where", "term"), [case[:2] for case in CASES], ids=[f"{c[0]}-{c[2]}" for c in CASES])
 def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
     expected = plain(where)[term]

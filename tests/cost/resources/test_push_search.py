@@ -41,8 +41,8 @@ class Pushing:
 
     @property
     def values(self) -> np.ndarray:
-        """Values in use ``[E, rows, columns, 16]``, a copy."""
-        return self.stack.terms[0][1].value.numpy().copy()
+        """Values in use ``[E, 16, rows, columns]``, a copy."""
+        return np.moveaxis(self.stack.terms[0][1].value.numpy(), -1, 1).copy()
 
     @property
     def origins(self) -> np.ndarray:

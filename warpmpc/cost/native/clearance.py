@@ -32,6 +32,7 @@ _SURFACE = {
     f" const T d = {_OUTER.format('0.0f')} + VMIN(VMAX(qx, qz), 0.0f);",
 }
 """Distance ``d`` from a shape's surface, as in ``clearance.shape_distance``."""
+_CENTRE = "const T d = VSQRT(lx * lx + ly * ly + lz * lz);"
 
 
 def obstacle_clearance(code: TermCode, p: Any) -> Operand:
@@ -39,20 +40,19 @@ def obstacle_clearance(code: TermCode, p: Any) -> Operand:
     total, add = variable(code, "nearness", "(T)0.0f"), code.lines.add
     position = ", ".join(f"p{a} = {text(x)}" for a, x in zip("xyz", code.state.frame(p.of).position, strict=True))
     kinds, poses, sizes = p.kind.numpy(), p.pose.numpy(), p.size.numpy()
+    # distances from centres are the same for all kinds
+    groups = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)] if p.surface else [np.arange(len(kinds))]
     add(f"{{ const T {position};")
-    for kind in np.unique(kinds) if p.surface else [None]:
-        which = np.flatnonzero(kinds == kind) if p.surface else np.arange(len(kinds))
-        rows = []
+    for which in filter(len, groups):
+        rows: list[float] = []
         for k in which:
             turn = Rotation.from_quat(poses[k, 3:]).as_matrix().ravel()
             rows += [*known(turn), *poses[k, :3].tolist(), *sizes[k].tolist()]
-        distance = _SURFACE[int(kind)] if p.surface else "const T d = VSQRT(lx * lx + ly * ly + lz * lz);"
-        add(f"const float obstacles{kind}[{len(rows)}] = {{{', '.join(map(literal, rows))}}};".replace("None", ""))
-        add(
-            f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = obstacles{kind} + 15 * n;".replace("None", "")
-        )
+        distance = _SURFACE[int(kinds[which[0]])] if p.surface else _CENTRE
+        add(f"{{ const float obstacles[{len(rows)}] = {{{', '.join(map(literal, rows))}}};")
+        add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = obstacles + 15 * n;")
         add(f"{_TURN} {distance}")
-        add(f"{total} = {total} + 1.0f / VMAX(d - {code.params}.radius, {code.params}.least); }}")
+        add(f"{total} = {total} + 1.0f / VMAX(d - {code.params}.radius, {code.params}.least); }} }}")
     add("}")
     return total
 
