@@ -19,9 +19,9 @@ import warp as wp
 from ..bake.lines import Lines
 from ..bake.motion import WARP
 from ..bake.number import native_lanes
-from ..compiling import compile_kernel
 from ..bake.rollout import RolloutSource, TermSource
 from ..bake.state import StateCode, TermCode, moving_dofs
+from ..compiling import compile_kernel
 from ..cost.kernel import judge_code
 from ..cost.stack import Judge
 from ..cost.term import CostTerm
