@@ -89,6 +89,26 @@ def test_the_arm_reaches_drawn_goals_between_spheres(device):
     assert np.mean([r.sim_time for r in results]) <= 1.2
 
 
+def test_the_block_comes_to_rest_in_its_drawn_pose(device):
+    """It is turned by any angle."""
+    results = episodes("push_t", (0, 2, 3), device=device)
+    assert len({str(r.drawn) for r in results}) == 3
+    assert all(r.success for r in results), results
+    assert all(r.position_error <= 0.01 and r.yaw_error <= 0.1 for r in results), results
+
+
+@pytest.mark.slow
+def test_the_block_is_turned_and_pushed_on_most_seeds(device):
+    assert sum(r.success for r in episodes("push_t", range(20, 30), device=device)) >= 9
+
+
+@pytest.mark.slow
+def test_the_humanoid_falls_when_it_is_left_alone_and_stands_otherwise(device):
+    (still,) = episodes("humanoid_stand", (0,), ["planner.noise.sigma=1e-6"], device)
+    assert not still.success, still
+    assert all(r.success for r in episodes("humanoid_stand", (0, 1), device=device))
+
+
 # Minutes of simulated pushing each; run them with: pytest -m slow tests/scenes
 
 

@@ -32,6 +32,8 @@ TOLERANCE = {
     "panda_reach": ROUNDING,
     "panda_reach_pose": ROUNDING,
     "point_reach": ROUNDING,
+    "push_t": ROUNDING,
+    "humanoid_stand": ROUNDING,
 }
 """Scene → largest difference at the end of the horizon of half and of nine tenths of the worlds [m, rad]."""
 

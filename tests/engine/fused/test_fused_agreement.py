@@ -88,6 +88,7 @@ def test_numbers_of_any_width_give_the_same(lanes):
 
 SCENES = ["omni_push_box", "panda_push"]
 MORE = ["omni_push_sphere", "diff_push_box", "panda_push_objects", "panda_reach", "point_reach", "mobile_pick"]
+MORE += ["push_t", "humanoid_stand"]
 EVERY = [*SCENES, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)]
 """The shipped scenes with physics; few by default, since each is a model to compile."""
 
