@@ -40,7 +40,8 @@ def test_single_steps_are_those_of_mujoco(name, integrator, seed):
     found = step_differences(model, states, lanes=4)
     most = found.v.max(axis=1)[states.edge < 1e-4]
     assert len(most) > 0.97 * len(states.edge), found
-    assert most.max() <= 1e-4, found
+    assert most.max() <= (3e-4 if name == "pairs" else 1e-4), found  # where a corner comes into the margin
+    assert np.percentile(most, 99) <= 5e-5, found
     assert np.median(found.v) <= 1e-6, found
 
 
