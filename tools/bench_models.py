@@ -88,6 +88,14 @@ def hand() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(folder / "envs/assets/hand/reach.xml"))
 
 
+def hand_with_block() -> mujoco.MjModel:
+    """The same with a block in it, and one contact of two flat shapes."""
+    folder = Path(importlib.util.find_spec("gymnasium_robotics").submodule_search_locations[0])
+    model = mujoco.MjModel.from_xml_path(str(folder / "envs/assets/hand/manipulate_block.xml"))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
+    return model
+
+
 def load_model(name: str) -> mujoco.MjModel:
     """A model of :data:`OWN` or :data:`OTHERS`, or a scene's, by name."""
     made = OWN | OTHERS
@@ -104,7 +112,7 @@ def of_scene(name: str) -> mujoco.MjModel:
 
 
 OWN = {"quadruped": quadruped, "humanoid": humanoid, "arm_with_box": arm_with_box}
-OTHERS = {"hand": hand}
+OTHERS = {"hand": hand, "hand_with_block": hand_with_block}
 """Models of files that are installed beside this project."""
 SCENES = (
     "omni_push_box",
