@@ -157,5 +157,5 @@ def step_differences(
     engine = PlainRollout(model, len(visited.q), 1, arrays=arrays, lanes=lanes, device=device)
     q, v = engine(visited.q, visited.v, visited.control[None], visited.act)
     assert not engine.work.overflow.numpy().any()
-    np.testing.assert_allclose(engine.work.act.numpy()[1], visited.next_act, atol=2e-6)
+    np.testing.assert_allclose(engine.work.record_act.numpy()[1], visited.next_act, atol=2e-6)
     return Differences(np.abs(v[0] - visited.next_v), turned(model, q[0], visited.next_q), visited)
