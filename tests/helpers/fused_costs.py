@@ -68,7 +68,7 @@ def assert_costs(mpc: Controller, expected: np.ndarray, rtol: float = 1e-5) -> N
 
 def risk_of(cost: np.ndarray, risk: str, alpha: float) -> tuple[np.ndarray, np.ndarray]:
     """Cost of samples from those of their domains ``[n, D]``, and each domain's share in it ``[n, D]``."""
-    n, domains = cost.shape
+    domains = cost.shape[1]
     tail = {"mean": float(domains), "worst": 1.0, "cvar": max(alpha * domains, 1.0)}[risk]
     rank = np.argsort(np.argsort(-cost, axis=1, kind="stable"), axis=1)
     share = np.clip(tail - rank, 0.0, 1.0) / tail

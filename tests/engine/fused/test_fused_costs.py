@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine `fused` judges inside its launch: what it says rollouts cost is what the Warp functions of the terms say."""
+"""The engine `fused` judges inside its launch: rollouts cost what the Warp functions of the terms say."""
 
 from dataclasses import fields, replace
 

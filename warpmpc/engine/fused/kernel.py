@@ -53,9 +53,7 @@ WARP = 32
 """Lanes of a warp."""
 
 
-def make_kernel(
-    source: str, lanes: int, threads: int, params: Any = None, judge: JudgeCode | None = None
-) -> wp.Kernel:
+def make_kernel(source: str, lanes: int, threads: int, params: Any = None, judge: JudgeCode | None = None) -> wp.Kernel:
     """Compile baked source into a kernel.
 
     Args:
@@ -82,7 +80,7 @@ def make_kernel(
             # inputs and outputs
             k: FusedWork,
         ):
-            """One thread: all steps of as many worlds as a number has lanes; on a GPU of one, or a lane's part of it."""
+            """One thread: all steps of as many worlds as a number has lanes; on a GPU of one, or its part of one."""
             rollout_plain(k, first + wp.tid() // sharing)
 
         return fused_kernel

@@ -28,7 +28,6 @@ from .source import RolloutSource
 if TYPE_CHECKING:
     from ...model.batch_size import BatchSize
     from ...model.compiled import CompiledScene
-    from ...model.layout import Layout
     from ...model.properties import Properties
     from ...scene.schema import Scene
     from ...task.observed import ObservedState
@@ -118,17 +117,17 @@ class FusedSimulator:
         """What :meth:`rollout` records."""
         return Trajectory.allocate(self.shape, self.layout, len(self.pairs), self.device)
 
-    @cached_property
-    def _kernel(self) -> wp.Kernel:
-        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
-        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
-        return kernel
-
-    @cached_property
+    @property
     def work(self) -> FusedWork:
         """What rollouts of given controls start from; the controls of a step are its own knots."""
+        return self._ready[1]
+
+    @cached_property
+    def _ready(self) -> tuple[wp.Kernel, FusedWork]:
+        """The kernel of rollouts of given controls, and what it takes."""
+        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
         shape, work, out, device = self.shape, FusedWork(), self.trajectory, self.device
-        self._kernel  # writes the source
         self.fill(work)
         tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)
         tap[:, :, 0] = np.arange(shape.horizon)
@@ -142,21 +141,22 @@ class FusedSimulator:
         work.record_q, work.record_qd = out.joint_q, out.joint_qd
         work.record_body_q, work.record_body_qd, work.record_act = out.body_q, out.body_qd, out.act
         work.diverged, work.overflow = out.diverged, out.overflow
-        return work
+        return kernel, work
 
     def clone(self, state: ObservedState) -> None:
         """Let rollouts begin in an observed state."""
         work = self.work
-        work.act = state.act
-        work.joint_q, work.joint_qd, work.mocap, work.pose = state.joint_q, state.joint_qd, state.mocap, state.pose
+        work.joint_q, work.joint_qd, work.act = state.joint_q, state.joint_qd, state.act
+        work.mocap, work.pose = state.mocap, state.pose
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
         shape = self.shape
         knots = control.numpy().swapaxes(0, 1).reshape(shape.envs, shape.rollouts, shape.horizon, -1)
-        self.work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
+        kernel, work = self._ready
+        work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
         groups = shape.envs * -(-shape.rollouts // self._lanes)
-        self._launch(self._kernel, groups * self.sharing, [0], [self.work], threads=WARP)
+        self._launch(kernel, groups * self.sharing, [0], [work], threads=WARP)
 
 
 def refuse(scene: Scene, world: MujocoWorld) -> None:

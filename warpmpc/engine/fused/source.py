@@ -96,7 +96,9 @@ class RolloutSource:
         defines["FIRST"] = self.judged.first if self.judged else 0
         undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-        return "\n".join((header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, ""))
+        return "\n".join(
+            (header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, "")
+        )
 
     def _rollout(self) -> str:
         parts = {"STEP_CONTROL": CONTROL, "START": self._native("start"), "RECORD": self._native("record")}

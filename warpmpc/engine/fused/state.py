@@ -31,9 +31,7 @@ class PhysicsState(StateCode):
     """
 
     def __init__(self, layout: Layout, exchange: Exchange):
-        self._turning = {
-            dof + i: j for j, _, dof in exchange.turns for i in range(int(layout.joint_dof_dim[j].sum()))
-        }
+        self._turning = {dof + i: j for j, _, dof in exchange.turns for i in range(int(layout.joint_dof_dim[j].sum()))}
         super().__init__(layout, frozenset({*self._turning, *exchange.speeds}))
         self.exchange = exchange
         self.tree = PhysicsTree(layout, self.lines, exchange)
@@ -105,9 +103,7 @@ class PhysicsState(StateCode):
         """Mean contact force on the first of a watched pair during the step, in the world's frame [N]."""
         if not self.exchange.watched:
             return [0.0, 0.0, 0.0]
-        return self._cached(
-            ("force", pair), lambda: [self.lines.let(f"w.pushed[{3 * pair + k}]") for k in range(3)]
-        )
+        return self._cached(("force", pair), lambda: [self.lines.let(f"w.pushed[{3 * pair + k}]") for k in range(3)])
 
     def free_start(self, body: int) -> None:
         """None: physics moves what is free."""
