@@ -61,10 +61,10 @@ for (int h = 0; h < steps; ++h) {
             if (threadIdx.x & 31) break;
 #endif
             const Sim::Contact& c = w.con[w.order[i]];
-            T f3[3];
-            Sim::contact_force(c, f3);
+            T push[PUSH];
+            Sim::contact_force(c, push);
             const Sim::V3 normal = Sim::load(c.normal), along = Sim::load(c.tangent);
-            const Sim::V3 f = normal * f3[0] + along * f3[1] + Sim::cross(normal, along) * f3[2];
+            const Sim::V3 f = normal * push[0] + along * push[1] + Sim::cross(normal, along) * push[2];
             for (int l = 0; l < count; ++l) {
                 if (!((c.used >> l) & 1)) continue;
                 const int pair = ((const int*)&c.pair)[l];
