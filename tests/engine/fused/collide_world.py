@@ -36,6 +36,7 @@ _WORLD = """
 #endif
 #define splat(x) ((T)(x))
 #define YES SET
+#define NO ((I)0)
 #define VNOT(m) FLIP(m)
 static const float pair_margin[2] = {0.0f, MARGIN};
 TABLES
@@ -102,11 +103,13 @@ FN void run(int group, int kind, int pair, int repeat, const float* pose, float*
 };
 Collide::run(group, kind, pair, repeat, pose.data, out.data, blocks.data);
 #undef MESHES
+#undef RING
 #undef FN
 #undef LOOK
 #undef INLINE
 #undef splat
 #undef YES
+#undef NO
 #undef VNOT
 """
 

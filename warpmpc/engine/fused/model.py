@@ -367,9 +367,6 @@ def missing(model: mujoco.MjModel) -> str | None:
         if wrong(physics):
             return what
     kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
-    several = {pair for pair in kinds & CONVEX if FLAT.issuperset(pair)}
-    if several and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
-        return f"several contacts between {_names(min(several))} (multiccd: disable that flag for one contact)"
     for a, b in sorted(kinds - COLLIDES):
         return f"contacts between {_names((a, b))}"
     return None
@@ -523,7 +520,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "shapes of their own in a medium": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),
-    "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any() or p.mj.pair_gap.any(),
     "impedances whose power is no whole number": lambda p: any(
         not row.power.is_integer() or row.power > MOST_POWER
         for row in (*(pair.rows for pair in p.pairs), *(tie.rows for tie in p.ties), *p.limits)

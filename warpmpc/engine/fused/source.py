@@ -20,6 +20,7 @@ from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
+from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
 from .tie_tables import TieTables
 from .tree import packed
@@ -34,6 +35,8 @@ POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.C
           (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
           (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
 """Most contacts of two geoms; one where nothing is said."""
+FACES = 4
+"""The same of two flat shapes, by their faces."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
@@ -160,7 +163,7 @@ class RolloutSource:
     def _sizes(self) -> dict[str, object]:
         m, model = self.model.mj, self.model
         longest = max([1, *(len(dofs) for _, dofs in self._groups)])
-        bound = sum(POINTS.get(tuple(int(m.geom_type[g]) for g in pair.geoms), 1) for pair in model.pairs)
+        bound = sum(self._points(pair) for pair in model.pairs)
         turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
         return {
             "NQ": m.nq,
@@ -178,6 +181,7 @@ class RolloutSource:
             "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
             "PAIRS": len(model.pairs),
             **self._row_sizes,
+            "RING": ring_size(model),
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
@@ -192,6 +196,19 @@ class RolloutSource:
             **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
         }
+
+    def _points(self, pair: kinds.PairRow) -> int:
+        """Most contacts of a pair."""
+        if set(pair.geoms) <= self._flat:
+            return POINTS.get(self._kind(pair), FACES)
+        return POINTS.get(self._kind(pair), 1)
+
+    def _kind(self, pair: kinds.PairRow) -> tuple[int, int]:
+        return tuple(int(self.model.mj.geom_type[g]) for g in pair.geoms)
+
+    @cached_property
+    def _flat(self) -> set[int]:
+        return flat_geoms(self.model)
 
     @cached_property
     def _row_sizes(self) -> dict[str, object]:
@@ -269,6 +286,7 @@ class RolloutSource:
             ints("mocap_of", self.mocap),
             ints("movable_of", self.movable),
             *self._mesh_tables(),
+            *ring_tables(model),
             *self._watch_tables(),
         ]
 
@@ -317,7 +335,8 @@ class RolloutSource:
 
     def _collision_sources(self) -> list[str]:
         found = self._kinds()
-        return [self._native(name) for name, need in _SOURCES.items() if need & set(found)]
+        more = ["manifold"] if self._sizes["RING"] else []
+        return [self._native(name) for name in (*(n for n, need in _SOURCES.items() if need & set(found)), *more)]
 
     def _collisions(self) -> str:
         """Statements that look at all pairs, kind by kind."""
