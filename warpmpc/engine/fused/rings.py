@@ -41,13 +41,20 @@ def ring_size(model: PhysicsModel) -> int:
     out = [0]
     for g in flat_geoms(model):
         kind = int(m.geom_type[g])
-        out += [len(corners) for _, corners in faces(m, int(m.geom_dataid[g]))] if kind == MESH else [sizes.get(kind, 2)]
+        out += (
+            [len(corners) for _, corners in faces(m, int(m.geom_dataid[g]))] if kind == MESH else [sizes.get(kind, 2)]
+        )
     return max(out)
 
 
-def ring_tables(model: PhysicsModel) -> list[str]:
-    """Tables of the faces."""
-    m, size, geoms = model.mj, ring_size(model), flat_geoms(model)
+def ring_tables(model: PhysicsModel, size: int) -> list[str]:
+    """Tables of the faces.
+
+    Args:
+        model: The model.
+        size: Corners that each has room for.
+    """
+    m, geoms = model.mj, flat_geoms(model)
     if not size:
         return []
     first, rows = [], []

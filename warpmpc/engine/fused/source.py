@@ -153,7 +153,7 @@ class RolloutSource:
         """The solve for matrices that all groups have added to."""
         ties = (tie.dofs for tie in self.model.ties)
         rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
-        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
+        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows, tree=self.model.ancestors), "#endif"))
 
     @cached_property
     def _sizes_vary(self) -> bool:
@@ -286,7 +286,7 @@ class RolloutSource:
             ints("mocap_of", self.mocap),
             ints("movable_of", self.movable),
             *self._mesh_tables(),
-            *ring_tables(model),
+            *ring_tables(model, ring_size(model)),
             *self._watch_tables(),
         ]
 

@@ -197,14 +197,15 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
         other.count = second ? a.count : other.count;
     }
     const V3 m = face.normal, o = face.at[0], u = unit(face.at[1] - o), v = cross(m, u);
+    const V3 round = n * (first ? zero - s.round2 : s.round1);  // capsules touch beside their axis
     T fx[RING], fy[RING], x[RING], y[RING], z[RING], size = zero;
     for (int k = 0; k < RING; ++k) {
-        const V3 f = face.at[k] - o, q = other.at[k] - o;
+        const V3 f = face.at[k] - o, q = other.at[k] + round - o;
         fx[k] = dot(f, u);
         fy[k] = dot(f, v);
         x[k] = dot(q, u);
         y[k] = dot(q, v);
-        z[k] = dot(q, m) - s.round1 - s.round2;
+        z[k] = dot(q, m);
         size = VMAX(size, VABS(fx[k]) + VABS(fy[k]));
     }
     Points p;
@@ -236,6 +237,13 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
             pz[k] = better ? p.z[i] : pz[k];
             on[k] = on[k] | better;
         }
+    }
+    if (s.kind1 == CAPSULE) {  // as MuJoCo: twice where only one end is low enough
+        const I twice = on[0] & VNOT(on[1]);
+        px[1] = twice ? px[0] : px[1];
+        py[1] = twice ? py[0] : py[1];
+        pz[1] = twice ? pz[0] : pz[1];
+        on[1] = on[1] | twice;
     }
     const V3 normal = in_world(w.gmat[s.g1], choose(first, m, m * splat(-1.0f))), t = tangent(normal);
     for (int k = 0; k < 4; ++k) {
