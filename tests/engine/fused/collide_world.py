@@ -36,6 +36,7 @@ _WORLD = """
 #endif
 #define splat(x) ((T)(x))
 #define YES SET
+#define NO ((I)0)
 #define VNOT(m) FLIP(m)
 static const float pair_margin[2] = {0.0f, MARGIN};
 TABLES
@@ -102,11 +103,13 @@ FN void run(int group, int kind, int pair, int repeat, const float* pose, float*
 };
 Collide::run(group, kind, pair, repeat, pose.data, out.data, blocks.data);
 #undef MESHES
+#undef RING
 #undef FN
 #undef LOOK
 #undef INLINE
 #undef splat
 #undef YES
+#undef NO
 #undef VNOT
 """
 
@@ -224,12 +227,19 @@ def nanoseconds(
     return 1e9 * least / groups / repeat, float(blocks.numpy().mean() / repeat)
 
 
-def model(kinds: tuple[str, str], margin: float = 0.0, asset: str = "") -> mujoco.MjModel:
-    """Two geoms that may collide; the first is fixed, both are moved by writing their poses."""
+def model(kinds: tuple[str, str], margin: float = 0.0, asset: str = "", several: bool = False) -> mujoco.MjModel:
+    """Two geoms that may collide; the first is fixed, both are moved by writing their poses.
+
+    Args:
+        kinds: Their types.
+        margin: Of both together [m].
+        asset: Elements with the mesh "mesh".
+        several: Whether flat shapes have several contacts (multiccd).
+    """
     sizes = {"plane": "1 1 1", "sphere": "1", "capsule": "1 1", "cylinder": "1 1", "box": "1 1 1", "ellipsoid": "1 1 1"}
     geoms = [f'type="{k}" size="{sizes[k]}"' if k in sizes else f'type="mesh" mesh="{k}"' for k in kinds]
     return mujoco.MjModel.from_xml_string(f"""
-<mujoco><option><flag multiccd="disable"/></option><asset>{asset}</asset>
+<mujoco><option><flag multiccd="{"enable" if several else "disable"}"/></option><asset>{asset}</asset>
 <default><geom margin="{margin / 2}"/></default><worldbody>
 <geom {geoms[0]}/><body><freejoint/><geom {geoms[1]} mass="1"/></body></worldbody></mujoco>""")
 

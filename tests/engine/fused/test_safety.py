@@ -219,7 +219,6 @@ def drive(text: str) -> dict:
 
 LACKS = {
     "an integrator other than euler and implicitfast": {"option": 'integrator="RK4"'},
-    "elliptic friction cones": {"option": 'cone="elliptic"'},
     "equalities of flexible bodies and distances": {
         "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" '
         'mass="1"><edge equality="true"/></flexcomp>'
@@ -245,10 +244,10 @@ LACKS = {
         'dim="2" mass="1"/>'
     },
     "adhesion of explicit pairs": {"end": '<contact><pair geom1="g" geom2="tip" adhesion="1"/></contact>'},
-    "friction that differs along the tangents of an explicit pair": {
-        "end": '<contact><pair geom1="g" geom2="tip" friction="1 0.5"/></contact>'
+    "references of their own for the friction of explicit pairs": {
+        "option": 'cone="elliptic"',
+        "end": '<contact><pair geom1="g" geom2="tip" solreffriction="0.03 1"/></contact>',
     },
-    "torsional and rolling friction (condim 4 and 6)": {"geom": 'condim="4"'},
     "gravity compensation by actuators": {"hinge": 'actuatorgravcomp="true"'},
     "activations but integrators and filters": drive('<muscle joint="h" lengthrange="0 1" ctrlrange="0 1"/>'),
     "actuators that drive anything but joints, tendons and sites": drive('<adhesion body="b" ctrlrange="0 1"/>'),
@@ -270,7 +269,6 @@ LACKS = {
     },
     "a medium (density, viscosity) in implicit steps": {"option": 'density="1.2" integrator="implicitfast"'},
     "shapes of their own in a medium": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
-    "gaps of contacts": {"geom": 'margin="0.02" gap="0.01"'},
     "impedances whose power is no whole number": {"geom": 'priority="1" solimp="0.9 0.95 0.001 0.5 2.5"'},
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
     "noslip iterations": {"option": 'noslip_iterations="3"'},
@@ -313,7 +311,7 @@ def test_a_pair_of_shapes_without_contacts_is_named():
 @pytest.mark.usefixtures("preferred")
 @pytest.mark.parametrize(
     "engine",
-    [{"cone": "elliptic"}, {"integrator": "rk4"}, {"integrator": "implicit"}],
+    [{"integrator": "rk4"}, {"integrator": "implicit"}],
     ids=lambda e: next(iter(e.values())),
 )
 def test_auto_takes_mujoco_where_the_engine_lacks_something(engine):

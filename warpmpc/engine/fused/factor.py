@@ -55,14 +55,19 @@ def couple(model: PhysicsModel, groups: Sequence[Sequence[int]]) -> list[list[in
     return [sorted(row, reverse=True) for row in rows]
 
 
-def write_solve(name: str, above: Sequence[Sequence[int]], *, damped: bool = False) -> str:
+def write_solve(
+    name: str, above: Sequence[Sequence[int]], *, damped: bool = False, tree: Sequence[Sequence[int]] | None = None
+) -> str:
     """Source of x = sign H⁻¹ g by Lᵀ D L, from the last degree of freedom to the first and back.
 
     Args:
         name: Name of the function.
         above: Columns left of the diagonal of every row, falling.
         damped: Whether a vector is added to the diagonal.
+        tree: Columns that come first on the way back, then zeros may follow and change no bit: a compiler fuses the
+            first product of a sum with what it is added to. All of them if None.
     """
+    tree = above if tree is None else tree
     extra, more = (", const T* damp", " + damp[{}]") if damped else ("", "")
     out = [f"FN void {name}(const T* h, const T* g, T* x, float sign{extra}) {{"]
     for k, row in enumerate(above):
@@ -76,6 +81,6 @@ def write_solve(name: str, above: Sequence[Sequence[int]], *, damped: bool = Fal
             out.append(f"x{i} -= a * x{k}; h{k}_{i} = a; }}")
         out.append(f"x{k} *= inv; }}")
     for k, row in enumerate(above):
-        out += [f"x{k} -= h{k}_{i} * x{i};" for i in reversed(row)]
+        out += [f"x{k} -= h{k}_{i} * x{i};" for i in sorted(row, key=lambda i: (i not in tree[k], i))]
         out.append(f"x[{k}] = x{k};")
     return "\n".join((*out, "}"))

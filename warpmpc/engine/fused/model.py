@@ -39,6 +39,10 @@ LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
 MOST_POWER = 16
 """Of an impedance."""
+LEAST_FRICTION = 1e-5
+"""Bound of a contact's coefficients of friction."""
+_FRICTIONS = [0, 0, 1, 2, 2]
+"""A geom's coefficients of friction in the order of a contact's."""
 _UNBOUNDED = 1e30
 
 
@@ -85,16 +89,21 @@ class PairRow:
     """By type, as MuJoCo orders them."""
     rows: Rows
     margin: float
-    slides: bool
-    """Whether there is friction (condim 3)."""
+    condim: int
+    """Its rows: 1 without friction, 3 with friction along the tangents, 4 also about the normal, 6 also about these."""
     friction: np.ndarray
-    """Of all worlds ``[W]`` or one ``[1]``."""
+    """Along both tangents, about the normal and about both tangents, of all worlds ``[W, 5]`` or one ``[1, 5]``."""
     inverse: np.ndarray
     """Approximate inverse inertia along a row, as MuJoCo regularizes it ``[W]`` or ``[1]``."""
     dofs: tuple[int, ...]
     """Degrees of freedom that move one geom and not the other."""
     signs: tuple[float, ...]
     """1 for those that move the second."""
+
+    @property
+    def slides(self) -> bool:
+        """Whether there is friction."""
+        return self.condim > 1
 
 
 class PhysicsModel:
@@ -283,7 +292,7 @@ class PhysicsModel:
         return {
             "SIZE": self.array("geom_size")[0],
             "BOUND": self.array("geom_rbound").max(axis=0),
-            "FRICTION": np.array([pair.friction[0] for pair in self.pairs]),
+            "FRICTION": np.array([pair.friction[0, : self.frictions] for pair in self.pairs]),
             "PAIR_INVERSE": np.array([pair.inverse[0] for pair in self.pairs]),
             "LIMIT_INVERSE": np.array([inverse[m.jnt_dofadr[j]] for j in self.limited]),
             "TIE_INVERSE": np.array([values[0] for tie in self.ties for values in tie.inverse]),
@@ -303,6 +312,18 @@ class PhysicsModel:
         sizes = [np.size(values) for values in self._given.values()]
         return dict(zip(self._given, np.cumsum([0, *sizes]).tolist(), strict=False))
 
+    @cached_property
+    def elliptic(self) -> bool:
+        """Whether cones of friction are elliptic."""
+        return bool(self.mj.opt.cone) and any(pair.slides for pair in self.pairs)
+
+    @cached_property
+    def frictions(self) -> int:
+        """Numbers that say how a contact rubs: one where both tangents are alike and all, in pyramids."""
+        most = max((pair.condim for pair in self.pairs), default=1)
+        alike = all((pair.friction[:, 0] == pair.friction[:, 1]).all() for pair in self.pairs)
+        return most - 1 if self.elliptic or most > 3 or not alike else 1
+
     def _pair(self, a: int, b: int, told: int | None) -> PairRow:
         """Parameters of two geoms: those of an explicit pair, or mixed ones (MuJoCo, "Contact parameters")."""
         m, friction = self.mj, self.array("geom_friction")
@@ -312,17 +333,17 @@ class PhysicsModel:
                 m.pair_dim[told],
                 m.pair_solref[told],
                 m.pair_solimp[told],
-                m.pair_friction[told, :1],
+                m.pair_friction[None, told],
             )
         elif m.geom_priority[a] != m.geom_priority[b]:
             g = a if m.geom_priority[a] > m.geom_priority[b] else b
-            condim, solref, solimp, mu = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g], friction[:, g, 0]
+            condim, solref, solimp, mu = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g], friction[:, g][:, _FRICTIONS]
         else:
             weights = m.geom_solmix[a], m.geom_solmix[b]
             total = sum(weights)
             mix = weights[0] / total if total > 1e-15 else 0.5
             condim = max(m.geom_condim[a], m.geom_condim[b])
-            mu = np.maximum(friction[:, a, 0], friction[:, b, 0])
+            mu = np.maximum(friction[:, a], friction[:, b])[:, _FRICTIONS]
             both = m.geom_solref[a], m.geom_solref[b]
             direct = both[0][0] <= 0.0 or both[1][0] <= 0.0
             solref = np.minimum(*both) if direct else mix * both[0] + (1.0 - mix) * both[1]
@@ -330,14 +351,13 @@ class PhysicsModel:
         bodies = int(m.geom_bodyid[a]), int(m.geom_bodyid[b])
         weight = self.array("body_invweight0")
         inverse = weight[:, bodies[0], 0] + weight[:, bodies[1], 0]
-        slides = int(condim) >= 3
-        if slides:  # of the edges of a pyramid, all regularized alike
-            inverse, mu = np.broadcast_arrays(inverse, mu)
-            inverse = 2.0 * mu**2 / float(m.opt.impratio) * (1.0 + mu**2) * inverse
+        mu = np.maximum(mu, LEAST_FRICTION)
+        if condim > 1 and not m.opt.cone:  # of the edges of a pyramid, all regularized alike
+            inverse = 2.0 * mu[:, 0] ** 2 / float(m.opt.impratio) * (1.0 + mu[:, 0] ** 2) * inverse
         chains = self.body_dofs[bodies[0]], self.body_dofs[bodies[1]]
         dofs = tuple(sorted(chains[0] ^ chains[1]))
         signs = tuple(1.0 if dof in chains[1] else -1.0 for dof in dofs)
-        return PairRow((a, b), self.rows(solref, solimp), margin, slides, mu, inverse, dofs, signs)
+        return PairRow((a, b), self.rows(solref, solimp), margin, int(condim), mu, inverse, dofs, signs)
 
 
 def missing(model: mujoco.MjModel) -> str | None:
@@ -347,9 +367,6 @@ def missing(model: mujoco.MjModel) -> str | None:
         if wrong(physics):
             return what
     kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
-    several = {pair for pair in kinds & CONVEX if FLAT.issuperset(pair)}
-    if several and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
-        return f"several contacts between {_names(min(several))} (multiccd: disable that flag for one contact)"
     for a, b in sorted(kinds - COLLIDES):
         return f"contacts between {_names((a, b))}"
     return None
@@ -460,7 +477,6 @@ _WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "an integrator other than euler and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
-    "elliptic friction cones": lambda p: p.mj.opt.cone and (p.mj.geom_condim > 1).any(),
     "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
     "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
     "armatures of tendons along sites": lambda p: any(
@@ -474,11 +490,9 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
     "adhesion of explicit pairs": lambda p: p.mj.pair_adhesion.any(),
-    "friction that differs along the tangents of an explicit pair": lambda p: (
-        (p.mj.pair_friction[:, 0] != p.mj.pair_friction[:, 1])[p.mj.pair_dim > 1].any()
-        or (p.mj.opt.cone and p.mj.pair_solreffriction.any())
+    "references of their own for the friction of explicit pairs": lambda p: (
+        p.mj.opt.cone and p.mj.pair_solreffriction.any()
     ),
-    "torsional and rolling friction (condim 4 and 6)": lambda p: (p.mj.geom_condim[_contacts(p)] > 3).any(),
     "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
         np.isin(p.mj.jnt_type, (FREE, BALL))
     ].any(),
@@ -506,7 +520,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "shapes of their own in a medium": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),
-    "gaps of contacts": lambda p: p.mj.geom_gap[_contacts(p)].any() or p.mj.pair_gap.any(),
     "impedances whose power is no whole number": lambda p: any(
         not row.power.is_integer() or row.power > MOST_POWER
         for row in (*(pair.rows for pair in p.pairs), *(tie.rows for tie in p.ties), *p.limits)

@@ -19,6 +19,7 @@ from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
 from .meshes import Hulls
+from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
 from .tie_tables import TieTables
 from .tree import packed
@@ -34,6 +35,8 @@ POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.C
           (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
           (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
 """Most contacts of two geoms; one where nothing is said."""
+FACES = 4
+"""The same of two flat shapes, by their faces."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
@@ -73,6 +76,7 @@ class RolloutSource:
             *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
             *baked,
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
+            self._native("cones" if self.model.frictions > 1 else "pyramid"),
             self._native("contact"),
             *self._collision_sources(),
             self._native("ties").replace("BIND", dynamics.bind),
@@ -94,7 +98,7 @@ class RolloutSource:
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
         defines |= self.exchange.sizes | {"TERMS": int(self.judged is not None)}
         defines["FIRST"] = self.judged.first if self.judged else 0
-        undo = "\n".join(f"#undef {name}" for name in (*_MACROS, *defines))
+        undo = "\n".join(f"#undef {name.partition('(')[0]}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
         return "\n".join(
             (header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, "")
@@ -111,20 +115,20 @@ class RolloutSource:
         return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
 
     @cached_property
-    def _groups(self) -> list[tuple[bool, tuple[int, ...]]]:
-        """Whether a group of pairs has friction, and its degrees of freedom."""
-        groups: list[tuple[bool, tuple[int, ...]]] = []
-        for slides, dofs in sorted({(p.slides, p.dofs) for p in self.model.pairs}, key=lambda g: (-len(g[1]), g)):
-            if not any(self._fits(slides, dofs, group) for group in groups):
-                groups.append((slides, dofs))
+    def _groups(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Rows of each contact of a group of pairs, and its degrees of freedom."""
+        groups: list[tuple[int, tuple[int, ...]]] = []
+        for condim, dofs in sorted({(p.condim, p.dofs) for p in self.model.pairs}, key=lambda g: (-len(g[1]), g)):
+            if not any(self._fits(condim, dofs, group) for group in groups):
+                groups.append((condim, dofs))
         return groups
 
-    def _fits(self, slides: bool, dofs: tuple[int, ...], group: tuple[bool, tuple[int, ...]]) -> bool:
-        return group[0] == slides and set(dofs) <= set(group[1]) and len(group[1]) <= len(dofs) + JOIN
+    def _fits(self, condim: int, dofs: tuple[int, ...], group: tuple[int, tuple[int, ...]]) -> bool:
+        return group[0] == condim and set(dofs) <= set(group[1]) and len(group[1]) <= len(dofs) + JOIN
 
     def _group(self, pair: kinds.PairRow) -> int:
         """Group of a pair."""
-        return next(i for i, group in enumerate(self._groups) if self._fits(pair.slides, pair.dofs, group))
+        return next(i for i, group in enumerate(self._groups) if self._fits(pair.condim, pair.dofs, group))
 
     def _couples(self, dofs: tuple[int, ...]) -> bool:
         """Whether contacts of a group couple branches of the tree."""
@@ -135,7 +139,7 @@ class RolloutSource:
         """The solve for matrices that all groups have added to."""
         ties = (tie.dofs for tie in self.model.ties)
         rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
-        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
+        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows, tree=self.model.ancestors), "#endif"))
 
     @cached_property
     def _sizes_vary(self) -> bool:
@@ -145,7 +149,7 @@ class RolloutSource:
     def _sizes(self) -> dict[str, object]:
         m, model = self.model.mj, self.model
         longest = max([1, *(len(dofs) for _, dofs in self._groups)])
-        bound = sum(POINTS.get(tuple(int(m.geom_type[g]) for g in pair.geoms), 1) for pair in model.pairs)
+        bound = sum(self._points(pair) for pair in model.pairs)
         turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
         return {
             "NQ": m.nq,
@@ -159,7 +163,8 @@ class RolloutSource:
             "LIMITS": len(model.limited),
             "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
             "PAIRS": len(model.pairs),
-            "ROWS": 3 if any(pair.slides for pair in model.pairs) else 1,
+            **self._row_sizes,
+            "RING": ring_size(model),
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
@@ -173,6 +178,35 @@ class RolloutSource:
             "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
             **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
+        }
+
+    def _points(self, pair: kinds.PairRow) -> int:
+        """Most contacts of a pair."""
+        if set(pair.geoms) <= self._flat:
+            return POINTS.get(self._kind(pair), FACES)
+        return POINTS.get(self._kind(pair), 1)
+
+    def _kind(self, pair: kinds.PairRow) -> tuple[int, int]:
+        return tuple(int(self.model.mj.geom_type[g]) for g in pair.geoms)
+
+    @cached_property
+    def _flat(self) -> set[int]:
+        return flat_geoms(self.model)
+
+    @cached_property
+    def _row_sizes(self) -> dict[str, object]:
+        """How many numbers the rows of a contact take."""
+        model, condims = self.model, {condim for condim, _ in self._groups}
+        rows = max(condims, default=1)
+        alike = len(condims) == 1
+        return {
+            "ROWS": rows,
+            "ROWS_OF(c)": rows if alike else "group_rows[(c).group]",
+            "FRICTIONS": model.frictions,
+            "CURVE": packed(rows, 0) if model.elliptic else max(5, 2 * rows - 1),
+            "PUSH": max(3, rows),
+            "ELLIPTIC": int(model.elliptic),
+            "CONE_SLOPE": literal(float(model.mj.opt.impratio) ** -0.5),
         }
 
     def _tables(self) -> list[str]:
@@ -204,13 +238,14 @@ class RolloutSource:
             ints("pair_group", groups),
             floats("pair_sign", signs),
             floats("pair_margin", [pair.margin for pair in pairs]),
-            ints("pair_mu_at", [index(pair.friction) if pair.slides else -1 for pair in pairs]),
+            ints("pair_friction_at", [self._friction_at(pair) for pair in pairs]),
             ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
             floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
             floats("pair_damping", [pair.rows.damping for pair in pairs]),
             floats("pair_impedance", model.impedances([pair.rows for pair in pairs])),
             ints("group_count", [len(chain) for _, chain in self._groups]),
-            ints("group_slides", [slides for slides, _ in self._groups]),
+            ints("group_slides", [condim > 1 for condim, _ in self._groups]),
+            ints("group_rows", [condim for condim, _ in self._groups]),
             ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
             ints("group_dof", dofs),
             ints("group_entry", entries, "short"),
@@ -233,7 +268,13 @@ class RolloutSource:
             floats("mocap_rest", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
             *self.exchange.tables(len(pairs), groups),
             *self._mesh_tables(),
+            *ring_tables(model, ring_size(model)),
         ]
+
+    def _friction_at(self, pair: kinds.PairRow) -> list[int]:
+        """Columns of a pair's coefficients of friction, -1 where all worlds are alike."""
+        index = self.model.columns.index
+        return [index(pair.friction[:, k]) if k + 1 < pair.condim else -1 for k in range(self.model.frictions)]
 
     def _mesh_tables(self) -> list[str]:
         if not self._meshes:
@@ -266,7 +307,8 @@ class RolloutSource:
 
     def _collision_sources(self) -> list[str]:
         found = self._kinds()
-        return [self._native(name) for name, need in _SOURCES.items() if need & set(found)]
+        more = ["manifold"] if self._sizes["RING"] else []
+        return [self._native(name) for name in (*(n for n, need in _SOURCES.items() if need & set(found)), *more)]
 
     def _collisions(self) -> str:
         """Statements that look at all pairs, kind by kind."""

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any two convex shapes by their support functions: one contact, as MuJoCo's native collision makes it without multiccd.
+// Any two convex shapes by their support functions: one contact, as MuJoCo's native collision makes it without multiccd;
+// with it (RING is not 0) flat shapes have more (manifold.h).
 //
 // What is asked for: the direction n, from geom 1 to geom 2, with the least h(n) = max over a in A, b in B of n . (a - b); the
 // contact's distance is -h(n). With M = A - B that is the nearest point of the boundary of M, from inside when the shapes
@@ -150,6 +151,9 @@ FN void nearest_of(const Shapes& s, V3 y, I m, Simplex& x, V3& v) {
     }
 }
 
+#if RING
+INLINE bool flat(int kind) { return kind != SPHERE && kind != ELLIPSOID; }
+#endif
 FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near) {
     const T zero = splat(0.0f), one = splat(1.0f), margin = splat(pair_margin[pair]);
     const T* r1 = w.gmat[g1];
@@ -257,8 +261,14 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
         v = choose(todo, cw, v);
     }
     const T dist = -h - round;
-    const I touch = on & (dist < margin);
+    I touch = on & (dist < margin);
     if (!VANY(touch)) return;
+#if RING
+    if (flat(kind1) && flat(kind2)) {
+        touch = touch & VNOT(manifold(w, pair, s, touch, n));
+        if (!VANY(touch)) return;
+    }
+#endif
     const V3 mid = on_a - on_m * splat(0.5f) + n * (0.5f * (s.round1 - s.round2)), normal = in_world(r1, n);
     put(w, pair, touch, dist, in_world(r1, mid) + load(w.gpos[g1]), normal, tangent(normal));
 }

@@ -20,10 +20,6 @@ INLINE T impedance(const float* p, T distance) {
     return p[0] + (x > p[3] ? high : low) * (p[1] - p[0]);
 }
 INLINE T row_weight(T inverse, T imp) { return 1.0f / VMAX(inverse * (1.0f - imp) / imp, splat(1e-15f)); }
-INLINE T pair_friction(const World& w, int pair) {
-    const int at = pair_mu_at[pair];
-    return at >= 0 ? w.par[at] : splat(w.given[GIVEN_FRICTION + pair]);
-}
 INLINE T pair_inverse(const World& w, int pair) {
     const int at = pair_inverse_at[pair];
     return at >= 0 ? w.par[at] : splat(w.given[GIVEN_PAIR_INVERSE + pair]);
@@ -35,10 +31,13 @@ INLINE void entry(const World& w, int pair, int g, int k, V3 p, V3 n, V3 t, T* r
     const int i = group_dof[g * NNZ + k];
     const V3 d = (load(w.cl[i]) + cross(load(w.cw[i]), p - load(w.ref[dof_top[i]]))) * splat(sign);
     r[0] = dot(n, d);
-#if ROWS == 3
+#if ROWS >= 3
     const bool slides = group_slides[g];
     r[1] = slides ? dot(t, d) : zero();
     r[2] = slides ? dot(cross(n, t), d) : zero();
+#endif
+#if ROWS > 3
+    twist(load(w.cw[i]) * splat(sign), n, t, r + 3);
 #endif
 }
 // What a contact of some lanes costs and refers to, from the velocities along its rows
@@ -47,7 +46,7 @@ INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T*
     const T imp = impedance(pair_impedance + SOFT * pair, beyond);
     const float k = pair_stiffness[pair], damping = pair_damping[pair];
     c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
-    c.mu = lanes ? pair_friction(w, pair) : c.mu;
+    rub(w, c, pair, lanes);
     for (int i = 0; i < ROWS; ++i) {
         const T ref = -damping * v[i] - (i ? zero() : k * imp * beyond);
         c.ref[i] = lanes ? ref : c.ref[i];
@@ -148,7 +147,8 @@ INLINE void empty(Contact& c, int group) {
     c.group = group;
     c.count = group_count[group];
     c.used = 0;
-    c.weight = c.mu = zero();
+    c.weight = zero();
+    for (int k = 0; k < FRICTIONS; ++k) c.friction[k] = zero();
     for (int k = 0; k < ROWS * c.count; ++k) c.jac[k] = zero();
     for (int i = 0; i < ROWS; ++i) c.ref[i] = c.s[i] = zero();
 }

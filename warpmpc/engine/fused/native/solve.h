@@ -2,16 +2,6 @@
 // The constraint solver: primal Newton with exact line search (MuJoCo, "Computation: Solver algorithms"), until every
 // lane has converged. A lane that has does not change any more, whatever the others do.
 
-// The edges of a pyramid
-INLINE void edges(T mu, const T* along, T* e) {
-#if ROWS == 3
-    const T x = mu * along[1], y = mu * along[2];
-    e[0] = along[0] + x;
-    e[1] = along[0] - x;
-    e[2] = along[0] + y;
-    e[3] = along[0] - y;
-#endif
-}
 // Derivatives of the cost along the search direction, and lanes where an inequality has changed sides
 FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
     T d1 = zero(), d2 = d1;
@@ -19,29 +9,7 @@ FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
     EACH(n, w.contacts) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
-        if (!group_slides[c.group]) {
-            const T at = c.a[0] + step * c.s[0];
-            const I on = at < 0.0f;
-            const T u = on ? c.weight * c.s[0] : zero();
-            d1 += at * u;
-            d2 += u * c.s[0];
-            changed |= (on ^ (c.a[0] < 0.0f)) & (c.weight > 0.0f);
-            continue;
-        }
-        T a[4], s[4];
-        edges(c.mu, c.a, a);
-        edges(c.mu, c.s, s);
-        T p1 = zero(), p2 = p1;
-        for (int k = 0; k < 4; ++k) {
-            const T at = a[k] + step * s[k];
-            const I on = at < 0.0f;
-            const T u = on ? s[k] : zero();
-            p1 += at * u;
-            p2 += u * s[k];
-            changed |= (on ^ (a[k] < 0.0f)) & (c.weight > 0.0f);
-        }
-        d1 += c.weight * p1;
-        d2 += c.weight * p2;
+        slope_contact(c, step, d1, d2, changed);
     }
     EACH(k, w.limits) {
         const T at = w.la[k] + step * w.ls[k];
@@ -55,45 +23,6 @@ FN void slope(World& w, unsigned live, T step, T& slope1, T& slope2, I& sides) {
     slope1 += total(d1);
     slope2 += total(d2);
     sides |= some(changed);
-}
-// Second derivatives (00, 01, 02, 11, 22) and first ones of a contact's cost by its rows
-INLINE void derive(const Contact& c, T* second, T* first) {
-    if (ROWS == 1 || !group_slides[c.group]) {
-        second[0] = c.a[0] < 0.0f ? c.weight : zero();
-        second[1] = second[2] = second[3] = second[4] = first[1] = first[2] = zero();
-        first[0] = second[0] * c.a[0];
-        return;
-    }
-    T a[4], k[4];
-    edges(c.mu, c.a, a);
-    for (int u = 0; u < 4; ++u) k[u] = a[u] < 0.0f ? c.weight : zero();
-    second[0] = k[0] + k[1] + k[2] + k[3];
-    second[1] = c.mu * (k[0] - k[1]);
-    second[2] = c.mu * (k[2] - k[3]);
-    second[3] = c.mu * c.mu * (k[0] + k[1]);
-    second[4] = c.mu * c.mu * (k[2] + k[3]);
-    for (int u = 0; u < 4; ++u) k[u] *= a[u];
-    first[0] = k[0] + k[1] + k[2] + k[3];
-    first[1] = c.mu * (k[0] - k[1]);
-    first[2] = c.mu * (k[2] - k[3]);
-}
-// Entry (i, j) of Jᵀ D J, and entry i of Jᵀ f
-INLINE T second_of(const Contact& c, const T* d, int i, int j) {
-    const T *r = c.jac + ROWS * i, *o = c.jac + ROWS * j;
-#if ROWS == 3
-    const T b0 = d[0] * r[0] + d[1] * r[1] + d[2] * r[2], b1 = d[1] * r[0] + d[3] * r[1], b2 = d[2] * r[0] + d[4] * r[2];
-    return b0 * o[0] + b1 * o[1] + b2 * o[2];
-#else
-    return d[0] * r[0] * o[0];
-#endif
-}
-INLINE T first_of(const Contact& c, const T* f, int i) {
-    const T* r = c.jac + ROWS * i;
-#if ROWS == 3
-    return r[0] * f[0] + r[1] * f[1] + r[2] * f[2];
-#else
-    return r[0] * f[0];
-#endif
 }
 #if COOPERATE
 // What contacts add to a matrix, unless there is none, and to a vector: lanes take entries, and neighbours in the list
@@ -119,14 +48,6 @@ FN void add_contacts(World& w, T* h, T* to) {
         SYNC
     }
 }
-#else
-INLINE void add_block(const int N, World& w, const Contact& c, const T* second, const T* first) {
-    UNROLL for (int i = 0; i < N; ++i) {
-        w.grad[group_dof[c.group * NNZ + i]] += first_of(c, first, i);
-        UNROLL for (int j = 0; j <= i; ++j)
-            w.h[group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j]] += second_of(c, second, i, j);
-    }
-}
 #endif
 // Hessian and gradient of the cost
 FN void hessian(World& w, unsigned live) {
@@ -144,7 +65,7 @@ FN void hessian(World& w, unsigned live) {
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
         if (!(c.used & live)) continue;
-        T second[5], first[3];
+        T second[CURVE], first[PUSH];
         derive(c, second, first);
         if (!(VBITS(second[0] > 0.0f) & live)) continue;
         switch (c.count) {
@@ -245,9 +166,9 @@ FN void newton(World& w, I done) {
 }
 // Force of a contact along normal and tangents
 INLINE void contact_force(const Contact& c, T* f) {
-    T second[5], first[3];
+    T second[CURVE], first[PUSH];
     derive(c, second, first);
-    for (int i = 0; i < 3; ++i) f[i] = -first[i];
+    for (int i = 0; i < PUSH; ++i) f[i] = -first[i];
 }
 // All forces: the constraints' are added to the others'
 FN void add_forces(World& w) {
@@ -258,7 +179,7 @@ FN void add_forces(World& w) {
 #else
     for (int n = 0; n < w.contacts; ++n) {
         const Contact& c = w.con[w.order[n]];
-        T f[3];
+        T f[PUSH];
         contact_force(c, f);
         for (int k = 0; k < c.count; ++k) w.fs[group_dof[c.group * NNZ + k]] += first_of(c, f, k);
     }

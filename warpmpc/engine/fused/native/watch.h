@@ -9,7 +9,7 @@ INLINE V3 centre_velocity(const World& w, int r, const T* origin, const float* c
 // Forces of the last step's contacts, added to those of the watched pairs of entities
 #if WATCHED
 INLINE V3 force_of(const Contact& c) {
-    T f[3];
+    T f[PUSH];
     contact_force(c, f);
     const V3 normal = load(c.normal), along = load(c.tangent);
     return normal * f[0] + along * f[1] + cross(normal, along) * f[2];

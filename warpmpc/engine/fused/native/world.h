@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // The state of as many worlds as a number has lanes.
 struct Contact {  // lanes may hold different pairs, all of one group: the same degrees of freedom, in the same order
-    T jac[ROWS * NNZ];           // normal and two tangents of every degree of freedom
+    T jac[ROWS * NNZ];           // normal, tangents, and rotation about these, of every degree of freedom
     T ref[ROWS];                 // reference accelerations
     T a[ROWS], s[ROWS];          // accelerations beyond the reference, and what a search direction adds to them
 #if COOPERATE
-    T curve[5], push[3];         // second and first derivatives of its cost, for all lanes of the warp
+    T curve[CURVE], push[PUSH];  // second and first derivatives of its cost, for all lanes of the warp
 #endif
-    T mu, weight;                // friction, and inverse regularization; no weight where a lane is empty
+    T friction[FRICTIONS], weight;  // of the rows but the normal one, and inverse regularization; no weight where a lane is empty
 #if WATCHED
     T normal[3], tangent[3];
     I pair;                      // number of the lane's pair

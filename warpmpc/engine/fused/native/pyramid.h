@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a contact costs with no friction, or with friction along its two tangents in a pyramid (MuJoCo, "Computation: Friction
+// cones"); other kinds of friction are in cones.h, which takes the place of this file.
+
+INLINE T pair_friction(const World& w, int pair) {
+    const int at = pair_friction_at[pair];
+    return at >= 0 ? w.par[at] : splat(w.given[GIVEN_FRICTION + pair]);
+}
+INLINE void rub(const World& w, Contact& c, int pair, I lanes) {
+    c.friction[0] = lanes ? pair_friction(w, pair) : c.friction[0];
+}
+// The edges of a pyramid
+INLINE void edges(T mu, const T* along, T* e) {
+#if ROWS == 3
+    const T x = mu * along[1], y = mu * along[2];
+    e[0] = along[0] + x;
+    e[1] = along[0] - x;
+    e[2] = along[0] + y;
+    e[3] = along[0] - y;
+#endif
+}
+// What a contact adds to the derivatives of the cost along the search direction, and lanes where an edge changes sides
+INLINE void slope_contact(const Contact& c, T step, T& d1, T& d2, I& changed) {
+    if (!group_slides[c.group]) {
+        const T at = c.a[0] + step * c.s[0];
+        const I on = at < 0.0f;
+        const T u = on ? c.weight * c.s[0] : zero();
+        d1 += at * u;
+        d2 += u * c.s[0];
+        changed |= (on ^ (c.a[0] < 0.0f)) & (c.weight > 0.0f);
+        return;
+    }
+    T a[4], s[4];
+    edges(c.friction[0], c.a, a);
+    edges(c.friction[0], c.s, s);
+    T p1 = zero(), p2 = p1;
+    for (int k = 0; k < 4; ++k) {
+        const T at = a[k] + step * s[k];
+        const I on = at < 0.0f;
+        const T u = on ? s[k] : zero();
+        p1 += at * u;
+        p2 += u * s[k];
+        changed |= (on ^ (a[k] < 0.0f)) & (c.weight > 0.0f);
+    }
+    d1 += c.weight * p1;
+    d2 += c.weight * p2;
+}
+// Second derivatives (00, 01, 02, 11, 22) and first ones of a contact's cost by its rows
+INLINE void derive(const Contact& c, T* second, T* first) {
+    if (ROWS == 1 || !group_slides[c.group]) {
+        second[0] = c.a[0] < 0.0f ? c.weight : zero();
+        second[1] = second[2] = second[3] = second[4] = first[1] = first[2] = zero();
+        first[0] = second[0] * c.a[0];
+        return;
+    }
+    const T mu = c.friction[0];
+    T a[4], k[4];
+    edges(mu, c.a, a);
+    for (int u = 0; u < 4; ++u) k[u] = a[u] < 0.0f ? c.weight : zero();
+    second[0] = k[0] + k[1] + k[2] + k[3];
+    second[1] = mu * (k[0] - k[1]);
+    second[2] = mu * (k[2] - k[3]);
+    second[3] = mu * mu * (k[0] + k[1]);
+    second[4] = mu * mu * (k[2] + k[3]);
+    for (int u = 0; u < 4; ++u) k[u] *= a[u];
+    first[0] = k[0] + k[1] + k[2] + k[3];
+    first[1] = mu * (k[0] - k[1]);
+    first[2] = mu * (k[2] - k[3]);
+}
+// Entry (i, j) of Jᵀ D J, and entry i of Jᵀ f
+INLINE T second_of(const Contact& c, const T* d, int i, int j) {
+    const T *r = c.jac + ROWS * i, *o = c.jac + ROWS * j;
+#if ROWS == 3
+    const T b0 = d[0] * r[0] + d[1] * r[1] + d[2] * r[2], b1 = d[1] * r[0] + d[3] * r[1], b2 = d[2] * r[0] + d[4] * r[2];
+    return b0 * o[0] + b1 * o[1] + b2 * o[2];
+#else
+    return d[0] * r[0] * o[0];
+#endif
+}
+INLINE T first_of(const Contact& c, const T* f, int i) {
+    const T* r = c.jac + ROWS * i;
+#if ROWS == 3
+    return r[0] * f[0] + r[1] * f[1] + r[2] * f[2];
+#else
+    return r[0] * f[0];
+#endif
+}
+#if !COOPERATE
+INLINE void add_block(const int N, World& w, const Contact& c, const T* second, const T* first) {
+    UNROLL for (int i = 0; i < N; ++i) {
+        w.grad[group_dof[c.group * NNZ + i]] += first_of(c, first, i);
+        UNROLL for (int j = 0; j <= i; ++j)
+            w.h[group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j]] += second_of(c, second, i, j);
+    }
+}
+#endif
