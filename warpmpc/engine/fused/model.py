@@ -337,7 +337,8 @@ class PhysicsModel:
             )
         elif m.geom_priority[a] != m.geom_priority[b]:
             g = a if m.geom_priority[a] > m.geom_priority[b] else b
-            condim, solref, solimp, mu = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g], friction[:, g][:, _FRICTIONS]
+            condim, solref, solimp = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g]
+            mu = friction[:, g][:, _FRICTIONS]
         else:
             weights = m.geom_solmix[a], m.geom_solmix[b]
             total = sum(weights)
