@@ -57,7 +57,7 @@ def start(source: str, engine: str, device: str) -> dict:
         from warpmpc.cli.run import start_warp
         from warpmpc.compiling import compile_kernel
         from warpmpc.engine import kinematic
-        from warpmpc.engine.fused import simulator
+        from warpmpc.engine.fused import engine as fused
         from warpmpc.model.compiled import compile_scene
 
         start_warp()
@@ -69,7 +69,7 @@ def start(source: str, engine: str, device: str) -> dict:
         with watch("compile"):
             compile_kernel(*args, **keys)
 
-    kinematic.compile_kernel = simulator.compile_kernel = timed
+    kinematic.compile_kernel = fused.compile_kernel = timed
     with watch("build"):
         controller = warpmpc.Controller(scene, engine=engine, device=device, compiled=compiled)
         plant = warpmpc.Plant(scene, compiled=compiled, task=controller.task)
