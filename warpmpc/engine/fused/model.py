@@ -415,13 +415,17 @@ FLAT = frozenset((CAPSULE, CYLINDER, BOX, MESH))
 """Shapes with faces or edges: MuJoCo may find several contacts between two of them."""
 FIELD = frozenset((HFIELD, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH))
 """Kinds of pairs with a heightfield."""
-COLLIDES = CONVEX | FIELD | {
-    *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
-    *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
-    (CAPSULE, CAPSULE),
-    (CAPSULE, BOX),
-    (BOX, BOX),
-}
+COLLIDES = (
+    CONVEX
+    | FIELD
+    | {
+        *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
+        *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
+        (CAPSULE, CAPSULE),
+        (CAPSULE, BOX),
+        (BOX, BOX),
+    }
+)
 """Kinds of geoms whose contacts this engine finds."""
 
 
