@@ -78,3 +78,23 @@ def test_a_lane_does_not_depend_on_its_neighbours(cone):
     mixed = engine(q[order], v[order], u[:, order])
     for x, y in zip(clean, mixed, strict=True):
         np.testing.assert_array_equal(x[:, order], y)
+
+
+PAIRED = """
+<mujoco><option timestep="0.004" integrator="implicitfast" iterations="100" tolerance="1e-8" cone="{cone}"/><worldbody>
+  <geom name="floor" type="plane" size="5 5 .1"/>
+  <body pos="0 0 .12"><freejoint/><geom name="box" type="box" size=".2 .15 .1" mass="1"/></body>
+  <body pos="1 0 .12"><freejoint/><geom name="ball" type="sphere" size=".1" mass="1"/></body></worldbody>
+<contact><pair geom1="floor" geom2="box" condim="3" friction="0.9 0.2"/>
+  <pair geom1="floor" geom2="ball" condim="{condim}" friction="0.8 0.1 0.02 0.01 0.05"/></contact></mujoco>"""
+
+
+@pytest.mark.parametrize(("cone", "condim"), [("pyramidal", 3), ("pyramidal", 6), ("elliptic", 6)])
+def test_friction_that_differs_along_the_tangents_is_that_of_mujoco(cone, condim):
+    model = mujoco.MjModel.from_xml_string(PAIRED.format(cone=cone, condim=condim))
+    states = visited(model, 0)
+    assert (states.rows > 0).mean() > 0.5
+    found = step_differences(model, states, lanes=4)
+    steady = states.edge < STEADY
+    assert np.median(found.v) <= 1e-6, found
+    assert found.v.max(axis=1)[steady].max() <= 5e-4, found

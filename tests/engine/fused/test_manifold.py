@@ -9,7 +9,6 @@ from fused_steps import turned
 from test_collide import MESH, draw
 
 from warpmpc.bake.number import native_lanes
-from warpmpc.engine.fused import source
 from warpmpc.engine.fused.model import PhysicsModel
 from warpmpc.engine.fused.plain import PlainRollout
 from warpmpc.engine.fused.rings import RIM, ring_size, ring_tables
@@ -118,7 +117,6 @@ def test_stacks_stand_as_in_mujoco():
     q, v = np.tile(mj.qpos0, (worlds, 1)), 0.05 * rng.normal(size=(worlds, mj.nv))
     q[:, 2::7] += rng.uniform(0.0, 0.01, (worlds, 4))
     engine = PlainRollout(mj, worlds, steps)
-    assert source.FACES * 4 <= 64
     end, _ = engine(q, v, np.zeros((steps, worlds, 0)))
     data, expected = mujoco.MjData(mj), []
     for w in range(worlds):

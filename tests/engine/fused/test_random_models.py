@@ -48,9 +48,11 @@ def geoms(draw) -> str:
     meets = 'contype="0" conaffinity="2" ' if kind in ("cylinder", "ellipsoid") else 'contype="1" conaffinity="3" '
     soft = some(draw, "solref", st.sampled_from(["0.01 1", "0.03 0.7", "-900 -25"]))
     soft += some(draw, "solimp", st.sampled_from(["0.8 0.95 0.01 0.4 2", "0.3 0.99 0.003 0.5 2"]))
-    soft += some(draw, "friction", st.sampled_from([0.1, 0.6, 1.4])) + some(draw, "condim", st.sampled_from([1, 3]))
+    soft += some(draw, "friction", st.sampled_from(["0.1", "0.6 0.02 0.01", "1.4 0.3 0.001"])) + some(
+        draw, "condim", st.sampled_from([1, 3, 4, 6])
+    )
     soft += some(draw, "priority", st.sampled_from([0, 1])) + some(draw, "solmix", st.sampled_from([0.3, 2.0]))
-    soft += some(draw, "margin", st.sampled_from([0.003, 0.01]))
+    soft += some(draw, "margin", st.sampled_from([0.003, 0.01])) + some(draw, "gap", st.sampled_from([0.01]))
     place = f'pos="{row(x / 10 for x in draw(st.tuples(numbers, numbers, numbers)))}" quat="{draw(turns())}" '
     return f'<geom type="{kind}" size="{size}" mass="{draw(st.sampled_from([0.3, 1.0, 3.0]))}" {meets}{soft}{place}/>'
 
@@ -166,10 +168,12 @@ def models(draw) -> str:
     trees = "".join(body(0) for _ in range(draw(st.integers(1, 2))))
     block = draw(st.sampled_from(["", BLOCK]))
     integrator = draw(st.sampled_from(["Euler", "implicitfast"]))
+    cone = draw(st.sampled_from(['cone="pyramidal"', 'cone="elliptic"', 'cone="elliptic" impratio="4"']))
     gravity = draw(st.sampled_from(["0 0 -9.81", "1 0 -9", "0 0 0"]))
     return (
         f'<mujoco><compiler angle="radian" autolimits="true"/>'
-        f'<option timestep="0.004" iterations="100" tolerance="1e-8" integrator="{integrator}" gravity="{gravity}"/>'
+        f'<option timestep="0.004" iterations="100" tolerance="1e-8" integrator="{integrator}" gravity="{gravity}" '
+        f"{cone}/>"
         f'<worldbody><geom type="plane" size="5 5 .1" contype="2"/>{block}{trees}'
         f'<site name="anchor" pos="0 0 0.4"/></worldbody>'
         f"<actuator>{''.join(actuators)}</actuator>{draw(links(names, bodies))}</mujoco>"

@@ -3,11 +3,14 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import warp as wp
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
+from test_cones import ELLIPSE, PYRAMID, rubbing
+from test_manifold import STACK
 from warp_lanes import COMPILER, LaneRollout, Lanes
 
 from warpmpc.engine.fused.plain import PlainRollout
@@ -23,7 +26,21 @@ WORLDS, STEPS = 4, 12
 @pytest.mark.parametrize("text", [DYNAMICS, CONTACTS], ids=["dynamics", "contacts"])
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 def test_lanes_agree_with_registers(text, integrator, tmp_path_factory):
-    model = compile_model(text, integrator)
+    check(compile_model(text, integrator), tmp_path_factory)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "model",
+    [rubbing(PYRAMID, 1.0, (4, 6, 3)), rubbing(ELLIPSE, 10.0, (3, 4, 6)), mujoco.MjModel.from_xml_string(STACK)],
+    ids=["all kinds of friction", "elliptic cones", "several contacts of flat shapes"],
+)
+def test_lanes_agree_with_registers_on_contacts_of_all_kinds(model, tmp_path_factory):
+    check(model, tmp_path_factory)
+
+
+def check(model, tmp_path_factory) -> None:
+    """Lanes give what registers give, and the same bits in each order."""
     q, v = starts(model, WORLDS, seed=3)
     control = controls(model, STEPS, WORLDS, seed=3)
     expected = [x.copy() for x in PlainRollout(model, WORLDS, STEPS)(q, v, control)]

@@ -9,7 +9,7 @@ from ...bake.lines import Lines, Matrix, Vector, function, known, text
 from .drive import Drive
 from .marks import Marks
 from .medium import Medium
-from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, MESH, PhysicsModel, rotation
+from .model import BOX, CONVEX, CYLINDER, ELLIPSOID, FIELD, MESH, PhysicsModel, rotation
 from .spin import write_spin
 from .tendons import Tendons
 from .tie_rows import TieRows
@@ -29,7 +29,7 @@ class Dynamics:
         self.used = {g for pair in model.pairs for g in pair.geoms}
         """Geoms that may touch something."""
         kinds = ((pair, tuple(int(self.mj.geom_type[g]) for g in pair.geoms)) for pair in model.pairs)
-        self.convex = {g for pair, kind in kinds if kind in CONVEX for g in pair.geoms}
+        self.convex = {g for pair, kind in kinds if kind in CONVEX | FIELD for g in pair.geoms}
         """Geoms that some other looks at as a convex shape, all of whose axes are needed."""
         self.marks = Marks(model)
         self.tendons = Tendons(model, self.marks)

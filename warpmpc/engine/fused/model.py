@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
-PLANE, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
+PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
     int(kind)
     for kind in (
         GEOM.mjGEOM_PLANE,
+        GEOM.mjGEOM_HFIELD,
         GEOM.mjGEOM_SPHERE,
         GEOM.mjGEOM_CAPSULE,
         GEOM.mjGEOM_CYLINDER,
@@ -299,6 +300,7 @@ class PhysicsModel:
             "DRY_INVERSE": inverse[self.dry],
             "TOLERANCE": np.array([2.0 * tolerance * float(m.stat.meaninertia) * max(1, m.nv)]),
             "POSE": np.hstack([data.geom_xpos, data.geom_xmat])[self.standing],
+            **self._heights,
         }
 
     @cached_property
@@ -311,6 +313,24 @@ class PhysicsModel:
         """Where each of them begins."""
         sizes = [np.size(values) for values in self._given.values()]
         return dict(zip(self._given, np.cumsum([0, *sizes]).tolist(), strict=False))
+
+    @cached_property
+    def fields(self) -> dict[int, int]:
+        """Geoms that are heightfields and may touch something: where the heights of each begin."""
+        m, out, first = self.mj, {}, 0
+        for g in sorted({g for pair in self.pairs for g in pair.geoms if m.geom_type[g] == HFIELD}):
+            out[g] = first
+            first += int(m.hfield_nrow[m.geom_dataid[g]] * m.hfield_ncol[m.geom_dataid[g]])
+        return out
+
+    @property
+    def _heights(self) -> dict[str, np.ndarray]:
+        m, rows = self.mj, []
+        for g in self.fields:
+            field = int(m.geom_dataid[g])
+            first, count = int(m.hfield_adr[field]), int(m.hfield_nrow[field] * m.hfield_ncol[field])
+            rows.append(m.hfield_size[field, 2] * m.hfield_data[first : first + count])
+        return {"FIELD": np.concatenate(rows)} if rows else {}
 
     @cached_property
     def elliptic(self) -> bool:
@@ -393,13 +413,19 @@ CONVEX = frozenset(
 """Kinds of pairs that are looked at as any convex shapes."""
 FLAT = frozenset((CAPSULE, CYLINDER, BOX, MESH))
 """Shapes with faces or edges: MuJoCo may find several contacts between two of them."""
-COLLIDES = CONVEX | {
-    *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
-    *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
-    (CAPSULE, CAPSULE),
-    (CAPSULE, BOX),
-    (BOX, BOX),
-}
+FIELD = frozenset((HFIELD, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH))
+"""Kinds of pairs with a heightfield."""
+COLLIDES = (
+    CONVEX
+    | FIELD
+    | {
+        *((PLANE, kind) for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)),
+        *((SPHERE, kind) for kind in (SPHERE, CAPSULE, CYLINDER, BOX)),
+        (CAPSULE, CAPSULE),
+        (CAPSULE, BOX),
+        (BOX, BOX),
+    }
+)
 """Kinds of geoms whose contacts this engine finds."""
 
 

@@ -165,6 +165,7 @@ class RolloutSource:
             "PAIRS": len(model.pairs),
             **self._row_sizes,
             "RING": ring_size(model),
+            "FIELDS": len(model.fields),
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
@@ -184,7 +185,8 @@ class RolloutSource:
         """Most contacts of a pair."""
         if set(pair.geoms) <= self._flat:
             return POINTS.get(self._kind(pair), FACES)
-        return POINTS.get(self._kind(pair), 1)
+        kind = self._kind(pair)
+        return MOST_CONTACTS if kind[0] == kinds.HFIELD else POINTS.get(kind, 1)
 
     def _kind(self, pair: kinds.PairRow) -> tuple[int, int]:
         return tuple(int(self.model.mj.geom_type[g]) for g in pair.geoms)
@@ -268,6 +270,7 @@ class RolloutSource:
             floats("mocap_rest", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
             *self.exchange.tables(len(pairs), groups),
             *self._mesh_tables(),
+            *self._field_tables(),
             *ring_tables(model, ring_size(model)),
         ]
 
@@ -275,6 +278,18 @@ class RolloutSource:
         """Columns of a pair's coefficients of friction, -1 where all worlds are alike."""
         index = self.model.columns.index
         return [index(pair.friction[:, k]) if k + 1 < pair.condim else -1 for k in range(self.model.frictions)]
+
+    def _field_tables(self) -> list[str]:
+        m, first = self.model.mj, self.model.fields
+        if not first:
+            return []
+        of = [max(0, int(m.geom_dataid[g])) if g in first else 0 for g in range(m.ngeom)]
+        return [
+            ints("field_first", [first.get(g, 0) for g in range(m.ngeom)]),
+            ints("field_rows", m.hfield_nrow[of]),
+            ints("field_columns", m.hfield_ncol[of]),
+            floats("field_size", m.hfield_size[of]),
+        ]
 
     def _mesh_tables(self) -> list[str]:
         if not self._meshes:
@@ -307,7 +322,7 @@ class RolloutSource:
 
     def _collision_sources(self) -> list[str]:
         found = self._kinds()
-        more = ["manifold"] if self._sizes["RING"] else []
+        more = [name for name, size in (("manifold", "RING"), ("field", "FIELDS")) if self._sizes[size]]
         return [self._native(name) for name in (*(n for n, need in _SOURCES.items() if need & set(found)), *more)]
 
     def _collisions(self) -> str:
@@ -333,12 +348,13 @@ _NAMES = {
     kinds.BOX: "box",
     kinds.ELLIPSOID: "ellipsoid",
     kinds.MESH: "mesh",
+    kinds.HFIELD: "hfield",
 }
 _BOXES = frozenset({(kinds.BOX, kinds.BOX)})
 _SOURCES = {
     "collide_primitive": kinds.COLLIDES - kinds.CONVEX - _BOXES,
     "collide_box": _BOXES,
-    "collide_convex": kinds.CONVEX,
+    "collide_convex": kinds.CONVEX | kinds.FIELD,
 }
 """Files with collision functions, and the kinds of pairs each is for."""
 

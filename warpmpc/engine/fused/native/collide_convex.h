@@ -17,13 +17,17 @@
 // (MuJoCo's mesh_poly*) from mesh_face_first[v] to before mesh_face_first[v + 1]: mesh_face_normal [3 a row], and
 // mesh_face_vertex [3 a row], the other vertices of the largest quadrangle in that face with v, counted from mesh_first[g], or -1.
 
-enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6, MESH = 7 };  // MuJoCo's numbers
+enum { PRISM = 1, SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6, MESH = 7 };  // MuJoCo's numbers, but for the prism
 
 struct Shapes {
     int kind1, kind2, g1, g2;
     V3 s1, s2, p;  // sizes, centre of geom 2
     T r[9];        // axes of geom 2 as columns
     T round1, round2;
+    V3 origin;     // of geom 1, in the world
+#if FIELDS
+    V3 corner[6];  // of a prism: three above, those below them
+#endif
 };
 
 // farthest point of a shape without its radius in direction d, along its own axes
@@ -63,6 +67,17 @@ INLINE V3 farthest(int kind, int g, V3 s, V3 d) {
 }
 // farthest point of M, without radii, in direction d, and the point of A in it
 INLINE V3 corner_of(const Shapes& s, V3 d, V3& a) {
+#if FIELDS
+    if (s.kind1 == PRISM) {
+        T best = splat(-1e10f);
+        for (int k = 0; k < 6; ++k) {
+            const T far = dot(s.corner[k], d);
+            const I m = far > best;
+            best = m ? far : best;
+            a = choose(m, s.corner[k], a);
+        }
+    } else
+#endif
     a = farthest(s.kind1, s.g1, s.s1, d);
     return a - s.p - in_world(s.r, farthest(s.kind2, s.g2, s.s2, along_axes(s.r, d * splat(-1.0f))));
 }
@@ -152,12 +167,10 @@ FN void nearest_of(const Shapes& s, V3 y, I m, Simplex& x, V3& v) {
 }
 
 #if RING
-INLINE bool flat(int kind) { return kind != SPHERE && kind != ELLIPSOID; }
+INLINE bool flat(int kind) { return kind == CAPSULE || kind > ELLIPSOID; }
 #endif
-FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near) {
-    const T zero = splat(0.0f), one = splat(1.0f), margin = splat(pair_margin[pair]);
-    const T* r1 = w.gmat[g1];
-    Shapes s;
+INLINE void shapes_of(World& w, int g1, int g2, int kind1, int kind2, Shapes& s) {
+    const T zero = splat(0.0f);
     s.kind1 = kind1;
     s.kind2 = kind2;
     s.g1 = g1;
@@ -166,15 +179,21 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     s.s2 = V3{gsize(w, g2, 0), gsize(w, g2, 1), gsize(w, g2, 2)};
     s.round1 = kind1 == SPHERE || kind1 == CAPSULE ? s.s1.x : zero;
     s.round2 = kind2 == SPHERE || kind2 == CAPSULE ? s.s2.x : zero;
-    s.p = along_axes(r1, load(w.gpos[g2]) - load(w.gpos[g1]));
-    V3 c[3];
+    s.origin = load(w.gpos[g1]);
+    s.p = along_axes(w.gmat[g1], load(w.gpos[g2]) - s.origin);
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
-        c[k] = along_axes(r1, axis_of(w, g2, k));
-        s.r[k] = c[k].x;
-        s.r[3 + k] = c[k].y;
-        s.r[6 + k] = c[k].z;
+        const V3 c = along_axes(w.gmat[g1], axis_of(w, g2, k));
+        s.r[k] = c.x;
+        s.r[3 + k] = c.y;
+        s.r[6 + k] = c.z;
     }
+}
+FN void meet(World& w, int pair, const Shapes& s, I near) {
+    const T zero = splat(0.0f), one = splat(1.0f), margin = splat(pair_margin[pair]);
+    const T* r1 = w.gmat[s.g1];
+    const int kind1 = s.kind1, kind2 = s.kind2;
+    const V3 c[3] = {{s.r[0], s.r[3], s.r[6]}, {s.r[1], s.r[4], s.r[7]}, {s.r[2], s.r[5], s.r[8]}};
     const T round = s.round1 + s.round2;
 
     // a first direction: between the centres, then axes of both, products of axes, across the main axis of each
@@ -189,7 +208,21 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     try_axis(s, V3{s.p.x, s.p.y, zero}, n, h);
     try_axis(s, s.p - c[2] * dot(s.p, c[2]), n, h);
     try_axis(s, cross(z, c[2]), n, h);
-    if (kind1 == BOX || kind1 == ELLIPSOID) {
+#if FIELDS
+    if (kind1 == PRISM) {
+        try_axis(s, cross(s.corner[1] - s.corner[0], s.corner[2] - s.corner[0]) * splat(1e3f), n, h);
+        try_axis(s, V3{s.corner[0].y - s.corner[1].y, s.corner[1].x - s.corner[0].x, zero} * splat(1e3f), n, h);
+        for (int k = 0; k < 3; ++k) {
+            const V3 edge = unit(s.corner[k == 2 ? 0 : k + 1] - s.corner[k]);
+            try_axis(s, cross(edge, c[2]), n, h);
+            if (kind2 == BOX) {
+                try_axis(s, cross(edge, c[0]), n, h);
+                try_axis(s, cross(edge, c[1]), n, h);
+            }
+        }
+    }
+#endif
+    if (kind1 == BOX || kind1 == ELLIPSOID || kind1 == PRISM) {
         try_axis(s, x, n, h);
         try_axis(s, y, n, h);
         try_axis(s, cross(x, c[2]), n, h);
@@ -270,7 +303,12 @@ FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near)
     }
 #endif
     const V3 mid = on_a - on_m * splat(0.5f) + n * (0.5f * (s.round1 - s.round2)), normal = in_world(r1, n);
-    put(w, pair, touch, dist, in_world(r1, mid) + load(w.gpos[g1]), normal, tangent(normal));
+    put(w, pair, touch, dist, in_world(r1, mid) + s.origin, normal, tangent(normal));
+}
+FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near) {
+    Shapes s;
+    shapes_of(w, g1, g2, kind1, kind2, s);
+    meet(w, pair, s, near);
 }
 
 FN void sphere_ellipsoid(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, SPHERE, ELLIPSOID, near); }
