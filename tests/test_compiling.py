@@ -29,7 +29,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def test_the_log_tells_of_compiling_once(cache, caplog):
-    with caplog.at_level(logging.INFO, logger="warpmpc"):
+    with caplog.at_level(logging.DEBUG, logger="warpmpc"):
         kernel = make(1.25)
         compile_kernel(kernel, "cpu", 32, "a test")
         first = [record.message for record in caplog.records]

@@ -18,7 +18,7 @@ logger = logging.getLogger("warpmpc")
 def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, what: str) -> None:
     """Compile a kernel's module unless that was done before, and load it.
 
-    While it compiles a terminal shows one line with the seconds; elsewhere the log has a line (INFO) before and after.
+    While it compiles a terminal shows one line with the seconds; elsewhere the log has a line (DEBUG) before and after.
 
     Args:
         kernel: Kernel.
@@ -55,6 +55,6 @@ def _shown(text: str) -> Iterator[None]:
             line.add_task(text, total=None)
             yield
     else:
-        logger.info("%s", text)
+        logger.debug("%s", text)
         yield
-    logger.info("%s: %.1f s", text, time.perf_counter() - begin)
+    logger.debug("%s: %.1f s", text, time.perf_counter() - begin)

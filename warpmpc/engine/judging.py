@@ -56,7 +56,7 @@ class JudgingEngine:
         self.layout = request.costs.layout
         self._launch, self._on_gpu = Launcher(self.device), wp.get_device(self.device).is_cuda
         self._replays: dict[int, tuple[Proposal, Replay, list[Replay]]] = {}
-        self.lanes = native_lanes()
+        self.lanes = native_lanes(self.shape.rollouts)
         planner = request.scene.planner
         self._risk = [self.shape.domains, RISKS[planner.risk], planner.cvar]
         self._allocate(work)
