@@ -95,8 +95,8 @@ def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
     controller = Controller(scene, device="cpu", compiled=compiled(scene))
     assert controller.engine.name == "fused"
     controller.step(State.start(controller.layout))
-    elliptic = make_scene(planner={"samples": 4, "horizon": 2}, engine={"cone": "elliptic"})
-    assert Controller(elliptic, device="cpu", compiled=compiled(elliptic)).engine.name == "mujoco"
-    with pytest.raises(SceneError, match="engine fused has no elliptic friction cones") as caught:
-        Controller(elliptic, engine="fused", device="cpu", compiled=compiled(elliptic))
+    fourth = make_scene(planner={"samples": 4, "horizon": 2}, engine={"integrator": "rk4"})
+    assert Controller(fourth, device="cpu", compiled=compiled(fourth)).engine.name == "mujoco"
+    with pytest.raises(SceneError, match="engine fused has no integrators") as caught:
+        Controller(fourth, engine="fused", device="cpu", compiled=compiled(fourth))
     assert caught.value.key == "engine.name"

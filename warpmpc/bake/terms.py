@@ -5,16 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from ..cost.term import CostTerm
 from ..kernels.worlds.judging import TAPS
 from .lines import Lines, Operand, text
-from .state import NotBaked, TermCode
-
-if TYPE_CHECKING:
-    from ..cost.stack import CostStack
-    from .state import StateCode
 
 POINTERS = """const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
 const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
@@ -52,28 +45,6 @@ class TermSource:
         body = "\n".join(self.lines.statements)
         total = f"total{self.index} += counts * {text(self.value)};"
         return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
-
-
-def bake(costs: CostStack, state: StateCode) -> tuple[tuple[TermSource, ...], list[int]]:
-    """Source of all terms that can be written, and the numbers of those that cannot.
-
-    Args:
-        costs: The terms.
-        state: What they may ask about a state, in which they leave what they share.
-    """
-    baked, staged = [], []
-    for i, (term, bound) in enumerate(costs.terms):
-        code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
-        native = term.native if isinstance(term, CostTerm) else None
-        try:
-            value = native(code, bound) if native else None
-        except NotBaked:
-            value = None
-        if value is None:
-            staged.append(i)
-        else:
-            baked.append(TermSource(i, code.lines, value))
-    return tuple(baked), staged
 
 
 def sums(terms: Sequence[TermSource]) -> str:

@@ -17,7 +17,6 @@ import warp as wp
 from ..bake.motion import WARP
 from ..bake.rollout import RolloutSource
 from ..bake.state import StateCode, moving_dofs
-from ..bake.terms import bake
 from ..compiling import compile_kernel
 from ..kernels.worlds.kinematic import (
     ACCELERATION,
@@ -32,6 +31,7 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
+from .baking import bake
 from .judging import JudgingEngine
 from .kinematic_kernel import make_kernel
 

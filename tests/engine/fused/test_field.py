@@ -7,7 +7,7 @@ import pytest
 from fused_models import controls, starts
 from fused_steps import step_differences, visit
 
-from warpmpc.engine.fused import model as fused_model
+from warpmpc.engine.fused import missing as fused_missing
 from warpmpc.engine.fused.plain import PlainRollout
 
 HEIGHTS = np.random.default_rng(0).uniform(0.0, 1.0, (9, 10))
@@ -109,6 +109,6 @@ def test_neighbours_over_other_cells_change_no_bit():
 def test_hills_are_no_part_of_the_source():
     model, other = landscape("sphere"), landscape("sphere")
     other.hfield_data[:] *= 0.5
-    assert fused_model.missing(model) is None
+    assert fused_missing.missing(model) is None
     sources = [PlainRollout(m, 1, 1).kernel.module.name for m in (model, other)]
     assert sources[0] == sources[1]

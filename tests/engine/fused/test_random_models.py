@@ -12,7 +12,7 @@ from fused_steps import step_differences, visit
 from hypothesis import HealthCheck, Phase, given, note, settings
 from hypothesis import strategies as st
 
-from warpmpc.engine.fused.model import missing
+from warpmpc.engine.fused.missing import missing
 
 # every example is a model to compile: no search for a smaller one
 quiet = settings(deadline=None, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))

@@ -14,8 +14,9 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine.fused import engine as fused_engine
-from warpmpc.engine.fused import model as fused_model
+from warpmpc.engine.fused import missing as fused_missing
 from warpmpc.engine.fused import source
+from warpmpc.engine.fused.model import FIELD
 from warpmpc.engine.fused.plain import PlainRollout
 from warpmpc.engine.fused.simulator import FusedSimulator
 from warpmpc.model.batch_size import BatchSize
@@ -218,7 +219,7 @@ def drive(text: str) -> dict:
 
 
 LACKS = {
-    "an integrator other than euler and implicitfast": {"option": 'integrator="RK4"'},
+    "integrators other than euler and implicitfast": {"option": 'integrator="RK4"'},
     "equalities of flexible bodies and distances": {
         "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" '
         'mass="1"><edge equality="true"/></flexcomp>'
@@ -289,24 +290,24 @@ UNWRITTEN = {"limited actuator forces of ball and free joints"}
 """What MJCF cannot say."""
 
 
-@pytest.mark.parametrize("what", [what for what in fused_model._CHECKS if what not in UNWRITTEN])
+@pytest.mark.parametrize("what", [what for what in fused_missing._CHECKS if what not in UNWRITTEN])
 def test_what_a_model_has_and_the_engine_lacks_has_a_name(what):
     model = mujoco.MjModel.from_xml_string(mjcf(**LACKS[what]))
-    assert fused_model.missing(model) == what
+    assert fused_missing.missing(model) == what
     with pytest.raises(ValueError, match="the engine fused has no ") as caught:
         PlainRollout(model, 1, 1)
     assert what in str(caught.value)
 
 
 def test_a_plain_model_lacks_nothing():
-    assert fused_model.missing(mujoco.MjModel.from_xml_string(mjcf())) is None
+    assert fused_missing.missing(mujoco.MjModel.from_xml_string(mjcf())) is None
 
 
 def test_a_pair_of_shapes_without_contacts_is_named(monkeypatch):
-    monkeypatch.setattr(fused_model, "COLLIDES", fused_model.COLLIDES - fused_model.FIELD)
+    monkeypatch.setattr(fused_missing, "COLLIDES", fused_missing.COLLIDES - FIELD)
     asset = '<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>'
     text = mjcf(before=asset, world='<geom type="hfield" hfield="f"/>')
-    assert fused_model.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
+    assert fused_missing.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
 
 
 @pytest.mark.usefixtures("preferred")

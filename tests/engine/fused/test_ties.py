@@ -12,7 +12,8 @@ from fused_steps import step_differences, visit
 from fused_tie_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from warp_lanes import COMPILER, LaneRollout
 
-from warpmpc.engine.fused.model import PhysicsModel, missing
+from warpmpc.engine.fused.missing import missing
+from warpmpc.engine.fused.model import PhysicsModel
 from warpmpc.engine.fused.plain import PlainRollout
 
 MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmers": SWIMMERS}

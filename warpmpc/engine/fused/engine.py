@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ...bake.terms import bake
 from ...compiling import compile_kernel
 from ...cost.kernel import judge_code
 from ...kernels.planning.splines import LINEAR, ZERO
@@ -19,6 +18,7 @@ from ...launch import capturing
 from ...model.batch_size import BatchSize
 from ...model.trajectory import Trajectory
 from ...scene.errors import SceneError
+from ..baking import bake
 from ..judging import JudgingEngine
 from .kernel import WARP, FusedWork, make_kernel
 from .simulator import FusedSimulator

@@ -14,7 +14,8 @@ from ...kernels.worlds.judging import TAPS
 from ...launch import Launcher
 from .exchange import Exchange
 from .kernel import WARP, FusedWork, make_kernel
-from .model import PhysicsModel, missing
+from .missing import missing
+from .model import PhysicsModel
 from .source import RolloutSource
 
 

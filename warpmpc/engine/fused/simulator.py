@@ -22,7 +22,8 @@ from ...model.trajectory import Trajectory
 from ...scene.errors import SceneError
 from .exchange import Exchange, Watch
 from .kernel import WARP, FusedWork, make_kernel
-from .model import PhysicsModel, missing
+from .missing import missing
+from .model import PhysicsModel
 from .source import RolloutSource
 
 if TYPE_CHECKING:

@@ -193,4 +193,4 @@ class PhysicsTree(Tree):
 
 def _not_asked(index: int) -> str:
     """Joints move bodies within the physics, not here."""
-    raise NotImplementedError(index)
+    raise AssertionError(f"joint {index} was asked for")
