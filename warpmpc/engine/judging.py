@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ PARTS = 4
 """Parts of the worlds per thread, as in the engine ``mujoco``."""
 
 
-class JudgingEngine:
+class JudgingEngine(ABC):
     """Rolls knots out and judges them in the same launch.
 
     A subclass says which terms its launch holds (:meth:`_stage`) and makes the launch (:meth:`_roll`).
@@ -180,9 +181,9 @@ class JudgingEngine:
         self._roll(first, groups)
         self._finish(sample, samples)
 
+    @abstractmethod
     def _roll(self, first: int, groups: int) -> None:
         """Roll some groups of lanes out, on a GPU all worlds, and judge them."""
-        raise NotImplementedError
 
     def _finish(self, first: int, count: int) -> None:
         """Costs of some samples from what their terms cost over the horizon."""
