@@ -169,20 +169,8 @@ def direction(height: str, width: str, name: str) -> str:
     )
 
 
-def native_lanes(samples: int | None = None) -> int:
-    """Samples that a register of this CPU holds: 16 with AVX-512, 8 with AVX, else 4.
-
-    Args:
-        samples: How many there are; so few that one register would hold them all are taken in narrower ones, which
-            two threads can share.
-    """
-    lanes = _most_lanes()
-    while samples is not None and lanes > 4 and samples <= lanes:
-        lanes //= 2
-    return lanes
-
-
-def _most_lanes() -> int:
+def native_lanes() -> int:
+    """Samples that a register of this CPU holds: 16 with AVX-512, 8 with AVX, else 4."""
     try:
         with open("/proc/cpuinfo") as file:
             flags = next((line for line in file if line.startswith("flags")), "").split()

@@ -57,7 +57,7 @@ class JudgingEngine(ABC):
         self.layout = request.costs.layout
         self._launch, self._on_gpu = Launcher(self.device), wp.get_device(self.device).is_cuda
         self._replays: dict[int, tuple[Proposal, Replay, list[Replay]]] = {}
-        self.lanes = native_lanes(self.shape.rollouts)
+        self.lanes = native_lanes()
         planner = request.scene.planner
         self._risk = [self.shape.domains, RISKS[planner.risk], planner.cvar]
         self._allocate(work)

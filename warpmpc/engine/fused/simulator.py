@@ -74,8 +74,7 @@ class FusedSimulator:
         on_gpu = wp.get_device(device).is_cuda
         self.sharing = WARP if on_gpu and shape.worlds <= MOST_SHARED else 1
         """Threads that share a world."""
-        self._width = native_lanes(shape.rollouts)
-        self._lanes = 1 if on_gpu else self._width
+        self._lanes = 1 if on_gpu else native_lanes()
         self._launch = Launcher(device)
         arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
         self.model = PhysicsModel(world.model, arrays)
@@ -102,7 +101,7 @@ class FusedSimulator:
             knots: Most knots that a control depends on.
         """
         shared = self.sharing > 1
-        return RolloutSource(self.model, self.exchange, self._width, shared, judged, knots).write()
+        return RolloutSource(self.model, self.exchange, native_lanes(), shared, judged, knots).write()
 
     def fill(self, work: FusedWork) -> None:
         """Set what the physics reads that no plan changes; after :meth:`source`."""
@@ -127,7 +126,7 @@ class FusedSimulator:
     @cached_property
     def _ready(self) -> tuple[wp.Kernel, FusedWork]:
         """The kernel of rollouts of given controls, and what it takes."""
-        kernel = make_kernel(self.source(), self._width, self.sharing)
+        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
         compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
         shape, work, out, device = self.shape, FusedWork(), self.trajectory, self.device
         self.fill(work)
