@@ -17,6 +17,7 @@ from .model import (
     PhysicsModel,
 )
 from .tendons import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, fixed
+from .ties import CONNECT, JOINT, TENDON, WELD
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -100,15 +101,7 @@ _DYNAMICS = tuple(
         mujoco.mjtDyn.mjDYN_FILTEREXACT,
     )
 )
-_EQUALITIES = tuple(
-    int(kind)
-    for kind in (
-        mujoco.mjtEq.mjEQ_CONNECT,
-        mujoco.mjtEq.mjEQ_WELD,
-        mujoco.mjtEq.mjEQ_JOINT,
-        mujoco.mjtEq.mjEQ_TENDON,
-    )
-)
+_EQUALITIES = (CONNECT, WELD, JOINT, TENDON)
 _WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
