@@ -33,15 +33,21 @@ if TYPE_CHECKING:
 
 SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
+WHILE_RUNNING = (SceneError, OSError)
+"""What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
 
 
 @contextmanager
-def user_errors() -> Iterator[None]:
-    """Turn wrong input into one message on stderr and exit code 2."""
+def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
+    """Turn wrong input into one line on stderr and exit code 2.
+
+    Args:
+        kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
+    """
     try:
         yield
-    except (SceneError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+    except kinds as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from None
 
 
@@ -179,9 +185,9 @@ def check(
         with user_errors():
             setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
             episode = setup.episode(seed)
-        observation = episode.plant.observe()
-        for _ in range(2):  # the first plan compiles kernels
-            episode.controller.step(observation)
+            observation = episode.plant.observe()
+            for _ in range(2):  # the first plan compiles kernels
+                episode.controller.step(observation)
 
         from .report import print_check
 
@@ -287,7 +293,8 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interr
         interrupts.check()
 
     try:
-        return episode.run(recorder=recorder, on_step=on_step)
+        with user_errors(WHILE_RUNNING):
+            return episode.run(recorder=recorder, on_step=on_step)
     except EpisodeInterrupted as error:
         return error.result
 
@@ -305,6 +312,7 @@ def _run_batch(
             bar.step(*step)
             interrupts.check()
 
-        for result in batch.run(on_step=on_step):
-            bar.finish(result)
-            yield result
+        with user_errors(WHILE_RUNNING):
+            for result in batch.run(on_step=on_step):
+                bar.finish(result)
+                yield result
