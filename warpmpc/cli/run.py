@@ -8,7 +8,6 @@ import logging
 import os
 import signal
 import sys
-import tempfile
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -71,22 +70,17 @@ def start_warp() -> None:
     """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU."""
     import warp as wp
 
-    logging.getLogger("newton").setLevel(logging.WARNING)
+    from ..compiling import native_output
 
+    logging.getLogger("newton").setLevel(logging.WARNING)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
     wp.config.log_level = wp.LOG_WARNING
-    sys.stderr.flush()
-    real = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)  # the complaint comes from native code
-        try:
+    try:
+        with native_output() as said:  # the complaint comes from native code
             wp.init()
-        except BaseException:
-            said.seek(0)
-            os.write(real, said.read())
-            raise
-        finally:
-            os.dup2(real, 2)
-            os.close(real)
+    except BaseException:
+        print(*said, sep="\n", file=sys.stderr)
+        raise
 
 
 class Interrupts:

@@ -8,6 +8,7 @@ import inspect
 import re
 import textwrap
 import traceback
+from types import FunctionType
 from typing import TYPE_CHECKING
 
 from ..scene.errors import SceneError
@@ -98,19 +99,32 @@ def refused(
     return complaint(labels[i], terms[i], f"a cost term returns one float; Warp says: {reason}", file=file)
 
 
-def require_return(label: str, term: CostTerm, *, file: Path | None) -> None:
-    """A term returns a number on every way through its function; Warp leaves that to a C++ compiler.
+def require_returns(label: str, term: CostTerm, *, file: Path | None) -> None:
+    """A term, and what it calls in its file, return a value on every way through; Warp leaves that to a C++ compiler.
 
     Raises:
-        SceneError: If it may end without.
+        SceneError: If one may end without.
     """
-    function = term.function.func
-    try:
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
-    except (OSError, SyntaxError, ValueError):
-        return  # no source to look at: Warp will say so
-    if isinstance(definition, ast.FunctionDef) and not _returns(definition.body):
-        raise complaint(label, term, "this function can end without returning a cost: return a float", file=file)
+    for function in _called(term.function.func, {}):
+        try:
+            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+        except (OSError, SyntaxError, ValueError):
+            continue  # no source to look at: Warp will say so
+        whole = isinstance(definition, ast.FunctionDef) and not _returns(definition.body)
+        if whole and (function is term.function.func or function.__annotations__.get("return") is not None):
+            what = "this function can end without returning a value: return one at its end"
+            raise complaint(label, term, what, file=file, where=place(function))
+
+
+def _called(function: FunctionType, found: dict[int, FunctionType]) -> Iterable[FunctionType]:
+    """A Warp function's Python function, and those of its file that it calls."""
+    found[id(function)] = function
+    for name in function.__code__.co_names:
+        value = getattr(function.__globals__.get(name), "func", None)
+        ours = isinstance(value, FunctionType) and value.__code__.co_filename == function.__code__.co_filename
+        if ours and id(value) not in found:
+            _called(value, found)
+    return found.values()
 
 
 def _returns(body: Iterable[ast.stmt]) -> bool:

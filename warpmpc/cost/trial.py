@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..compiling import native_output
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..task.observed import ObservedState
-from .blame import complaint, raised_at, refused, require_return
+from .blame import complaint, raised_at, refused, require_returns
 from .interpret import OutOfRange, as_python, watched
 from .kernel import judge_code
 from .term import ArrayCost, CostTerm
@@ -45,7 +46,7 @@ def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
     for i in users:
         term, label = stack.terms[i][0], stack.labels[i]
         if isinstance(term, CostTerm):
-            require_return(label, term, file=scene.path)
+            require_returns(label, term, file=scene.path)
     shape = BatchSize(stack.task.envs, SAMPLES, 1, STEPS)
     layout, device = stack.layout, stack.device
     state = ObservedState.allocate(layout, stack.task, device)
@@ -105,13 +106,16 @@ def _launch(stack: CostStack, scene: Scene, judge: Judge, users: Collection[int]
     params = code.params()
     for i, _, bound in kernels:
         setattr(params, f"p{i}", bound)
+    said: list[str] = []
     try:
-        judge.launch_with(code, params)
+        with native_output() as said:  # a C++ compiler speaks of code that no user has seen
+            judge.launch_with(code, params)
     except Exception as error:
         blamed = refused(error, stack.labels, [term for term, _ in stack.terms], file=scene.path)
         if blamed is None:
             i, term, _ = kernels[0]
-            blamed = complaint(stack.labels[i], term, f"Warp cannot compile this: {error}", file=scene.path)
+            why = next((line.partition("error: ")[2] for line in said if "error: " in line), str(error))
+            blamed = complaint(stack.labels[i], term, f"Warp cannot compile this: {why}", file=scene.path)
         raise blamed from None
 
 
