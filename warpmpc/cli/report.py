@@ -135,7 +135,10 @@ def _default(field: FieldInfo) -> str:
 
 def print_check(episode: Episode, out: TextIO) -> None:
     """Print what an episode is built of; its controller has made a plan."""
-    from ..engine.registry import physics_steps  # slow to import, and lists need no physics
+    # slow to import, and lists need no physics
+    from ..engine.registry import physics_steps
+    from ..model.memory import size
+    from ..model.trajectory import Trajectory
 
     scene, controller = episode.scene, episode.controller
     layout = controller.layout
@@ -185,6 +188,7 @@ def print_check(episode: Episode, out: TextIO) -> None:
     )
     ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
+    fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
     fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
     console.print(facts)
     console.print(_controls(layout))

@@ -7,8 +7,10 @@ import json
 import logging
 import os
 import signal
+import socket
 import sys
-from contextlib import closing, contextmanager
+import threading
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
+PATIENCE = 3.0
+"""How long native code may hold up Ctrl-C [s]."""
 WHILE_RUNNING = (SceneError, OSError)
 """What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
 
@@ -88,28 +92,49 @@ class Interrupts:
 
     Native code that calls back into Python may swallow a ``KeyboardInterrupt``: pydantic's serializer turns one into a
     warning. So it is also written down, and raised again by :meth:`check`; below pydantic it is only written down.
+    Native code that does not call back holds it up: a plan that takes minutes ends the process :data:`PATIENCE` later.
     """
 
     def __init__(self):
         self._pressed = False
+        self._noted = threading.Event()
+        self._wakeup: tuple[socket.socket, socket.socket] | None = None
 
     def __enter__(self) -> Interrupts:
         self._before = signal.getsignal(signal.SIGINT)
         if self._before is signal.default_int_handler:
             signal.signal(signal.SIGINT, self._note)
+            self._wakeup = socket.socketpair()
+            self._wakeup[1].setblocking(False)
+            self._fd_before = signal.set_wakeup_fd(self._wakeup[1].fileno(), warn_on_full_buffer=False)
+            threading.Thread(target=self._watch, args=(self._wakeup[0],), daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._before is signal.default_int_handler:
             signal.signal(signal.SIGINT, self._before)
+            signal.set_wakeup_fd(self._fd_before)
+            self._noted.set()
+            for end in self._wakeup:
+                end.close()
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._pressed = True
+        self._noted.set()
         while frame is not None:
             if frame.f_globals.get("__name__", "").startswith("pydantic."):
                 return
             frame = frame.f_back
         raise KeyboardInterrupt
+
+    def _watch(self, wakeup: socket.socket) -> None:
+        """Wait for a signal, and for the main thread to take note of it; in a thread of its own."""
+        with suppress(OSError):  # closed when it is over
+            while number := wakeup.recv(1):
+                if number[0] == signal.SIGINT and not self._noted.wait(PATIENCE):
+                    if sys.stderr.isatty():
+                        os.write(2, b"\x1b[?25h\n")  # a bar hides the cursor
+                    os._exit(INTERRUPTED)
 
     def check(self) -> None:
         """Raise ``KeyboardInterrupt`` if Ctrl-C was pressed."""
@@ -175,17 +200,20 @@ def check(
     source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
 ) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code."""
-    with results_only() as out, Messages(notices=True, warnings=True):
-        with user_errors():
-            setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            episode = setup.episode(seed)
-            observation = episode.plant.observe()
-            for _ in range(2):  # the first plan compiles kernels
-                episode.controller.step(observation)
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+        try:
+            with user_errors():
+                setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
+                episode = setup.episode(seed)
+                observation = episode.plant.observe()
+                for _ in range(2):  # the first plan compiles kernels
+                    episode.controller.step(observation)
 
-        from .report import print_check
+            from .report import print_check
 
-        print_check(episode, out)
+            print_check(episode, out)
+        except KeyboardInterrupt:
+            return INTERRUPTED
     return SUCCESS
 
 

@@ -20,6 +20,7 @@ from .overrides import (
     with_values,
 )
 from .schema import DriveMode, Method, Scene
+from .sizes import check_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -120,6 +121,9 @@ def _file(text: str) -> Path | None:
         path = Path(text).expanduser()
         if path.is_file():
             return path.absolute()
+        if path.exists() and text not in shipped_scenes():
+            kind = "a folder" if path.is_dir() else "no regular file"
+            raise SceneError(f"is {kind}: give a scene file (.toml) or the name of a shipped scene", file=text)
     except (OSError, RuntimeError):
         pass  # a name too long for a file, or a home folder of nobody
     return shipped_scenes().get(text)
@@ -151,6 +155,9 @@ def _pick(patches: object, variant: str | None, path: Path) -> dict:
         raise SceneError("no such variant", key="variants", file=path, found=variant, allowed=patches)
     if not isinstance(patches[variant], dict):
         raise SceneError("must be a table", key=join_key(("variants", variant)), file=path, found=patches[variant])
+    if "variants" in patches[variant]:
+        key = join_key(("variants", variant, "variants"))
+        raise SceneError("a variant has no variants of its own: write each as [variants.NAME]", key=key, file=path)
     return patches[variant]
 
 
@@ -186,6 +193,7 @@ def check_scene(scene: Scene) -> None:
         _check_plant,
         _check_randomization,
         _check_draws,
+        check_sizes,
     )
     for check in checks:
         try:
@@ -291,7 +299,9 @@ def _check_frame(scene: Scene, frame: str, key: str) -> None:
     robot, slash, place = frame.partition("/")
     known = [f"{r.name}/{name}" for r in scene.robot for name in r.frames]
     if not slash or not place:
-        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=known)
+        robots = " or ".join(f"{name}/LINK" for name in _names(scene.robot))
+        allowed = ", ".join([*known, f"{robots} with a link of the robot's asset"])
+        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=allowed)
     if robot not in _names(scene.robot):
         raise SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
 
