@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SHARED_PER_DOF = 180
 """Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
-one each. Five models from 7 to 27 degrees of freedom took the same time either way at 155 to 240 (docs/benchmarks.md)."""
+one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240 (docs/benchmarks.md)."""
 
 
 def shares(model: mujoco.MjModel, worlds: int) -> bool:
