@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: list scenes and cost terms, check a scene, run episodes."""
+"""The command line: list scenes and cost terms, print their schema, check a scene, run episodes."""
 
 from __future__ import annotations
 
@@ -94,6 +94,17 @@ def terms() -> None:
 
     start_warp()
     report.print_terms()
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scene files, with which editors complete and check them."""
+    from .run import start_warp
+
+    start_warp()
+    from .schema import schema_text
+
+    typer.echo(schema_text(), nl=False)
 
 
 @app.command()
