@@ -24,6 +24,7 @@ from ..planner.step import PlanStep
 from ..scene.errors import SceneError
 from ..task.task import Task, task_layout
 from .observation import Observation
+from .rollout import Rollout
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -164,11 +165,33 @@ class Controller:
             for array, values in zip(self.planner.limits, (lower, upper), strict=True):
                 array.assign(values)
 
-    def reset(self) -> None:
-        """Forget every earlier plan and observation, as if just constructed; the task stays as it is."""
+    def reset(self, plan: Plan | None = None) -> None:
+        """Forget every earlier plan and observation, as if just constructed; the task stays as it is.
+
+        Args:
+            plan: Where the next plan starts from, as if this had been the last one: it moves on by the time from the
+                first of its knots to the next observation. It may come from another controller, with other knots. From
+                nothing if None.
+
+        Raises:
+            ValueError: If it is a plan of other controls or of other environments.
+        """
+        if plan is not None:
+            self._check_plan(plan)
         with capturing:
-            self.planner.reset()
+            self.planner.reset(plan)
         self._forget()
+        if plan is not None:
+            self._observed.resume(plan.times[..., 0])
+
+    def _check_plan(self, plan: Plan) -> None:
+        shape = (self.layout.nu,) if plan.knots.ndim == 2 else (self.envs, self.layout.nu)
+        found = plan.knots.shape[:-2] + plan.knots.shape[-1:]
+        if found != shape:
+            raise ValueError(
+                f"a plan here is of {self.layout.nu} controls for one or all of {self.envs} environments, "
+                f"not of knots {list(plan.knots.shape)}"
+            )
 
     def step(self, state: State) -> np.ndarray:
         """Plan from an observed state and return the control to apply now.
@@ -231,6 +254,34 @@ class Controller:
             spline=self.planner.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
+        )
+
+    def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
+        """What one sample of the last plan came to: states, controls and knots over the horizon.
+
+        Args:
+            sample: Which one; the cheapest if None. Sample 0 is the mean as it was before this plan moved it.
+            e: Environment.
+
+        Raises:
+            ValueError: If nothing has been planned yet, or there is no such sample or environment.
+        """
+        if self._last is None:
+            raise ValueError("nothing has been planned yet: there is no rollout to look at")
+        if not 0 <= e < self.envs or not (sample is None or 0 <= sample < self.shape.samples):
+            raise ValueError(f"there are {self.envs} environments of {self.shape.samples} samples each, from 0 on")
+        costs = self.engine.cost.numpy()[e]
+        sample = int(self._last[1].best[e]) if sample is None else sample
+        out = self.engine.record([(e * self.shape.samples + sample) * self.shape.domains])
+        return Rollout(
+            times=float(np.nan_to_num(self._observed.planned[e])) + self.planner.grid.t,
+            joint_q=out.joint_q[:, 0].copy(),
+            joint_qd=out.joint_qd[:, 0].copy(),
+            body_q=out.body_q[:, 0].copy(),
+            control=out.control[:, 0].copy(),
+            knots=self.planner.strategy.knots.numpy()[e, sample].copy(),
+            cost=float(costs[sample]),
+            layout=self.layout,
         )
 
     def _safe_command(self, needed: np.ndarray) -> np.ndarray:

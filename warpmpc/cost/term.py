@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -44,6 +45,11 @@ class CostTerm:
     advance: wp.Function | None = None
     """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any of them is judged: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
+
+    @property
+    def summary(self) -> str:
+        """What it costs, in one sentence: the first of the function's docstring."""
+        return (inspect.getdoc(self.function.func) or "").split("\n\n")[0].replace("\n", " ")
 
 
 @dataclass(frozen=True)
