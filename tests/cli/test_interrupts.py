@@ -11,7 +11,7 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
 
-from warpmpc.cli.run import Interrupts
+from warpmpc.cli.interrupts import Interrupts
 
 
 @pytest.fixture(autouse=True)
@@ -53,10 +53,10 @@ def test_ctrl_c_inside_pydantic_is_kept_for_later_and_makes_no_warning():
 
 STUCK = """
 import hashlib, os, signal, threading
-import warpmpc.cli.run as run
-run.PATIENCE = 0.3
+import warpmpc.cli.interrupts as interrupts
+interrupts.PATIENCE = 0.3
 signal.signal(signal.SIGINT, signal.default_int_handler)
-with run.Interrupts():
+with interrupts.Interrupts():
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
     hashlib.pbkdf2_hmac("sha256", b"a", b"b", 10**9)  # minutes in native code, other threads run
 """

@@ -74,6 +74,8 @@ class EpisodeResult:
     """Safe commands sent because no rollout survived."""
     envs: int = 1
     """Environments that every plan planned for at once."""
+    axis_error: float | None = None
+    """Final error along the axis that is farthest from its tolerance [m], None without tolerances along axes."""
     phases: tuple[tuple[str, float], ...] = ()
     """Phases of the task that were entered after the first, and when [s]."""
     drawn: dict[str, object] = field(default_factory=dict)
@@ -179,6 +181,7 @@ class Tally:
             horizon=controller.shape.horizon,
             fallbacks=self._fallbacks,
             envs=controller.envs,
+            axis_error=None if error is None else error.worst_axis(scene.success),
             phases=tuple(plant.monitor.phases),
             drawn=self.drawn,
         )

@@ -59,6 +59,22 @@ class Renewal(StrEnum):
     START = "start"
 
 
+class ShareOfRange(Section):
+    """A standard deviation by the range of each control, from its lower to its upper limit."""
+
+    range: Positives
+    """Share of the range, one value or one per control: 0.25 is half of the way from the middle to a limit."""
+
+
+def _numbers_or_table(value: object) -> str:
+    return "table" if isinstance(value, dict | Section) else "numbers"
+
+
+Sigma = Annotated[
+    Annotated[Positives, Tag("numbers")] | Annotated[ShareOfRange, Tag("table")], Discriminator(_numbers_or_table)
+]
+
+
 class Noise(Section):
     """Perturbation of the knots, ε = σ ⊙ (B z)."""
 
@@ -66,8 +82,9 @@ class Noise(Section):
     """Where standard normals z come from."""
     shape: NoiseShape = NoiseShape.BSPLINE
     """How they are correlated along the horizon, B."""
-    sigma: Positives = (0.5,)
-    """Standard deviation in control units, one value or one per control."""
+    sigma: Sigma = ShareOfRange(range=(0.25,))
+    """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
+    range, as when left out."""
     spread: tuple[Positive, Positive] = (1.0, 1.0)
     """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
     constant: Channel = 0.0
@@ -147,12 +164,8 @@ class Growing(Section):
     """How many steps have the length ``first``."""
 
 
-def _number_or_table(value: object) -> str:
-    return "table" if isinstance(value, dict | Growing) else "numbers"
-
-
 Steps = Annotated[
-    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_number_or_table)
+    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_numbers_or_table)
 ]
 
 
