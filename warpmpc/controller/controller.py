@@ -22,6 +22,7 @@ from ..planner.graph import PlanGraph, PlanReport
 from ..planner.plan import Plan
 from ..planner.step import PlanStep
 from ..scene.errors import SceneError
+from ..scene.schema import SampleCount
 from ..task.task import Task, task_layout
 from .observation import Observation
 from .rollout import Rollout
@@ -75,6 +76,9 @@ class Controller:
             raise ValueError(f"a controller has at least one environment, not {envs}")
         if task is not None and task.envs != envs:
             raise ValueError(f"this task is one of {task.envs} environments, not of {envs}")
+        if scene.planner.samples is SampleCount.AUTO:
+            message = "a controller does not measure: warpmpc.fit_samples(scene) does"
+            raise SceneError(message, key="planner.samples", file=scene.path, found="auto")
         name, device = resolve(scene, engine, device)
         self.scene, self.seed, self.envs = scene, seed, envs
         self.compiled = compiled or compile_scene(scene)

@@ -13,7 +13,8 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
-from .choose_engine import choose_engine
+from .choose_engine import choose_engine, with_samples
+from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -221,6 +222,8 @@ class Episode:
         if compiled is None or draws_bodies(scene):
             compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
         engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        fitted = fit_samples(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        self.scene = with_samples(self.scene, fitted.planner.samples)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )

@@ -19,7 +19,7 @@ from .overrides import (
     validated,
     with_values,
 )
-from .schema import DriveMode, Method, Scene
+from .schema import DriveMode, Method, SampleCount, Scene
 from .sizes import check_sizes
 
 if TYPE_CHECKING:
@@ -335,7 +335,8 @@ def _check_drives(robot: Robot) -> None:
 def _check_plant(scene: Scene) -> None:
     if scene.timing.timeout < scene.timing.control_dt:
         raise SceneError("is shorter than control_dt", key="timing.timeout", found=scene.timing.timeout)
-    if scene.planner.method is Method.CEM and scene.planner.elites > scene.planner.samples:
+    samples = scene.planner.samples
+    if scene.planner.method is Method.CEM and samples is not SampleCount.AUTO and scene.planner.elites > samples:
         raise SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
     movable = _names(scene.robot) + _names(scene.object)
     for i, kick in enumerate(scene.plant.kicks):

@@ -153,6 +153,22 @@ class Risk(StrEnum):
     CVAR = "cvar"
 
 
+class SampleCount(StrEnum):
+    """A number of samples that is not given."""
+
+    AUTO = "auto"
+    """As many as fit into a control on this machine, measured."""
+
+
+def _number_or_text(value: object) -> str:
+    return "text" if isinstance(value, str) else "number"
+
+
+Samples = Annotated[
+    Annotated[TwoOrMore, Tag("number")] | Annotated[SampleCount, Tag("text")], Discriminator(_number_or_text)
+]
+
+
 class Growing(Section):
     """Steps that grow: fine near the present, long far ahead (STORM)."""
 
@@ -174,8 +190,9 @@ class Planner(Section):
 
     method: Method = Method.MPPI
     """How costs become sample weights."""
-    samples: TwoOrMore = 256
-    """Candidate control sequences S."""
+    samples: Samples = 256
+    """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
+    ``warpmpc run`` and ``warpmpc.fit_samples``."""
     horizon: Count = 16
     """Steps T of a rollout."""
     dt: Steps | None = None

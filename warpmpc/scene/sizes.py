@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from .errors import SceneError
+from .schema import SampleCount
 
 if TYPE_CHECKING:
     from .schema import Scene
@@ -46,6 +47,8 @@ def check_sizes(scene: Scene) -> None:
             what = f"physics steps of {length / substeps:.1g} s are too short: {SHORTEST:g} s at least"
             raise SceneError(what, key=key, found=substeps, allowed=f"at most {max(1, math.floor(length / SHORTEST))}")
     sizes = {name: getattr(planner, name) for name in _USUAL}
+    if planner.samples is SampleCount.AUTO:
+        sizes["samples"] = _USUAL["samples"]
     steps = math.prod(sizes.values()) * (engine.substeps or 1)
     if steps > PLAN_STEPS:
         name = max(sizes, key=lambda name: sizes[name] / _USUAL[name])
