@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
 from reference import pages
 
@@ -21,13 +23,13 @@ ROOT = Path(__file__).parents[2]
 _view = tempfile.TemporaryDirectory()
 
 
+@event_priority(100)  # before mkdocstrings takes its settings
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Show mkdocstrings a package that has its kernels inside, as an installed one does."""
     package = Path(_view.name) / "warpmpc"
     if not package.exists():
-        package.mkdir()
-        for source in (*(ROOT / "warpmpc").iterdir(), ROOT / "kernels"):
-            (package / source.name).symlink_to(source)
+        for source, target in ((ROOT / "warpmpc", package), (ROOT / "kernels", package / "kernels")):
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_view.name]
     return config
 

@@ -7,6 +7,7 @@ import ast
 import inspect
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
 from typing import get_args, get_origin
 
@@ -27,8 +28,8 @@ ROOT = Path(__file__).parents[2]
 _SCENE = """# Scene files: every key
 
 Written from the source of warpmpc. A scene file is [TOML](https://toml.io); lengths are in metres, masses in kilograms,
-times in seconds, angles in radians, forces in newtons, quaternions are (x, y, z, w). `warpmpc schema` prints all of this
-for editors, and [scene files](../scenes.md) tells what the keys are for. `false` switches off a key that may be
+times in seconds, angles in radians, forces in newtons, quaternions are (x, y, z, w). `warpmpc schema` prints all of
+this for editors, and [scene files](../scenes.md) tells what the keys are for. `false` switches off a key that may be
 absent, as in `ground = false`.
 """
 _TERMS = """# Cost terms: every key
@@ -119,9 +120,9 @@ def _meaning(field: FieldInfo) -> str:
 
 def _said(choices: type[StrEnum]) -> Mapping[str, str]:
     """What is written below the members of an enumeration, by their values."""
-    body = ast.parse(inspect.cleandoc(inspect.getsource(choices))).body[0].body
+    body = ast.parse(inspect.getsource(choices)).body[0].body
     said = {}
-    for line, after in zip(body, body[1:], strict=False):
+    for line, after in pairwise(body):
         if isinstance(line, ast.Assign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
             said[choices[line.targets[0].id].value] = " ".join(after.value.value.split())
     return said
