@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.stack import CostStack
-from ..engine.registry import resolve
+from ..engine.registry import ENGINES, resolve
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
@@ -202,11 +202,8 @@ class Controller:
             command[fallback] = self._safe_command(fallback)
             with capturing:
                 self.planner.state.last_control.assign(command)
-            logger.warning(
-                "t = %.2f s: %s; sending the safe command",
-                np.max(seen.now),
-                "the observation is not finite" if not seen.fresh.all() else "every rollout diverged",
-            )
+            why = "the observation is not finite" if not seen.fresh.all() else self._why_none(report, fallback)
+            logger.warning("t = %.2f s: %s; sending the safe command", np.max(seen.now), why)
         plan_ms = 1e3 * (time.perf_counter() - start)
         if seen.fresh.any():
             self._warn_of_overflow(report)
@@ -277,6 +274,16 @@ class Controller:
         stop = -self._observed.joint_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
         safe = np.where(brake >= 0, stop, safe)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
+
+    def _why_none(self, report: PlanReport, fallback: np.ndarray) -> str:
+        """Why no rollout of some environment can be used."""
+        e = int(np.flatnonzero(fallback)[0])
+        terms = [label for label, cost in zip(self.costs.labels, report.terms[e], strict=True) if not np.isfinite(cost)]
+        if ENGINES[self.engine.name].physics and report.diverged[e] >= self.shape.rollouts:
+            return "the physics of every rollout diverged"
+        return (
+            f"no rollout has a finite cost: see the cost term {', '.join(terms)}" if terms else "every rollout diverged"
+        )
 
     def _no_report(self) -> PlanReport:
         """What there is to say without a plan."""

@@ -88,6 +88,8 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
         ... def upright(s: warpmpc.StepView, p: UprightParams) -> float:
         ...     return 1.0 - wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), wp.vec3(0.0, 0.0, 1.0))[2]
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.cost_term("name")')
 
     def decorate(function: Callable) -> CostTerm:
         annotations = list(_annotations(function).values())
@@ -123,6 +125,8 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
     Args:
         name: What scene files call the term.
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.array_cost("name")')
     return lambda function: ArrayCost(name, function)
 
 
