@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
+    from .record.history import History, HistoryRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -53,6 +54,8 @@ __all__ = [
     "Controller",
     "CostTerm",
     "EpisodeResult",
+    "History",
+    "HistoryRecorder",
     "Info",
     "Monitor",
     "Plan",
@@ -91,6 +94,8 @@ __all__ = [
 _HOME = {
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
+    "History": "record.history",
+    "HistoryRecorder": "record.history",
     "Info": "model.state",
     "Monitor": "plant.monitor",
     "Plan": "planner.plan",

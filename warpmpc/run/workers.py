@@ -37,7 +37,7 @@ class LostJob(RuntimeError):
     """A call whose process died as often as it was made."""
 
     def __init__(self):
-        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps; what is done is kept")
+        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps")
 
 
 class Workers(Protocol):
