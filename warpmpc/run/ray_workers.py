@@ -8,6 +8,7 @@ import logging
 import os
 import pickle
 import socket
+import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -113,6 +114,7 @@ def _call(code: str, gpu: bool, call: bytes) -> Any:
         if not gpu:
             os.environ["CUDA_VISIBLE_DEVICES"] = ""
         logging.getLogger("warpmpc").setLevel(logging.ERROR)  # results count what is warned of
+        warnings.simplefilter("ignore")
         if prepare is not None:
             prepare()
         _prepared = True

@@ -12,6 +12,7 @@ import os
 import re
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -181,6 +182,7 @@ def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # nothing has looked for GPUs yet
     logger.setLevel(logging.ERROR)  # results count what is warned of
+    warnings.simplefilter("ignore")
     if prepare is not None:
         prepare()
 
