@@ -16,6 +16,9 @@ from ..kernels.terms.view import StepView
 if TYPE_CHECKING:
     from .term import CostTerm
 
+GENERATED = "<judge "
+"""How the names of files begin that are written here."""
+
 _SOURCE = '''
 @wp.struct
 class JudgeParams:
@@ -115,7 +118,7 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))
     # Warp reads the source of what it compiles from the file it came from
     about = repr((source, [(term.function.key, term.advance and term.advance.key) for _, term in terms]))
-    file = f"<judge {hashlib.sha256(about.encode()).hexdigest()[:12]}>"
+    file = f"{GENERATED}{hashlib.sha256(about.encode()).hexdigest()[:12]}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     exec(compile(source, file, "exec", dont_inherit=True), names)
     made = ("JudgeParams", "judge_step", "judge_kernel", "advance_step", "advance_kernel")

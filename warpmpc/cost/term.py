@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -45,6 +46,11 @@ class CostTerm:
     """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any of them is judged: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
 
+    @property
+    def summary(self) -> str:
+        """What it costs, in one sentence: the first of the function's docstring."""
+        return (inspect.getdoc(self.function.func) or "").split("\n\n")[0].replace("\n", " ")
+
 
 @dataclass(frozen=True)
 class ArrayCost:
@@ -82,6 +88,8 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
         ... def upright(s: warpmpc.StepView, p: UprightParams) -> float:
         ...     return 1.0 - wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), wp.vec3(0.0, 0.0, 1.0))[2]
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.cost_term("name")')
 
     def decorate(function: Callable) -> CostTerm:
         annotations = list(_annotations(function).values())
@@ -117,6 +125,8 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
     Args:
         name: What scene files call the term.
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.array_cost("name")')
     return lambda function: ArrayCost(name, function)
 
 
