@@ -103,16 +103,19 @@ def print_terms() -> None:
 
 def _kind(field: FieldInfo) -> str:
     """What a key takes, in words."""
-    kind, metadata = field.annotation, list(field.metadata)
-    while True:
+    kind, metadata, title = field.annotation, list(field.metadata), field.title
+    while title is None:
         choices = [choice for choice in get_args(kind) if choice is not NoneType]
         if isinstance(kind, UnionType) or get_origin(kind) is Union:
             kind = choices[0]
         elif hasattr(kind, "__metadata__"):
             metadata += [item for outer in kind.__metadata__ for item in getattr(outer, "metadata", [])]
+            title = next((t for outer in kind.__metadata__ if (t := getattr(outer, "title", None))), None)
             kind = kind.__origin__
         else:
             break
+    if title:
+        return title
     if get_origin(kind) is tuple:
         names = ["..." if choice is Ellipsis else "text" if choice is str else "number" for choice in choices]
         return f"[{', '.join(names)}]"
