@@ -155,7 +155,7 @@ def run_geometric(scene: Scene, *, seed: int) -> dict:
         seed: Seed of the task, the path and the plant's properties.
 
     Returns:
-        ``result``, ``measured`` and ``gpu``, as :func:`workers.run_job` returns them; ``plan_ms`` is the one plan.
+        ``result``, ``measured`` and ``gpu``, as :func:`jobs.run_job` returns them; ``plan_ms`` is the one plan.
 
     Raises:
         SceneError: If the scene is not a disc among spheres, or no task can be drawn.

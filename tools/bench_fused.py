@@ -32,7 +32,7 @@ from rich.table import Table
 
 from warpmpc.cli.run import start_warp
 from warpmpc.engine.fused.plain import PlainRollout
-from warpmpc.engine.fused.simulator import MOST_SHARED
+from warpmpc.engine.fused.simulator import shares
 from warpmpc.engine.mujoco import silence_mujoco
 
 STATES = 512
@@ -94,7 +94,7 @@ def physics_on_device(name: str, worlds: int, *, steps: int, runs: int, device: 
     """
     model = load_model(name)
     q, v, u = (np.resize(values, (worlds, values.shape[1])) for values in spread(model, min(worlds, STATES)))
-    engine = PlainRollout(model, worlds, steps, device=device, share=worlds <= MOST_SHARED)
+    engine = PlainRollout(model, worlds, steps, device=device, share=shares(model, worlds))
     start = time.perf_counter()
     ours = engine(q, v, np.repeat(u[None], steps, axis=0))[0][-1].copy()
     first = time.perf_counter() - start

@@ -5,10 +5,13 @@
     python tools/reproduce.py table4 --jobs 2               # all cells, as many runs as the paper
     python tools/reproduce.py table1/point --runs 20        # one cell
     python tools/reproduce.py table4 --set planner.samples=300 --out build/samples300
+    python tools/reproduce.py table1 --jobs gpus            # a process for each GPU of this machine
+    python tools/reproduce.py table4 --jobs ray             # the Ray cluster that this machine belongs to
 
 Every finished run is added to OUT/TABLE.jsonl and never repeated while scene, overrides, seed, engine and device are
 the same: run the same command again to go on after an interruption. OUT then holds TABLE.md, TABLE.json and TABLE.png.
-Exit codes: 0 when all runs were made, whatever became of them, 1 when a worker died, 2 for bad input, 130 for Ctrl-C.
+Exit codes: 0 when all runs were made, whatever became of them, 1 when a run's process died
+every time, 2 for bad input, 130 for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -18,12 +21,13 @@ import difflib
 import json
 import shlex
 import sys
-from concurrent.futures.process import BrokenProcessPool
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.tables import TABLES, Cell
+
+from warpmpc.run.workers import FORMS, LostJob, check_jobs
 
 if TYPE_CHECKING:
     from experiments.report import Report
@@ -65,15 +69,16 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
     parser.add_argument("--engine", default="auto", help="engine of the rollouts")
     parser.add_argument("--device", default="auto", help="device of the rollouts")
-    parser.add_argument("--jobs", type=int, default=1, help="runs at a time, on one thread each if several")
+    parser.add_argument(
+        "--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1); several runs at a time take a thread each"
+    )
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument(
         "--out", type=Path, default=Path("build/results"), help="folder of the results (default build/results)"
     )
     args = parser.parse_args(arguments)
-    for name in ("runs", "jobs"):
-        if (value := getattr(args, name)) is not None and value < 1:
-            parser.error(f"--{name} must be at least 1")
+    if args.runs is not None and args.runs < 1:
+        parser.error("--runs must be at least 1")
     if args.seed < 0:
         parser.error("--seed must not be below 0")
     return args
@@ -88,21 +93,25 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
     selection = chosen(args.tables)  # a mistyped name need not wait for imports
     from bench import machine
     from experiments.report import Report, Row
-    from experiments.runs import Run, Store, code_digest, make_runs, plan_runs
+    from experiments.runs import Run, make_runs, plan_runs
+    from jobs import check_engine
     from progress import Bar
-    from workers import check_engine
 
+    from warpmpc.run.code import code_digest
+    from warpmpc.run.records import Records
+
+    check_jobs(args.jobs)
     check_engine(args.engine)
     plans = {}
     for name, cells in selection.items():
         seeds = range(args.seed, args.seed + (args.runs or TABLES[name].runs))
         options = {"overrides": args.overrides, "engine": args.engine, "device": args.device}
         plans[name] = plan_runs(name, cells, seeds=seeds, **options)
-    stores = {name: Store(args.out / f"{name}.jsonl") for name in plans}
+    kept = {name: Records(args.out / f"{name}.jsonl") for name in plans}
     here = machine()
-    circumstances = {"jobs": args.jobs, "code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
+    circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
     try:
-        with Bar(sum(run.key not in stores[name].runs for name, runs in plans.items() for run in runs)) as bar:
+        with Bar(sum(run.key not in kept[name].by_key for name, runs in plans.items() for run in runs)) as bar:
 
             def on_done(run: Run, record: dict) -> None:
                 if not record["result"]["success"]:
@@ -110,10 +119,17 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
                 bar.step(f"{run.cell} seed {run.job.seed}")
 
             for name, runs in plans.items():
-                make_runs(runs, stores[name], jobs=args.jobs, circumstances=circumstances, on_done=on_done)
+                make_runs(
+                    runs,
+                    kept[name],
+                    jobs=args.jobs,
+                    device=args.device,
+                    circumstances=circumstances,
+                    on_done=on_done,
+                )
     finally:
         for name, runs in plans.items():
-            made = [(run, stores[name].runs[run.key]) for run in runs if run.key in stores[name].runs]
+            made = [(run, kept[name].by_key[run.key]) for run in runs if run.key in kept[name].by_key]
             rows = [Row(cell, [item for item in made if item[0].cell == cell.name]) for cell in selection[name]]
             if made:
                 today = date.today().isoformat()
@@ -140,8 +156,8 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         reproduce(parse(arguments), shlex.join(["python", "tools/reproduce.py", *arguments]))
-    except BrokenProcessPool:
-        print("error: a worker process died, out of memory perhaps; the same command goes on", file=sys.stderr)
+    except LostJob as error:
+        print(f"error: {error}; the same command goes on", file=sys.stderr)
         return 1
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

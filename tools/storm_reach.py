@@ -24,6 +24,8 @@ from reach.cells import ABLATIONS, METHODS, Cell
 from reach.poses import CLEARANCE
 from reach.report import line, summary
 
+from warpmpc.run.workers import FORMS, LostJob, open_workers
+
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
@@ -31,7 +33,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("scene", nargs="?", default="storm_reach")
     parser.add_argument("--poses", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--jobs", type=int, default=1, help="worker processes")
+    parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--method", nargs="+", choices=METHODS, default=["planner"])
     parser.add_argument("--ablations", action="store_true", help="the planner with one thing changed at a time")
     parser.add_argument("--cell", nargs="+", default=None, help="some of the ablations by name")
@@ -48,17 +50,21 @@ def measure(args: argparse.Namespace) -> None:
         ValueError: If a scene or a cell does not exist, or a method's packages are missing.
     """
     from reach.runs import run_pose
-    from workers import Workers
+
+    from warpmpc.cli.run import start_warp
 
     cells = [Cell(name, method=name) for name in args.method]
     if args.ablations:
         cells = [cell for cell in ABLATIONS if args.cell is None or cell.name in args.cell]
     seeds = range(args.seed, args.seed + args.poses)
     print(line())
-    with Workers(args.jobs) as workers:
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    with workers:
         for cell in cells:
             overrides = ("engine.threads=1", *cell.overrides, *args.overrides)
-            jobs = [workers.call(run_pose, cell.method, args.scene, overrides, seed, args.clearance) for seed in seeds]
+            jobs = [
+                workers.submit(run_pose, cell.method, args.scene, overrides, seed, args.clearance) for seed in seeds
+            ]
             records = sorted((job.result() for job in as_completed(jobs)), key=lambda record: record["seed"])
             if args.out:
                 with open(args.out, "a", encoding="utf-8") as file:
@@ -70,6 +76,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line of this tool; returns the exit code."""
     try:
         measure(parse(arguments))
+    except LostJob as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -12,7 +12,8 @@ magnitude; a|b|c is a choice. --key also takes a file of such lines. Several sce
 A trial is judged by the mean over all scenes and seeds of the time to the goal; failures cost at least twice the
 timeout and the more the farther they end from the goal. The first trial is the scenes as they are. The study is a
 file: the same command goes on where it was interrupted, with more --trials it goes on further. One process at a time
-may use a study. Exit codes: 0 when all trials were made, 1 when a worker died, 2 for bad input, 130 for Ctrl-C.
+may use a study. Exit codes: 0 when all trials were made, 1 when an episode's process died every
+time, 2 for bad input, 130 for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from warpmpc.run.workers import FORMS, LostJob, check_jobs, open_workers
 
 if TYPE_CHECKING:
     import optuna
@@ -43,7 +46,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--trials", type=int, default=50, help="trials the study shall hold (default 50)")
     parser.add_argument("--episodes", type=int, default=4, help="seeds per scene (default 4)")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"first seed (default {FIRST_SEED})")
-    parser.add_argument("--jobs", type=int, default=1, help="trials at a time, on one thread each if several")
+    parser.add_argument(
+        "--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1); several trials at a time take a thread each"
+    )
     parser.add_argument("--study", type=Path, default=Path("build/tune.db"), help="SQLite file (default build/tune.db)")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--engine", default="auto", help="engine of the rollouts")
@@ -54,7 +59,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     args = parser.parse_args(arguments)
     if not args.keys:
         parser.error("nothing to tune: give --key KEY=SPEC")
-    for name in ("trials", "episodes", "jobs"):
+    for name in ("trials", "episodes"):
         if getattr(args, name) < 1:
             parser.error(f"--{name} must be at least 1")
     return args
@@ -66,13 +71,15 @@ def tune(args: argparse.Namespace) -> None:
     Raises:
         ValueError: If a scene, a key or the study does not fit.
     """
+    from jobs import check_engine
     from progress import Bar
     from tuning.search import Task, done, open_study, search
     from tuning.space import parse_space, start_values
-    from workers import Workers, check_engine
 
     from warpmpc import load_scene
+    from warpmpc.cli.run import start_warp
 
+    check_jobs(args.jobs)
     check_engine(args.engine)
     space = parse_space(args.keys)
     scenes = {source: load_scene(source, overrides=args.overrides) for source in args.scenes}
@@ -88,13 +95,14 @@ def tune(args: argparse.Namespace) -> None:
     )
     study = open_study(args.study, task)
     try:
-        with Workers(args.jobs) as workers, Bar(max(args.trials - len(done(study)), 0)) as bar:
+        workers, device = open_workers(args.jobs, device=args.device, prepare=start_warp)
+        with workers, Bar(max(args.trials - len(done(study)), 0)) as bar:
 
             def on_trial(trial: FrozenTrial) -> None:
                 bar.say(describe(trial, task))
                 bar.step(f"trial {trial.number}")
 
-            search(study, task, workers, trials=args.trials, on_trial=on_trial)
+            search(study, replace(task, device=device), workers, trials=args.trials, on_trial=on_trial)
     finally:
         report(study, task)
 
@@ -136,8 +144,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line of this tool; returns the exit code."""
     try:
         tune(parse(arguments))
-    except BrokenProcessPool:
-        print("error: a worker process died, out of memory perhaps; the same command goes on", file=sys.stderr)
+    except LostJob as error:
+        print(f"error: {error}; the same command goes on", file=sys.stderr)
         return 1
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

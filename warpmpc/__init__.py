@@ -7,7 +7,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .cli.terms import load_terms
     from .controller.controller import Controller
+    from .controller.rollout import Rollout
     from .cost.term import (
         ArrayCost,
         CostTerm,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
         step_time,
         task_scalar,
     )
+    from .model.exchange import MujocoStates, NewtonStates
     from .model.state import Info, State
     from .planner.plan import Plan
     from .plant.monitor import Monitor
@@ -55,8 +58,11 @@ __all__ = [
     "EpisodeResult",
     "Info",
     "Monitor",
+    "MujocoStates",
+    "NewtonStates",
     "Plan",
     "Plant",
+    "Rollout",
     "Scene",
     "SceneError",
     "State",
@@ -75,6 +81,7 @@ __all__ = [
     "joint_position",
     "joint_velocity",
     "load_scene",
+    "load_terms",
     "memory",
     "memory_before",
     "remember",
@@ -93,8 +100,11 @@ _HOME = {
     "EpisodeResult": "run.episode",
     "Info": "model.state",
     "Monitor": "plant.monitor",
+    "MujocoStates": "model.exchange",
+    "NewtonStates": "model.exchange",
     "Plan": "planner.plan",
     "Plant": "plant.simulated",
+    "Rollout": "controller.rollout",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",
     "State": "model.state",
@@ -105,6 +115,7 @@ _HOME = {
     "array_cost": "cost.term",
     "cost_term": "cost.term",
     "load_scene": "scene.load",
+    "load_terms": "cli.terms",
     "run_batch": "run.batch",
     "run_episode": "run.episode",
     "shipped_scenes": "scene.load",

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +35,28 @@ def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, wha
         return
     with _shown(f"compiling {what} for {device}, once"):
         wp.load_module(kernel.module, device=device, block_dim=threads)
+
+
+@contextmanager
+def native_output() -> Iterator[list[str]]:
+    """Keep back what is written to standard error, by native code, too.
+
+    Yields:
+        Its lines, once it is over.
+    """
+    lines: list[str] = []
+    sys.stderr.flush()
+    real = os.dup(2)
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            sys.stderr.flush()
+            os.dup2(real, 2)
+            os.close(real)
+            said.seek(0)
+            lines += said.read().decode(errors="replace").splitlines()
 
 
 def _cached(module: wp.Module, device: wp.Device, block_dim: int) -> bool:

@@ -101,6 +101,29 @@ def test_a_mistake_in_a_file_of_terms(folder, command, text, says):
         assert part in found
 
 
+@pytest.mark.parametrize("what", ["check", "run"])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            '@warpmpc.cost_term("own")\ndef own(s: warpmpc.StepView, p: P) -> float:\n    return p.a * p.i\n',
+            "terms.py:10: ",
+        ),
+        ('@warpmpc.array_cost("own")\ndef own(batch):\n    return batch["nothing"]\n', "terms.py:10: KeyError"),
+        ('@warpmpc.array_cost("own")\ndef own(batch):\n    return None\n', "terms.py:8: an array cost returns"),
+    ],
+    ids=["types", "exception", "None"],
+)
+def test_a_mistake_in_a_term(folder, command, what, text, says):
+    head = "import warp as wp\nimport warpmpc\n\n@wp.struct\nclass P:\n    a: float\n    i: int\n"
+    (folder / "terms.py").write_text(head + text)
+    cost = '[[cost]]\nterm = "own"\na = 1.0\ni = 1\n\n[planner]'
+    (folder / "mine.toml").write_text(SCENE.replace("[planner]", cost))
+    found = message(command(what, "mine.toml", "--terms", "terms.py"))
+    assert "mine.toml: cost.own: " in found
+    assert says in found
+
+
 @pytest.mark.parametrize(
     "args",
     [

@@ -38,7 +38,16 @@ def test_terms_lists_every_term_and_key_with_type_default_and_meaning():
     for name, term in BUILTIN.items():
         assert name in words
         assert set(term.keys.model_fields) <= set(words)
-    for part in ("straight | geodesic", "number ≥ 0", "number > 0", "[text, text]", "true | false", "required", "[m]"):
+    for part in (
+        "straight | geodesic",
+        "number ≥ 0",
+        "number > 0",
+        "[text, text]",
+        "true | false",
+        "required",
+        "[m]",
+        "[[text, text], ...]",
+    ):
         assert part in done.stdout
 
 

@@ -34,6 +34,7 @@ class Steps:
     force: np.ndarray  # [W] of the forces of watched pairs [N]
     strength: np.ndarray  # [W] largest force of a watched pair [N]
     edge: np.ndarray  # [W] how much MuJoCo C's own velocities change when the state moves by EDGE
+    speed: np.ndarray  # [W] largest joint velocity
 
     def __str__(self) -> str:
         steady = self.edge < 1e-4
@@ -155,6 +156,7 @@ class Comparison:
             force=_most(ours["contact_force"] - theirs["contact_force"]),
             strength=_most(theirs["contact_force"]),
             edge=edge,
+            speed=_most(theirs["joint_qd"]),
         )
 
 

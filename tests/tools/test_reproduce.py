@@ -11,10 +11,10 @@ import reproduce
 from experiments.metrics import METRICS, estimate, mean, rate, shown
 from experiments.plots import plot
 from experiments.report import Report, Row
-from experiments.runs import Run, Store, plan_runs
+from experiments.runs import Run, plan_runs
 from experiments.tables import TABLES, Cell, Table
+from jobs import Job
 from scene_keys import present, spread
-from workers import Job
 
 import warpmpc
 from warpmpc.cost.stack import CostStack
@@ -179,19 +179,6 @@ def test_the_papers_own_terms_are_terms_with_known_keys(name):
     )
     stack = CostStack(scene, compile_scene(scene).layout, Task(scene))
     assert list(stack.labels) == ["distance", "bring", "yaw", "push_alignment", "base_contact", "box_contact"]
-
-
-def test_kept_runs_survive_a_write_that_was_cut_off(tmp_path):
-    first, second = runs_of(Cell(name="p", title="", scenes=("omni_push_box",)))
-    store = Store(tmp_path / "t.jsonl")
-    store.add(first, {"result": 1})
-    with open(store.path, "ab") as file:
-        file.write(b'{"key": "half')
-    store = Store(store.path)
-    assert set(store.runs) == {first.key}
-    store.add(second, {"result": 2})
-    assert [json.loads(line)["seed"] for line in store.path.read_text().splitlines()] == [0, 1]
-    assert set(Store(store.path).runs) == {first.key, second.key}
 
 
 def test_finished_runs_are_never_repeated(tmp_path, capsys):

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of a table: which there are to make, which are made already, and the file they are kept in."""
+"""The runs of a table: which there are to make, which are made already."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
-import os
 import shlex
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 
+from jobs import OMPL, PLANNER, Job, submit
 from scene_keys import spread
-from workers import OMPL, PLANNER, Job, Workers
 
 import warpmpc
+from warpmpc.cli.run import start_warp
+from warpmpc.run.records import Records
+from warpmpc.run.workers import open_workers
 
 from .tables import Cell
 
@@ -83,77 +83,39 @@ def plan_runs(
     ]
 
 
-class Store:
-    """Finished runs, one JSON object a line, in the order they ended.
-
-    Args:
-        path: The file; made when the first run is added.
-    """
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.runs: dict[str, dict] = {}
-        """Key → record."""
-        if path.exists():
-            for line in path.read_bytes().splitlines(keepends=True):
-                if not line.endswith(b"\n"):
-                    break  # cut off in the middle of writing
-                record = json.loads(line)
-                self.runs[record["key"]] = record
-
-    def add(self, run: Run, record: dict) -> None:
-        """Keep a finished run, on disk before this returns."""
-        record = {"key": run.key, "cell": run.cell, "scene": run.job.scene, "seed": run.job.seed, **record}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with open(self.path, "ab+") as file:
-            if file.tell() > 0:
-                file.seek(-1, os.SEEK_END)
-                if file.read() != b"\n":
-                    self._mend(file)
-            file.write(json.dumps(record, ensure_ascii=False).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        self.runs[run.key] = record
-
-    @staticmethod
-    def _mend(file) -> None:
-        """Drop a last line that was cut off."""
-        file.seek(0)
-        file.truncate(file.read().rfind(b"\n") + 1)
-
-
 def make_runs(
-    runs: Sequence[Run], store: Store, *, jobs: int, circumstances: dict, on_done: Callable[[Run, dict], None]
+    runs: Sequence[Run],
+    records: Records,
+    *,
+    jobs: str,
+    device: str,
+    circumstances: dict,
+    on_done: Callable[[Run, dict], None],
 ) -> None:
-    """Make the runs that the store does not hold yet, and keep each as soon as it ends.
+    """Make the runs that are not recorded yet, and record each as soon as it ends.
 
     Args:
         runs: Runs wanted.
-        store: Where they are kept.
-        jobs: Worker processes.
+        records: Where they are kept.
+        jobs: Where they are made, as for :func:`warpmpc.run.workers.open_workers`.
+        device: Device that was asked for.
         circumstances: Kept with every run.
         on_done: Called after each.
 
     Raises:
         SceneError: If a scene cannot be built.
-        ValueError: If the engine or device is unknown or not to be had here.
-        BrokenProcessPool: If a worker died.
+        ValueError: If the place, the engine or the device is unknown or not to be had here.
+        LostJob: If a run's process died whenever it was tried.
     """
-    missing = [run for run in runs if run.key not in store.runs]
+    missing = [run for run in runs if run.key not in records.by_key]
     if not missing:
         return
-    with Workers(jobs) as workers:
-        futures = {workers.submit(run.job): run for run in missing}
+    workers, device = open_workers(jobs, device=device, prepare=start_warp)
+    with workers:
+        futures = {submit(workers, replace(run.job, device=device)): run for run in missing}
         for future in as_completed(futures):
             run, record = futures[future], future.result()
-            store.add(run, {**record, **circumstances, "at": datetime.now(UTC).isoformat(timespec="seconds")})
+            kept = {"cell": run.cell, "scene": run.job.scene, "seed": run.job.seed, **record, **circumstances}
+            kept |= {"jobs": workers.count, "at": datetime.now(UTC).isoformat(timespec="seconds")}
+            records.add(run.key, kept)
             on_done(run, record)
-
-
-def code_digest() -> str:
-    """Hash of the code under test, so that a report can tell when its runs come from several states of it."""
-    digest = hashlib.sha256()
-    folders = [Path(warpmpc.__file__).parent, Path(importlib.util.find_spec("warpmpc.kernels").origin).parent]
-    for file in sorted(file for folder in folders for file in folder.rglob("*.py")):
-        digest.update(file.name.encode() + file.read_bytes())
-    return digest.hexdigest()[:12]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from workers import OMPL, PLANNER
+from jobs import OMPL, PLANNER
 
 
 @dataclass(frozen=True, kw_only=True)

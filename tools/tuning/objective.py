@@ -25,7 +25,7 @@ def score(run: dict, scene: Scene, *, contact_penalty: float) -> float:
     miss is better than a far one, and any success better than both. Contact beyond a graze adds a penalty.
 
     Args:
-        run: What :func:`workers.run_job` returned.
+        run: What :func:`jobs.run_job` returned.
         scene: The episode's scene.
         contact_penalty: Price of contact beyond a graze [s].
     """

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import optuna
+from jobs import Job, submit
 from optuna.trial import FrozenTrial, TrialState
-from workers import Job, Workers
 
 from warpmpc import Scene, SceneError, load_scene
+from warpmpc.run.workers import Workers
 
 from .objective import score
 from .space import Choice, Range
@@ -157,7 +158,7 @@ def search(
     Raises:
         SceneError: If the scenes' present values make no scene.
         ValueError: If the engine or device is unknown or not to be had here.
-        BrokenProcessPool: If a worker died.
+        LostJob: If an episode's process died whenever it was tried.
     """
     running: dict[Future, _Running] = {}
     left = trials - len(done(study))
@@ -169,7 +170,7 @@ def search(
             try:
                 for source in task.scenes:
                     load_scene(source, overrides=[*task.overrides, *task.changes(current.values)])
-                running[workers.submit(task.job(current.values, task.episodes[0]))] = current
+                running[submit(workers, task.job(current.values, task.episodes[0]))] = current
             except SceneError as error:
                 _refuse(study, trial, error)
                 on_trial(study.trials[trial.number])
@@ -177,7 +178,7 @@ def search(
             current = running.pop(future)
             following = _judge(study, task, current, future)
             if following is not None:
-                running[workers.submit(following)] = current
+                running[submit(workers, following)] = current
             else:
                 on_trial(study.trials[current.trial.number])
 

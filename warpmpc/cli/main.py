@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: list scenes and cost terms, check a scene, run episodes."""
+"""The command line: list scenes and cost terms, print their schema, begin, check and run a scene."""
 
 from __future__ import annotations
 
@@ -94,6 +94,32 @@ def terms() -> None:
 
     start_warp()
     report.print_terms()
+
+
+@app.command()
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make; it may be there and empty.")],
+) -> None:
+    """Write a starter: a scene, a robot, a cost term, a loop in Python, and what to do with them."""
+    from .new import make_starter
+    from .run import start_warp, user_errors
+
+    start_warp()
+    with user_errors():
+        for name in make_starter(folder):
+            typer.echo(folder / name)
+    typer.echo(f"next: cd {folder} && warpmpc run scene.toml --terms cost.py")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scene files, with which editors complete and check them."""
+    from .run import start_warp
+
+    start_warp()
+    from .schema import schema_text
+
+    typer.echo(schema_text(), nl=False)
 
 
 @app.command()

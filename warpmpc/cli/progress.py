@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
+import warnings
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ logger = logging.getLogger("warpmpc")
 class Messages(logging.Handler):
     """Shows what warpmpc logs: every notice once, and the first warning of an episode; the results count the rest.
 
+    What libraries and users' terms warn of by Python's ``warnings`` is among it.
+
     Args:
         notices: Whether to show notices, such as which engine ``auto`` took.
         warnings: Whether to show warnings.
@@ -44,11 +47,19 @@ class Messages(logging.Handler):
         self._level_before = logger.level
         logger.setLevel(logging.INFO)
         logger.addHandler(self)
+        self._caught = warnings.catch_warnings()
+        self._caught.__enter__()
+        warnings.showwarning = self._show
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._caught.__exit__(*error)
         logger.removeHandler(self)
         logger.setLevel(self._level_before)
+
+    def _show(self, message: Warning | str, category: type[Warning], filename: str, line: int, *rest: object) -> None:
+        """Show a warning of Python's, of a library or of a user's term, as one of ours."""
+        logger.warning("%s:%d: %s", filename, line, " ".join(str(message).split()))
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record, or not."""

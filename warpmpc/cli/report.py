@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import statistics
-from enum import StrEnum
-from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, TextIO, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 from rich import box
@@ -16,13 +13,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..scene.describe import default, takes
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from pydantic.fields import FieldInfo
 
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
@@ -87,11 +83,10 @@ def print_terms() -> None:
 
     table = _table("term", "key", "value", "default", "meaning")
     for term in BUILTIN.values():
-        summary = (inspect.getdoc(term.function.func) or "").split("\n\n")[0].replace("\n", " ")
         table.add_section()
-        table.add_row(Text(term.name, style="bold"), "", "", "", Text(summary, style="bold"))
+        table.add_row(Text(term.name, style="bold"), "", "", "", Text(term.summary, style="bold"))
         for name, field in term.keys.model_fields.items():
-            table.add_row("", name, Text(_kind(field)), Text(_default(field)), Text(field.description or ""))
+            table.add_row("", name, Text(takes(field)), Text(default(field)), Text(field.description or ""))
     console = _console()
     console.print(table)
     console.print(
@@ -99,41 +94,6 @@ def print_terms() -> None:
         "A frame is robot/frame, robot/link, an object, an obstacle or goal.",
         markup=False,
     )
-
-
-def _kind(field: FieldInfo) -> str:
-    """What a key takes, in words."""
-    kind, metadata, title = field.annotation, list(field.metadata), field.title
-    while title is None:
-        choices = [choice for choice in get_args(kind) if choice is not NoneType]
-        if isinstance(kind, UnionType) or get_origin(kind) is Union:
-            kind = choices[0]
-        elif hasattr(kind, "__metadata__"):
-            metadata += [item for outer in kind.__metadata__ for item in getattr(outer, "metadata", [])]
-            title = next((t for outer in kind.__metadata__ if (t := getattr(outer, "title", None))), None)
-            kind = kind.__origin__
-        else:
-            break
-    if title:
-        return title
-    if get_origin(kind) is tuple:
-        names = ["..." if choice is Ellipsis else "text" if choice is str else "number" for choice in choices]
-        return f"[{', '.join(names)}]"
-    if issubclass(kind, StrEnum):
-        return " | ".join(kind)
-    bounds = {name: f" {sign} {getattr(m, name):g}" for m in metadata for name, sign in _SIGNS if hasattr(m, name)}
-    return {bool: "true | false", str: "text"}.get(kind, "number") + "".join(bounds.values())
-
-
-_SIGNS = (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤"))
-
-
-def _default(field: FieldInfo) -> str:
-    if field.is_required():
-        return "required"
-    if field.default is None:
-        return "-"
-    return str(field.default).lower() if isinstance(field.default, bool) else str(field.default)
 
 
 def print_check(episode: Episode, out: TextIO) -> None:

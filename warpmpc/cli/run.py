@@ -8,7 +8,6 @@ import logging
 import os
 import signal
 import sys
-import tempfile
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -33,15 +32,21 @@ if TYPE_CHECKING:
 
 SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
+WHILE_RUNNING = (SceneError, OSError)
+"""What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
 
 
 @contextmanager
-def user_errors() -> Iterator[None]:
-    """Turn wrong input into one message on stderr and exit code 2."""
+def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
+    """Turn wrong input into one line on stderr and exit code 2.
+
+    Args:
+        kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
+    """
     try:
         yield
-    except (SceneError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+    except kinds as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from None
 
 
@@ -65,22 +70,17 @@ def start_warp() -> None:
     """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU."""
     import warp as wp
 
-    logging.getLogger("newton").setLevel(logging.WARNING)
+    from ..compiling import native_output
 
+    logging.getLogger("newton").setLevel(logging.WARNING)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
     wp.config.log_level = wp.LOG_WARNING
-    sys.stderr.flush()
-    real = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)  # the complaint comes from native code
-        try:
+    try:
+        with native_output() as said:  # the complaint comes from native code
             wp.init()
-        except BaseException:
-            said.seek(0)
-            os.write(real, said.read())
-            raise
-        finally:
-            os.dup2(real, 2)
-            os.close(real)
+    except BaseException:
+        print(*said, sep="\n", file=sys.stderr)
+        raise
 
 
 class Interrupts:
@@ -179,9 +179,9 @@ def check(
         with user_errors():
             setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
             episode = setup.episode(seed)
-        observation = episode.plant.observe()
-        for _ in range(2):  # the first plan compiles kernels
-            episode.controller.step(observation)
+            observation = episode.plant.observe()
+            for _ in range(2):  # the first plan compiles kernels
+                episode.controller.step(observation)
 
         from .report import print_check
 
@@ -287,7 +287,8 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interr
         interrupts.check()
 
     try:
-        return episode.run(recorder=recorder, on_step=on_step)
+        with user_errors(WHILE_RUNNING):
+            return episode.run(recorder=recorder, on_step=on_step)
     except EpisodeInterrupted as error:
         return error.result
 
@@ -305,6 +306,7 @@ def _run_batch(
             bar.step(*step)
             interrupts.check()
 
-        for result in batch.run(on_step=on_step):
-            bar.finish(result)
-            yield result
+        with user_errors(WHILE_RUNNING):
+            for result in batch.run(on_step=on_step):
+                bar.finish(result)
+                yield result

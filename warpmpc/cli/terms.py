@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
+    from types import ModuleType
 
     from ..cost.term import ArrayCost, CostTerm
 
@@ -19,11 +21,11 @@ class TermsError(ValueError):
     """A file of cost terms that cannot be used."""
 
 
-def load_terms(files: Sequence[Path]) -> list[CostTerm | ArrayCost]:
+def load_terms(files: str | Path | Sequence[str | Path]) -> list[CostTerm | ArrayCost]:
     """Execute Python files and collect the cost terms they define at module level.
 
     Args:
-        files: Python files.
+        files: Python files, or one of them.
 
     Returns:
         The terms, in the order of the files and of the names in them.
@@ -32,8 +34,8 @@ def load_terms(files: Sequence[Path]) -> list[CostTerm | ArrayCost]:
         TermsError: If a file cannot be read or executed or defines no term, or two terms share a name.
     """
     found: dict[str, CostTerm | ArrayCost] = {}
-    for number, path in enumerate(files):
-        terms = _execute(path, f"warpmpc_terms_{number}")
+    for path in map(Path, [files] if isinstance(files, str | Path) else files):
+        terms = _execute(path, _module_name(path))
         if not terms:
             raise TermsError(f'{path}: defines no cost term; write one with @warpmpc.cost_term("name")')
         for term in terms:
@@ -41,6 +43,16 @@ def load_terms(files: Sequence[Path]) -> list[CostTerm | ArrayCost]:
                 raise TermsError(f"{path}: there are two cost terms called '{term.name}'")
             found[term.name] = term
     return list(found.values())
+
+
+def _module_name(path: Path) -> str:
+    """A module of its own for each file, the same one when it is executed again."""
+    names = (f"warpmpc_terms_{number}" for number in itertools.count())
+    return next(name for name in names if name not in sys.modules or _same_file(sys.modules[name], path))
+
+
+def _same_file(module: ModuleType, path: Path) -> bool:
+    return module.__file__ == str(path.absolute())
 
 
 def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.stack import CostStack
-from ..engine.registry import resolve
+from ..engine.registry import ENGINES, resolve
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
@@ -22,6 +22,7 @@ from ..planner.plan import Plan
 from ..planner.step import PlanStep
 from ..task.task import Task, task_layout
 from .observation import Observation
+from .rollout import Rollout
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -143,11 +144,33 @@ class Controller:
             for array, values in zip(self.planner.limits, (lower, upper), strict=True):
                 array.assign(values)
 
-    def reset(self) -> None:
-        """Forget every earlier plan and observation, as if just constructed; the task stays as it is."""
+    def reset(self, plan: Plan | None = None) -> None:
+        """Forget every earlier plan and observation, as if just constructed; the task stays as it is.
+
+        Args:
+            plan: Where the next plan starts from, as if this had been the last one: it moves on by the time from the
+                first of its knots to the next observation. It may come from another controller, with other knots. From
+                nothing if None.
+
+        Raises:
+            ValueError: If it is a plan of other controls or of other environments.
+        """
+        if plan is not None:
+            self._check_plan(plan)
         with capturing:
-            self.planner.reset()
+            self.planner.reset(plan)
         self._forget()
+        if plan is not None:
+            self._observed.resume(plan.times[..., 0])
+
+    def _check_plan(self, plan: Plan) -> None:
+        shape = (self.layout.nu,) if plan.knots.ndim == 2 else (self.envs, self.layout.nu)
+        found = plan.knots.shape[:-2] + plan.knots.shape[-1:]
+        if found != shape:
+            raise ValueError(
+                f"a plan here is of {self.layout.nu} controls for one or all of {self.envs} environments, "
+                f"not of knots {list(plan.knots.shape)}"
+            )
 
     def step(self, state: State) -> np.ndarray:
         """Plan from an observed state and return the control to apply now.
@@ -179,11 +202,8 @@ class Controller:
             command[fallback] = self._safe_command(fallback)
             with capturing:
                 self.planner.state.last_control.assign(command)
-            logger.warning(
-                "t = %.2f s: %s; sending the safe command",
-                np.max(seen.now),
-                "the observation is not finite" if not seen.fresh.all() else "every rollout diverged",
-            )
+            why = "the observation is not finite" if not seen.fresh.all() else self._why_none(report, fallback)
+            logger.warning("t = %.2f s: %s; sending the safe command", np.max(seen.now), why)
         plan_ms = 1e3 * (time.perf_counter() - start)
         if seen.fresh.any():
             self._warn_of_overflow(report)
@@ -215,6 +235,34 @@ class Controller:
             upper=self._upper.copy(),
         )
 
+    def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
+        """What one sample of the last plan came to: states, controls and knots over the horizon.
+
+        Args:
+            sample: Which one; the cheapest if None. Sample 0 is the mean as it was before this plan moved it.
+            e: Environment.
+
+        Raises:
+            ValueError: If nothing has been planned yet, or there is no such sample or environment.
+        """
+        if self._last is None:
+            raise ValueError("nothing has been planned yet: there is no rollout to look at")
+        if not 0 <= e < self.envs or not (sample is None or 0 <= sample < self.shape.samples):
+            raise ValueError(f"there are {self.envs} environments of {self.shape.samples} samples each, from 0 on")
+        costs = self.engine.cost.numpy()[e]
+        sample = int(self._last[1].best[e]) if sample is None else sample
+        out = self.engine.record([(e * self.shape.samples + sample) * self.shape.domains])
+        return Rollout(
+            times=float(np.nan_to_num(self._observed.planned[e])) + self.planner.grid.t,
+            joint_q=out.joint_q[:, 0].copy(),
+            joint_qd=out.joint_qd[:, 0].copy(),
+            body_q=out.body_q[:, 0].copy(),
+            control=out.control[:, 0].copy(),
+            knots=self.planner.strategy.knots.numpy()[e, sample].copy(),
+            cost=float(costs[sample]),
+            layout=self.layout,
+        )
+
     def _safe_command(self, needed: np.ndarray) -> np.ndarray:
         """Zero velocity or effort, a stop by the next control, the position last seen, as the drive is; ``[n, nu]``."""
         held = self.layout.control_safe
@@ -226,6 +274,16 @@ class Controller:
         stop = -self._observed.joint_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
         safe = np.where(brake >= 0, stop, safe)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
+
+    def _why_none(self, report: PlanReport, fallback: np.ndarray) -> str:
+        """Why no rollout of some environment can be used."""
+        e = int(np.flatnonzero(fallback)[0])
+        terms = [label for label, cost in zip(self.costs.labels, report.terms[e], strict=True) if not np.isfinite(cost)]
+        if ENGINES[self.engine.name].physics and report.diverged[e] >= self.shape.rollouts:
+            return "the physics of every rollout diverged"
+        return (
+            f"no rollout has a finite cost: see the cost term {', '.join(terms)}" if terms else "every rollout diverged"
+        )
 
     def _no_report(self) -> PlanReport:
         """What there is to say without a plan."""

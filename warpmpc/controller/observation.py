@@ -56,6 +56,10 @@ class Observation:
         self.now, self.planned = np.full(self._envs, np.nan), np.full(self._envs, np.nan)
         self.elapsed = np.zeros(self._envs)
 
+    def resume(self, time: np.ndarray) -> None:
+        """Count from a time on, one for all environments or ``[E]`` [s], as if something had been observed then."""
+        self.now[:], self.planned[:] = time, time
+
     @property
     def joint_q(self) -> np.ndarray:
         """Joint coordinates ``[E, nq]``."""

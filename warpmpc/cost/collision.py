@@ -4,18 +4,17 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from pydantic import BeforeValidator, Field
 
 from ..kernels.terms import collision
 from ..model.layout import WORLD, Entity
 from ..model.link_pairs import moving_bodies, self_pairs
 from ..model.spheres import Spheres, fit_spheres
 from ..scene.errors import SceneError
-from ..scene.types import NonNegative, Positive, Section
+from ..scene.types import Names, NonNegative, Positive, Section
 from .binding import PRIMITIVES
 from .mesh_volumes import mesh_volumes
 from .native import collision as native
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
     from ..model.layout import ShapeInfo
     from .binding import Binding
-
-Names = Annotated[tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v), Field(min_length=1)]
 
 
 class CollisionForm(StrEnum):

@@ -16,6 +16,9 @@ from ..kernels.terms.view import StepView
 if TYPE_CHECKING:
     from .term import CostTerm
 
+GENERATED = "<judge "
+"""How the names of files begin that are written here."""
+
 _SOURCE = '''
 @wp.struct
 class JudgeParams:
@@ -101,24 +104,24 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
     """
     names: dict[str, Any] = {"wp": wp, "StepView": StepView}
     fields, calls, advances = ["    none: int"], [], []
-    # what Warp caches it knows by this source and by the functions in it, each once: the source says which is which
-    order = [f for _, term in terms for f in (term.function, term.advance) if f is not None]
-    called = {function: f"call{order.index(function)}" for function in order}
-    names |= {name: function for function, name in called.items()}
+    # Warp knows what it has cached by this source and by the functions in it, each once: one function has one name
+    called: dict[wp.Function, str] = {}
     for i, term in terms:
         names[f"Params{i}"] = term.params
+        function = called.setdefault(term.function, f"term{i}")
         if term.advance is not None:
-            advances.append(f"    {called[term.advance]}(s, p.p{i})")
+            advances.append(f"    {called.setdefault(term.advance, f'advance{i}')}(s, p.p{i})")
         fields.append(f"    p{i}: Params{i}")
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
         calls.append(f"    if weight[s.e, {i}] != 0.0:")
-        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * {called[term.function]}(s, p.p{i})")
+        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * {function}(s, p.p{i})")
+    names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))
     # Warp reads the source of what it compiles from the file it came from
     about = repr((source, [(term.function.key, term.advance and term.advance.key) for _, term in terms]))
-    file = f"<judge {hashlib.sha256(about.encode()).hexdigest()[:12]}>"
+    file = f"{GENERATED}{hashlib.sha256(about.encode()).hexdigest()[:12]}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     exec(compile(source, file, "exec", dont_inherit=True), names)
     made = ("JudgeParams", "judge_step", "judge_kernel", "advance_step", "advance_kernel")

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from ..kernels.terms import norms
 from ..scene.types import Positive, Section
@@ -48,10 +48,15 @@ _KERNEL = {
 }
 
 
+def _takes(kind: NormKind) -> str:
+    return f"the norm {kind} takes {' and '.join(_PARAMETERS[kind]) or 'neither p nor q'}"
+
+
 class NormKeys(Section):
     """How a residual becomes a cost."""
 
     kind: NormKind
+    """Which norm."""
     p: Positive | None = None
     """Where the norm bends, in the residual's unit; the exponent of ``power``."""
     q: Annotated[float, Field(strict=True, ge=1.0, allow_inf_nan=False)] | None = None
@@ -62,15 +67,10 @@ class NormKeys(Section):
         wanted = _PARAMETERS[self.kind]
         given = "".join(name for name in "pq" if getattr(self, name) is not None)
         if given != wanted:
-            takes = " and ".join(wanted) or "neither p nor q"
-            raise ValueError(f"the norm {self.kind} takes {takes}")
+            raise ValueError(_takes(self.kind))
         if self.kind is NormKind.POWER and self.p < 1.0:
             raise ValueError("the norm power takes p of 1 or more")
         return self
-
-    def __str__(self) -> str:
-        values = [str(value) for value in (self.p, self.q) if value is not None]
-        return " ".join((self.kind, *values))
 
     def struct(self) -> norms.Norm:
         """The norm as kernels take it."""
@@ -79,10 +79,19 @@ class NormKeys(Section):
         return out
 
 
-def _by_name(value: Any) -> Any:
-    return {"kind": value} if isinstance(value, str) else value
+def _text_or_table(value: object) -> str:
+    return "table" if isinstance(value, dict | NormKeys) else "text"
 
 
-NormKey = Annotated[NormKeys, BeforeValidator(_by_name), Field(title="norm")]
+def _by_name(kind: NormKind) -> NormKeys:
+    """A norm without parameters."""
+    if _PARAMETERS[kind]:
+        raise ValueError(_takes(kind))
+    return NormKeys(kind=kind)
+
+
+NormKey = Annotated[
+    Annotated[NormKind, AfterValidator(_by_name), Tag("text")] | Annotated[NormKeys, Tag("table")],
+    Discriminator(_text_or_table),
+]
 """A norm by its name, or a table."""
-DEFAULT = NormKeys(kind=NormKind.QUADRATIC)

@@ -3,17 +3,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from ..scene.types import Finite, NonNegative, Section
-from .norms import DEFAULT, NormKey
-
-
-def _as_list(value: Any) -> Any:
-    """Accept one where several are meant."""
-    return value if isinstance(value, list | tuple) else (value,)
+from ..scene.types import Finite, NonNegative, OneOrSeveral, Section
+from .norms import NormKey, NormKind
 
 
 class CentreOfMass(Section):
@@ -23,9 +18,9 @@ class CentreOfMass(Section):
     """Robot, object, or ``robot/link`` with all that hangs on it."""
 
 
-Place = Annotated[tuple[str | CentreOfMass, ...], BeforeValidator(_as_list), Field(min_length=1, title="place")]
+Place = Annotated[tuple[str | CentreOfMass, ...], Field(min_length=1), OneOrSeveral]
 """A frame, or ``{ centre_of_mass = "robot" }``; of several the mean."""
-Wanted = Annotated[tuple[Finite | str, ...], BeforeValidator(_as_list), Field(min_length=1, title="number | scalar")]
+Wanted = Annotated[tuple[Finite | str, ...], Field(min_length=1), OneOrSeveral]
 """One number or name of a scalar, or one for each of the residual's numbers."""
 Axes = Annotated[str, Field(pattern="^(x?y?z?)$", min_length=1)]
 
@@ -35,7 +30,7 @@ class Residual(Section):
 
     target: Wanted | None = None
     """What the residual's numbers shall be: numbers or names of scalars, one or one for each; 0 when left out."""
-    norm: NormKey = DEFAULT
+    norm: NormKey = NormKind.QUADRATIC
     """quadratic, or { kind, p, q }: l2, l22, cosh, power, smooth_abs, smooth_abs2, rectify."""
 
 

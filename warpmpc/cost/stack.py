@@ -15,9 +15,11 @@ from ..launch import Launcher
 from ..model.joints import joint_table
 from ..scene.errors import SceneError
 from .binding import Binding
+from .blame import complaint, raised
 from .builtin import BUILTIN
-from .kernel import judge_code
+from .kernel import JudgeCode, judge_code
 from .term import ArrayCost, CostTerm
+from .trial import try_terms
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -54,8 +56,8 @@ class CostStack:
         costs: Sequence[Cost] | None = None,
     ):
         costs = scene.cost if costs is None else costs
-        self.layout, self.device, self.task = layout, device, task
-        known = {**BUILTIN, **{term.name: term for term in terms}}
+        self.layout, self.device, self.task, self.file = layout, device, task, scene.path
+        known = {**BUILTIN, **_users(terms, scene)}
         self.labels = scene.cost_labels if costs is scene.cost else [cost.label for cost in costs]
         self.terms: list[tuple[CostTerm | ArrayCost, Any]] = []
         """Each term with its parameters."""
@@ -65,7 +67,11 @@ class CostStack:
             binding.label = label
             if cost.term not in known:
                 raise SceneError(
-                    "no such cost term", key=f"{binding.key}.term", file=scene.path, found=cost.term, allowed=known
+                    "no such cost term (your own ones come with --terms FILE.py)",
+                    key=f"{binding.key}.term",
+                    file=scene.path,
+                    found=cost.term,
+                    allowed=known,
                 )
             term = known[cost.term]
             bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
@@ -87,6 +93,9 @@ class CostStack:
             setattr(self.params, f"p{i}", bound)
         task.on_change(self._on_task_change)
         self._on_task_change(frozenset(task))
+        users = [i for i, (term, _) in enumerate(self.terms) if term.name not in BUILTIN]
+        if users and costs is scene.cost:  # those of a part were tried with the whole
+            try_terms(self, scene, users)
 
     def _on_task_change(self, names: frozenset[str]) -> None:
         for resource in self.resources:
@@ -113,10 +122,26 @@ class CostStack:
         resources = list(self.resources)
         if not resources:
             return
-        q, qd, body_q, body_qd = state.as_slice
-        self._launch(forward_kinematics_kernel, body_q.shape[:2], [self._table, q, qd], [body_q, body_qd])
+        self.kinematics(*state.as_slice)
         for resource in resources:
             resource.before_plan(state)
+
+    def kinematics(self, q: wp.array, qd: wp.array, body_q: wp.array, body_qd: wp.array) -> None:
+        """Write poses and twists of the bodies ``[T, W, nb]`` from joint coordinates and velocities; capture-safe."""
+        self._launch(forward_kinematics_kernel, body_q.shape[:2], [self._table, q, qd], [body_q, body_qd])
+
+
+def _users(terms: Sequence[CostTerm | ArrayCost], scene: Scene) -> dict[str, CostTerm | ArrayCost]:
+    """Users' terms by name.
+
+    Raises:
+        SceneError: If one has the name of a built-in term.
+    """
+    for term in terms:
+        if term.name in BUILTIN and term is not BUILTIN[term.name]:
+            what = "there is a built-in cost term of this name: choose another"
+            raise complaint(term.name, term, what, file=scene.path)
+    return {term.name: term for term in terms}
 
 
 class Judge:
@@ -171,21 +196,39 @@ class Judge:
             count: How many they are, all from the first on if None.
         """
         count = self.shape.worlds - first if count is None else count
-        code, rollouts = self.stack.code, self.shape.rollouts
+        self.launch_with(self.stack.code, self.stack.params, first, count)
+
+    def launch_with(self, code: JudgeCode, params: Any, first: int = 0, count: int | None = None) -> None:
+        """Evaluate other code than that of the whole stack, such as some of its terms, as :meth:`launch` does.
+
+        Args:
+            code: The code.
+            params: Its parameters.
+            first: First of the worlds.
+            count: How many they are, all from the first on if None.
+        """
+        count, rollouts = self.shape.worlds - first if count is None else count, self.shape.rollouts
         if code.advances:
-            inputs = [self.view, self.stack.params, rollouts, self.shape.horizon, first]
-            self._launch(code.advance_kernel, count, inputs, [])
-        inputs = [self.view, self.stack.params, self._state.weight, rollouts, first]
+            self._launch(code.advance_kernel, count, [self.view, params, rollouts, self.shape.horizon, first], [])
+        inputs = [self.view, params, self._state.weight, rollouts, first]
         self._launch(code.kernel, (self.shape.horizon, count), inputs, [self.cost])
 
     def launch_arrays(self) -> None:
-        """Evaluate the terms over whole arrays, on the host."""
-        for i, (term, params) in enumerate(self.stack.terms):
+        """Evaluate the terms over whole arrays, on the host; raises as :meth:`evaluate_array`."""
+        for i, (term, _) in enumerate(self.stack.terms):
             if isinstance(term, ArrayCost):
-                self._evaluate(i, term, params)
+                self.evaluate_array(i)
 
-    def _evaluate(self, i: int, term: ArrayCost, params: dict[str, Any]) -> None:
-        """Evaluate a term over whole arrays."""
+    def evaluate_array(self, i: int) -> None:
+        """Evaluate a term over whole arrays.
+
+        Args:
+            i: Which of the stack's terms.
+
+        Raises:
+            SceneError: If its function raises, or returns anything but an array of numbers ``[T, W]``.
+        """
+        (term, params), label, file = self.stack.terms[i], self.stack.labels[i], self.stack.file
         out, device = self._trajectory, self.stack.device
         batch = {
             "joint_q": out.joint_q,
@@ -201,16 +244,23 @@ class Judge:
         }
         if device == "cpu":
             batch = {name: array.numpy() for name, array in batch.items()}
-        value = term.function({**batch, "params": params})
-        if tuple(value.shape) != tuple(self.cost.shape[1:]):
-            raise SceneError(
-                "this cost term returned an array of the wrong shape",
-                key=f"cost.{self.stack.labels[i]}",
-                found=tuple(value.shape),
-                allowed=f"[T, W] = {tuple(self.cost.shape[1:])}",
-            )
+        try:
+            value = term.function({**batch, "params": params})
+        except Exception as error:
+            raise raised(error, label, term, file=file) from error
+        wanted = tuple(self.cost.shape[1:])
+        if not hasattr(value, "shape"):
+            what = f"an array cost returns an array [T, W] = {wanted}, this one returned {type(value).__name__}"
+            raise complaint(label, term, what, file=file)
+        if tuple(value.shape) != wanted:
+            found = tuple(value.shape)
+            what = f"this cost term returned an array of the wrong shape, {found} in place of [T, W] = {wanted}"
+            raise complaint(label, term, what, file=file)
         weight = np.repeat(self._state.weight.numpy()[:, i], self.shape.rollouts)
         if device == "cpu":
+            if np.asarray(value).dtype.kind not in "fiub":
+                what = f"an array cost returns real numbers, this one returned {np.asarray(value).dtype}"
+                raise complaint(label, term, what, file=file)
             value = np.where(weight == 0.0, 0.0, np.asarray(value, dtype=np.float32))  # without weight it is off
             self.cost[i].assign((value * weight).astype(np.float32))
         else:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -60,6 +61,11 @@ class CostTerm:
     residual: Residual | None = None
     """What the term is a norm of, if it is one."""
 
+    @property
+    def summary(self) -> str:
+        """What it costs, in one sentence: the first of the function's docstring."""
+        return (inspect.getdoc(self.function.func) or "").split("\n\n")[0].replace("\n", " ")
+
 
 @dataclass(frozen=True)
 class ArrayCost:
@@ -97,6 +103,8 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
         ... def upright(s: warpmpc.StepView, p: UprightParams) -> float:
         ...     return 1.0 - wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), wp.vec3(0.0, 0.0, 1.0))[2]
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.cost_term("name")')
 
     def decorate(function: Callable) -> CostTerm:
         annotations = list(_annotations(function).values())
@@ -132,6 +140,8 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
     Args:
         name: What scene files call the term.
     """
+    if not isinstance(name, str) or not name:
+        raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.array_cost("name")')
     return lambda function: ArrayCost(name, function)
 
 
@@ -192,9 +202,10 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
     except ValidationError as error:
         # an unknown key is often a missing one misspelt
         first = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-        name = ".".join(str(part) for part in first["loc"])
+        # a name, and which entry of its list; what follows are names of types
+        name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
         where = f"{binding.key}.{name}"
-        if first["type"] == "extra_forbidden":
+        if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
             raise SceneError(
                 "unknown key", key=where, file=binding.file, found=name, allowed=keys.model_fields
             ) from None

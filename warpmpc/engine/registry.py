@@ -77,6 +77,8 @@ class EngineEntry:
     any_dt: bool
     """Whether its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     make: Callable[[EngineRequest, PhysicsSteps], Engine]
+    physics: bool = True
+    """Whether a world that diverged is one whose physics failed; without physics its cost was not finite."""
 
 
 ENGINES: dict[str, EngineEntry] = {}
@@ -262,5 +264,6 @@ register(
         capturable=True,
         any_dt=True,
         make=_make_kinematic,
+        physics=False,
     )
 )

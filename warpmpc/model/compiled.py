@@ -12,9 +12,13 @@ import contextlib
 import hashlib
 import importlib.metadata
 import json
+import logging
 import os
+import re
 import tempfile
+import warnings
 import zipfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import platformdirs
 
+from ..scene.errors import SceneError
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
@@ -93,11 +98,28 @@ def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
     if key:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             return _fetch(folder, key)
-    compiled = _compile(scene)
+    try:
+        compiled = _compile(scene)
+    except SceneError:
+        raise
+    except Exception as error:  # of several kinds, from Newton, MuJoCo and readers of meshes
+        raise _refusal(scene, error) from error
     if key:
         with contextlib.suppress(OSError):
             _store(compiled, folder, key)
     return compiled
+
+
+def _refusal(scene: Scene, error: Exception) -> SceneError:
+    """The error for what Newton or MuJoCo refuses; the body that it names, if any, is whose."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    keys = {robot.name: f"robot.{robot.name}.asset" for robot in scene.robot}
+    keys |= {item.name: f"object.{item.name}" for item in scene.object}
+    keys |= {item.name: f"obstacle.{item.name}" for item in scene.obstacle}
+    named = [name for name in keys if re.search(rf"(?<![a-zA-Z0-9]){re.escape(name)}(?![a-zA-Z0-9])", said)]
+    assets = {f"robot.{robot.name}.asset": robot.asset for robot in scene.robot}
+    key = keys[named[0] if named else scene.robot[0].name]
+    return SceneError(f"no physics can be made of this: {said}", key=key, file=scene.path, found=assets.get(key))
 
 
 def cache_folder() -> Path:
@@ -120,7 +142,7 @@ def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[
 
     from ..launch import default_device
 
-    with default_device("cpu"), tempfile.TemporaryDirectory() as folder:
+    with default_device("cpu"), tempfile.TemporaryDirectory() as folder, _newton_alone():
         model = world.builder.finalize(device="cpu")
         path = Path(folder) / "scene.xml"
         solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True, save_to_mjcf=str(path))
@@ -143,6 +165,20 @@ def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[
         one_axis = mj.jnt_type[i] in (2, 3)  # slide or hinge; free and ball joints are found by their first dof
         joints[dof if one_axis else world.layout.joint_qd_start[joint]] = mj.joint(i).name
     return with_movable(mjcf, world.layout, geoms), tuple(bodies), tuple(geoms), tuple(joints)
+
+
+@contextlib.contextmanager
+def _newton_alone() -> Iterator[None]:
+    """Newton's solver made for its translation alone: what it says of files and of MuJoCo Warp is about neither."""
+    newton = logging.getLogger("newton")
+    level = newton.level
+    newton.setLevel(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="mujoco_warp")
+            yield
+    finally:
+        newton.setLevel(level)
 
 
 _HELPER = "helper"
@@ -267,8 +303,9 @@ def _cache_key(scene: Scene) -> str | None:
     for source in sorted(room.glob("*.py")):
         digest.update(source.read_bytes())
     for robot in scene.robot:
-        path = resolve_asset(robot.asset, base=base, key=f"robot.{robot.name}.asset", file=scene.path)
-        if asset_kind(path) is AssetKind.USD:
+        key = f"robot.{robot.name}.asset"
+        path = resolve_asset(robot.asset, base=base, key=key, file=scene.path)
+        if asset_kind(path, key=key, file=scene.path) is AssetKind.USD:
             return None
         for file in asset_files(path):
             digest.update(str(file).encode() + file.read_bytes())

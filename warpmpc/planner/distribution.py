@@ -85,13 +85,20 @@ class Gaussian:
         """Let other knots ``[E, P, nu]`` start and move on as the mean does."""
         self._plans.append(knots)
 
-    def reset(self) -> None:
-        """Forget every earlier plan: the next one begins with what is observed then."""
+    def reset(self, knots: np.ndarray | None = None) -> None:
+        """Forget every earlier plan: the next one begins with what is observed then, or with knots that are given.
+
+        Args:
+            knots: Mean knots ``[P, nu]``, or ``[E, P, nu]``.
+        """
+        start = np.zeros(self.dim) if knots is None else np.broadcast_to(knots, self.dim)
         for plan in self._plans:
-            plan.zero_()
+            plan.assign(start.astype(np.float32))
+        if knots is not None:
+            self._state.last_control.assign(start[:, 0].astype(np.float32))
         self.covariance.reset()
         self.offset.zero_()
-        self._fresh.fill_(1)
+        self._fresh.fill_(knots is None)
 
     def shift(self) -> None:
         """Move on by the time that has passed since the last plan; capture-safe."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .splines import SplineKind, spline_value
+from .splines import SplineKind, fitted_knots, spline_value
 
 
 @dataclass(frozen=True)
@@ -43,3 +43,22 @@ class Plan:
             rows = zip(self.times, self.knots, np.broadcast_to(time, len(self.knots)), strict=True)
             value = np.stack([spline_value(self.spline, times, knots, float(t)) for times, knots, t in rows])
         return np.clip(value, self.lower, self.upper).astype(np.float32)
+
+
+def refitted(plan: Plan, kind: SplineKind, knot_time: np.ndarray) -> np.ndarray:
+    """Knots ``[P, nu]``, or ``[E, P, nu]``, that a plan has on another spline.
+
+    Args:
+        plan: The plan.
+        kind: The other spline.
+        knot_time: Times of its knots after the plan's first one ``[P]`` [s].
+
+    Returns:
+        The plan's own knots where they stand at the same times on the same spline, else those whose spline comes
+        nearest to the plan's controls at these times in the least-squares sense.
+    """
+    own = plan.times - plan.times[..., :1]
+    if kind is plan.spline and own.shape[-1] == len(knot_time) and np.allclose(own, knot_time, atol=1e-6):
+        return plan.knots
+    values = np.stack([plan.at(plan.times[..., 0] + t) for t in knot_time], axis=-2)
+    return fitted_knots(kind, knot_time, values, knot_time)

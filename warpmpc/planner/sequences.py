@@ -10,7 +10,7 @@ import numpy as np
 from ..engine.timegrid import TimeGrid
 from ..model.assets import resolve_asset
 from ..scene.errors import SceneError
-from .splines import SplineKind, spline_value
+from .splines import SplineKind, fitted_knots
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,10 +54,7 @@ def sequences(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
         raise _error(scene, "has numbers that are not finite")
     if values.shape[1] == knots:
         return values.astype(np.float32)
-    kind, corners = SplineKind(scene.planner.spline.value), np.eye(knots)
-    spline = np.stack([spline_value(kind, knot_time, corners, t) for t in grid.t[:-1]])  # [T, P]
-    fitted = np.linalg.lstsq(spline, values.swapaxes(0, 1).reshape(grid.steps, -1), rcond=None)[0]
-    return fitted.reshape(knots, len(values), nu).swapaxes(0, 1).astype(np.float32)
+    return fitted_knots(SplineKind(scene.planner.spline.value), knot_time, values, grid.t[:-1])
 
 
 def _read(path: Path, scene: Scene) -> np.ndarray:

@@ -76,6 +76,20 @@ def spline_value(kind: SplineKind, times: np.ndarray, knots: np.ndarray, time: f
     return sum(w * ends[i + k] for k, w in enumerate(weights)) / 6.0
 
 
+def fitted_knots(kind: SplineKind, knot_time: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Knots ``[..., P, nu]`` whose spline comes nearest to values at some times, in the least-squares sense.
+
+    Args:
+        kind: Kind of spline.
+        knot_time: Times of the knots ``[P]`` [s].
+        values: Values ``[..., T, nu]``.
+        times: Times of the values ``[T]`` [s].
+    """
+    corners = np.eye(len(knot_time))
+    spline = np.stack([spline_value(kind, knot_time, corners, t) for t in times])  # [T, P]
+    return (np.linalg.pinv(spline) @ values).astype(np.float32)
+
+
 def _slope(times: np.ndarray, knots: np.ndarray, j: int) -> np.ndarray:
     """Mean of the slopes on both sides of a knot, one-sided at the ends (Howell et al. 2022, Eqs. 17 and 18)."""
     sides = [k for k in (j - 1, j) if 0 <= k < len(times) - 1]

@@ -16,6 +16,7 @@ from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
 from ..task.observed import ObservedState
 from . import registry
+from .plan import Plan, refitted
 from .splines import SplineKind, spline_table
 from .strategy import Round
 
@@ -103,9 +104,10 @@ class PlanStep:
         """Wall time of each stage of the last plan [s]."""
         self.reset()
 
-    def reset(self) -> None:
-        """Forget every earlier plan."""
-        self.strategy.reset()
+    def reset(self, plan: Plan | None = None) -> None:
+        """Forget every earlier plan; the next one starts from ``plan`` if there is one."""
+        knots = [] if plan is None else [refitted(plan, self.kind, self.knot_time)]
+        self.strategy.reset(*knots)
         self.costs.reset()
 
     def __call__(self) -> None:

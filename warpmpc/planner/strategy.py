@@ -56,8 +56,8 @@ class Strategy(Protocol):
     def update(self, iteration: int) -> None:
         """Learn from the costs of :attr:`knots`; capture-safe."""
 
-    def reset(self) -> None:
-        """Forget every earlier plan."""
+    def reset(self, knots: np.ndarray | None = None) -> None:
+        """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
 
 
 @dataclass(frozen=True)
@@ -183,9 +183,9 @@ class SamplingStrategy:
             raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed
 
-    def reset(self) -> None:
-        """Forget every earlier plan."""
-        self.distribution.reset()
+    def reset(self, knots: np.ndarray | None = None) -> None:
+        """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
+        self.distribution.reset(knots)
         self.weights.reset()
         self.noise.reset()
         if self._postures:

@@ -137,6 +137,7 @@ class Target(Pose):
     """A named pose that may change between plans, a frame for cost terms: a waypoint, what a camera sees."""
 
     name: Name
+    """What cost terms, conditions and ``task[...]`` call it."""
 
 
 class Goal(Pose):
@@ -167,9 +168,11 @@ class Cost(Section):
     __pydantic_extra__: dict[str, Param]
 
     term: str
+    """Which term: a built-in one, or one of yours from ``--terms``."""
     name: Name | None = None
     """What printouts and overrides call it; the term's name when left out."""
     weight: Finite = 1.0
+    """Factor on its value; 0 switches it off."""
 
     @property
     def label(self) -> str:
@@ -190,7 +193,7 @@ class Kick(Section):
     target: str
     """Object or robot."""
     velocity: Floats
-    """Object: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint velocity."""
+    """Object: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint velocity [m/s or rad/s]."""
 
 
 class PlantNoise(Section):
@@ -211,28 +214,34 @@ class PlantSettings(Section):
     randomize: Flag = True
     """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
     noise: PlantNoise = PlantNoise()
+    """Noise of what is observed."""
     delay: NonNegative = 0.0
     """Age of observations [s], rounded to whole controls."""
     kicks: tuple[Kick, ...] = ()
+    """Shoves during the run."""
 
 
 class Uniform(Section):
     """A fraction of the nominal value, uniform in ± ``uniform``."""
 
     uniform: Fraction
+    """Largest deviation, as a fraction of the nominal value."""
 
 
 class Normal(Section):
     """A Gaussian with standard deviation ``normal``."""
 
     normal: NonNegative
+    """Standard deviation [m]."""
 
 
 class Randomization(Section):
     """Random physical properties of one robot, object or obstacle, drawn per world."""
 
     mass: Uniform | None = None
+    """Factor on every mass."""
     friction: Uniform | None = None
+    """Factor on every coefficient of friction."""
     size: Normal | None = None
     """Added to each dimension [m]."""
 
@@ -241,7 +250,9 @@ class Draw(Section):
     """Uniform draw of a scene key at the start of an episode."""
 
     low: Floats
+    """Least value, in the unit of the key that is drawn: one, or one for each of its numbers."""
     high: Floats
+    """Largest value, likewise."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Draw:
@@ -267,6 +278,7 @@ class RandomizeTask(Section):
     draw: dict[str, Draw] = Field(default_factory=dict)
     """Scene key (as in ``--set``, ``*`` for every name) → range."""
     reject: tuple[Rejection, ...] = ()
+    """Which draws are drawn again."""
 
 
 class Condition(Section):
@@ -307,6 +319,7 @@ class Phase(Section):
     """A part of a task with targets, scalars and weights of its own; it ends when what it waits for has come."""
 
     name: Name
+    """What ``--json`` and ``Monitor.phases`` call it."""
     goal: Pose | None = None
     """Where the goal is in this phase; where it was when left out."""
     target: dict[Name, Pose] = Field(default_factory=dict)
@@ -355,15 +368,21 @@ class Scene(Section):
     """The whole content of a scene file."""
 
     title: str = ""
+    """What happens in the scene, for lists and recordings."""
     timing: Timing = Timing()
+    """Length of a control and of a run."""
     ground: Ground | None = Ground()
     """The floor; ``ground = false`` in a file leaves it out."""
     robot: tuple[Robot, ...] = Field(min_length=1)
+    """Robots; the drives of all of them are planned for together."""
     object: tuple[Object, ...] = ()
+    """Things that move freely."""
     obstacle: tuple[Obstacle, ...] = ()
+    """Things that stay where they are, or where the task puts them."""
     cloud: tuple[Cloud, ...] = ()
     """Point clouds that are seen, values of the task."""
     goal: Goal | None = None
+    """Where an object or a frame shall be; a scene without one says what it wants in ``success.conditions``."""
     target: tuple[Target, ...] = ()
     """Further named poses."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
@@ -373,13 +392,19 @@ class Scene(Section):
     motion: tuple[Motion, ...] = ()
     """What moves by itself in a simulated plant."""
     cost: tuple[Cost, ...] = Field(min_length=1)
+    """What the planner minimizes: the weighted sum of these terms over the steps of a rollout."""
     planner: Planner = Planner()
+    """How plans are found."""
     engine: EngineSettings = EngineSettings()
+    """The physics of the rollouts."""
     plant: PlantSettings = PlantSettings()
+    """How the simulated plant differs from the planner's worlds."""
     randomize: dict[str, Randomization] = Field(default_factory=dict)
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()
+    """What is drawn anew for every episode."""
     success: Success
+    """When the run has reached what it wants."""
     path: Path | None = Field(None, exclude=True)
     """File the scene was read from; relative assets are found beside it."""
     variant: str | None = Field(None, exclude=True)

@@ -67,6 +67,7 @@ class Drive(Section):
     """What turns controls into motion of a group of joints."""
 
     mode: DriveMode = DriveMode.VELOCITY
+    """What a control means to the joints."""
     joints: tuple[str, ...] | None = None
     """Driven joints in control order; every joint that can move when left out. ``diff_drive``: (left, right) wheel."""
     stiffness: NonNegatives = (0.0,)
@@ -76,7 +77,7 @@ class Drive(Section):
     effort_limit: Positives | None = None
     """Largest force or torque [N or N·m]; the asset's own limits when left out."""
     limit: Positives | None = None
-    """Controls stay within ± this, one value or one per control."""
+    """Controls stay within ± this, one value or one per control, in the unit of the ``mode``."""
     lower: Floats | None = None
     """Lower bound of the controls where it is not ``-limit``."""
     upper: Floats | None = None
@@ -117,6 +118,7 @@ class Robot(Section):
     """
 
     name: Name
+    """What the rest of the scene calls it; its links, frames and joints are ``name/link`` and so on."""
     asset: str
     """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
     position: Vec3 = (0.0, 0.0, 0.0)
@@ -131,8 +133,9 @@ class Robot(Section):
     """MJCF: keyframe of the file to start in, with its velocities, activations and controls; ``joint_q`` comes on top
     of it."""
     joint_q: FloatsByName | None = None
-    """Start joint coordinates in the asset's order, or by joint name; the asset's own when left out."""
+    """Start joint coordinates in the asset's order, or by joint name [m or rad]; the asset's own when left out."""
     frames: dict[Name, Frame] = Field(default_factory=dict)
+    """Named places on its links: ``robot/frame`` for cost terms, goals and conditions."""
     drive: Annotated[tuple[Drive, ...], OneOrMore] = ()
     """One drive or several, each with joints of its own; controls are stacked in this order. Without any, the actuators
     of an MJCF file are the controls; with one, they are replaced."""
@@ -160,7 +163,9 @@ class Robot(Section):
 
 class _Shape(Section):
     name: Name
+    """What the rest of the scene calls it."""
     shape: ShapeKind
+    """What it looks like."""
     size: Positives | None = None
     """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder: (radius, length along z).
     Capsule: (radius, length along z between the centres of its caps)."""
@@ -169,9 +174,11 @@ class _Shape(Section):
     scale: Positive = 1.0
     """Factor from the mesh file's unit to metres."""
     friction: NonNegative = 1.0
+    """Coefficient of sliding friction."""
     position: Vec3 = (0.0, 0.0, 0.0)
     """Position of the centre [m]."""
     rotation: Quat = (0.0, 0.0, 0.0, 1.0)
+    """Orientation (x, y, z, w)."""
     color: tuple[Channel, Channel, Channel] | None = None
     """Colour in recordings, each channel in [0, 1]."""
 
@@ -222,4 +229,6 @@ class Ground(Section):
     """The floor z = height."""
 
     friction: NonNegative = 1.0
+    """Coefficient of sliding friction."""
     height: Finite = 0.0
+    """Where it is [m]."""

@@ -20,7 +20,7 @@ class Camera(Section):
     """A depth camera that stands still and looks at the plant's world."""
 
     position: Vec3
-    """[m]"""
+    """Where it is [m]."""
     look_at: Vec3
     """A point in the middle of the picture [m]."""
     width: TwoOrMore = 250
@@ -32,7 +32,7 @@ class Camera(Section):
     far: Positive = 3.0
     """Nothing farther is seen [m]."""
     rate: Positive = 30.0
-    """Pictures per second."""
+    """Pictures per second [1/s]."""
     noise: NonNegative = 0.0
     """Standard deviation of the depth [m]."""
 
@@ -47,6 +47,7 @@ class Cloud(Section):
     """Points [n, 3] that something sees and that may change at every plan: ``task["name"] = points``."""
 
     name: Name
+    """What cost terms and ``task[...]`` call it."""
     low: Vec3
     """Lowest corner of the region in which points count [m]."""
     high: Vec3

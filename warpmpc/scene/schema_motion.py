@@ -15,7 +15,7 @@ class Seen(Section):
     """How something that moves is observed."""
 
     rate: Positive | None = None
-    """Observations a second; one for every control when left out."""
+    """Observations a second [1/s]; one for every control when left out."""
     noise: NonNegative = 0.0
     """Standard deviation of every observed coordinate [m]."""
     lead: NonNegative = 0.0

@@ -63,7 +63,9 @@ class Noise(Section):
     """Perturbation of the knots, ε = σ ⊙ (B z)."""
 
     source: NoiseSource = NoiseSource.HALTON
+    """Where standard normals z come from."""
     shape: NoiseShape = NoiseShape.BSPLINE
+    """How they are correlated along the horizon, B."""
     sigma: Positives = (0.5,)
     """Standard deviation in control units, one value or one per control."""
     spread: tuple[Positive, Positive] = (1.0, 1.0)
@@ -97,6 +99,7 @@ class Temperature(Section):
     """The inverse-exponential temperature β of MPPI."""
 
     initial: Positive = 1.0
+    """β of the first plan, in units of cost."""
     eta: tuple[Positive, Positive] | None = (5.0, 10.0)
     """Bounds of the effective number of samples η; β follows them between plans [P6]."""
     ess: Positive | None = None
@@ -157,6 +160,7 @@ class Planner(Section):
     """The sampling-based planner."""
 
     method: Method = Method.MPPI
+    """How costs become sample weights."""
     samples: TwoOrMore = 256
     """Candidate control sequences S."""
     horizon: Count = 16
@@ -169,20 +173,25 @@ class Planner(Section):
     randomize: Flag = True
     """Whether the rollouts' worlds have the randomized properties of ``[randomize]``; when false all are nominal."""
     risk: Risk = Risk.MEAN
+    """How the costs of one sample in several domains become one cost."""
     cvar: Share = 0.25
     """Share of worst domains that ``risk = "cvar"`` averages."""
     knots: TwoOrMore | None = None
     """Spline control points P; one per step when left out."""
     spline: SplineKind = SplineKind.ZERO
+    """How knots become controls."""
     discount: Share = 0.95
     """Factor γ per step of a rollout [P5]."""
     terminal: NonNegative = 1.0
     """Factor on the last step's cost besides: what is left to be done counts more (STORM's terminal cost, S3)."""
     noise: Noise = Noise()
+    """What samples differ from the mean by."""
     temperature: Temperature = Temperature()
+    """How strongly cheap samples are preferred."""
     step_size: Share = 1.0
     """Step α of the mean towards the weighted samples [S4]."""
     covariance: Covariance = Covariance()
+    """What becomes of the covariance of the samples."""
     keep_best: Flag = False
     """Whether the best sample so far, moved on by the time that has passed, is tried again among the samples."""
     sequences: str | None = None
@@ -197,7 +206,7 @@ class Planner(Section):
     elites: Count = 8
     """``cem``: best samples that carry weight."""
     sigma_min: NonNegatives = (0.01,)
-    """Floor of an adapted standard deviation."""
+    """Floor of an adapted standard deviation, in control units, one value or one per control."""
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:
@@ -256,6 +265,7 @@ class EngineSettings(Section):
     """
 
     name: EngineName = EngineName.AUTO
+    """What rolls controls out; ``auto``: the first that can do what the scene asks for."""
     substeps: Count | None = None
     """Physics steps per control; else as many as the MJCF file's timestep asks for, or 2."""
     threads: Natural = 0

@@ -24,9 +24,19 @@ def _as_tuple(value: object) -> object:
     return (value,) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
+def _as_names(value: object) -> object:
+    """Accept one name where a list of them is meant."""
+    return (value,) if isinstance(value, str) else value
+
+
 def _as_list(value: object) -> object:
     """Accept one table where an array of tables is meant."""
     return (value,) if isinstance(value, dict | BaseModel) else value
+
+
+def _as_several(value: object) -> object:
+    """Accept one of anything where several may be meant."""
+    return value if isinstance(value, list | tuple) else (value,)
 
 
 def _list_or_table(value: object) -> str:
@@ -71,14 +81,19 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
 Vec3 = tuple[Finite, Finite, Finite]
 Vec2or3 = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3)]
 Quat = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit)]
-Floats = Annotated[tuple[Finite, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-Positives = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-NonNegatives = Annotated[tuple[NonNegative, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+Floats = Annotated[tuple[Finite, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
+Positives = Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
+NonNegatives = Annotated[tuple[NonNegative, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 FloatsByName = Annotated[
     Annotated[Floats, Tag("list")] | Annotated[dict[str, Finite], Tag("table")], Discriminator(_list_or_table)
 ]
 Param = Annotated[Any, AfterValidator(_plain)]
 OneOrMore = BeforeValidator(_as_list)
+OneOrSeveral = BeforeValidator(_as_several)
+Names = Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(_as_names)]
+
+ONE_FOR_LIST = (_as_tuple, _as_names, _as_list, _as_several)
+"""Validators that let a file say one entry where a list is meant."""
 
 
 class Section(BaseModel):

@@ -103,10 +103,11 @@ def test_single_steps_of_shipped_scenes_are_those_of_mujoco(name):
     found = comparison.steps()
     steady = found.edge < JUMPS
     assert steady.mean() > 0.95, found
-    assert (found.strength > 0.0).any(), found
+    assert not comparison.pairs or (found.strength > 0.0).any(), found
     for name in ("v", "twist"):
-        values = getattr(found, name)[steady]
-        assert np.median(values) <= 2e-5, found  # the wheels of diff_push_box turn fast; 1e-6 in the other scenes
+        # floats are relative: of the speed of the fastest joint where that is above one, such as wheels
+        values = (getattr(found, name) / np.maximum(1.0, found.speed))[steady]
+        assert np.median(values) <= 1e-5, found
         assert (values > 1e-4).mean() <= 0.02, found
         assert values.max() <= 2e-3, found
     for name in ("q", "pose"):

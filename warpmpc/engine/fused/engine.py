@@ -36,7 +36,8 @@ class FusedEngine(JudgingEngine):
     """Rolls knots out with physics and judges them in the same launch.
 
     Terms with baked source are summed after every control, for all worlds of a number at once, and nothing is recorded.
-    For other terms all worlds are, and the launch judges the record at its end; so it does with all terms on a GPU.
+    For other terms all worlds are, and the launch judges the record at its end; so it does with all terms on a GPU, but
+    that another launch judges where each world has one thread.
 
     Args:
         request: What the engine is built for.
@@ -73,6 +74,11 @@ class FusedEngine(JudgingEngine):
         work.diverged, work.overflow = self.diverged, self.overflow
         judged, staged = self._bake()
         judge = self._stage(staged)
+        self._apart = self._on_gpu and simulator.sharing == 1
+        """Whether terms are judged in a launch of their own: a thread for each step keeps a GPU busier than one for all
+        steps of a world, as rollouts have it here."""
+        if self._apart:
+            judge = None
         work.records, work.force = int(self.records), self.recorded.contact_force
         work.record_act = self.recorded.act
         source = simulator.source(judged=judged, knots=KNOTS.get(request.spline.kind, int(TAPS)))
@@ -94,6 +100,8 @@ class FusedEngine(JudgingEngine):
 
     def _roll(self, first: int, groups: int) -> None:
         self._start(self._work, first, groups)
+        if self._apart:
+            self.judge.launch()
 
     def _start(self, work: FusedWork, first: int, groups: int) -> None:
         """Launch the kernel for some groups of lanes, on a GPU for worlds."""

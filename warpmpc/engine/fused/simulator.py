@@ -34,8 +34,14 @@ if TYPE_CHECKING:
     from ...task.observed import ObservedState
     from .terms import Judged
 
-MOST_SHARED = 4096
-"""Worlds up to which a warp shares one on a GPU; with more there are threads enough for one each."""
+SHARED_PER_DOF = 180
+"""Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
+one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240 (docs/benchmarks.md)."""
+
+
+def shares(model: mujoco.MjModel, worlds: int) -> bool:
+    """Whether on a GPU a warp shares a world, rather than each thread having one."""
+    return worlds <= SHARED_PER_DOF * model.nv
 
 
 class FusedSimulator:
@@ -72,7 +78,7 @@ class FusedSimulator:
         refuse(scene, world)
         self.world, self.layout = world, compiled.layout
         on_gpu = wp.get_device(device).is_cuda
-        self.sharing = WARP if on_gpu and shape.worlds <= MOST_SHARED else 1
+        self.sharing = WARP if on_gpu and shares(world.model, shape.worlds) else 1
         """Threads that share a world."""
         self._lanes = 1 if on_gpu else native_lanes()
         self._launch = Launcher(device)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite's environments: what is seen of their physics, and their models as files to plan with."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from warpmpc import State
+from warpmpc.kernels.worlds.clone import record_mujoco_kernel
+from warpmpc.launch import Launcher
+from warpmpc.model.compiled import CompiledScene, cache_folder
+from warpmpc.model.joints import joint_table
+from warpmpc.model.mujoco_model import make_world
+
+if TYPE_CHECKING:
+    import dm_env
+    from dm_control.rl.control import Environment
+
+
+def load(domain: str, task: str, *, seed: int) -> Environment:
+    """An environment of the suite, as the suite makes it.
+
+    Raises:
+        ValueError: If dm-control is not installed, or has no such task.
+    """
+    os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn
+    try:
+        from dm_control import suite
+    except ImportError:
+        raise ValueError('the suite is not installed: pip install "warpmpc[bench]"') from None
+    if (domain, task) not in suite.ALL_TASKS:
+        raise ValueError(f"the suite has no task '{domain} {task}'")
+    return suite.load(domain, task, task_kwargs={"random": seed})
+
+
+def save_model(domain: str, task: str) -> Path:
+    """Write the model that an environment has once an episode has begun to a file; returns its path.
+
+    The suite edits models after it has read them: scaled masses, other dampings, floors of another size. Places and
+    sizes of targets are those of one episode; where a target is comes from the physics.
+    """
+    environment = load(domain, task, seed=0)
+    environment.reset()
+    model = environment.physics.model.ptr
+    folder = cache_folder().parent / "dm_suite"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as own:
+        path = Path(own) / "model.xml"
+        mujoco.mj_saveLastXML(str(path), model)
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.option.enableflags = 0  # the energy, which is counted for nobody here
+        spec.compiler.settotalmass = -1.0
+        for body in spec.bodies[1:]:
+            own_body = model.body(body.name)
+            body.explicitinertial = True
+            body.mass, body.ipos, body.iquat = own_body.mass[0], own_body.ipos, own_body.iquat
+            body.inertia = own_body.inertia
+        root = ElementTree.fromstring(spec.to_xml())
+        _one_point_each(root)
+        ElementTree.ElementTree(root).write(path)
+        return path.replace(folder / f"{domain}_{task}.xml")
+
+
+def _one_point_each(root: ElementTree.Element) -> None:
+    """Give hinges of one body that turn about different points bodies of their own, of next to no mass.
+
+    MuJoCo has such bodies, Newton's joints do not; ankles of the humanoid and fins of the fish are some. The joints'
+    order, and so the state, stays the same, and so does what collides.
+    """
+    contact = ElementTree.SubElement(root, "contact")
+    parents = {child: parent for parent in root.iter("body") for child in parent.findall("body")}
+    for body, parent in parents.items():
+        joints = body.findall("joint")
+        if len({tuple(map(float, joint.get("pos", "0 0 0").split())) for joint in joints}) < 2:
+            continue
+        ElementTree.SubElement(contact, "exclude", body1=parent.get("name"), body2=body.get("name"))
+        for joint in joints[:-1]:
+            place = {key: body.attrib.pop(key) for key in ("pos", "quat") if key in body.attrib}
+            family = {"childclass": body.get("childclass")} if "childclass" in body.attrib else {}
+            own = ElementTree.Element("body", name=f"{body.get('name')}_{joint.get('name')}", **place, **family)
+            own.append(ElementTree.Element("inertial", _SPECK))
+            body.remove(joint)
+            own.append(joint)
+            at = list(parent).index(body)
+            parent.remove(body)
+            own.append(body)
+            parent.insert(at, own)
+            parent = own
+
+
+_SPECK = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "2e-15 2e-15 2e-15"}
+"""A mass [kg] and inertia [kg m²] that no joint notices, small enough in size for a medium not to, either."""
+
+
+class Eyes:
+    """What a controller may see of an environment: the state of its physics, and where its targets are.
+
+    Args:
+        compiled: The scene that is planned in, made of the environment's own model.
+        environment: The environment.
+
+    Raises:
+        ValueError: If the scene's joints, controls or limits are not the environment's.
+    """
+
+    def __init__(self, compiled: CompiledScene, environment: Environment):
+        self._physics, layout = environment.physics, compiled.layout
+        own = self._physics.model.ptr
+        world = make_world(compiled, timestep=own.opt.timestep, sensors=())
+        _same("joints", _names(own, own.njnt, own.joint), _names(world.model, world.model.njnt, world.model.joint))
+        _same("controls", _names(own, own.nu, own.actuator), [name.split("/")[-1] for name in layout.control_name])
+        limits = environment.action_spec()
+        _same("limits", np.float32(limits.minimum).tolist(), layout.control_lower.tolist())
+        _same("limits", np.float32(limits.maximum).tolist(), layout.control_upper.tolist())
+        self._activation, self._model, self._launch = world.activation, world.model, Launcher("cpu")
+        self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
+        self._row = wp.zeros((1, 1, 1 + own.nq + own.nv), dtype=wp.float64, device="cpu")
+        self._last = wp.zeros(1, dtype=int, device="cpu")
+        shapes = ((layout.nq, float), (layout.nv, float), (layout.nb, wp.transform), (layout.nb, wp.spatial_vector))
+        self._out = [wp.zeros((2, 1, n), dtype=kind, device="cpu") for n, kind in shapes]
+
+    def state(self) -> State:
+        """The physics state in Newton's conventions."""
+        data = self._physics.data
+        self._row.numpy()[0, 0] = np.concatenate([[0.0], data.qpos, data.qvel])
+        inputs = [self._table, self._model.nq, self._last, self._row, 0, 1]
+        self._launch(record_mujoco_kernel, (1, 1), inputs, self._out)
+        q, qd = (array.numpy()[1, 0].copy() for array in self._out[:2])
+        return State(q, qd, time=float(data.time), act=np.array(data.act)[self._activation])
+
+    def place(self, name: str) -> np.ndarray:
+        """Where a target is: the pose (x, y, z, qx, qy, qz, qw) of the site or geom of that name.
+
+        Raises:
+            ValueError: If the model has neither.
+        """
+        model, data = self._physics.model.ptr, self._physics.data
+        for kind, positions in ((mujoco.mjtObj.mjOBJ_SITE, data.site_xpos), (mujoco.mjtObj.mjOBJ_GEOM, data.geom_xpos)):
+            i = mujoco.mj_name2id(model, kind, name)
+            if i >= 0:
+                return np.array([*positions[i], 0.0, 0.0, 0.0, 1.0])
+        raise ValueError(f"the suite's model has neither a site nor a geom '{name}' for the scene's target")
+
+
+def step(environment: Environment, action: np.ndarray) -> dm_env.TimeStep:
+    """One control step of the environment's own physics, with its own reward."""
+    return environment.step(action.astype(np.float64))
+
+
+def _names(model: mujoco.MjModel, count: int, get) -> list[str]:
+    return [get(i).name.split("/")[-1] for i in range(count)]
+
+
+def _same(what: str, own: list, planned: list) -> None:
+    if own != planned:
+        raise ValueError(f"the scene's {what} are not the environment's: {planned} instead of {own}")

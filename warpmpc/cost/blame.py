@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes in users' cost terms, put down to a line of the user's file."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+import traceback
+from types import FunctionType
+from typing import TYPE_CHECKING
+
+from ..scene.errors import SceneError
+from .kernel import GENERATED
+from .term import ArrayCost, CostTerm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+_PLACE = re.compile(r'Error while parsing function "[^"]*" at (.+?):(\d+):\s*(.*?)(?=;|$)', re.DOTALL)
+"""Where Warp was when it met a mistake: file, line, source."""
+_CALL = re.compile(r"(term|advance)(\d+)\(s")
+"""How generated code calls the function of a term."""
+
+
+def functions(term: CostTerm | ArrayCost) -> list[Callable]:
+    """What a user wrote for a term, as Python functions."""
+    if isinstance(term, ArrayCost):
+        return [term.function]
+    return [warp_function.func for warp_function in (term.function, term.advance) if warp_function is not None]
+
+
+def place(function: Callable, line: int | None = None) -> str:
+    """``FILE:LINE`` of a function, or of a line in its file."""
+    code = getattr(function, "__code__", None)
+    if code is None:  # an object that can be called
+        return type(function).__name__
+    return f"{code.co_filename}:{line or code.co_firstlineno}"
+
+
+def complaint(
+    label: str, term: CostTerm | ArrayCost, what: str, *, file: Path | None, where: str | None = None
+) -> SceneError:
+    """The error about a user's term.
+
+    Args:
+        label: What the scene calls it.
+        term: The term.
+        what: What is wrong.
+        file: Scene file.
+        where: Place in the user's file; where the term's function begins if None.
+    """
+    return SceneError(f"{where or place(functions(term)[0])}: {what}", key=f"cost.{label}", file=file)
+
+
+def raised_at(error: Exception, function: Callable) -> str:
+    """``FILE:LINE`` where an exception left a user's function, or what that function called in its file."""
+    name = getattr(getattr(function, "__code__", None), "co_filename", None)
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == name]
+    return place(function, lines[-1] if lines else None)
+
+
+def raised(error: Exception, label: str, term: ArrayCost, *, file: Path | None) -> SceneError:
+    """The error for an exception that left the function of a term over whole arrays."""
+    what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return complaint(label, term, what, file=file, where=raised_at(error, term.function))
+
+
+def refused(
+    error: Exception, labels: Sequence[str], terms: Sequence[CostTerm | ArrayCost], *, file: Path | None
+) -> SceneError | None:
+    """The error for what Warp said while it compiled terms; None when it is about none of the users' functions.
+
+    Args:
+        error: What Warp raised.
+        labels: What the scene calls the terms.
+        terms: The terms.
+        file: Scene file.
+    """
+    said = str(error.args[0] if error.args else error)
+    places = _PLACE.findall(said)
+    if not places:
+        return None
+    source, line, text = places[-1]
+    reason = " ".join(said.rpartition(";")[2].split())
+    if not source.startswith(GENERATED):
+        for label, term in zip(labels, terms, strict=True):
+            if any(place(f).rpartition(":")[0] == source for f in functions(term)):
+                return complaint(
+                    label, term, f"Warp cannot compile this: {reason}", file=file, where=f"{source}:{line}"
+                )
+        return None
+    called = _CALL.search(text)
+    if called is None:
+        return None
+    i = int(called[2])
+    return complaint(labels[i], terms[i], f"a cost term returns one float; Warp says: {reason}", file=file)
+
+
+def require_returns(label: str, term: CostTerm, *, file: Path | None) -> None:
+    """A term, and what it calls in its file, return a value on every way through; Warp leaves that to a C++ compiler.
+
+    Raises:
+        SceneError: If one may end without.
+    """
+    for function in _called(term.function.func, {}):
+        try:
+            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+        except (OSError, SyntaxError, ValueError):
+            continue  # no source to look at: Warp will say so
+        whole = isinstance(definition, ast.FunctionDef) and not _returns(definition.body)
+        if whole and (function is term.function.func or function.__annotations__.get("return") is not None):
+            what = "this function can end without returning a value: return one at its end"
+            raise complaint(label, term, what, file=file, where=place(function))
+
+
+def _called(function: FunctionType, found: dict[int, FunctionType]) -> Iterable[FunctionType]:
+    """A Warp function's Python function, and those of its file that it calls."""
+    found[id(function)] = function
+    for name in function.__code__.co_names:
+        value = getattr(function.__globals__.get(name), "func", None)
+        ours = isinstance(value, FunctionType) and value.__code__.co_filename == function.__code__.co_filename
+        if ours and id(value) not in found:
+            _called(value, found)
+    return found.values()
+
+
+def _returns(body: Iterable[ast.stmt]) -> bool:
+    """Whether statements never end without a value returned."""
+    for statement in body:
+        if isinstance(statement, ast.Return) and statement.value is not None:
+            return True
+        if isinstance(statement, ast.If) and _returns(statement.body) and _returns(statement.orelse):
+            return True
+    return False

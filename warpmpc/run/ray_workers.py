@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calls spread over the machines of a Ray cluster, the extra ``cluster``."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from .code import code_digest
+from .workers import RAY, TRIES, LostJob, Prepare
+
+CONNECT = 5.0
+"""How long to wait for a cluster to answer [s]."""
+
+_prepared = False
+"""Whether this process has made a call."""
+
+
+class RayWorkers:
+    """A Ray cluster; see :class:`~warpmpc.run.workers.Workers`.
+
+    Ray hands each call a core, and a GPU if asked, keeps processes for the next one, and makes a call again whose
+    process or machine is lost. Machines may join while calls wait. Each needs the same warpmpc, and what a call names
+    (scene files, assets, files of terms) at the same path.
+
+    Args:
+        address: ``HOST:PORT`` of the cluster; ``RAY_ADDRESS`` or the one this host belongs to if empty.
+        gpu: Whether each call has a GPU to itself, ``cuda:0``; without, calls see none.
+        prepare: Called once in every process.
+
+    Raises:
+        ValueError: If Ray is not installed, there is no such cluster, or it has no GPU where each call needs one.
+    """
+
+    def __init__(self, address: str = "", *, gpu: bool = False, prepare: Prepare | None = None):
+        try:
+            import ray
+        except ImportError:
+            raise ValueError(f"--jobs {RAY}: needs the package ray: pip install 'warpmpc[cluster]'") from None
+        self._ray, self._opened = ray, not ray.is_initialized()
+        if self._opened:
+            address = address or os.environ.get("RAY_ADDRESS") or "auto"
+            try:
+                if address != "auto":
+                    host, _, port = address.rpartition("/")[2].rpartition(":")
+                    socket.create_connection((host, int(port)), timeout=CONNECT).close()  # Ray waits for minutes
+                with contextlib.chdir("/"):  # Ray puts this folder before the nodes' own packages
+                    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+            except (OSError, ValueError, RuntimeError) as error:
+                where = "" if address == "auto" else f" at {address}"
+                reason = " ".join(str(error).split())
+                raise ValueError(
+                    f"--jobs {RAY}: no cluster{where}; start one with 'ray start --head': {reason}"
+                ) from None
+        kind = "GPU" if gpu else "CPU"
+        self.count = int(ray.cluster_resources().get(kind, 0))
+        """Cores or GPUs of the cluster when it was joined."""
+        if not self.count:
+            self.__exit__()
+            raise ValueError(f"--jobs {RAY}: the cluster has no {kind}")
+        self._gpu, self._prepare, self._code = gpu, prepare, code_digest()
+        self._task = ray.remote(num_cpus=1, num_gpus=int(gpu), max_retries=TRIES - 1)(_call)
+
+    def __enter__(self) -> RayWorkers:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._opened:
+            self._ray.shutdown()  # which ends this program's calls, not the cluster
+
+    def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
+        """Queue a call, as :class:`~warpmpc.run.workers.Workers` says."""
+        out: Future[Any] = Future()
+        reply = self._task.remote(self._code, self._gpu, self._prepare, function, arguments)
+        reply.future().add_done_callback(lambda done: self._hand_over(done, out))
+        return out
+
+    def _hand_over(self, done: Future[Any], out: Future[Any]) -> None:
+        """What Ray says of a call, as a plain future."""
+        errors, error = self._ray.exceptions, done.exception()
+        if error is None:
+            out.set_result(done.result())
+        elif isinstance(error, errors.RayTaskError):
+            out.set_exception(error.cause)
+        elif isinstance(error, errors.RayError):
+            out.set_exception(LostJob())
+        else:
+            out.set_exception(error)
+
+
+def _call(
+    code: str, gpu: bool, prepare: Prepare | None, function: Callable[..., Any], arguments: tuple[object, ...]
+) -> Any:
+    """Make a call in a process of the cluster.
+
+    Raises:
+        ValueError: If this machine has another state of warpmpc than the one that asks.
+    """
+    global _prepared
+    if not _prepared:
+        if code_digest() != code:
+            raise ValueError(f"--jobs {RAY}: {socket.gethostname()} has other sources of warpmpc than this machine")
+        if not gpu:
+            os.environ["CUDA_VISIBLE_DEVICES"] = ""
+        logging.getLogger("warpmpc").setLevel(logging.ERROR)  # results count what is warned of
+        if prepare is not None:
+            prepare()
+        _prepared = True
+    return function(*arguments)

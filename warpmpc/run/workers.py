@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calls spread over processes of this host, one for each of its GPUs, or the machines of a Ray cluster.
+
+Whatever they run on, a call whose process dies is made again elsewhere, up to :data:`TRIES` times in all.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import re
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+logger = logging.getLogger("warpmpc")
+
+TRIES = 3
+"""How often a call is made whose process dies each time."""
+GPUS = "gpus"
+RAY = "ray"
+FORMS = f"a number of processes, {GPUS}, {RAY} or {RAY}:HOST:PORT"
+"""What ``--jobs`` may say."""
+
+Prepare = Callable[[], None]
+"""Called once in every process, before its first call; a function at the top of a module."""
+
+
+class LostJob(RuntimeError):
+    """A call whose process died as often as it was made."""
+
+    def __init__(self):
+        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps; what is done is kept")
+
+
+class Workers(Protocol):
+    """Whatever makes calls beside this process; leaving the context ends them, whatever they are at."""
+
+    count: int
+    """Calls that are made at a time."""
+
+    def __enter__(self) -> Workers:
+        """Take the workers for a while."""
+
+    def __exit__(self, *error: object) -> None:
+        """End them."""
+
+    def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
+        """Queue a call of a module's function; the future holds what it returns or raises, or :class:`LostJob`."""
+
+
+def check_jobs(where: str) -> None:
+    """Refuse a place for jobs that :func:`open_workers` would not understand.
+
+    Raises:
+        ValueError: If this is one.
+    """
+    if not re.fullmatch(rf"0*[1-9]\d*|{GPUS}|{RAY}(:[^\s:]+:\d+)?", where, re.ASCII):
+        raise ValueError(f"--jobs must be {FORMS}, not '{where}'")
+
+
+def open_workers(where: str, *, device: str = "auto", prepare: Prepare | None = None) -> tuple[Workers, str]:
+    """Workers at a place, and the device their calls shall plan on.
+
+    Args:
+        where: A number of processes on this host; ``gpus``, a process for each GPU of this host; ``ray``, the Ray
+            cluster that this host belongs to; or ``ray:HOST:PORT``, another one.
+        device: Device that was asked for. On a cluster a CUDA device takes a GPU for each call, anything else none.
+        prepare: Called once in every process.
+
+    Raises:
+        ValueError: If there is no such place, no GPU, or Ray is not installed.
+    """
+    check_jobs(where)
+    if where.isdecimal():
+        return LocalWorkers(int(where), prepare=prepare), device
+    kind, _, address = where.partition(":")
+    if kind == RAY:
+        from .ray_workers import RayWorkers
+
+        gpu = device.startswith("cuda")
+        return RayWorkers(address, gpu=gpu, prepare=prepare), "cuda:0" if gpu else "cpu"
+    gpus = _gpus()
+    if device not in ("auto", "cuda", "cuda:0"):
+        raise ValueError(f"--jobs {GPUS}: each process sees one GPU, cuda:0: leave out --device, not '{device}'")
+    if not gpus:
+        raise ValueError(f"--jobs {GPUS}: there is no GPU here")
+    return LocalWorkers(len(gpus), gpus=gpus, prepare=prepare), "cuda:0"
+
+
+def one_thread(workers: Workers, overrides: Sequence[str]) -> tuple[str, ...]:
+    """Overrides of a scene for one of several calls that share a machine's cores."""
+    return (*overrides, "engine.threads=1") if workers.count > 1 else tuple(overrides)
+
+
+def _gpus() -> list[str]:
+    """Names of this host's GPUs as ``CUDA_VISIBLE_DEVICES`` wants them."""
+    import warp as wp
+
+    count = wp.get_cuda_device_count()
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    return [name.strip() for name in visible.split(",") if name.strip()][:count] or [str(i) for i in range(count)]
+
+
+@dataclass
+class _Slot:
+    """A process, or rather the pool of one that can be told to start it anew."""
+
+    pool: ProcessPoolExecutor
+    gpu: str | None
+
+
+class LocalWorkers:
+    """Processes of this host.
+
+    Each is a pool of its own, so that one that dies takes nobody along and its call is known.
+
+    Args:
+        count: Number of processes.
+        gpus: The GPU that each sees alone, by ``CUDA_VISIBLE_DEVICES``; all see what this process sees if empty.
+        prepare: Called once in every process.
+    """
+
+    def __init__(self, count: int, *, gpus: Sequence[str] = (), prepare: Prepare | None = None):
+        self.count = count
+        self._prepare, self._closed = prepare, False
+        self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
+        self._theirs, self._ours = self._context.Pipe(duplex=False)
+        self._idle: SimpleQueue[_Slot] = SimpleQueue()
+        for gpu in gpus or [None] * count:
+            self._idle.put(_Slot(self._pool(gpu), gpu))
+        self._threads = ThreadPoolExecutor(count)
+
+    def __enter__(self) -> LocalWorkers:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        # processes that have loaded physics take seconds to end by themselves: they end when the pipe does
+        self._closed = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        self._ours.close()
+
+    def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
+        """Queue a call, as :class:`Workers` says."""
+        return self._threads.submit(self._call, function, arguments)
+
+    def _pool(self, gpu: str | None) -> ProcessPoolExecutor:
+        arguments = (self._theirs, gpu, self._prepare)
+        return ProcessPoolExecutor(1, mp_context=self._context, initializer=_start, initargs=arguments)
+
+    def _call(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> Any:
+        """Make a call in a process that is idle, and in a new one if that dies."""
+        slot = self._idle.get()
+        try:
+            for _ in range(TRIES):
+                try:
+                    return slot.pool.submit(function, *arguments).result()
+                except BrokenProcessPool:
+                    if self._closed:
+                        raise
+                    logger.warning("a worker process died; its job is run again")
+                    slot.pool = self._pool(slot.gpu)
+            raise LostJob
+        finally:
+            self._idle.put(slot)
+
+
+def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None:
+    """Prepare a process: it is silent, leaves Ctrl-C to its parent and does not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
+    if gpu is not None:
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # nothing has looked for GPUs yet
+    logger.setLevel(logging.ERROR)  # results count what is warned of
+    if prepare is not None:
+        prepare()
+
+
+def _follow(parent: Connection) -> None:
+    """End this process when its parent has closed its end of a pipe, or has ended, however that came."""
+    try:
+        parent.recv()
+    except (EOFError, OSError):
+        os._exit(1)
