@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
+    from .record.history import History, HistoryRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -57,6 +58,8 @@ __all__ = [
     "Controller",
     "CostTerm",
     "EpisodeResult",
+    "History",
+    "HistoryRecorder",
     "Info",
     "Monitor",
     "MujocoStates",
@@ -100,6 +103,8 @@ __all__ = [
 _HOME = {
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
+    "History": "record.history",
+    "HistoryRecorder": "record.history",
     "Info": "model.state",
     "Monitor": "plant.monitor",
     "MujocoStates": "model.exchange",

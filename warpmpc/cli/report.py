@@ -263,7 +263,7 @@ def _number(value: Any) -> str:
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
-    numbers = ["seed", "time\n[s]", _judged(results), "yaw\n[rad]", "contact\n[N]", "contact\n[s]"]
+    numbers = ["seed", "time\n[s]", _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
     table = _table(

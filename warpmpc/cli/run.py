@@ -28,7 +28,11 @@ if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
     from ..run.batch import Batch
     from ..run.episode import Episode, EpisodeResult
+    from ..run.kept import KeptResults
     from ..scene.schema import Scene
+    from .outputs import Outputs
+
+logger = logging.getLogger("warpmpc")
 
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
 """Exit codes, besides that of an interrupted run."""
@@ -186,7 +190,9 @@ def run(
     term_files: Sequence[Path],
     engine: str,
     device: str,
-    record: Path | None,
+    outputs: Outputs,
+    jobs: str | None,
+    results_file: Path | None,
     json_lines: bool,
     quiet: bool,
 ) -> int:
@@ -197,13 +203,29 @@ def run(
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
-                _check_record(record, envs)
+                _check_options(outputs, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            if envs > 1:
+                kept = _kept(results_file, setup, term_files)
+            if jobs is not None:
+                from .spread import run_spread
+
+                episodes = run_spread(
+                    source,
+                    setup,
+                    seeds,
+                    envs,
+                    jobs=jobs,
+                    overrides=overrides,
+                    term_files=term_files,
+                    outputs=outputs,
+                    kept=kept,
+                    shown=not quiet,
+                )
+            elif envs > 1:
                 episodes = _run_batch(setup, seeds, envs, interrupts, shown=not quiet)
             else:
-                episodes = _run_each(setup, seeds, record, messages, interrupts, shown=not quiet)
+                episodes = _run_each(setup, seeds, outputs, kept, messages, interrupts, shown=not quiet)
             with closing(episodes):
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
@@ -212,9 +234,12 @@ def run(
                         print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
         except KeyboardInterrupt:
             interrupted = True
+        if kept is not None and kept.outdated:
+            logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
         if results and not json_lines and not quiet:
             from .report import print_batch, print_results
 
+            results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
             for sentence in setup.advice(median(result.plan_ms["p50"] for result in results), setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
@@ -223,53 +248,68 @@ def run(
     return SUCCESS if all(result.success for result in results) else FAILURE
 
 
-def _check_record(record: Path | None, envs: int) -> None:
-    """Refuse recordings that cannot be made.
+def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:
+    """Refuse options that do not go together.
 
     Raises:
-        ValueError: If this is one.
+        ValueError: If some do not.
     """
-    if record is None:
-        return
-    if envs > 1:
-        raise ValueError("--record: a recording shows one environment: leave out --envs or --record")
-    if not record.absolute().parent.is_dir():
-        raise ValueError(f"--record: no such folder: {record.absolute().parent}")
+    outputs.check(envs=envs, jobs=jobs)
+    if jobs is not None:
+        from ..run.workers import check_jobs
+
+        check_jobs(jobs)
+    elif results_file is not None and envs > 1:
+        raise ValueError("--results: with --envs, what is planned together is a job: add --jobs, such as --jobs 1")
+
+
+def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptResults | None:
+    """Results kept in a file.
+
+    Raises:
+        OSError: If a file cannot be read.
+        ValueError: If the file holds something else.
+    """
+    if file is None:
+        return None
+    from ..run.kept import KeptResults
+
+    return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
 
 
 def _run_each(
     setup: Setup,
     seeds: Sequence[int],
-    record: Path | None,
+    outputs: Outputs,
+    kept: KeptResults | None,
     messages: Messages,
     interrupts: Interrupts,
     *,
     shown: bool,
 ) -> Iterator[EpisodeResult]:
-    """Run one episode after the other, to the last or to Ctrl-C."""
+    """Run one episode after the other, to the last or to Ctrl-C; those that are kept already are not run."""
     with EpisodeBar(setup.scene.timing.timeout, seeds, shown=shown) as bar:
         for seed in seeds:
+            if kept is not None and (found := kept.find([seed])):
+                yield from found
+                continue
             messages.warned = False
-            # of several recordings, each has its seed in its name
-            path = record.with_stem(f"{record.stem}-{seed}") if record is not None and len(seeds) > 1 else record
-            result = _run_one(setup, seed, path, bar, interrupts)
+            result = _run_one(setup, seed, outputs, bar, interrupts)
+            if kept is not None and result.reason != "interrupted":
+                kept.add([seed], result)
             yield result
             if result.reason == "interrupted":
                 return
 
 
-def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
+def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
     """Run the episode of one seed, to its end or to Ctrl-C."""
     from ..run.episode import EpisodeInterrupted
 
     with user_errors():
         episode = setup.episode(seed)
         interrupts.check()
-        recorder = None
-        if path is not None:
-            from ..record.recorder import Recorder  # slow to import
-
-            recorder = Recorder(path, episode.controller, episode.plant)
+        recorders = outputs.recorders(episode)
     bar.start(seed)
 
     def on_step(*step) -> None:
@@ -278,9 +318,13 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interr
 
     try:
         with user_errors(WHILE_RUNNING):
-            return episode.run(recorder=recorder, on_step=on_step)
+            result = episode.run(recorder=recorders, on_step=on_step)
     except EpisodeInterrupted as error:
-        return error.result
+        result = error.result
+    if recorders.history is not None:
+        with user_errors():
+            outputs.save(recorders.history, seed)
+    return result
 
 
 def _run_batch(
