@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,6 @@ from ..scene.schema import (
 from .assets import (
     AssetKind,
     asset_kind,
-    package_dirs,
     resolve_asset,
 )
 from .axes import axis_names
@@ -37,9 +37,11 @@ from .layout import (
     accelerator,
 )
 from .native import NativeRobots, add_native
+from .urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+    from pathlib import Path
 
 _KINDS = {
     GeoType.BOX: "box",
@@ -64,6 +66,8 @@ class World:
     """Its MJCF robots."""
     actuator_name: tuple[str, ...]
     """Actuator of an MJCF file behind each control, empty for controls of drives."""
+    mended: tuple[str, ...]
+    """What is not as the assets' files say."""
 
 
 def build_world(scene: Scene) -> World:
@@ -88,9 +92,10 @@ def _build(scene: Scene) -> World:
     axes: list[str] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
     actuators, natives = Actuators(), NativeRobots()
+    mended: list[str] = []
 
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives))
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives, mended))
     for item in scene.object:
         entities.append(_add_object(builder, item, scene))
         frames[item.name] = (entities[-1].bodies[0], IDENTITY)
@@ -109,7 +114,7 @@ def _build(scene: Scene) -> World:
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
     layout = _layout(builder, entities, frames, actuators, axes, natives)
-    return World(builder, layout, natives, actuators.own())
+    return World(builder, layout, natives, actuators.own(), tuple(mended))
 
 
 def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
@@ -151,31 +156,36 @@ def _add_robot(
     actuators: Actuators,
     axes: list[str],
     natives: NativeRobots,
+    mended: list[str],
 ) -> Entity:
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
-    part, kind = new_builder(), asset_kind(path)
+    kind = asset_kind(path, key=f"{key}.asset", file=scene.path)
     if kind is AssetKind.MJCF:
-        return add_native(builder, part, robot, path, scene, frames, actuators, axes, natives)
+        return add_native(builder, new_builder(), robot, path, scene, frames, actuators, axes, natives)
     _refuse_mjcf_keys(robot, kind, scene)
     options = {
-        "xform": _transform(robot.position, robot.rotation),
+        "xform": _transform(robot.position or (0.0, 0.0, 0.0), robot.rotation or (0.0, 0.0, 0.0, 1.0)),
         "floating": bool(robot.floating),
         "enable_self_collisions": bool(robot.self_collision),
     }
+    urdf = None
+    if kind is AssetKind.URDF:
+        urdf = Urdf(path, floating=bool(robot.floating), key=f"{key}.asset", file=scene.path)
     try:
-        match kind:
-            case AssetKind.URDF:
-                part.add_urdf(str(path), package_dirs=[str(p) for p in package_dirs(path)], **options)
-            case AssetKind.USD:
-                part.add_usd(str(path), **options)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            part = _imported_urdf(urdf, options) if urdf else _imported_usd(path, options)
     except SceneError:
         raise
     except Exception as error:  # importers raise whatever their parser raises: one clear message for all of them
+        said = " ".join(str(error).split())
         raise SceneError(
-            f"this asset cannot be read: {error}", key=f"{key}.asset", file=scene.path, found=str(path)
+            f"this asset cannot be read: {said}", key=f"{key}.asset", file=scene.path, found=str(path)
         ) from error
+    said = [" ".join(str(warning.message).split()) for warning in caught if _is_about_assets(warning)]
+    mended += [f"{robot.name}: {line}" for line in dict.fromkeys([*(urdf.mended if urdf else ()), *said])]
     if not part.body_count:
         raise SceneError("this asset has no links", key=f"{key}.asset", file=scene.path, found=str(path))
 
@@ -211,6 +221,29 @@ def _add_robot(
         shapes=tuple(range(first_shape, builder.shape_count)),
         joints=tuple(range(first_joint, builder.joint_count)),
     )
+
+
+def _imported_urdf(urdf: Urdf, options: dict) -> newton.ModelBuilder:
+    """The robot of a URDF file; a second try without visual meshes that cannot be read."""
+    part = new_builder()
+    try:
+        part.add_urdf(urdf.text, **options)
+    except Exception:
+        if not urdf.drop_unreadable():
+            raise
+        return _imported_urdf(urdf, options)
+    return part
+
+
+def _imported_usd(path: Path, options: dict) -> newton.ModelBuilder:
+    part = new_builder()
+    part.add_usd(str(path), **options)
+    return part
+
+
+def _is_about_assets(warning: warnings.WarningMessage) -> bool:
+    """Whether an importer warns of the file that it reads; libraries warn of their own future, too."""
+    return issubclass(warning.category, UserWarning) or warning.category.__module__.startswith("newton")
 
 
 def _refuse_mjcf_keys(robot: Robot, kind: AssetKind, scene: Scene) -> None:
