@@ -5,7 +5,8 @@
     python tools/robots.py docs/robots.md --keep rows.jsonl
 
 Each robot stands alone in a scene without a floor, its root as its file has it; URDF files get a drive of 1 N·m on
-every joint, and so do MJCF files without actuators. A plan is one of 8 samples by the engine that ``auto`` takes.
+every joint, and so do MJCF files without actuators. A plan has 8 samples; compiling the
+engine and the costs for every robot takes long, which ``--engine none`` saves.
 """
 
 from __future__ import annotations
@@ -79,14 +80,14 @@ def scene_of(path: Path) -> Scene:
     )
 
 
-def try_robot(package: str, root: Path, path: Path, *, plan: bool = False) -> Row:
+def try_robot(package: str, root: Path, path: Path, *, engine: str | None = None) -> Row:
     """Load one robot.
 
     Args:
         package: Package it comes from.
         root: Folder of the package.
         path: Its file.
-        plan: Whether to plan with it, too.
+        engine: Engine to plan with, such as ``auto``; none if None.
     """
     known = {"package": package, "file": str(path.relative_to(root))}
     try:
@@ -96,8 +97,8 @@ def try_robot(package: str, root: Path, path: Path, *, plan: bool = False) -> Ro
         layout = compiled.layout
         mended = tuple(line.removeprefix("robot: ") for line in compiled.mended)
         known |= {"loads": True, "dof": layout.nv, "meshes": len(layout.meshes), "mended": mended}
-        if plan:
-            controller = Controller(scene)
+        if engine:
+            controller = Controller(scene, engine=engine)
             command = controller.step(Plant(scene, task=controller.task).observe())
             if not np.isfinite(command).all():
                 raise FloatingPointError("the command is not finite")
@@ -141,7 +142,7 @@ def page(rows: list[Row], roots: dict[str, Path]) -> str:
         f"Every robot of the PyPI packages example-robot-data and mjlab, written by `tools/robots.py` with {versions}.",
         f"{loads} of {len(rows)} load, {mended} of them mended with a warning; a plan was made with {plans}. Each "
         "stands alone in a scene without a floor, with a drive on every joint where its file brings no actuators. "
-        "`plan` names the engine that `auto` took.",
+        "`plan` names the engine of the plan, of 8 samples.",
     ]
     for package in roots:
         parts += [f"## {package}", table([row for row in rows if row.package == package], roots)]
@@ -160,7 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page", type=Path, help="Markdown file to write")
     parser.add_argument("--keep", type=Path, help="file of rows to go on from, which takes new ones")
-    parser.add_argument("--no-plan", action="store_true", help="load only")
+    parser.add_argument("--engine", default="auto", help="engine to plan with; none: load only")
     args = parser.parse_args()
     rows = []
     if args.keep and args.keep.is_file():
@@ -170,7 +171,7 @@ def main() -> None:
     for package, root, path in every:
         if (package, str(path.relative_to(root))) in done:
             continue
-        rows.append(try_robot(package, root, path, plan=not args.no_plan))
+        rows.append(try_robot(package, root, path, engine=None if args.engine == "none" else args.engine))
         print(rows[-1], flush=True)
         if args.keep:
             with args.keep.open("a", encoding="utf-8") as file:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,6 +26,7 @@ from .assets import (
 )
 from .axes import axis_names
 from .controls import Actuators, drive_robot
+from .importers import import_links, new_builder, transform
 from .layout import (
     GOAL,
     IDENTITY,
@@ -37,11 +37,9 @@ from .layout import (
     accelerator,
 )
 from .native import NativeRobots, add_native
-from .urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-    from pathlib import Path
 
 _KINDS = {
     GeoType.BOX: "box",
@@ -79,7 +77,7 @@ def build_world(scene: Scene) -> World:
     world = _build(scene)
     if not world.layout.nu:
         raise SceneError(
-            "there is nothing to control: the assets have no actuators of their own, so give a robot a drive",
+            "there is nothing to control: the assets have no actuators of their own; give a robot with joints a drive",
             key="robot.drive",
             file=scene.path,
         )
@@ -129,25 +127,6 @@ def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
     return _build(scene.model_copy(update={"robot": left}))
 
 
-_MUJOCO_LIMITS = 2
-"""Newton's mode for joint limits as soft as MuJoCo's own, unless the asset says otherwise; for its solver ``mujoco``.
-With the gains that Newton gives joints by default, of a URDF for example, light links such as fingers swing up at the
-steps of rollouts; and MuJoCo's C engine does not get these gains."""
-
-
-def new_builder() -> newton.ModelBuilder:
-    """An empty builder with the settings and custom attributes of every warpmpc model."""
-    builder = newton.ModelBuilder()
-    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
-    builder.custom_attributes["mujoco:solreflimit_mode"].default = _MUJOCO_LIMITS
-    builder.rigid_gap = 0.0  # every detected contact is an active one: no speculative pairs to pay for
-    return builder
-
-
-def _transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.transform:
-    return wp.transform(wp.vec3(*position), wp.quat(*rotation))
-
-
 def _add_robot(
     builder,
     robot: Robot,
@@ -165,27 +144,8 @@ def _add_robot(
     if kind is AssetKind.MJCF:
         return add_native(builder, new_builder(), robot, path, scene, frames, actuators, axes, natives)
     _refuse_mjcf_keys(robot, kind, scene)
-    options = {
-        "xform": _transform(robot.position or (0.0, 0.0, 0.0), robot.rotation or (0.0, 0.0, 0.0, 1.0)),
-        "floating": bool(robot.floating),
-        "enable_self_collisions": bool(robot.self_collision),
-    }
-    urdf = None
-    if kind is AssetKind.URDF:
-        urdf = Urdf(path, floating=bool(robot.floating), key=f"{key}.asset", file=scene.path)
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            part = _imported_urdf(urdf, options) if urdf else _imported_usd(path, options)
-    except SceneError:
-        raise
-    except Exception as error:  # importers raise whatever their parser raises: one clear message for all of them
-        said = " ".join(str(error).split())
-        raise SceneError(
-            f"this asset cannot be read: {said}", key=f"{key}.asset", file=scene.path, found=str(path)
-        ) from error
-    said = [" ".join(str(warning.message).split()) for warning in caught if _is_about_assets(warning)]
-    mended += [f"{robot.name}: {line}" for line in dict.fromkeys([*(urdf.mended if urdf else ()), *said])]
+    part, lines = import_links(path, kind, robot, file=scene.path)
+    mended += lines
     if not part.body_count:
         raise SceneError("this asset has no links", key=f"{key}.asset", file=scene.path, found=str(path))
 
@@ -223,29 +183,6 @@ def _add_robot(
     )
 
 
-def _imported_urdf(urdf: Urdf, options: dict) -> newton.ModelBuilder:
-    """The robot of a URDF file; a second try without visual meshes that cannot be read."""
-    part = new_builder()
-    try:
-        part.add_urdf(urdf.text, **options)
-    except Exception:
-        if not urdf.drop_unreadable():
-            raise
-        return _imported_urdf(urdf, options)
-    return part
-
-
-def _imported_usd(path: Path, options: dict) -> newton.ModelBuilder:
-    part = new_builder()
-    part.add_usd(str(path), **options)
-    return part
-
-
-def _is_about_assets(warning: warnings.WarningMessage) -> bool:
-    """Whether an importer warns of the file that it reads; libraries warn of their own future, too."""
-    return issubclass(warning.category, UserWarning) or warning.category.__module__.startswith("newton")
-
-
 def _refuse_mjcf_keys(robot: Robot, kind: AssetKind, scene: Scene) -> None:
     """Only MJCF files bring actuators and keyframes of their own."""
     if not robot.drive:
@@ -276,13 +213,13 @@ def _root(part: newton.ModelBuilder) -> int:
 
 
 def _add_object(builder, item: Object, scene: Scene) -> Entity:
-    body = builder.add_body(xform=_transform(item.position, item.rotation), label=item.name)
+    body = builder.add_body(xform=transform(item.position, item.rotation), label=item.name)
     shape = _add_shape(builder, body, item, scene, wp.transform_identity(), mass=item.mass)
     return Entity(item.name, "object", bodies=(body,), shapes=(shape,), joints=(builder.joint_count - 1,))
 
 
 def _add_obstacle(builder, item: Obstacle, scene: Scene) -> Entity:
-    pose = _transform(item.position, item.rotation)
+    pose = transform(item.position, item.rotation)
     shape = _add_shape(builder, WORLD, item, scene, pose, mass=0.0)
     return Entity(item.name, "obstacle", shapes=(shape,), movable=item.movable)
 

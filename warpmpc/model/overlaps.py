@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 DEEP = 0.01
 """Depth from which an overlap is refused [m]: what is less settles within a few steps."""
 
+_SHIFT = 1e-4
+"""How far joints are moved for a second look [m or rad]: MuJoCo finds no contact of some shapes that are deep
+in each other and exactly aligned, such as cylinders side by side."""
+
 
 def deepest_overlap(
     model: mujoco.MjModel, state: np.ndarray, geoms: dict[str, tuple[int, ...]]
@@ -31,12 +35,14 @@ def deepest_overlap(
     owner = {geom: name for name, own in geoms.items() for geom in own}
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, np.asarray(state, dtype=float), mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    mujoco.mj_forward(model, data)
     found = []
-    for contact in data.contact[: data.ncon]:
-        first, second = (owner.get(int(geom)) for geom in contact.geom)
-        if first is not None and second is not None and first != second:
-            found.append((-float(contact.dist), first, second))
+    for shift in (0.0, _SHIFT):
+        mujoco.mj_integratePos(model, data.qpos, np.random.default_rng(0).uniform(-1.0, 1.0, model.nv), shift)
+        mujoco.mj_forward(model, data)
+        for contact in data.contact[: data.ncon]:
+            first, second = (owner.get(int(geom)) for geom in contact.geom)
+            if first is not None and second is not None and first != second:
+                found.append((-float(contact.dist), first, second))
     if not found:
         return None
     depth, first, second = max(found)
@@ -62,12 +68,12 @@ def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel,
     found = deepest_overlap(model, state, geoms)
     if found is None or found[2] < DEEP:
         return
-    first, second, depth = found
+    *both, depth = found
     keys = {item.name: kind for kind in ("obstacle", "object", "robot") for item in getattr(scene, kind)}
-    moved = max((first, second), key=lambda name: list(keys).index(name) if name in keys else -1)
+    other, moved = sorted(both, key=lambda name: list(keys).index(name) if name in keys else -1)
     cure = "position or joint_q" if keys[moved] == "robot" else "position"
     raise SceneError(
-        f"'{first}' and '{second}' overlap by {depth:.3g} m at the start: change the {cure}",
+        f"'{moved}' and '{other}' overlap by {depth:.3g} m at the start: change the {cure}",
         key=f"{keys[moved]}.{moved}",
         file=scene.path,
     )
