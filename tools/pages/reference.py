@@ -156,6 +156,7 @@ def _models(kind: object) -> Iterator[type[BaseModel]]:
 def _terms(found: Examples) -> Iterator[str]:
     """All built-in cost terms, by the module of the kernels that their functions stand in."""
     groups: dict[str, list[CostTerm]] = {}
+    tables: dict[str, type[BaseModel]] = {}
     for term in BUILTIN.values():
         groups.setdefault(term.function.func.__module__, []).append(term)
     for module, terms in groups.items():
@@ -165,6 +166,13 @@ def _terms(found: Examples) -> Iterator[str]:
             yield f"### `{term.name}` {{ #{term.name} }}\n\n{term.summary}\n"
             yield from _table(term.keys, "")
             yield from _example(term.keys, "[[cost]]", found, f'term = "{term.name}"')
+            tables |= {key: inner for key, field in keys(term.keys).items() for inner in _models(field.annotation)}
+    if tables:
+        yield "\n## Tables in cost terms\n"
+    for key, inner in tables.items():
+        yield f"\n### `{key}` {{ #{_anchor(key)} }}\n\n{inspect.cleandoc(inner.__doc__ or '')}\n"
+        yield from _table(inner, "")
+        yield from _example(inner, f"[cost.{key}]", found)
 
 
 def _commands() -> Iterator[str]:
