@@ -6,10 +6,10 @@ from __future__ import annotations
 import json
 import logging
 import os
-import signal
 import sys
 from contextlib import closing, contextmanager
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -17,12 +17,12 @@ import typer
 from ..scene.errors import SceneError
 from ..scene.load import load_scene
 from ..scene.schema import EngineName
+from .interrupts import INTERRUPTED, Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
 from .terms import load_terms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from types import FrameType
 
     from ..cost.term import ArrayCost, CostTerm
     from ..model.compiled import CompiledScene
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("warpmpc")
 
-SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes."""
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+"""Exit codes, besides that of an interrupted run."""
 WHILE_RUNNING = (SceneError, OSError)
 """What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
 
@@ -87,40 +87,6 @@ def start_warp() -> None:
         raise
 
 
-class Interrupts:
-    """Ctrl-C that cannot get lost.
-
-    Native code that calls back into Python may swallow a ``KeyboardInterrupt``: pydantic's serializer turns one into a
-    warning. So it is also written down, and raised again by :meth:`check`; below pydantic it is only written down.
-    """
-
-    def __init__(self):
-        self._pressed = False
-
-    def __enter__(self) -> Interrupts:
-        self._before = signal.getsignal(signal.SIGINT)
-        if self._before is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._note)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._before is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self._pressed = True
-        while frame is not None:
-            if frame.f_globals.get("__name__", "").startswith("pydantic."):
-                return
-            frame = frame.f_back
-        raise KeyboardInterrupt
-
-    def check(self) -> None:
-        """Raise ``KeyboardInterrupt`` if Ctrl-C was pressed."""
-        if self._pressed:
-            raise KeyboardInterrupt
-
-
 class Setup:
     """A scene with everything that its episodes share.
 
@@ -160,6 +126,18 @@ class Setup:
             compiled=self.compiled,
         )
 
+    def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
+        """What of the scene is hardly meant, or too slow for its controls.
+
+        Args:
+            plan_ms: Wall time of a plan [ms].
+            compiled: The scene compiled; None where every episode has bodies of its own.
+        """
+        from ..run.advice import advise, slow_plans
+
+        late = slow_plans(plan_ms, self.scene)
+        return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
+
     def batch(self, seeds: Sequence[int], envs: int) -> Batch:
         """The episodes of several seeds, ready to run on one controller."""
         from ..run.batch import Batch
@@ -179,17 +157,21 @@ def check(
     source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
 ) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code."""
-    with results_only() as out, Messages(notices=True, warnings=True):
-        with user_errors():
-            setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            episode = setup.episode(seed)
-            observation = episode.plant.observe()
-            for _ in range(2):  # the first plan compiles kernels
-                episode.controller.step(observation)
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+        try:
+            with user_errors():
+                setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
+                episode = setup.episode(seed)
+                observation = episode.plant.observe()
+                for _ in range(2):  # the first plan compiles kernels
+                    episode.controller.step(observation)
 
-        from .report import print_check
+            from .report import print_check
 
-        print_check(episode, out)
+            controller = episode.controller
+            print_check(episode, setup.advice(controller.info.plan_ms, controller.compiled), out)
+        except KeyboardInterrupt:
+            return INTERRUPTED
     return SUCCESS
 
 
@@ -253,6 +235,8 @@ def run(
 
             results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
+            for sentence in setup.advice(median(result.plan_ms["p50"] for result in results), setup.compiled):
+                print(f"Is it meant? {sentence}", file=out)
     if interrupted:
         return INTERRUPTED
     return SUCCESS if all(result.success for result in results) else FAILURE
