@@ -90,19 +90,20 @@ def draw_run(axes: Axes, plant: Plant, history: History, *, view: str, snapshots
         axes.set_ylabel(VIEWS[view].labels[1])
 
 
-def draw_curves(costs: Axes, forces: Axes, history: History) -> None:
+def draw_curves(costs: Axes, forces: Axes | None, history: History) -> None:
     """Draw what each term cost and the contact forces of each pair over time, each curve by its name."""
     for name, values in zip(history.term_names, history.cost_terms.T, strict=True):
         costs.plot(history.time[:-1], values, lw=1.0, label=name)
     costs.plot(history.time[:-1], history.cost, color="k", lw=1.5, label="sum")
     costs.set_ylabel("cost of the best sample")
-    for name, force in zip(history.pair_names, np.linalg.norm(history.contact_force, axis=-1).T, strict=True):
-        forces.plot(history.time, force, lw=1.0, label=name)
-    forces.set_ylabel("contact force [N]")
-    forces.set_xlabel("time [s]")
-    for axes in (costs, forces):
-        if axes.lines:
-            axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if forces is not None:
+        for name, force in zip(history.pair_names, np.linalg.norm(history.contact_force, axis=-1).T, strict=True):
+            forces.plot(history.time, force, lw=1.0, label=name)
+        forces.set_ylabel("contact force [N]")
+    for axes in filter(None, (costs, forces)):
+        axes.set_xlim(history.time[0], history.time[-1])
+        axes.set_xlabel("time [s]")
+        axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def plot(args: argparse.Namespace) -> None:
@@ -120,11 +121,12 @@ def plot(args: argparse.Namespace) -> None:
     episode.run(recorder=recorder)
     history, plant = recorder.history, episode.plant
     view = natural_view(plant.layout, history.body_q) if args.view == AUTO else args.view
-    if args.curves:
-        figure, (axes, *curves) = plt.subplots(3, figsize=(7, 11), dpi=110, height_ratios=[7, 2.2, 1.8])
-        draw_curves(*curves, history)
-    else:
-        figure, axes = plt.subplots(figsize=(7, 7), dpi=110)
+    rows = 1 + args.curves * (1 + bool(history.pair_names))
+    figure, axes = plt.subplots(rows, figsize=(7, 5 + 2 * rows), dpi=110, height_ratios=[7, 2, 2][:rows], squeeze=False)
+    (axes, *curves) = axes[:, 0]
+    if curves:
+        figure.subplots_adjust(hspace=0.3)
+        draw_curves(curves[0], curves[1] if len(curves) > 1 else None, history)
     draw_run(axes, plant, history, view=view, snapshots=args.snapshots)
     axes.set_title(f"{args.scene}, seed {args.seed}: {plant.reason}, {plant.time:.1f} s")
     args.out.parent.mkdir(parents=True, exist_ok=True)
