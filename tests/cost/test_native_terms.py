@@ -61,9 +61,34 @@ LEVEL = [
 """Terms of a push in the plane."""
 
 
+COM = {"centre_of_mass": "base"}
+SPACE = [
+    {"term": "position_residual", "of": ["base/tip", "base/centre"], "relative_to": ["box", "goal", "wall"]},
+    {"term": "position_residual", "of": COM, "lead": 0.2, "relative_to": "box", "axes": "xy", "target": ["a", 0.3]},
+    {"term": "velocity_residual", "of": [COM, "base/tip"], "relative_to": "box", "target": ["a", "b", 0.1]},
+    *(
+        {"term": "position_residual", "of": "base/tip", "axes": "yz", "target": ["b", 0.0], "norm": norm}
+        for norm in (
+            {"kind": "l22", "p": 0.3, "q": 3.0},
+            {"kind": "l22", "p": 0.7, "q": 1.4},
+            {"kind": "l2", "p": 0.1},
+            {"kind": "cosh", "p": 0.9},
+            {"kind": "power", "p": 2.0},
+            {"kind": "power", "p": 3.5},
+            {"kind": "power", "p": 1.0},
+            {"kind": "smooth_abs", "p": 0.1},
+            {"kind": "smooth_abs2", "p": 0.2, "q": 4.0},
+            {"kind": "smooth_abs2", "p": 0.4, "q": 1.5},
+            {"kind": "rectify", "p": 0.1},
+        )
+    ),
+]
+"""Residuals in space, and the norms."""
+
+
 def kind(cost: dict) -> str:
     return "-".join(
-        str(cost[key]) for key in ("term", "object", "metric", "near", "steer", "to", "inside") if key in cost
+        str(cost[key]) for key in ("term", "object", "metric", "near", "steer", "to", "inside", "norm") if key in cost
     )
 
 
@@ -115,9 +140,9 @@ def level(r: Rollouts) -> None:
 @functools.cache
 def judged(where: str) -> Rollouts:
     """Rollouts, and the terms that judge them."""
-    costs, obstacles = {"anywhere": (ANYWHERE, OBSTACLES), "level": (LEVEL, BLOCKS)}[where]
-    objects = OBJECTS if where == "level" else OBJECTS[:1]
-    r = Rollouts(*costs, obstacles=obstacles, objects=objects, shape=SHAPE, seed=len(costs))
+    costs, obstacles = {"anywhere": (ANYWHERE, OBSTACLES), "level": (LEVEL, BLOCKS), "space": (SPACE, OBSTACLES)}[where]
+    objects, scalar = OBJECTS if where == "level" else OBJECTS[:1], {"a": 0.4, "b": -0.7}
+    r = Rollouts(*costs, obstacles=obstacles, objects=objects, shape=SHAPE, seed=len(costs), scalar=scalar)
     if where == "level":
         level(r)
     return r
@@ -138,7 +163,7 @@ def plain(where: str) -> np.ndarray:
 
 CASES = [
     (where, i, kind(cost))
-    for where, costs in (("anywhere", ANYWHERE), ("level", LEVEL))
+    for where, costs in (("anywhere", ANYWHERE), ("level", LEVEL), ("space", SPACE))
     for i, cost in enumerate(costs)
 ]
 
@@ -156,13 +181,13 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
 
 
 @pytest.mark.skipif(90 not in wp.get_cuda_supported_archs(), reason="needs Warp with NVRTC")
-@pytest.mark.parametrize("where", ["anywhere", "level"])
+@pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
     module = NativeJudge(judged(where)).kernel.module
     assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
 
 
-@pytest.mark.parametrize("where", ["anywhere", "level"])
+@pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_a_world_that_diverged_changes_no_other(where):
     judging = judged(where)
     judge = NativeJudge(judging)

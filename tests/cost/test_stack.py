@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from judging import Judging
+from rollouts import Rollouts
 from small_scenes import BOX, WALL, make_scene
 from ways import INFLATION, around_corners
 
@@ -58,6 +59,17 @@ def test_labels_are_unique_and_weights_belong_to_their_terms():
     )
     assert scene.stack.labels == ["height", "height_2", "lift"]
     np.testing.assert_allclose(scene.cost(), [[2.0, 2.0], [-3.0, -3.0], [0.0, 0.0]])
+
+
+def test_the_same_terms_in_another_order_are_not_mixed_up():
+    """Their functions, each once, and their parameters' types are the same."""
+    kinds = ["control_effort", "control_rate"]
+    for order in ((0, 1, 1, 0), (0, 0, 1, 1)):
+        rollouts = Rollouts(*({"term": kinds[i]} for i in order))
+        found = [rollouts.cost(i) for i in range(4)]
+        assert np.abs(found[order.index(0)] - found[order.index(1)]).max() > 1.0
+        for cost, i in zip(found, order, strict=True):
+            np.testing.assert_array_equal(cost, found[order.index(i)])
 
 
 def test_terms_share_the_list_of_watched_pairs():

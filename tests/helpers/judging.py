@@ -27,6 +27,8 @@ class Judging:
         self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), device)
         self.control = self.trajectory.control
         self.state = ObservedState.allocate(self.layout, self.task, device)
+        first = 7 * len(self.task.pose_name)
+        self.state.scalar.assign(self.task.block[:, first : first + len(self.task.scalar_name)])
         self.judge = self.judge_with(self.stack)
 
     def judge_with(self, stack: CostStack) -> Judge:

@@ -60,12 +60,20 @@ class RecordedState(StateCode):
 
     def velocity(self, index: int) -> tuple[Vector, Vector]:
         """Velocity of a frame's origin, and its angular velocity."""
-        body = int(self.layout.frame_body[index])
+        return self.point_velocity(int(self.layout.frame_body[index]), self.layout.frame_pose[index][:3].astype(float))
+
+    def _point(self, body: int, at: np.ndarray) -> Vector:
+        if body < 0:
+            return super()._point(body, at)
+        columns, position = self._body(body)
+        return self.lines.transform(columns, known(at), position)
+
+    def point_velocity(self, body: int, at: np.ndarray) -> tuple[Vector, Vector]:
+        """Velocity of a point of a body, and the body's angular velocity."""
         if body < 0:
             return [0.0] * 3, [0.0] * 3
         linear, angular = ([self.number("twist_now", 6 * body + first + i) for i in range(3)] for first in (0, 3))
-        arm = self.layout.frame_pose[index][:3].astype(float) - self.layout.body_com[body].astype(float)
-        lever = self.lines.transform(self._body(body)[0], arm)
+        lever = self.lines.transform(self._body(body)[0], at - self.layout.body_com[body].astype(float))
         return [self.lines.sum(*pair) for pair in zip(linear, self.lines.cross(angular, lever), strict=True)], angular
 
     def _body(self, body: int) -> tuple[Matrix, Vector]:

@@ -31,6 +31,7 @@ class Rollouts(Judging):
         obstacles=OBSTACLES,
         objects=(BOX,),
         shape=SHAPE,
+        **sections,
     ):
         robot = {**DISC, "joint_q": (0.3, -0.2, 0.5), "drive": {**DISC["drive"], "limit": (1.0, 2.0, 0.5)}}
         scene = make_scene(
@@ -39,6 +40,7 @@ class Rollouts(Judging):
             obstacle=obstacles,
             cost=costs,
             goal={"object": "box", "position": (1, 2, 0.5)},
+            **sections,
         )
         super().__init__(scene, shape, terms=terms)
         self.t, self.w = shape.horizon, shape.worlds

@@ -22,6 +22,7 @@ NAMES = (
     "VGATHER",
     "VSELECT",
     "VTWO",
+    "VEXPONENT",
 )
 """What baked source may do with a ``T`` besides arithmetic: macros, undefined again before they are defined."""
 
@@ -42,6 +43,7 @@ typedef int I;
 #define VGATHER(p, i) ((p)[i])
 #define VSELECT(m, a, b) ((m) ? (a) : (b))
 #define VTWO(k) exp2f(k)
+#define VEXPONENT(x) rintf(log2f(x))
 """
 
 _MANY = """
@@ -61,6 +63,7 @@ struct __attribute__((packed, aligned(4))) TU { T v; };
 #define VSTORE(p, x) (((TU*)(p))->v = (x))
 #define VSELECT(m, a, b) ((m) ? (T)(a) : (T)(b))
 #define VTWO(k) __builtin_bit_cast(T, (VINT(k) + 127) << 23)
+#define VEXPONENT(x) VFLOAT((__builtin_bit_cast(I, x) - 0x3f3504f3) >> 23)
 static const auto VGATHER = [](const float* p, I i) -> T {
 GATHER
 T r; for (int l = 0; l < LANES; ++l) r[l] = p[i[l]]; return r;
@@ -132,10 +135,33 @@ def decay(x: str, name: str) -> str:
         x: Name of the value.
         name: Name of the result.
     """
+    return two_to(f"{literal(-1.0 / np.log(2.0))} * {x}", name)
+
+
+def two_to(y: str, name: str) -> str:
+    """Statements that define 2^y, y between -126 and 126 or taken for these, to a few units in the last place.
+
+    Args:
+        y: An expression.
+        name: Name of the result.
+    """
     f = 0.5 * np.cos(np.pi * (np.arange(200) + 0.5) / 200)
     power = horner(np.polynomial.polynomial.polyfit(f, 2.0**f, 6), "f")
-    whole = f"const T y = VMAX({literal(-1.0 / np.log(2.0))} * {x}, -126.0f); const T k = VROUND(y)"
+    whole = f"const T y = VMIN(VMAX({y}, -126.0f), 126.0f); const T k = VROUND(y)"
     return f"T {name}; {{ {whole}; const T f = y - k; {name} = VTWO(k) * {power}; }}"
+
+
+def log_two(x: str, name: str) -> str:
+    """Statements that define the logarithm of a positive value to the base 2, to 2e-7 next to 1.
+
+    Args:
+        x: Name of the value, above 1e-38.
+        name: Name of the result.
+    """
+    low, high = 2.0**-0.5 - 1.001, 2.0**0.5 - 0.999
+    d = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+    series = horner(np.polynomial.polynomial.polyfit(d, np.log2(1.0 + d) / d, 10), "d")
+    return f"T {name}; {{ const T k = VEXPONENT({x}); const T d = {x} * VTWO(-k) - 1.0f; {name} = k + d * {series}; }}"
 
 
 def angle(sine: str, cosine: str, name: str) -> str:

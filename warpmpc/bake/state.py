@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ..kernels.geometry.kinematics import FREE
 from ..kernels.terms.view import TASK_BODY
 from ..model.layout import IDENTITY
-from .lines import Lines, Matrix, Operand, Vector
+from .lines import Lines, Matrix, Operand, Vector, known
 from .tree import Given, Place, Tree
 
 if TYPE_CHECKING:
@@ -91,10 +91,23 @@ class StateCode:
         return self._cached(("frame", index), lambda: self._frame(index))
 
     def body_point(self, body: int, at: np.ndarray) -> Vector:
-        """A point of a body, given in its own frame, in the world's [m]."""
-        place = self.tree.place(body)
-        key = ("point", body, *np.asarray(at, dtype=float).tolist())
-        return self._cached(key, lambda: self.tree.point(place, np.asarray(at, dtype=float)))
+        """A point of a body or of a pose of the task, given in its own frame, in the world's [m]."""
+        at = np.asarray(at, dtype=float)
+        return self._cached(("point", body, *at.tolist()), lambda: self._point(body, at))
+
+    def _point(self, body: int, at: np.ndarray) -> Vector:
+        if body <= int(TASK_BODY):
+            given = self.task_pose(int(TASK_BODY) - body)
+            return self.lines.transform(given.rotation, known(at), given.position)
+        return self.tree.point(self.tree.place(body), at)
+
+    def point_velocity(self, body: int, at: np.ndarray) -> tuple[Vector, Vector]:
+        """Velocity of such a point [m/s], and its body's angular velocity [rad/s]."""
+        if body < 0:
+            return [0.0] * 3, [0.0] * 3
+        place, point = self.tree.place(body), self.body_point(body, at)
+        key = ("point velocity", body, *np.asarray(at, dtype=float).tolist())
+        return self._cached(key, lambda: self.tree.velocity(place, point, self.speed))
 
     def before(self, value: Operand) -> Operand:
         """What a shared value was one step before; before the first step, in the observed state."""
@@ -136,6 +149,11 @@ class StateCode:
             return FrameCode(given.rotation, given.position, None)
         place = self.tree.place(body).moved(Rotation.from_quat(at[3:]).as_matrix(), at[:3])
         return FrameCode(self.tree.columns(place), self.tree.position(place), place)
+
+    def scalar(self, index: int) -> str:
+        """A scalar of the task, the same for all samples."""
+        value = f"(T)((const float*)s.scalar.data)[e * s.scalar.shape[1] + {index}]"
+        return self._cached(("scalar", index), lambda: self.once.let(value))
 
     def task_pose(self, index: int) -> Given:
         """A pose of the task, the same for all samples."""

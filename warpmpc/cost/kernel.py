@@ -104,16 +104,19 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
     """
     names: dict[str, Any] = {"wp": wp, "StepView": StepView}
     fields, calls, advances = ["    none: int"], [], []
+    # Warp knows what it has cached by this source and by the functions in it, each once: one function has one name
+    called: dict[wp.Function, str] = {}
     for i, term in terms:
-        names[f"Params{i}"], names[f"term{i}"] = term.params, term.function
+        names[f"Params{i}"] = term.params
+        function = called.setdefault(term.function, f"term{i}")
         if term.advance is not None:
-            names[f"advance{i}"] = term.advance
-            advances.append(f"    advance{i}(s, p.p{i})")
+            advances.append(f"    {called.setdefault(term.advance, f'advance{i}')}(s, p.p{i})")
         fields.append(f"    p{i}: Params{i}")
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
         calls.append(f"    if weight[s.e, {i}] != 0.0:")
-        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * term{i}(s, p.p{i})")
+        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * {function}(s, p.p{i})")
+    names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))
     # Warp reads the source of what it compiles from the file it came from

@@ -24,6 +24,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Residual:
+    """The numbers that a term is a norm of, for whoever needs their derivatives; the norm is its parameters' ``norm``.
+
+    ``kernels.terms.norms`` has the norm's value, gradient and Hessian.
+    """
+
+    component: wp.Function
+    """``(s: StepView, p: Params, i: int) -> float``: number i."""
+    dimension: Callable[[Any], int]
+    """How many they are, given the filled parameter struct."""
+
+
+@dataclass(frozen=True)
 class CostTerm:
     """A cost term: a Warp function of one step of one world and its parameters.
 
@@ -45,6 +58,8 @@ class CostTerm:
     advance: wp.Function | None = None
     """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any of them is judged: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
+    residual: Residual | None = None
+    """What the term is a norm of, if it is one."""
 
     @property
     def summary(self) -> str:
@@ -187,9 +202,10 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
     except ValidationError as error:
         # an unknown key is often a missing one misspelt
         first = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-        name = ".".join(str(part) for part in first["loc"])
+        # a name, and which entry of its list; what follows are names of types
+        name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
         where = f"{binding.key}.{name}"
-        if first["type"] == "extra_forbidden":
+        if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
             raise SceneError(
                 "unknown key", key=where, file=binding.file, found=name, allowed=keys.model_fields
             ) from None
@@ -197,6 +213,8 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
             raise SceneError(f"the key '{name}' is missing", key=binding.key, file=binding.file) from None
         field = keys.model_fields.get(str(first["loc"][0]))
         allowed = field.description if field and field.description else first["msg"]
+        if first["type"] == "value_error":  # says itself what is wrong
+            allowed = first["msg"].removeprefix("Value error, ")
         raise SceneError(
             "wrong value", key=where, file=binding.file, found=first["input"], allowed=str(allowed)
         ) from None

@@ -350,6 +350,8 @@ def _layout(
         dof_name=(*robot_axes, *[""] * (builder.joint_dof_count - len(robot_axes))),
         body_name=tuple(builder.body_label),
         body_com=np.array(builder.body_com, dtype=np.float32).reshape(-1, 3),
+        body_mass=np.array(builder.body_mass, dtype=np.float32),
+        body_inertia=np.array(builder.body_inertia, dtype=np.float32).reshape(-1, 3, 3),
         **start,
         entities=tuple(entities),
         shapes=shapes,

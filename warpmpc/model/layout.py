@@ -114,6 +114,8 @@ class Layout:
     dof_name: tuple[str, ...]  # [nv] robot/axis, empty for those of free and ball joints
     body_name: tuple[str, ...]
     body_com: np.ndarray  # [nb, 3]
+    body_mass: np.ndarray  # [nb] [kg]
+    body_inertia: np.ndarray  # [nb, 3, 3] about the centre of mass, along the body's axes [kg m²]
     joint_q: np.ndarray  # [nq] start
     joint_qd: np.ndarray  # [nv] start
     # controls

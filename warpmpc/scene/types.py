@@ -34,6 +34,11 @@ def _as_list(value: object) -> object:
     return (value,) if isinstance(value, dict | BaseModel) else value
 
 
+def _as_several(value: object) -> object:
+    """Accept one of anything where several may be meant."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
 def _list_or_table(value: object) -> str:
     return "table" if isinstance(value, dict) else "list"
 
@@ -84,9 +89,10 @@ FloatsByName = Annotated[
 ]
 Param = Annotated[Any, AfterValidator(_plain)]
 OneOrMore = BeforeValidator(_as_list)
+OneOrSeveral = BeforeValidator(_as_several)
 Names = Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(_as_names)]
 
-ONE_FOR_LIST = (_as_tuple, _as_names, _as_list)
+ONE_FOR_LIST = (_as_tuple, _as_names, _as_list, _as_several)
 """Validators that let a file say one entry where a list is meant."""
 
 
