@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import tempfile
 from pathlib import Path
@@ -28,6 +29,7 @@ def load(domain: str, task: str, *, seed: int) -> Environment:
         ValueError: If dm-control is not installed, or has no such task.
     """
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn
+    logging.getLogger("absl").setLevel(logging.ERROR)  # some models use what MuJoCo calls old
     try:
         from dm_control import suite
     except ImportError:
