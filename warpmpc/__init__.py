@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .cli.terms import load_terms
     from .controller.controller import Controller
     from .controller.rollout import Rollout
+    from .cost.normed import residual_term
     from .cost.term import (
         ArrayCost,
         CostTerm,
@@ -85,6 +86,7 @@ __all__ = [
     "memory",
     "memory_before",
     "remember",
+    "residual_term",
     "run_batch",
     "run_episode",
     "sensor",
@@ -114,6 +116,7 @@ _HOME = {
     "CostTerm": "cost.term",
     "array_cost": "cost.term",
     "cost_term": "cost.term",
+    "residual_term": "cost.normed",
     "load_scene": "scene.load",
     "load_terms": "cli.terms",
     "run_batch": "run.batch",

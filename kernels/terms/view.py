@@ -33,6 +33,7 @@ class StepView:
     frame_pose: wp.array[wp.transform]  # [nf] in the body's frame
     body_com: wp.array[wp.vec3]  # [nb] centre of mass in the body's frame [m]
     memory: wp.array3d[float]  # [T+1, W, nx] numbers that terms carry along the rollouts
+    terminal: wp.array[float]  # [term] factor on what each costs at the last step
 
 
 @wp.func

@@ -32,6 +32,7 @@ WHAT = {
     "frame_body": "frames",
     "frame_pose": "frames",
     "memory": "numbers carried along",
+    "terminal": "terms",
 }
 """What the last index of an array of a ``StepView`` counts."""
 

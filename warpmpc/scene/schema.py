@@ -173,6 +173,8 @@ class Cost(Section):
     """What printouts and overrides call it; the term's name when left out."""
     weight: Finite = 1.0
     """Factor on its value; 0 switches it off."""
+    terminal: NonNegative = 1.0
+    """Factor on what it costs at the last step of the horizon, besides ``planner.terminal``."""
 
     @property
     def label(self) -> str:
