@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     )
     from .kernels.terms.view import (
         StepView,
+        centre_of_mass,
+        centre_of_mass_velocity,
         contact_force,
         control,
         frame_angular_velocity,
@@ -70,6 +72,8 @@ __all__ = [
     "StepView",
     "Task",
     "array_cost",
+    "centre_of_mass",
+    "centre_of_mass_velocity",
     "choose_engine",
     "contact_force",
     "control",

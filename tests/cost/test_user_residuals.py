@@ -31,9 +31,21 @@ def level(s: warpmpc.StepView, p: LeanParams) -> float:
     return p.gain * warpmpc.frame_position(s, p.frame)[2]
 
 
+@wp.struct
+class SwayParams:
+    robot: int
+    lead: float
+
+
+@warpmpc.residual_term("sway")
+def sway(s: warpmpc.StepView, p: SwayParams) -> wp.vec3:
+    """Where a centre of mass would coast to."""
+    return warpmpc.centre_of_mass(s, p.robot) + p.lead * warpmpc.centre_of_mass_velocity(s, p.robot)
+
+
 KEYS = {"frame": "base/tip", "gain": 2.0}
 SMOOTH = {"kind": "smooth_abs", "p": 0.1}
-TERMS = (lean, level)
+TERMS = (lean, level, sway)
 
 
 def test_a_users_residual_costs_its_norm():
@@ -49,6 +61,16 @@ def test_a_users_residual_costs_its_norm():
     np.testing.assert_allclose(r.cost(0), 0.5 * (x**2).sum(-1), rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(r.cost(1), 3.0 * (np.sqrt(x**2 + 0.01) - 0.1).sum(-1), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(r.cost(2), np.sqrt(4.0 * place[..., 2] ** 2 + 0.04) - 0.2, rtol=1e-4, atol=1e-5)
+
+
+def test_centres_of_mass_are_there_for_users_residuals():
+    own = [{"term": "sway", "robot": name, "lead": 0.3} for name in ("base", "box")]
+    built_in = [{"term": "position_residual", "of": {"centre_of_mass": name}, "lead": 0.3} for name in ("base", "box")]
+    r = Rollouts(*own, *built_in, terms=TERMS)
+    for i in range(2):
+        np.testing.assert_allclose(r.cost(i), r.cost(2 + i), rtol=1e-5)
+    with pytest.raises(SceneError, match=r"cost\.sway\.robot.*no such robot or object with mass.*base"):
+        Rollouts({"term": "sway", "robot": "wall", "lead": 0.3}, terms=TERMS)
 
 
 def test_every_residual_tells_its_numbers_one_by_one():

@@ -186,6 +186,9 @@ class Judge:
         view.frame_body = wp.array(layout.frame_body, dtype=int, device=device)
         view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
         view.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
+        view.body_mass = wp.array(layout.body_mass, dtype=float, device=device)
+        owner = {body: i for i, entity in enumerate(layout.entities) for body in entity.bodies}
+        view.body_robot = wp.array([owner.get(body, -1) for body in range(layout.nb)], dtype=int, device=device)
         slices, worlds = trajectory.joint_q.shape[:2]
         view.terminal = wp.array(stack.terminal, dtype=float, device=device)
         view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)

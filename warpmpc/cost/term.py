@@ -83,8 +83,9 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
     (``robot/frame``), as a joint when the field's name contains ``joint``, as the first number of a sensor
-    (``robot/sensor``) when it contains ``sensor``, or as a scalar of the task when it contains ``scalar``, and as the
-    first number that another term carries along when it contains ``memory``.
+    (``robot/sensor``) when it contains ``sensor``, as a scalar of the task when it contains ``scalar``, as the first number
+    that another term carries along when it contains ``memory``, and as a robot or an object when it ends with
+    ``robot``.
 
     Args:
         name: What scene files call the term.
@@ -178,6 +179,7 @@ def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], bind
         keys = {**keys, "memory": binding.carry(numbers)}
     finders = {
         "joint": binding.joint,
+        "robot": binding.robot,
         "sensor": binding.sensor,
         "scalar": binding.scalar,
         "memory": binding.carried,
