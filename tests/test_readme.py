@@ -2,33 +2,21 @@
 """The README's example of a user's own robot and cost, and its Python snippet, run as they stand there."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from pages import blocks, files, write_files
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
-
-
-def named_blocks() -> dict[str, str]:
-    """Code blocks whose first line is a comment with a file name, by that name."""
-    files = {}
-    for _, text in BLOCKS:
-        if found := re.match(r"(?:<!--|#)\s*([\w.]+\.(?:urdf|py|toml))\b", text):
-            files[found.group(1)] = text
-    return files
+README = "README.md"
 
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
     folder = tmp_path_factory.mktemp("example")
-    files = named_blocks()
-    assert set(files) == {"cart.urdf", "upright.py", "swing_up.toml"}
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    assert set(files(README)) == {"cart.urdf", "upright.py", "swing_up.toml"}
+    write_files(README, folder)
     return folder
 
 
@@ -55,7 +43,7 @@ def test_without_the_users_terms_the_scene_says_what_is_missing(example):
 
 
 def test_the_python_snippet_runs_as_written(tmp_path):
-    snippet = next(text for kind, text in BLOCKS if kind == "python" and "Controller(scene" in text)
+    snippet = next(text for kind, text in blocks(README) if kind == "python" and "Controller(scene" in text)
     # the same code on a shorter run
     snippet = snippet.replace(
         'load_scene("omni_push_box")', 'load_scene("omni_push_box", overrides=["timing.timeout=0.4"])'
@@ -64,14 +52,3 @@ def test_the_python_snippet_runs_as_written(tmp_path):
     done = subprocess.run([sys.executable, "-c", snippet], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert "timeout 0.4 s" in done.stdout
-
-
-def test_shown_commands_exist():
-    lines = [line for kind, text in BLOCKS if kind == "sh" for line in text.splitlines()]
-    shown = {m.group(1) for line in lines if (m := re.search(r"warpmpc (\w+)", line))}
-    help_text = subprocess.run(
-        [sys.executable, "-m", "warpmpc.cli.main", "--help"], capture_output=True, text=True, timeout=60
-    ).stdout
-    assert shown
-    for command in shown:
-        assert re.search(rf"\b{command}\b", help_text), command

@@ -12,7 +12,8 @@ warpmpc sees positions, velocities and activations, and where a target is; it pl
 rewards, 1000 at most.
 
 Standard output has a table in Markdown, beside the returns of a learned agent. Plan times are honest on an idle machine
-alone, with one job. Exit codes: 0 when all episodes were played, 1 when a worker died, 2 for bad input, 130 for Ctrl-C.
+alone, with one job. Exit codes: 0 when all episodes were played, 1 when an episode's process died every
+time, 2 for bad input, 130 for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ import argparse
 import json
 import sys
 from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from warpmpc.run.workers import FORMS, LostJob, check_jobs, open_workers
 
 if TYPE_CHECKING:
     from dm_tasks.play import Episode
@@ -39,12 +41,15 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], metavar="N", help="default: 0 1 2")
     parser.add_argument("--steps", type=int, default=STEPS, help="shorter episodes, for trying things out")
     parser.add_argument("--engine", default="auto", help="engine of the rollouts")
-    parser.add_argument("--jobs", type=int, default=1, help="episodes at a time, on one thread each if several")
+    parser.add_argument(
+        "--jobs",
+        default="1",
+        metavar="WHERE",
+        help=f"{FORMS} (default 1); several episodes at a time take a thread each",
+    )
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every episode, written as soon as it was played")
     args = parser.parse_args(arguments)
-    if args.jobs < 1:
-        parser.error("--jobs must be at least 1")
     if not 1 <= args.steps <= STEPS:
         parser.error(f"--steps must be 1 to {STEPS}")
     return args
@@ -57,13 +62,14 @@ def episodes(args: argparse.Namespace) -> list[Episode]:
         ValueError: If there is no such task or engine, or a scene does not take an override.
     """
     from dm_tasks.play import Episode, names, scene_of
-    from workers import check_engine
+    from jobs import check_engine
 
+    check_jobs(args.jobs)
     check_engine(args.engine)
     tasks = list(dict.fromkeys(args.tasks or names()))
     for task in tasks:
         scene_of(task, tuple(args.overrides))
-    threads = ("engine.threads=1",) if args.jobs > 1 else ()
+    threads = ("engine.threads=1",) if args.jobs != "1" else ()
     overrides = (*threads, *args.overrides)
     return [
         Episode(name=task, seed=seed, steps=args.steps, engine=args.engine, overrides=overrides)
@@ -81,12 +87,14 @@ def run(args: argparse.Namespace) -> None:
     from dm_tasks.play import play
     from dm_tasks.table import table
     from progress import Bar
-    from workers import Workers
+
+    from warpmpc.cli.run import start_warp
 
     wanted = episodes(args)
     played: list[dict] = []
-    with Workers(args.jobs) as workers, Bar(len(wanted)) as bar:
-        futures = {workers.call(play, episode): episode for episode in wanted}
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    with workers, Bar(len(wanted)) as bar:
+        futures = {workers.submit(play, episode): episode for episode in wanted}
         for future in as_completed(futures):
             played.append(future.result())
             bar.step(f"{futures[future].name}, seed {futures[future].seed}: {played[-1]['reward']:.0f}")
@@ -100,8 +108,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line of this tool; returns the exit code."""
     try:
         run(parse(arguments))
-    except BrokenProcessPool:
-        print("error: a worker process died, out of memory perhaps", file=sys.stderr)
+    except LostJob as error:
+        print(f"error: {error}", file=sys.stderr)
         return 1
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

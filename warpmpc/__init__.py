@@ -44,9 +44,11 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
+    from .record.history import History, HistoryRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
+    from .run.fit_samples import fit_samples
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.schema import Scene
@@ -59,6 +61,8 @@ __all__ = [
     "Controller",
     "CostTerm",
     "EpisodeResult",
+    "History",
+    "HistoryRecorder",
     "Info",
     "Monitor",
     "MujocoStates",
@@ -78,6 +82,7 @@ __all__ = [
     "contact_force",
     "control",
     "cost_term",
+    "fit_samples",
     "frame_angular_velocity",
     "frame_pose",
     "frame_position",
@@ -104,6 +109,8 @@ __all__ = [
 _HOME = {
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
+    "History": "record.history",
+    "HistoryRecorder": "record.history",
     "Info": "model.state",
     "Monitor": "plant.monitor",
     "MujocoStates": "model.exchange",
@@ -121,6 +128,7 @@ _HOME = {
     "array_cost": "cost.term",
     "cost_term": "cost.term",
     "residual_term": "cost.normed",
+    "fit_samples": "run.fit_samples",
     "load_scene": "scene.load",
     "load_terms": "cli.terms",
     "run_batch": "run.batch",

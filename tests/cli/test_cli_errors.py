@@ -62,11 +62,33 @@ def test_a_mistake_in_the_file(folder, command, old, new, says):
         (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco, newton"]),
         (["mine.toml", "--device", "cuda:7"], ["cpu", "'cuda:7'"]),
         (["mine.toml", "--terms", "none.py"], ["none.py", "cannot be read", "No such file"]),
+        (["mine.toml", "--terms", "."], [".: cannot be read", "a folder"]),
+        (
+            ["mine.toml", "--set", "planner.samples=1_000_000_000"],
+            ["planner.samples", "physics steps", "found 1000000000"],
+        ),
+        (["mine.toml", "--set", "cost.distance.weight=1e39"], ["cost.distance.weight", "single precision"]),
+        (["."], [".: is a folder"]),
         (["mine.toml", "--record", "no/where.rrd"], ["--record", "no such folder"]),
         (["mine.toml", "--envs", "2", "--record", "a.rrd"], ["--record", "leave out --envs"]),
         (["point_reach", "--envs", "2", "--episodes", "2"], ["obstacle.*.position", "without --envs"]),
     ],
-    ids=["scene", "variant", "nan", "no value", "engine", "device", "terms", "record", "record a batch", "drawn"],
+    ids=[
+        "scene",
+        "variant",
+        "nan",
+        "no value",
+        "engine",
+        "device",
+        "terms",
+        "a folder of terms",
+        "samples",
+        "weight",
+        "folder",
+        "record",
+        "record a batch",
+        "drawn",
+    ],
 )
 def test_a_mistake_in_the_command(folder, command, args, says):
     text = message(command("run", *args))
@@ -91,8 +113,9 @@ def test_a_program_of_its_own_refuses_alike(folder, command):
         ("def f(:\n", ["terms.py:1", "SyntaxError"]),
         ("\nimport warpmpc\nwarpmpc.nothing\n", ["terms.py:3", "AttributeError", "nothing"]),
         ("x = 1\n", ["terms.py", "defines no cost term"]),
+        ("import sys\nsys.exit(0)\n", ["terms.py:2", "SystemExit"]),
     ],
-    ids=["syntax", "exception", "no term"],
+    ids=["syntax", "exception", "no term", "exit"],
 )
 def test_a_mistake_in_a_file_of_terms(folder, command, text, says):
     (folder / "terms.py").write_text(text)

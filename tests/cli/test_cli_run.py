@@ -153,6 +153,19 @@ def test_many_episodes_make_a_short_table(command):
     assert re.search(r"plan of 3 environments: p50 \d+\.\d ms, \d+\.\d ms each", done.stdout)
 
 
+def test_a_run_says_what_is_judged_and_what_is_hardly_meant(tmp_path, command):
+    (tmp_path / "mine.toml").write_text(SCENE)
+    odd = ["--set", "planner.noise.sigma=100", "--set", "success.hold=9.0", "--engine", "mujoco"]
+    done = command("run", "mine.toml", *TINY, *odd)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "worst axis" in done.stdout  # of the goal, whose tolerance is one along each axis
+    asked = [line for line in done.stdout.splitlines() if line.startswith("Is it meant? ")]
+    assert [line.split()[3] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
+    done = command("check", "mine.toml", *TINY, *odd)
+    asked = [line for line in done.stdout.splitlines() if line.startswith("is it meant?")]
+    assert [line.split()[3] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
+
+
 def test_notices_are_shown_once_and_warnings_once_per_episode(capsys):
     logger = logging.getLogger("warpmpc")
     with Messages(notices=True, warnings=True) as messages:

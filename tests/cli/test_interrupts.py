@@ -2,6 +2,8 @@
 """A Ctrl-C that a library swallows still ends the run."""
 
 import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from typing import Annotated
@@ -9,7 +11,7 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
 
-from warpmpc.cli.run import Interrupts
+from warpmpc.cli.interrupts import Interrupts
 
 
 @pytest.fixture(autouse=True)
@@ -47,3 +49,19 @@ def test_ctrl_c_inside_pydantic_is_kept_for_later_and_makes_no_warning():
         assert not said
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
+
+
+STUCK = """
+import hashlib, os, signal, threading
+import warpmpc.cli.interrupts as interrupts
+interrupts.PATIENCE = 0.3
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with interrupts.Interrupts():
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    hashlib.pbkdf2_hmac("sha256", b"a", b"b", 10**9)  # minutes in native code, other threads run
+"""
+
+
+def test_native_code_that_takes_minutes_is_left():
+    done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "")

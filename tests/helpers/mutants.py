@@ -118,7 +118,7 @@ horizon = 3
 knots = 3
 spline = "cubic"
 discount = 0.95
-noise = { sigma = [0.3], shape = "identity", source = "random" }
+noise = { sigma = { range = 0.2 }, shape = "bspline", spread = [0.5, 1.5], null_share = 0.1 }
 temperature = { initial = 1.0, eta = [2.0, 4.0] }
 
 [engine]
@@ -189,6 +189,7 @@ weight = { slow = 0.2 }
 [plant]
 substeps = 4
 noise = { position = 0.001, velocity = 0.01 }
+delay = 0.04
 kicks = [{ time = 0.04, target = "block", velocity = [0.1, 0.0, 0.0] }]
 
 [randomize.block]

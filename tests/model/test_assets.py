@@ -32,6 +32,17 @@ def put(path: Path, text: str = "<robot/>") -> Path:
     return path
 
 
+def test_a_uri_finds_files_of_an_installed_python_package_without_importing_it(tmp_path, monkeypatch):
+    package = tmp_path / "site" / "robots_of_mine"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise RuntimeError")
+    (package / "arm.xml").write_text("<mujoco/>")
+    monkeypatch.syspath_prepend(package.parent)
+    assert resolve("package://robots_of_mine/arm.xml") == package / "arm.xml"
+    with pytest.raises(SceneError, match="no such file"):
+        resolve("package://robots_of_mine/leg.xml")
+
+
 def test_a_file_beside_the_scene_goes_first(tmp_path):
     mine = put(tmp_path / "omni_base.urdf")
     assert resolve("omni_base.urdf", tmp_path) == mine

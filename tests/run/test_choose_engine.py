@@ -22,7 +22,7 @@ def timed(monkeypatch, tmp_path):
         asked.append((device, envs))
         return TIMES[device]
 
-    monkeypatch.setattr(module, "_plan_time", plan_time)
+    monkeypatch.setattr(module, "plan_time", plan_time)
     monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "scenes")
     monkeypatch.setattr(module, "_hardware", lambda device: "a GPU")
     monkeypatch.setattr(module, "resolve", lambda scene, engine, device: ("auto", "cuda:0"))
@@ -53,14 +53,14 @@ def test_episodes_that_draw_their_scene_are_measured_once(timed):
     from warpmpc.run.episode import Episode
 
     episodes = []
-    original = module._plan_time
+    original = module.plan_time
     try:
         for seed in (0, 1):
             TIMES.update(cpu=0.001)
             episodes.append(Episode(scene, seed=seed, engine="auto"))
     finally:
         TIMES.update(cpu=0.004)
-    assert original is module._plan_time
+    assert original is module.plan_time
     assert len(timed) == 2
     assert {episode.controller.engine.name for episode in episodes} == {"mujoco"}
     assert episodes[0].drawn != episodes[1].drawn
@@ -81,7 +81,7 @@ def test_what_is_asked_for_is_not_measured(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("nothing is to be measured")
 
-    monkeypatch.setattr(module, "_plan_time", refuse)
+    monkeypatch.setattr(module, "plan_time", refuse)
     assert choose_engine(make_scene(), engine="mujoco") == ("mujoco", "cpu")
     assert choose_engine(make_scene(), device="cpu") == ("auto", "cpu")
     assert choose_engine(make_scene(), engine="newton", device="cpu") == ("newton", "cpu")
@@ -89,13 +89,13 @@ def test_what_is_asked_for_is_not_measured(monkeypatch):
 
 def test_a_plan_is_timed_with_a_controller_that_ends():
     scene = make_scene(planner={"samples": 8, "horizon": 3})
-    took = module._plan_time(scene, compiled(scene), "cpu", envs=2, terms=())
+    took = module.plan_time(scene, compiled(scene), "cpu", envs=2, terms=())
     assert 0.0 < took < 5.0
     assert np.isfinite(took)
 
 
 def test_a_controller_left_to_itself_measures_nothing(monkeypatch):
-    monkeypatch.setattr(module, "_plan_time", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(module, "plan_time", lambda *_, **__: 1 / 0)
     scene = make_scene(planner={"samples": 8, "horizon": 3})
     assert Controller(scene, compiled=compiled(scene), device="cpu").engine.name == "mujoco"
 

@@ -15,14 +15,16 @@ pytest.importorskip("ray", reason="needs Ray: pip install ray")
 import ray
 import reproduce
 from jobs import Job, run_job
+from program import SCENE, TINY
+from program import untimed as without_times
 from ray.cluster_utils import Cluster
 
+from warpmpc.cli.main import app
 from warpmpc.run import ray_workers
 from warpmpc.run.ray_workers import RayWorkers
 from warpmpc.run.workers import LostJob, open_workers
 from warpmpc.scene.errors import SceneError
 
-TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
 CPUS = {"num_cpus": 1, "object_store_memory": 80_000_000}
 
 
@@ -98,10 +100,10 @@ def test_a_cluster_without_gpus_is_refused_for_plans_on_one(cluster):
 
 def untimed(record: dict) -> dict:
     """What a run came to, without wall times."""
-    result = {key: value for key, value in record["result"].items() if key not in ("plan_ms", "stages_ms")}
-    return json.loads(json.dumps({"result": result, "measured": record["measured"]}))
+    return json.loads(json.dumps({"result": without_times(record["result"]), "measured": record["measured"]}))
 
 
+@pytest.mark.slow
 def test_a_table_is_that_of_one_process_number_by_number(cluster, tmp_path):
     args = ["table4/box_A", "--engine", "mujoco", "--device", "cpu", "--out", str(tmp_path), *TINY]
     assert reproduce.main([*args, "--jobs", "ray", "--runs", "2"]) == 0
@@ -112,6 +114,22 @@ def test_a_table_is_that_of_one_process_number_by_number(cluster, tmp_path):
             scene="omni_push_box:A", seed=record["seed"], overrides=tuple(TINY[1::2]), engine="mujoco", device="cpu"
         )
         assert untimed(record) == untimed(run_job(job))
+
+
+def test_the_command_runs_episodes_on_a_cluster_and_keeps_their_results(cluster, tmp_path, capfd, monkeypatch):
+    (tmp_path / "mine.toml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    args = ["run", "mine.toml:near", "--episodes", "2", "--engine", "mujoco", "--json", *TINY]
+    found = []
+    for more in (["--jobs", "ray", "--results", "r.jsonl", "--csv", "a.csv"], ["--results", "r.jsonl"], []):
+        with pytest.raises(SystemExit):
+            app([*args, *more], prog_name="warpmpc")
+        lines = capfd.readouterr().out.splitlines()
+        found.append(sorted(map(json.loads, lines), key=lambda result: result["seed"]))
+    spread, kept, alone = found
+    assert kept == spread
+    assert list(map(without_times, spread)) == list(map(without_times, alone))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-0.csv", "a-1.csv", "mine.toml", "r.jsonl"]
 
 
 def test_a_process_killed_in_the_middle_of_its_call_changes_nothing(cluster, tmp_path):

@@ -47,7 +47,7 @@ relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.function_sc
 
 number = st.floats(-1e6, 1e6)
 positive = st.floats(1e-6, 1e6)
-count = st.integers(1, 10_000)
+count = st.integers(1, 100)
 vec3 = st.tuples(number, number, number)
 quat = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(c * c for c in q) > 1e-3)
 text = st.text(st.characters(codec="utf-8"), max_size=20)

@@ -82,6 +82,14 @@ def test_success_needs_every_tolerance(tolerance, within):
     assert error.within(Success(**tolerance)) is within
 
 
+def test_the_worst_axis_is_the_one_farthest_from_its_tolerance():
+    at = np.array([0.0, 0, 0, 0, 0, 0, 1])
+    error = goal_error(Goal(object="box", position=(0.0, 0.0)), at, np.array([0.1, -0.2, 9, 0, 0, 0, 1]))
+    assert error.worst_axis(Success(position=0.05)) == pytest.approx(0.2)
+    assert error.worst_axis(Success(position=(0.05, 0.5))) == pytest.approx(0.1)
+    assert error.worst_axis(Success(distance=0.05)) is None
+
+
 def test_a_pose_that_is_not_finite_is_never_within():
     pose = np.full(7, np.nan)
     at = np.array([0.0, 0, 0, 0, 0, 0, 1])

@@ -69,3 +69,19 @@ class SpinParams:
 def spin(s: warpmpc.StepView, p: SpinParams) -> float:
     """How much of its wanted speed a joint lacks, as a share of it."""
     return wp.max(0.0, 1.0 - warpmpc.joint_velocity(s, p.joint) / p.speed)
+
+
+@wp.struct
+class AwayParams:
+    """Parameters of ``away``."""
+
+    frame: int
+    axis: wp.vec3  # of the frame, that is to point at something
+    to: int  # frame it is to point at
+
+
+@warpmpc.cost_term("away")
+def away(s: warpmpc.StepView, p: AwayParams) -> float:
+    """One minus the cosine between an axis of a frame and the way to another one."""
+    way = wp.normalize(warpmpc.frame_position(s, p.to) - warpmpc.frame_position(s, p.frame))
+    return 1.0 - wp.dot(wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), p.axis), way)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shlex
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ from scene_keys import spread
 
 import warpmpc
 from warpmpc.cli.run import start_warp
+from warpmpc.run.code import scene_digest
 from warpmpc.run.records import Records
 from warpmpc.run.workers import open_workers
 
@@ -69,8 +69,7 @@ def plan_runs(
                 scene = warpmpc.load_scene(name, overrides=changes)
             except ValueError as error:
                 raise ValueError(f"{table}/{cell.name}: {error}") from None
-            content = hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
-            prepared.append((cell, name, changes, content))
+            prepared.append((cell, name, changes, scene_digest(scene)))
     return [
         Run(
             table=table,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -17,6 +16,7 @@ from jobs import Job, submit
 from optuna.trial import FrozenTrial, TrialState
 
 from warpmpc import Scene, SceneError, load_scene
+from warpmpc.run.code import scene_digest
 from warpmpc.run.workers import Workers
 
 from .objective import score
@@ -65,12 +65,8 @@ class Task:
 
     def describe(self) -> dict[str, object]:
         """What must be the same when a study is taken up again."""
-        hashes = {
-            source: hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
-            for source, scene in self.scenes.items()
-        }
         return {
-            "scenes": hashes,
+            "scenes": {source: scene_digest(scene) for source, scene in self.scenes.items()},
             "seeds": self.seeds,
             "keys": {parameter.key: str(parameter) for parameter in self.space},
             "overrides": self.overrides,

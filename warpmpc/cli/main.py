@@ -156,6 +156,25 @@ def run(
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Record for rerun; several episodes put their seed into the name."),
     ] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write states, controls, costs, plan times and forces of every step."),
+    ] = None,
+    npz: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="The same as NumPy arrays, see warpmpc.History.")
+    ] = None,
+    jobs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where episodes run: a number of processes, gpus (a process for each GPU), ray or ray:HOST:PORT (a "
+            "Ray cluster); --envs is divided among them.",
+        ),
+    ] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.jsonl", help="Keep results in a file; those it has are not run again."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,
 ) -> None:
@@ -164,6 +183,7 @@ def run(
     Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C.
     """
     from ..cli import run as cli_run
+    from ..cli.outputs import Outputs
 
     raise typer.Exit(
         cli_run.run(
@@ -174,7 +194,9 @@ def run(
             term_files=terms,
             engine=engine,
             device=device,
-            record=record,
+            outputs=Outputs(record=record, csv=csv, npz=npz, several=episodes > 1),
+            jobs=jobs,
+            results_file=results,
             json_lines=json,
             quiet=quiet,
         )

@@ -172,7 +172,10 @@ class BatchBar(Bar):
 
     def step(self, controller: Controller, plants: PlantBatch, control: np.ndarray) -> None:
         """A batch's ``on_step``."""
-        if not self.due():
-            return
-        numbers = f"{self._reached} reached the goal  {plants.time:4.1f} s  plan {controller.info[0].plan_ms:.0f} ms"
+        if self.due():
+            self.advance(f"  {plants.time:4.1f} s  plan {controller.info[0].plan_ms:.0f} ms")
+
+    def advance(self, more: str = "") -> None:
+        """Draw how many episodes are finished, and more."""
+        numbers = f"{self._reached} reached the goal{more}"
         self.draw(f"{self._finished}/{int(self.total)} episodes", self._finished, numbers)

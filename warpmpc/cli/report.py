@@ -15,7 +15,7 @@ from rich.text import Text
 
 from ..scene.describe import default, takes
 from ..scene.load import load_scene, shipped_scenes, variants
-from ..scene.schema import Method
+from ..scene.schema import Method, ShareOfRange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,9 +96,12 @@ def print_terms() -> None:
     )
 
 
-def print_check(episode: Episode, out: TextIO) -> None:
-    """Print what an episode is built of; its controller has made a plan."""
-    from ..engine.registry import physics_steps  # slow to import, and lists need no physics
+def print_check(episode: Episode, advice: Sequence[str], out: TextIO) -> None:
+    """Print what an episode is built of, and what is hardly meant; its controller has made a plan."""
+    # slow to import, and lists need no physics
+    from ..engine.registry import physics_steps
+    from ..model.memory import size
+    from ..model.trajectory import Trajectory
 
     scene, controller = episode.scene, episode.controller
     layout = controller.layout
@@ -148,7 +151,10 @@ def print_check(episode: Episode, out: TextIO) -> None:
     )
     ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
+    fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
     fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
+    for sentence in advice:
+        fact("is it meant?", sentence)
     console.print(facts)
     console.print(_controls(layout))
     console.print(_costs(episode))
@@ -226,10 +232,16 @@ def _planner(scene: Scene) -> str:
     domains = f" × {planner.domains} domains ({planner.risk})" if planner.domains > 1 else ""
     return (
         f"{planner.method}: {planner.samples} samples{domains}, horizon {planner.horizon}, {knots}, "
-        f"{noise.source} {noise.shape} noise, σ {_number(noise.sigma)}, discount {planner.discount:g}"
+        f"{noise.source} {noise.shape} noise, σ {_sigma(noise.sigma)}, discount {planner.discount:g}"
         + _temperature(planner)
         + (f", {planner.iterations} iterations" if planner.iterations > 1 else "")
     )
+
+
+def _sigma(sigma: ShareOfRange | tuple[float, ...]) -> str:
+    if isinstance(sigma, ShareOfRange):
+        return f"{_number(sigma.range[0] if len(sigma.range) == 1 else sigma.range)} of each control's range"
+    return _number(sigma)
 
 
 def _temperature(planner: Planner) -> str:
@@ -251,7 +263,7 @@ def _number(value: Any) -> str:
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
-    numbers = ["seed", "time\n[s]", "position\n[m]", "yaw\n[rad]", "contact\n[N]", "contact\n[s]"]
+    numbers = ["seed", "time\n[s]", _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
     table = _table(
@@ -267,7 +279,7 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
             str(r.seed),
             Text(r.reason, style="green" if r.success else "red"),
             f"{r.sim_time:.2f}",
-            "-" if r.position_error is None else f"{r.position_error:.3f}",
+            _metres(_position(r)),
             "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
             f"{r.max_force:.1f}",
             f"{r.time_in_contact:.2f}",
@@ -289,10 +301,10 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
         "result",
         "episodes",
         "mean time\n[s]",
-        "position\n[m]",
+        _judged(results),
         "contact\n[s]",
         "seeds",
-        right=["episodes", "mean time\n[s]", "position\n[m]", "contact\n[s]"],
+        right=["episodes", "mean time\n[s]", _judged(results), "contact\n[s]"],
         title=_title(results[0]),
     )
     for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
@@ -301,7 +313,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
             Text(reason, style="green" if group[0].success else "red"),
             str(len(group)),
             f"{statistics.mean(r.sim_time for r in group):.2f}",
-            "-" if group[0].position_error is None else f"{statistics.mean(r.position_error for r in group):.3f}",
+            _metres(None if _position(group[0]) is None else statistics.mean(map(_position, group))),
             f"{statistics.mean(r.time_in_contact for r in group):.2f}",
             "" if group[0].success else _some([str(r.seed) for r in group]),
         )
@@ -319,6 +331,19 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
 def _title(result: EpisodeResult) -> str:
     name = result.scene + (f":{result.variant}" if result.variant else "")
     return f"{name}, {result.engine} on {result.device}"
+
+
+def _judged(results: Sequence[EpisodeResult]) -> str:
+    """Head of the column that says how far from the goal episodes ended, as success judges it."""
+    return "distance\n[m]" if results[0].axis_error is None else "worst axis\n[m]"
+
+
+def _position(result: EpisodeResult) -> float | None:
+    return result.position_error if result.axis_error is None else result.axis_error
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
 def _ms(value: float) -> str:

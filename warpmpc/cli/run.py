@@ -6,10 +6,10 @@ from __future__ import annotations
 import json
 import logging
 import os
-import signal
 import sys
 from contextlib import closing, contextmanager
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -17,21 +17,25 @@ import typer
 from ..scene.errors import SceneError
 from ..scene.load import load_scene
 from ..scene.schema import EngineName
+from .interrupts import INTERRUPTED, Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
 from .terms import load_terms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from types import FrameType
 
     from ..cost.term import ArrayCost, CostTerm
     from ..model.compiled import CompiledScene
     from ..run.batch import Batch
     from ..run.episode import Episode, EpisodeResult
+    from ..run.kept import KeptResults
     from ..scene.schema import Scene
+    from .outputs import Outputs
 
-SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes."""
+logger = logging.getLogger("warpmpc")
+
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+"""Exit codes, besides that of an interrupted run."""
 WHILE_RUNNING = (SceneError, OSError)
 """What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
 
@@ -83,40 +87,6 @@ def start_warp() -> None:
         raise
 
 
-class Interrupts:
-    """Ctrl-C that cannot get lost.
-
-    Native code that calls back into Python may swallow a ``KeyboardInterrupt``: pydantic's serializer turns one into a
-    warning. So it is also written down, and raised again by :meth:`check`; below pydantic it is only written down.
-    """
-
-    def __init__(self):
-        self._pressed = False
-
-    def __enter__(self) -> Interrupts:
-        self._before = signal.getsignal(signal.SIGINT)
-        if self._before is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._note)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._before is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self._pressed = True
-        while frame is not None:
-            if frame.f_globals.get("__name__", "").startswith("pydantic."):
-                return
-            frame = frame.f_back
-        raise KeyboardInterrupt
-
-    def check(self) -> None:
-        """Raise ``KeyboardInterrupt`` if Ctrl-C was pressed."""
-        if self._pressed:
-            raise KeyboardInterrupt
-
-
 class Setup:
     """A scene with everything that its episodes share.
 
@@ -156,6 +126,18 @@ class Setup:
             compiled=self.compiled,
         )
 
+    def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
+        """What of the scene is hardly meant, or too slow for its controls.
+
+        Args:
+            plan_ms: Wall time of a plan [ms].
+            compiled: The scene compiled; None where every episode has bodies of its own.
+        """
+        from ..run.advice import advise, slow_plans
+
+        late = slow_plans(plan_ms, self.scene)
+        return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
+
     def batch(self, seeds: Sequence[int], envs: int) -> Batch:
         """The episodes of several seeds, ready to run on one controller."""
         from ..run.batch import Batch
@@ -175,17 +157,21 @@ def check(
     source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
 ) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code."""
-    with results_only() as out, Messages(notices=True, warnings=True):
-        with user_errors():
-            setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            episode = setup.episode(seed)
-            observation = episode.plant.observe()
-            for _ in range(2):  # the first plan compiles kernels
-                episode.controller.step(observation)
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+        try:
+            with user_errors():
+                setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
+                episode = setup.episode(seed)
+                observation = episode.plant.observe()
+                for _ in range(2):  # the first plan compiles kernels
+                    episode.controller.step(observation)
 
-        from .report import print_check
+            from .report import print_check
 
-        print_check(episode, out)
+            controller = episode.controller
+            print_check(episode, setup.advice(controller.info.plan_ms, controller.compiled), out)
+        except KeyboardInterrupt:
+            return INTERRUPTED
     return SUCCESS
 
 
@@ -198,7 +184,9 @@ def run(
     term_files: Sequence[Path],
     engine: str,
     device: str,
-    record: Path | None,
+    outputs: Outputs,
+    jobs: str | None,
+    results_file: Path | None,
     json_lines: bool,
     quiet: bool,
 ) -> int:
@@ -209,13 +197,29 @@ def run(
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
-                _check_record(record, envs)
+                _check_options(outputs, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-            if envs > 1:
+                kept = _kept(results_file, setup, term_files)
+            if jobs is not None:
+                from .spread import run_spread
+
+                episodes = run_spread(
+                    source,
+                    setup,
+                    seeds,
+                    envs,
+                    jobs=jobs,
+                    overrides=overrides,
+                    term_files=term_files,
+                    outputs=outputs,
+                    kept=kept,
+                    shown=not quiet,
+                )
+            elif envs > 1:
                 episodes = _run_batch(setup, seeds, envs, interrupts, shown=not quiet)
             else:
-                episodes = _run_each(setup, seeds, record, messages, interrupts, shown=not quiet)
+                episodes = _run_each(setup, seeds, outputs, kept, messages, interrupts, shown=not quiet)
             with closing(episodes):
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
@@ -224,62 +228,82 @@ def run(
                         print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
         except KeyboardInterrupt:
             interrupted = True
+        if kept is not None and kept.outdated:
+            logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
         if results and not json_lines and not quiet:
             from .report import print_batch, print_results
 
+            results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
+            for sentence in setup.advice(median(result.plan_ms["p50"] for result in results), setup.compiled):
+                print(f"Is it meant? {sentence}", file=out)
     if interrupted:
         return INTERRUPTED
     return SUCCESS if all(result.success for result in results) else FAILURE
 
 
-def _check_record(record: Path | None, envs: int) -> None:
-    """Refuse recordings that cannot be made.
+def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:
+    """Refuse options that do not go together.
 
     Raises:
-        ValueError: If this is one.
+        ValueError: If some do not.
     """
-    if record is None:
-        return
-    if envs > 1:
-        raise ValueError("--record: a recording shows one environment: leave out --envs or --record")
-    if not record.absolute().parent.is_dir():
-        raise ValueError(f"--record: no such folder: {record.absolute().parent}")
+    outputs.check(envs=envs, jobs=jobs)
+    if jobs is not None:
+        from ..run.workers import check_jobs
+
+        check_jobs(jobs)
+    elif results_file is not None and envs > 1:
+        raise ValueError("--results: with --envs, what is planned together is a job: add --jobs, such as --jobs 1")
+
+
+def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptResults | None:
+    """Results kept in a file.
+
+    Raises:
+        OSError: If a file cannot be read.
+        ValueError: If the file holds something else.
+    """
+    if file is None:
+        return None
+    from ..run.kept import KeptResults
+
+    return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
 
 
 def _run_each(
     setup: Setup,
     seeds: Sequence[int],
-    record: Path | None,
+    outputs: Outputs,
+    kept: KeptResults | None,
     messages: Messages,
     interrupts: Interrupts,
     *,
     shown: bool,
 ) -> Iterator[EpisodeResult]:
-    """Run one episode after the other, to the last or to Ctrl-C."""
+    """Run one episode after the other, to the last or to Ctrl-C; those that are kept already are not run."""
     with EpisodeBar(setup.scene.timing.timeout, seeds, shown=shown) as bar:
         for seed in seeds:
+            if kept is not None and (found := kept.find([seed])):
+                yield from found
+                continue
             messages.warned = False
-            # of several recordings, each has its seed in its name
-            path = record.with_stem(f"{record.stem}-{seed}") if record is not None and len(seeds) > 1 else record
-            result = _run_one(setup, seed, path, bar, interrupts)
+            result = _run_one(setup, seed, outputs, bar, interrupts)
+            if kept is not None and result.reason != "interrupted":
+                kept.add([seed], result)
             yield result
             if result.reason == "interrupted":
                 return
 
 
-def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
+def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
     """Run the episode of one seed, to its end or to Ctrl-C."""
     from ..run.episode import EpisodeInterrupted
 
     with user_errors():
         episode = setup.episode(seed)
         interrupts.check()
-        recorder = None
-        if path is not None:
-            from ..record.recorder import Recorder  # slow to import
-
-            recorder = Recorder(path, episode.controller, episode.plant)
+        recorders = outputs.recorders(episode)
     bar.start(seed)
 
     def on_step(*step) -> None:
@@ -288,9 +312,13 @@ def _run_one(setup: Setup, seed: int, path: Path | None, bar: EpisodeBar, interr
 
     try:
         with user_errors(WHILE_RUNNING):
-            return episode.run(recorder=recorder, on_step=on_step)
+            result = episode.run(recorder=recorders, on_step=on_step)
     except EpisodeInterrupted as error:
-        return error.result
+        result = error.result
+    if recorders.history is not None:
+        with user_errors():
+            outputs.save(recorders.history, seed)
+    return result
 
 
 def _run_batch(

@@ -58,6 +58,8 @@ def _same_file(module: ModuleType, path: Path) -> bool:
 def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:
     from ..cost.term import ArrayCost, CostTerm
 
+    if path.exists() and not path.is_file():
+        raise TermsError(f"{path}: cannot be read: is {'a folder' if path.is_dir() else 'no regular file'}")
     try:
         path.read_bytes()
     except OSError as error:
@@ -69,15 +71,15 @@ def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:
     sys.modules[name] = module  # Warp looks the globals of functions and structs up there
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise TermsError(f"{path}{_line(error, path)}: {type(error).__name__}: {_message(error)}") from error
     unique = {id(value): value for value in vars(module).values() if isinstance(value, CostTerm | ArrayCost)}
     return list(unique.values())
 
 
-def _line(error: Exception, path: Path) -> str:
+def _line(error: BaseException, path: Path) -> str:
     """The line of a user's file that an error comes from, as ``:LINE``."""
-    if isinstance(error, SyntaxError):
+    if isinstance(error, SyntaxError) and error.lineno is not None:
         return f":{error.lineno}"
     lines = [
         frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path.absolute())
@@ -85,6 +87,6 @@ def _line(error: Exception, path: Path) -> str:
     return f":{lines[-1]}" if lines else ""
 
 
-def _message(error: Exception) -> str:
+def _message(error: BaseException) -> str:
     text = error.msg if isinstance(error, SyntaxError) else str(error)
     return " ".join(text.split())

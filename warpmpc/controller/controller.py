@@ -15,11 +15,14 @@ from ..engine.registry import ENGINES, resolve
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
+from ..model.memory import require_memory
 from ..model.properties import draw_properties
 from ..model.state import Info, State
 from ..planner.graph import PlanGraph, PlanReport
 from ..planner.plan import Plan
 from ..planner.step import PlanStep
+from ..scene.errors import SceneError
+from ..scene.schema import SampleCount
 from ..task.task import Task, task_layout
 from .observation import Observation
 from .rollout import Rollout
@@ -73,14 +76,21 @@ class Controller:
             raise ValueError(f"a controller has at least one environment, not {envs}")
         if task is not None and task.envs != envs:
             raise ValueError(f"this task is one of {task.envs} environments, not of {envs}")
+        if scene.planner.samples is SampleCount.AUTO:
+            message = "a controller does not measure: warpmpc.fit_samples(scene) does"
+            raise SceneError(message, key="planner.samples", file=scene.path, found="auto")
         name, device = resolve(scene, engine, device)
         self.scene, self.seed, self.envs = scene, seed, envs
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
         self.task = task or Task(scene, envs=envs)
         """Poses, scalars, weights and phase; what is changed there takes effect at the next plan."""
-        with capturing:  # nothing may be allocated while another controller records its plan
-            self._build(name, device, strategy, terms)
+        try:
+            with capturing:  # nothing may be allocated while another controller records its plan
+                self._build(name, device, strategy, terms)
+        except SceneError as error:
+            error.file = error.file or scene.path
+            raise
         self._observed = Observation(self.layout, envs, scene.timing.control_dt)
         self._lower, self._upper = self.layout.control_lower.copy(), self.layout.control_upper.copy()
         self._warned_of_overflow = False
@@ -92,6 +102,7 @@ class Controller:
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
         self.shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
+        self._require_memory(device)
         self.costs = CostStack(scene, self.layout, self.task, terms=terms, device=device)
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
@@ -107,6 +118,20 @@ class Controller:
         )
         self.engine = self.planner.engine
         self.graph = PlanGraph(self.planner)
+
+    def _require_memory(self, device: str) -> None:
+        """Refuse samples that do not fit; what the engine records it looks at itself.
+
+        Raises:
+            SceneError: If there is not enough memory for their knots and noise.
+        """
+        shape, planner = self.shape, self.scene.planner
+        knots = planner.knots or planner.horizon
+        needed = 4 * shape.envs * shape.samples * knots * self.layout.nu * 3  # knots, noise as drawn, noise as shaped
+        cure = "lower planner.samples, planner.knots or the number of environments"
+        require_memory(needed, device, f"the knots of {shape.samples} samples", key="planner.samples", cure=cure)
+        needed = 16 * knots * knots  # how knots hang together, twice
+        require_memory(needed, "cpu", f"{knots} knots", key="planner.knots", cure="give planner.knots = 8 or so")
 
     def _forget(self) -> None:
         self._observed.forget()

@@ -83,8 +83,8 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
     (``robot/frame``), as a joint when the field's name contains ``joint``, as the first number of a sensor
-    (``robot/sensor``) when it contains ``sensor``, as a scalar of the task when it contains ``scalar``, as the first number
-    that another term carries along when it contains ``memory``, and as a robot or an object when it ends with
+    (``robot/sensor``) when it contains ``sensor``, as a scalar of the task when it contains ``scalar``, as the first
+    number that another term carries along when it contains ``memory``, and as a robot or an object when it ends with
     ``robot``.
 
     Args:

@@ -143,16 +143,24 @@ def _resolve_uri(uri: str, *, key: str, file: Path | str | None) -> Path:
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about search paths that do not exist, and packages found twice
+        dirs = [*package_dirs(), *_python_package(uri)]
         try:
-            found = resolve_robotics_uri(uri, package_dirs=[str(folder) for folder in package_dirs()])
+            found = resolve_robotics_uri(uri, package_dirs=list(map(str, dirs)))
         except (FileNotFoundError, ValueError):
             found = None
-        folders = [*get_default_search_paths(), *package_dirs()]
+        folders = [*get_default_search_paths(), *dirs]
     if found is not None and found.is_file():
         return found
     rest = uri.partition("://" if "://" in uri else ":")[2]
     candidates = [Path(rest)] if scheme == "file" else [folder / rest for folder in dict.fromkeys(folders)]
     raise _missing(uri, candidates, key=key, file=file)
+
+
+def _python_package(uri: str) -> list[Path]:
+    """The folder that the Python package of a ``package://`` URI lies in, if it is installed; it is not imported."""
+    name = re.match(r"package://([A-Za-z_]\w*)/", uri)
+    spec = importlib.util.find_spec(name[1]) if name else None
+    return [Path(place).parent for place in spec.submodule_search_locations or ()] if spec else []
 
 
 def _missing(uri: str, candidates: list[Path], *, key: str, file: Path | str | None) -> SceneError:

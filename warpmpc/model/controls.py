@@ -17,6 +17,7 @@ from ..scene.schema import (
     Robot,
     Scene,
 )
+from .control_limits import asset_limits, own_limits
 
 if TYPE_CHECKING:
     import newton
@@ -138,7 +139,8 @@ def add_own_controls(
     """
     for a in range(model.nu):
         name = model.actuator(a).name
-        if not model.actuator_ctrllimited[a]:
+        bounds = own_limits(model, a, held=_held_coordinate(model, a, first_coord) >= 0)
+        if bounds is None:
             raise SceneError(
                 f"actuator '{name}' has no limits to choose controls in: give it a ctrlrange in the asset, "
                 "or the robot a drive with limit = [...]",
@@ -146,7 +148,7 @@ def add_own_controls(
                 file=scene.path,
                 found=None,
             )
-        lower, upper = (float(x) for x in model.actuator_ctrlrange[a])
+        lower, upper = bounds
         actuators.control.append(
             {
                 "name": f"{robot.name}/{name}",
@@ -215,6 +217,8 @@ def _add_drive(
     if drive.limit is not None:
         upper = spread("limit", controls, drive.limit)
         lower = [-value for value in upper]
+    elif drive.lower is None:
+        lower, upper = asset_limits(part, drive, {name: movable[name][1] for name in names}, scene, where)
     else:
         lower, upper = spread("lower", controls, drive.lower), spread("upper", controls, drive.upper)
         if any(lo >= hi for lo, hi in zip(lower, upper, strict=True)):

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..launch import capturing
+from .memory import require_memory
 
 if TYPE_CHECKING:
     from .batch_size import BatchSize
@@ -38,8 +39,15 @@ class Trajectory:
 
     @classmethod
     def allocate(cls, shape: BatchSize, layout: Layout, pairs: int, device: str) -> Trajectory:
-        """Storage for the rollouts of a scene on a device."""
+        """Storage for the rollouts of a scene on a device.
+
+        Raises:
+            SceneError: If there is not enough memory for it.
+        """
         t, w = shape.horizon + 1, shape.worlds
+        cure = "lower planner.samples, planner.horizon or the number of environments"
+        needed = cls.bytes(shape, layout, pairs)
+        require_memory(needed, device, f"records of {w} worlds × {t - 1} steps", key="planner.samples", cure=cure)
         return cls(
             joint_q=wp.zeros((t, w, layout.nq), dtype=float, device=device),
             joint_qd=wp.zeros((t, w, layout.nv), dtype=float, device=device),
@@ -52,6 +60,13 @@ class Trajectory:
             sensor=wp.zeros((t - 1, w, layout.ns), dtype=float, device=device),
             control=wp.zeros((t - 1, w, layout.nu), dtype=float, device=device),
         )
+
+    @staticmethod
+    def bytes(shape: BatchSize, layout: Layout, pairs: int) -> int:
+        """Memory that :meth:`allocate` takes."""
+        state = layout.nq + layout.nv + 13 * layout.nb + layout.na  # a pose and a twist for every body
+        step = 3 * pairs + layout.ns + layout.nu
+        return 4 * shape.worlds * ((shape.horizon + 1) * state + shape.horizon * step + 2)
 
     def of_worlds(self, worlds: Sequence[int]) -> Trajectory:
         """A copy of some worlds' rollouts on the host, W being as many as they are and in their order."""

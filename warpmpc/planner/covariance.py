@@ -17,9 +17,10 @@ from ..kernels.planning.covariance import (
 )
 from ..launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import CovarianceForm
+from ..scene.schema import CovarianceForm, ShareOfRange
 
 if TYPE_CHECKING:
+    from ..model.layout import Layout
     from ..scene.schema import Scene
     from .moments import SampleMoments
 
@@ -142,9 +143,48 @@ def covariance_form(scene: Scene, *, adapts: bool) -> CovarianceForm:
                 message = f"{name} is of an adapted covariance: say which form"
                 raise SceneError(message, key=f"{key}.form", file=scene.path, found=str(form), allowed=allowed)
     if form is CovarianceForm.SIGMA:
-        numbers = {"noise.sigma": planner.noise.sigma, "sigma_min": planner.sigma_min}
+        sigma = planner.noise.sigma
+        sigma = sigma.range if isinstance(sigma, ShareOfRange) else sigma
+        numbers = {"noise.sigma": sigma, "sigma_min": planner.sigma_min}
         for name, values in {**numbers, "covariance.kappa": planner.covariance.kappa}.items():
             if len(set(values)) > 1:
                 message = 'must be one value: with planner.covariance.form = "sigma" all controls share it'
                 raise SceneError(message, key=f"planner.{name}", file=scene.path, found=list(values))
     return form
+
+
+def control_sigma(scene: Scene, layout: Layout, *, shared: bool = False) -> np.ndarray:
+    """Standard deviation of the noise ``[nu]``, in control units.
+
+    Args:
+        scene: The scene.
+        layout: Its layout.
+        shared: Whether all controls have one.
+
+    Raises:
+        SceneError: If the scene has neither one value nor one per control, or they differ although they are shared.
+    """
+    key, sigma = "planner.noise.sigma", scene.planner.noise.sigma
+    if not isinstance(sigma, ShareOfRange):
+        return per_control(sigma, layout, scene, key)
+    found = per_control(sigma.range, layout, scene, f"{key}.range") * (layout.control_upper - layout.control_lower)
+    if shared and np.ptp(found) > 1e-6 * np.max(found):
+        message = 'with planner.covariance.form = "sigma" all controls share one: give it in control units'
+        raise SceneError(message, key=key, file=scene.path, found=[round(float(x), 6) for x in found])
+    return found
+
+
+def per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: str) -> np.ndarray:
+    """One value per control from one or ``nu`` values.
+
+    Raises:
+        SceneError: If they are neither.
+    """
+    if len(values) not in (1, layout.nu):
+        raise SceneError(
+            f"needs 1 or {layout.nu} values, one per control ({', '.join(layout.control_name)})",
+            key=key,
+            file=scene.path,
+            found=list(values),
+        )
+    return np.broadcast_to(np.array(values, dtype=np.float32), layout.nu).copy()

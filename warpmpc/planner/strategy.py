@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from ..scene.errors import SceneError
-from ..scene.schema import Execute, NoiseShape, Renewal
-from .covariance import Covariance, covariance_form
+from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal
+from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
@@ -124,9 +124,9 @@ class SamplingStrategy:
         form = covariance_form(scene, adapts=self.weighting.adapts_sigma)
         covariance = Covariance(
             form,
-            sigma=_per_control(planner.noise.sigma, layout, scene, "planner.noise.sigma"),
-            sigma_min=_per_control(planner.sigma_min, layout, scene, "planner.sigma_min"),
-            kappa=_per_control(planner.covariance.kappa, layout, scene, "planner.covariance.kappa"),
+            sigma=control_sigma(scene, layout, shared=form is CovarianceForm.SIGMA),
+            sigma_min=per_control(planner.sigma_min, layout, scene, "planner.sigma_min"),
+            kappa=per_control(planner.covariance.kappa, layout, scene, "planner.covariance.kappa"),
             step_size=planner.covariance.step_size or planner.step_size,
             schedule=schedule(planner.noise, count, planner.iterations),
             envs=envs,
@@ -226,15 +226,3 @@ def _shaping(scene: Scene, knots: int) -> np.ndarray:
         return shaping_matrix(scene.planner.noise, knots)
     except ValueError as error:
         raise SceneError(str(error), key="planner.noise", file=scene.path) from error
-
-
-def _per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: str) -> np.ndarray:
-    """One value per control from one or ``nu`` values."""
-    if len(values) not in (1, layout.nu):
-        raise SceneError(
-            f"needs 1 or {layout.nu} values, one per control ({', '.join(layout.control_name)})",
-            key=key,
-            file=scene.path,
-            found=list(values),
-        )
-    return np.broadcast_to(np.array(values, dtype=np.float32), layout.nu).copy()

@@ -16,6 +16,7 @@ from ..scene.overrides import split_key
 from ..task.task import Task
 from .choose_engine import choose_engine
 from .episode import EpisodeResult, Tally
+from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -71,6 +72,7 @@ class Batch:
         engine, device = choose_engine(
             scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled
         )
+        scene = fit_samples(scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled)
         self.controller = Controller(
             scene, engine=engine, device=device, seed=self.seeds[0], envs=self.envs, terms=terms, compiled=self.compiled
         )

@@ -19,6 +19,7 @@ import warp as wp
 from ..engine.registry import resolve
 from ..model.compiled import cache_folder, compile_scene
 from ..scene.errors import SceneError
+from ..scene.schema import SampleCount
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
@@ -29,6 +30,8 @@ logger = logging.getLogger("warpmpc")
 
 PLANS = 5
 """Timed plans per device, of which the median counts."""
+USUAL = 256
+"""Samples with which devices are compared for a scene that leaves their number to the machine."""
 
 
 def choose_engine(
@@ -64,7 +67,8 @@ def choose_engine(
     if fixed or where == "cpu":
         return engine, where
     choices = (where, "cpu")
-    file = cache_folder().parent / "engines" / f"{_key(scene, where, envs, terms)}.json"
+    scene = with_samples(scene)
+    file = cache_folder().parent / "engines" / f"{timing_key(scene, where, envs, terms)}.json"
     times: dict[str, float] = {}
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         kept = json.loads(file.read_text())
@@ -74,7 +78,7 @@ def choose_engine(
         refused: list[SceneError] = []
         for device in choices:
             try:
-                times[device] = _plan_time(scene, compiled, device, envs=envs, terms=terms)
+                times[device] = plan_time(scene, compiled, device, envs=envs, terms=terms)
             except SceneError as error:  # no engine on this device can simulate the scene, on another one may
                 refused.append(error)
         if not times:
@@ -88,19 +92,20 @@ def choose_engine(
     return engine, best
 
 
-def _plan_time(
+def plan_time(
     scene: Scene,
     compiled: CompiledScene,
     device: str,
     *,
     envs: int,
     terms: Sequence[CostTerm | ArrayCost],
+    engine: str = "auto",
 ) -> float:
     """Median wall time [s] of a plan from the start state, compilation not counted."""
     from ..controller.controller import Controller
     from ..model.state import State
 
-    controller = Controller(scene, engine="auto", device=device, envs=envs, terms=terms, compiled=compiled)
+    controller = Controller(scene, engine=engine, device=device, envs=envs, terms=terms, compiled=compiled)
     layout = compiled.layout
     state = State(np.tile(layout.joint_q, (envs, 1)), np.tile(layout.joint_qd, (envs, 1)))
     controller.step(state)
@@ -113,7 +118,14 @@ def _plan_time(
     return float(np.median(times))
 
 
-def _key(scene: Scene, device: str, envs: int, terms: Sequence[CostTerm | ArrayCost]) -> str:
+def with_samples(scene: Scene, count: int = USUAL) -> Scene:
+    """A scene that leaves its number of samples to the machine with one; any other as it is."""
+    if scene.planner.samples is not SampleCount.AUTO:
+        return scene
+    return scene.model_copy(update={"planner": scene.planner.model_copy(update={"samples": count})})
+
+
+def timing_key(scene: Scene, device: str, envs: int, terms: Sequence[CostTerm | ArrayCost]) -> str:
     """Hash of what a plan's time depends on."""
     digest = hashlib.sha256()
     digest.update(scene.model_dump_json().encode())

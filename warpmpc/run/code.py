@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which state of warpmpc made a result."""
+"""Which state of warpmpc made a result, and from which scene."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
 
 
 def code_digest() -> str:
@@ -23,6 +27,11 @@ def code_digest() -> str:
     for name in sorted(found):
         digest.update(name.as_posix().encode() + found[name].read_bytes())
     return digest.hexdigest()[:12]
+
+
+def scene_digest(scene: Scene) -> str:
+    """Hash of a scene's validated content; what its assets hold does not count."""
+    return hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
 
 
 def _sources(root: Path) -> Iterator[tuple[Path, Path]]:

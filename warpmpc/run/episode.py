@@ -13,7 +13,8 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
-from .choose_engine import choose_engine
+from .choose_engine import choose_engine, with_samples
+from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -74,6 +75,8 @@ class EpisodeResult:
     """Safe commands sent because no rollout survived."""
     envs: int = 1
     """Environments that every plan planned for at once."""
+    axis_error: float | None = None
+    """Final error along the axis that is farthest from its tolerance [m], None without tolerances along axes."""
     phases: tuple[tuple[str, float], ...] = ()
     """Phases of the task that were entered after the first, and when [s]."""
     drawn: dict[str, object] = field(default_factory=dict)
@@ -179,6 +182,7 @@ class Tally:
             horizon=controller.shape.horizon,
             fallbacks=self._fallbacks,
             envs=controller.envs,
+            axis_error=None if error is None else error.worst_axis(scene.success),
             phases=tuple(plant.monitor.phases),
             drawn=self.drawn,
         )
@@ -218,6 +222,8 @@ class Episode:
         if compiled is None or draws_bodies(scene):
             compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
         engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        fitted = fit_samples(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        self.scene = with_samples(self.scene, fitted.planner.samples)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )

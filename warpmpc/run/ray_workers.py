@@ -6,7 +6,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import pickle
 import socket
+import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -76,7 +78,7 @@ class RayWorkers:
     def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
         """Queue a call, as :class:`~warpmpc.run.workers.Workers` says."""
         out: Future[Any] = Future()
-        reply = self._task.remote(self._code, self._gpu, self._prepare, function, arguments)
+        reply = self._task.remote(self._code, self._gpu, pickle.dumps((self._prepare, function, arguments)))
         reply.future().add_done_callback(lambda done: self._hand_over(done, out))
         return out
 
@@ -87,27 +89,32 @@ class RayWorkers:
             out.set_result(done.result())
         elif isinstance(error, errors.RayTaskError):
             out.set_exception(error.cause)
-        elif isinstance(error, errors.RayError):
+        elif isinstance(error, (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError)):
             out.set_exception(LostJob())
         else:
-            out.set_exception(error)
+            out.set_exception(ValueError(f"--jobs {RAY}: {str(error).splitlines()[0]}"))
 
 
-def _call(
-    code: str, gpu: bool, prepare: Prepare | None, function: Callable[..., Any], arguments: tuple[object, ...]
-) -> Any:
+def _call(code: str, gpu: bool, call: bytes) -> Any:
     """Make a call in a process of the cluster.
 
+    Args:
+        code: Digest of the sources of the program that asks.
+        gpu: Whether this process may use a GPU.
+        call: How to prepare this process, the function and its arguments; read once the sources are known to fit.
+
     Raises:
-        ValueError: If this machine has another state of warpmpc than the one that asks.
+        ValueError: If this machine has other sources of warpmpc.
     """
     global _prepared
+    if not _prepared and code_digest() != code:
+        raise ValueError(f"--jobs {RAY}: {socket.gethostname()} has other sources of warpmpc than this machine")
+    prepare, function, arguments = pickle.loads(call)
     if not _prepared:
-        if code_digest() != code:
-            raise ValueError(f"--jobs {RAY}: {socket.gethostname()} has other sources of warpmpc than this machine")
         if not gpu:
             os.environ["CUDA_VISIBLE_DEVICES"] = ""
         logging.getLogger("warpmpc").setLevel(logging.ERROR)  # results count what is warned of
+        warnings.simplefilter("ignore")
         if prepare is not None:
             prepare()
         _prepared = True

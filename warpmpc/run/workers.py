@@ -12,6 +12,7 @@ import os
 import re
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -37,7 +38,7 @@ class LostJob(RuntimeError):
     """A call whose process died as often as it was made."""
 
     def __init__(self):
-        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps; what is done is kept")
+        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps")
 
 
 class Workers(Protocol):
@@ -181,6 +182,7 @@ def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # nothing has looked for GPUs yet
     logger.setLevel(logging.ERROR)  # results count what is warned of
+    warnings.simplefilter("ignore")
     if prepare is not None:
         prepare()
 

@@ -19,7 +19,8 @@ from .overrides import (
     validated,
     with_values,
 )
-from .schema import DriveMode, Method, Scene
+from .schema import DriveMode, Method, SampleCount, Scene
+from .sizes import check_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 RESERVED = ("goal", "ground", "world", "obstacles", "objects")
 """Names with a meaning of their own in costs and frames."""
+HEAVIEST = 1e30
+"""Largest weight of a cost term; sums of what such terms cost still fit into single precision."""
 
 
 def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
@@ -120,6 +123,9 @@ def _file(text: str) -> Path | None:
         path = Path(text).expanduser()
         if path.is_file():
             return path.absolute()
+        if path.exists() and text not in shipped_scenes():
+            kind = "a folder" if path.is_dir() else "no regular file"
+            raise SceneError(f"is {kind}: give a scene file (.toml) or the name of a shipped scene", file=text)
     except (OSError, RuntimeError):
         pass  # a name too long for a file, or a home folder of nobody
     return shipped_scenes().get(text)
@@ -151,6 +157,9 @@ def _pick(patches: object, variant: str | None, path: Path) -> dict:
         raise SceneError("no such variant", key="variants", file=path, found=variant, allowed=patches)
     if not isinstance(patches[variant], dict):
         raise SceneError("must be a table", key=join_key(("variants", variant)), file=path, found=patches[variant])
+    if "variants" in patches[variant]:
+        key = join_key(("variants", variant, "variants"))
+        raise SceneError("a variant has no variants of its own: write each as [variants.NAME]", key=key, file=path)
     return patches[variant]
 
 
@@ -179,6 +188,7 @@ def check_scene(scene: Scene) -> None:
     """
     checks = (
         _check_names,
+        _check_weights,
         _check_goal,
         _check_phases,
         _check_motions,
@@ -186,6 +196,7 @@ def check_scene(scene: Scene) -> None:
         _check_plant,
         _check_randomization,
         _check_draws,
+        check_sizes,
     )
     for check in checks:
         try:
@@ -234,6 +245,15 @@ def _check_names(scene: Scene) -> None:
                 key=f"cost.{label}",
                 found=label,
             )
+
+
+def _check_weights(scene: Scene) -> None:
+    weights = {f"cost.{cost.label}.weight": cost.weight for cost in scene.cost}
+    for phase in scene.phase:
+        weights |= {join_key(("phase", phase.name, "weight", name)): w for name, w in phase.weight.items()}
+    for key, weight in weights.items():
+        if abs(weight) > HEAVIEST:
+            raise SceneError(f"costs in single precision overflow: at most {HEAVIEST:g}", key=key, found=weight)
 
 
 def _check_goal(scene: Scene) -> None:
@@ -291,7 +311,9 @@ def _check_frame(scene: Scene, frame: str, key: str) -> None:
     robot, slash, place = frame.partition("/")
     known = [f"{r.name}/{name}" for r in scene.robot for name in r.frames]
     if not slash or not place:
-        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=known)
+        robots = " or ".join(f"{name}/LINK" for name in _names(scene.robot))
+        allowed = ", ".join([*known, f"{robots} with a link of the robot's asset"])
+        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=allowed)
     if robot not in _names(scene.robot):
         raise SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
 
@@ -325,7 +347,8 @@ def _check_drives(robot: Robot) -> None:
 def _check_plant(scene: Scene) -> None:
     if scene.timing.timeout < scene.timing.control_dt:
         raise SceneError("is shorter than control_dt", key="timing.timeout", found=scene.timing.timeout)
-    if scene.planner.method is Method.CEM and scene.planner.elites > scene.planner.samples:
+    samples = scene.planner.samples
+    if scene.planner.method is Method.CEM and samples is not SampleCount.AUTO and scene.planner.elites > samples:
         raise SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
     movable = _names(scene.robot) + _names(scene.object)
     for i, kick in enumerate(scene.plant.kicks):

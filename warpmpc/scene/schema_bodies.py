@@ -77,7 +77,9 @@ class Drive(Section):
     effort_limit: Positives | None = None
     """Largest force or torque [N or N·m]; the asset's own limits when left out."""
     limit: Positives | None = None
-    """Controls stay within ± this, one value or one per control, in the unit of the ``mode``."""
+    """Controls stay within ± this, one value or one per control, in the unit of the ``mode``. When left out, within
+    what the asset says of its joints: greatest speeds (``velocity``, ``diff_drive``), ranges (``position``) or efforts
+    (``effort``)."""
     lower: Floats | None = None
     """Lower bound of the controls where it is not ``-limit``."""
     upper: Floats | None = None
@@ -91,8 +93,10 @@ class Drive(Section):
 
     @model_validator(mode="after")
     def _bounds(self) -> Drive:
-        if self.limit is None and (self.lower is None or self.upper is None):
-            raise ValueError("a drive needs limit = [...], or both lower = [...] and upper = [...]")
+        if (self.lower is None) != (self.upper is None):
+            raise ValueError("give both lower = [...] and upper = [...], or limit = [...], or none of them")
+        if self.mode is DriveMode.ACCELERATION and self.limit is None and self.lower is None:
+            raise ValueError("mode 'acceleration' needs limit = [...]: no asset says how fast its joints accelerate")
         if self.limit is not None and (self.lower is not None or self.upper is not None):
             raise ValueError("limit excludes lower and upper: give one or the other")
         if self.mode is DriveMode.DIFF_DRIVE:

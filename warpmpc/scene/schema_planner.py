@@ -59,6 +59,22 @@ class Renewal(StrEnum):
     START = "start"
 
 
+class ShareOfRange(Section):
+    """A standard deviation by the range of each control, from its lower to its upper limit."""
+
+    range: Positives
+    """Share of the range, one value or one per control: 0.25 is half of the way from the middle to a limit."""
+
+
+def _numbers_or_table(value: object) -> str:
+    return "table" if isinstance(value, dict | Section) else "numbers"
+
+
+Sigma = Annotated[
+    Annotated[Positives, Tag("numbers")] | Annotated[ShareOfRange, Tag("table")], Discriminator(_numbers_or_table)
+]
+
+
 class Noise(Section):
     """Perturbation of the knots, ε = σ ⊙ (B z)."""
 
@@ -66,8 +82,9 @@ class Noise(Section):
     """Where standard normals z come from."""
     shape: NoiseShape = NoiseShape.BSPLINE
     """How they are correlated along the horizon, B."""
-    sigma: Positives = (0.5,)
-    """Standard deviation in control units, one value or one per control."""
+    sigma: Sigma = ShareOfRange(range=(0.25,))
+    """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
+    range, as when left out."""
     spread: tuple[Positive, Positive] = (1.0, 1.0)
     """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
     constant: Channel = 0.0
@@ -136,6 +153,22 @@ class Risk(StrEnum):
     CVAR = "cvar"
 
 
+class SampleCount(StrEnum):
+    """A number of samples that is not given."""
+
+    AUTO = "auto"
+    """As many as fit into a control on this machine, measured."""
+
+
+def _number_or_text(value: object) -> str:
+    return "text" if isinstance(value, str) else "number"
+
+
+Samples = Annotated[
+    Annotated[TwoOrMore, Tag("number")] | Annotated[SampleCount, Tag("text")], Discriminator(_number_or_text)
+]
+
+
 class Growing(Section):
     """Steps that grow: fine near the present, long far ahead (STORM)."""
 
@@ -147,12 +180,8 @@ class Growing(Section):
     """How many steps have the length ``first``."""
 
 
-def _number_or_table(value: object) -> str:
-    return "table" if isinstance(value, dict | Growing) else "numbers"
-
-
 Steps = Annotated[
-    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_number_or_table)
+    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_numbers_or_table)
 ]
 
 
@@ -161,8 +190,9 @@ class Planner(Section):
 
     method: Method = Method.MPPI
     """How costs become sample weights."""
-    samples: TwoOrMore = 256
-    """Candidate control sequences S."""
+    samples: Samples = 256
+    """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
+    ``warpmpc run`` and ``warpmpc.fit_samples``."""
     horizon: Count = 16
     """Steps T of a rollout."""
     dt: Steps | None = None

@@ -76,6 +76,13 @@ class GoalError:
             and (success.rotation is None or self.rotation <= success.rotation)
         )
 
+    def worst_axis(self, success: Success) -> float | None:
+        """Error along the axis that is farthest from its tolerance [m]; None where axes have none."""
+        if success.position is None:
+            return None
+        error = np.abs(self.axes)
+        return float(error[np.argmax(error / success.position)])
+
 
 def heading_between(a: np.ndarray, b: np.ndarray) -> float:
     """Difference of the headings of two quaternions, in [0, π] [rad]."""

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is hardly meant is said in a sentence that names the key; what ships is meant as it is."""
+
+import pytest
+from small_scenes import BOX, compiled, make_scene
+
+from warpmpc.run.advice import advise, slow_plans
+
+
+def said(**sections) -> list[str]:
+    scene = make_scene(**sections)
+    return advise(scene, compiled(scene))
+
+
+def planner(**keys) -> dict:
+    return {"planner": {"samples": 32, "horizon": 6, **keys}}
+
+
+def test_nothing_is_said_about_a_scene_as_it_should_be():
+    assert said(object=[BOX]) == []
+    assert said(**planner(noise={"sigma": {"range": 0.25}, "spread": (0.1, 4.0)}, knots=6)) == []
+
+
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        (planner(noise={"sigma": 5.0}), ["planner.noise.sigma is wider than the range", "base/", "-1 to 1"]),
+        (planner(noise={"sigma": (0.5, 0.5, 1e-5)}), ["planner.noise.sigma is tiny beside the range of base/yaw"]),
+        (planner(knots=9), ["planner.knots = 9", "6 steps"]),
+        ({"success": {"distance": 0.1, "hold": 5.0}}, ["success.hold = 5 s", "timing.timeout = 4 s", "no run can"]),
+        ({"object": [{**BOX, "mass": 1e6}]}, ["the body box", "1e+06 kg", "in grams?"]),
+        ({"object": [{**BOX, "size": (300.0, 500.0, 200.0)}]}, ["the shape box", "500 m", "in millimetres?"]),
+    ],
+    ids=["wide", "narrow", "knots", "hold", "mass", "size"],
+)
+def test_what_is_hardly_meant_is_said(sections, says):
+    (sentence,) = said(**sections)
+    for part in says:
+        assert part in sentence
+
+
+def test_plans_that_come_too_late_are_told_with_a_cure():
+    scene = make_scene()
+    assert slow_plans(39.0, scene) is None
+    assert slow_plans(float("nan"), scene) is None
+    sentence = slow_plans(55.04, scene)
+    for part in ("55.0 ms", "40 ms", "planner.samples", "timing.control_dt"):
+        assert part in sentence

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene that leaves the number of samples open gets as many as fit into a control, measured once."""
+
+import pytest
+from small_scenes import compiled, make_scene
+
+import warpmpc
+from warpmpc.run import fit_samples as module
+from warpmpc.run.episode import Episode
+from warpmpc.run.fit_samples import FEWEST, MOST, SHARE, fit_samples, most_samples
+from warpmpc.scene.errors import SceneError
+from warpmpc.scene.load import load_scene
+from warpmpc.scene.schema import SampleCount
+
+OPEN = {"samples": "auto", "horizon": 6}
+
+
+@pytest.mark.parametrize("each", [1e-7, 1e-5, 3.3e-5, 1e-4, 1e-3])
+def test_the_most_that_fit_are_found_to_a_fifth(each):
+    asked = []
+
+    def time(count: int) -> float:
+        asked.append(count)
+        return 0.001 + each * count
+
+    budget = 0.024
+    count, seconds = most_samples(time, budget)
+    fits = (budget - 0.001) / each
+    assert seconds == time(count)
+    assert count == (MOST if fits > MOST else pytest.approx(fits, rel=0.25) if fits > FEWEST else FEWEST)
+    assert max(asked) <= max(2.1 * fits, FEWEST)  # a plan that takes minutes is never tried
+    assert len(asked) < 15
+
+
+@pytest.fixture
+def timed(monkeypatch, tmp_path):
+    """Plans that seem to take 40 µs a sample; what was timed is in the list."""
+    asked = []
+
+    def plan_time(scene, compiled, device, *, envs, terms, engine):
+        asked.append(scene.planner.samples)
+        return 4e-5 * scene.planner.samples * envs
+
+    monkeypatch.setattr(module, "plan_time", plan_time)
+    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "scenes")
+    return asked
+
+
+def test_what_fits_is_measured_once_and_kept(timed):
+    scene = make_scene(planner=OPEN)
+    found = fit_samples(scene, compiled=compiled(scene)).planner.samples
+    assert 0.75 * SHARE < 4e-5 * found / scene.timing.control_dt <= SHARE
+    first = len(timed)
+    assert fit_samples(scene, compiled=compiled(scene)).planner.samples == found
+    assert len(timed) == first
+    assert fit_samples(scene, envs=4, compiled=compiled(scene)).planner.samples < found / 2
+    assert len(timed) > first
+
+
+def test_a_number_that_is_given_is_taken(timed):
+    scene = make_scene()
+    assert fit_samples(scene) is scene
+    assert not timed
+
+
+def test_an_episode_plans_with_what_fits(timed):
+    scene = make_scene(planner=OPEN, engine={"threads": 1})
+    episode = Episode(scene, engine="mujoco", compiled=compiled(scene))
+    assert episode.controller.shape.samples == fit_samples(scene, engine="mujoco", device="cpu").planner.samples
+
+
+def test_a_controller_does_not_measure():
+    scene = make_scene(planner=OPEN)
+    with pytest.raises(SceneError, match=r"planner\.samples: a controller does not measure: warpmpc\.fit_samples"):
+        warpmpc.Controller(scene, compiled=compiled(scene))
+
+
+def test_a_file_may_leave_it_open():
+    scene = load_scene("cylinder_push", overrides=["planner.samples=auto"])
+    assert scene.planner.samples is SampleCount.AUTO
+    with pytest.raises(SceneError, match=r"planner\.samples: no such choice; found 'many'; allowed: auto"):
+        load_scene("cylinder_push", overrides=["planner.samples=many"])

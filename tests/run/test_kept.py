@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results on disk: the same when read back, and another run's where anything that matters differs."""
+
+import dataclasses
+import math
+
+import pytest
+
+from warpmpc.run import kept as module
+from warpmpc.run.episode import EpisodeResult
+from warpmpc.run.kept import KeptResults, result_from_json
+from warpmpc.scene.load import load_scene
+
+
+def a_result(seed: int = 3, **changes) -> EpisodeResult:
+    values = {
+        "scene": "s",
+        "variant": None,
+        "seed": seed,
+        "engine": "mujoco",
+        "device": "cpu",
+        "success": True,
+        "reason": "goal reached",
+        "sim_time": 1.25,
+        "steps": 31,
+        "position_error": 0.01,
+        "yaw_error": 0.2,
+        "cost": 3.5,
+        "max_force": 4.0,
+        "time_in_contact": 0.5,
+        "plan_ms": {"p50": 1.0, "p90": 2.0, "p99": 3.0, "max": 4.0},
+        "stages_ms": {"begin": 0.1, "evaluate": 0.9},
+        "diverged_worlds": 2,
+        "samples": 16,
+        "horizon": 4,
+        "fallbacks": 1,
+        "envs": 2,
+        "phases": (("home", 0.5),),
+        "drawn": {"goal.position": [1.0, 2.0]},
+    }
+    assert set(values) == {field.name for field in dataclasses.fields(EpisodeResult)}
+    return EpisodeResult(**{**values, **changes})
+
+
+def test_a_result_survives_json():
+    assert result_from_json(a_result().to_json()) == a_result()
+    plain = a_result(success=False, position_error=None, yaw_error=None, phases=(), drawn={})
+    assert result_from_json(plain.to_json()) == plain
+    unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
+    assert math.isnan(unknown.cost)
+    assert math.isnan(unknown.plan_ms["p50"])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("omni_push_box")
+
+
+def test_a_result_is_found_where_all_that_matters_is_the_same(tmp_path, scene):
+    (tmp_path / "a.py").write_text("a")
+    (tmp_path / "b.py").write_text("b")
+    where = {"engine": "auto", "device": "cpu", "term_files": [tmp_path / "a.py"]}
+    KeptResults(tmp_path / "r.jsonl", scene, **where).add([3], a_result())
+
+    def found(scene=scene, seeds=(3,), **changes) -> list[EpisodeResult]:
+        return KeptResults(tmp_path / "r.jsonl", scene, **{**where, **changes}).find(list(seeds))
+
+    assert found() == [a_result()]
+    assert not found(load_scene("omni_push_box", overrides=["planner.samples=17"]))
+    assert not found(engine="mujoco")
+    assert not found(device="auto")
+    assert not found(term_files=[tmp_path / "b.py"])
+    assert not found(seeds=[4])
+    assert not found(seeds=[3, 4])
+
+
+def test_episodes_planned_together_are_kept_together(tmp_path, scene):
+    kept = KeptResults(tmp_path / "r.jsonl", scene, engine="auto", device="auto")
+    kept.add([3, 4], a_result(3))
+    assert not kept.find([3, 4])
+    assert not kept.find([3])
+    kept.add([3, 4], a_result(4))
+    assert kept.find([3, 4]) == [a_result(3), a_result(4)]
+
+
+def test_results_of_another_state_of_the_code_are_counted(tmp_path, scene, monkeypatch):
+    KeptResults(tmp_path / "r.jsonl", scene, engine="auto", device="auto").add([3], a_result())
+    same = KeptResults(tmp_path / "r.jsonl", scene, engine="auto", device="auto")
+    monkeypatch.setattr(module, "code_digest", lambda: "later")
+    later = KeptResults(tmp_path / "r.jsonl", scene, engine="auto", device="auto")
+    assert (len(same.find([3])), same.outdated) == (1, 0)
+    assert (len(later.find([3])), later.outdated) == (1, 1)

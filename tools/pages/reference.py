@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages of the documentation that are written from the source: scene files, cost terms, commands, the change log."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+from typing import get_args, get_origin
+
+import click
+import typer.main
+from examples import Examples, examples
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from warpmpc import Scene
+from warpmpc.cli.main import app
+from warpmpc.cost.builtin import BUILTIN
+from warpmpc.cost.term import CostTerm
+from warpmpc.scene.describe import default, keys, takes, unit
+
+ROOT = Path(__file__).parents[2]
+
+_SCENE = """# Scene files: every key
+
+Written from the source of warpmpc. A scene file is [TOML](https://toml.io); lengths are in metres, masses in kilograms,
+times in seconds, angles in radians, forces in newtons, quaternions are (x, y, z, w). `warpmpc schema` prints all of
+this for editors, and [scene files](../scenes.md) tells what the keys are for. `false` switches off a key that may be
+absent, as in `ground = false`.
+"""
+_TERMS = """# Cost terms: every key
+
+Written from the source of warpmpc. A scene's costs are tables `[[cost]]` with these keys of a term's own, besides
+`term`, `name` and `weight` (1 when left out). A frame is `robot/frame`, `robot/link`, an object, an obstacle, a target
+or `goal`. [Your own cost](../tutorial/cost.md) says how to write another.
+"""
+_COMMANDS = """# Commands
+
+Written from the source of warpmpc. Exit codes: 0 when every episode reached its goal, 1 when one did not, 2 for wrong
+input, 130 after Ctrl-C.
+"""
+_GROUPS = {
+    "general": "Distances, joints, controls, contacts",
+    "pushing": "Pushing",
+    "grasping": "Picking up",
+    "clearance": "Outlines and clearance",
+    "arm": "Arms",
+    "collision": "Collision, as spheres",
+    "cloud": "Point clouds",
+    "learned": "Learned",
+    "rolling": "Rolling",
+}
+"""What the modules of the terms are about."""
+
+
+def pages() -> dict[str, str]:
+    """The pages in Markdown, by their path."""
+    found = examples()
+    return {
+        "reference/scene.md": _SCENE + "\n".join(_sections(Scene, "", found, {})),
+        "reference/terms.md": _TERMS + "\n".join(_terms(found)),
+        "reference/commands.md": _COMMANDS + "\n".join(_commands()),
+        "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "]("),
+    }
+
+
+def _sections(section: type[BaseModel], path: str, found: Examples, seen: dict[type, str]) -> Iterator[str]:
+    """A section of a scene file and the sections in it."""
+    title = path or "the file"
+    seen[section] = title
+    level = "##" if path.count(".") == 0 else "###"
+    yield f"\n{level} {f'`{path}`' if path else 'The file'} {{ #{_anchor(title)} }}\n"
+    yield f"{inspect.cleandoc(section.__doc__ or '')}\n"
+    yield from _table(section, found)
+    for key, field in keys(section).items():
+        inner = next(_models(field.annotation), None)
+        if inner is None:
+            continue
+        below = f"{path}.{key}".strip(".") + (".NAME" if get_origin(field.annotation) is dict else "")
+        if inner in seen:
+            level = "##" if "." not in below else "###"
+            yield f"\n{level} `{below}` {{ #{_anchor(below)} }}\n"
+            yield f"The keys of [`{seen[inner]}`](#{_anchor(seen[inner])}).\n"
+        else:
+            yield from _sections(inner, below, found, seen)
+
+
+def _anchor(title: str) -> str:
+    return title.lower().replace(" ", "-").replace(".", "-")
+
+
+def _table(section: type[BaseModel], found: Examples) -> Iterator[str]:
+    """The keys of a section, and an example of each."""
+    if not keys(section):
+        return
+    yield "| key | takes | unit | default | meaning |\n|---|---|---|---|---|"
+    for key, field in keys(section).items():
+        cells = (f"`{key}`", takes(field), unit(field), _code(default(field)), _meaning(field))
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    lines = [f"{key} = {found[section, key]}" for key in keys(section) if (section, key) in found]
+    if lines:
+        yield "\n```toml\n# one example of each\n" + "\n".join(lines) + "\n```\n"
+
+
+def _code(text: str) -> str:
+    return text if text in ("required", "-") else f"`{text}`"
+
+
+def _meaning(field: FieldInfo) -> str:
+    """What a key means, and what each of its choices does where that is said."""
+    text = " ".join((field.description or "").split())
+    choices = next((kind for kind in _kinds(field.annotation) if issubclass(kind, StrEnum)), None)
+    said = _said(choices) if choices else {}
+    return text + "".join(f"<br>`{value}`: {about}" for value, about in said.items())
+
+
+def _said(choices: type[StrEnum]) -> Mapping[str, str]:
+    """What is written below the members of an enumeration, by their values."""
+    body = ast.parse(inspect.getsource(choices)).body[0].body
+    said = {}
+    for line, after in pairwise(body):
+        if isinstance(line, ast.Assign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            said[choices[line.targets[0].id].value] = " ".join(after.value.value.split())
+    return said
+
+
+def _kinds(kind: object) -> Iterator[type]:
+    """The classes in a type such as ``tuple[Robot, ...] | None``."""
+    if isinstance(kind, type) and get_origin(kind) is None:
+        yield kind
+    for part in get_args(kind):
+        yield from _kinds(part)
+
+
+def _models(kind: object) -> Iterator[type[BaseModel]]:
+    return (found for found in _kinds(kind) if issubclass(found, BaseModel))
+
+
+def _terms(found: Examples) -> Iterator[str]:
+    """All built-in cost terms, by the module of the kernels that their functions stand in."""
+    groups: dict[str, list[CostTerm]] = {}
+    for term in BUILTIN.values():
+        groups.setdefault(term.function.func.__module__, []).append(term)
+    for module, terms in groups.items():
+        name = module.rsplit(".", 1)[-1]
+        yield f"\n## {_GROUPS.get(name, name.replace('_', ' ').capitalize())}\n"
+        for term in terms:
+            yield f"### `{term.name}` {{ #{term.name} }}\n\n{term.summary}\n"
+            yield from _term_table(term, found)
+
+
+def _term_table(term: CostTerm, found: Examples) -> Iterator[str]:
+    lines = list(_table(term.keys, found))
+    shown = [f"{key} = {found[term.keys, key]}" for key in keys(term.keys) if (term.keys, key) in found]
+    yield from (line for line in lines if not line.startswith("\n```"))
+    yield "\n```toml\n[[cost]]\n" + "\n".join([f'term = "{term.name}"', *shown, "weight = 1.0"]) + "\n```\n"
+
+
+def _commands() -> Iterator[str]:
+    """The commands with their arguments and options."""
+    program = typer.main.get_command(app)
+    context = click.Context(program, info_name="warpmpc")
+    for name, command in program.commands.items():
+        inner = click.Context(command, info_name=name, parent=context)
+        usage = " ".join(piece for piece in command.collect_usage_pieces(inner))
+        yield f"\n## `{name}`\n\n```text\nwarpmpc {name} {usage}\n```\n\n{inspect.cleandoc(command.help or '')}\n"
+        rows = [record for param in command.get_params(inner) if (record := _parameter(param, inner))]
+        if rows:
+            yield "| option | meaning |\n|---|---|"
+            yield from (f"| `{option}` | {meaning.replace('|', chr(92) + '|')} |" for option, meaning in rows)
+
+
+def _parameter(param: click.Parameter, context: click.Context) -> tuple[str, str] | None:
+    if isinstance(param, click.Argument):
+        return param.make_metavar(context), getattr(param, "help", None) or ""
+    return param.get_help_record(context)

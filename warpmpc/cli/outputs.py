@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that ``warpmpc run`` writes of its episodes: recordings for rerun, and histories as CSV and NPZ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..record.history import HistoryRecorder, history_file
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..record.history import History
+    from ..run.episode import Episode, Recorder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """The files asked for; of several episodes, each has its seed in its files' names."""
+
+    record: Path | None = None
+    csv: Path | None = None
+    npz: Path | None = None
+    several: bool = False
+    """Whether there are several episodes."""
+
+    @property
+    def histories(self) -> bool:
+        """Whether histories are to be written."""
+        return self.csv is not None or self.npz is not None
+
+    def check(self, *, envs: int, jobs: str | None) -> None:
+        """Refuse files that cannot be made.
+
+        Raises:
+            ValueError: If one cannot.
+        """
+        for name in ("record", "csv", "npz"):
+            path = getattr(self, name)
+            if path is None:
+                continue
+            if envs > 1:
+                raise ValueError(f"--{name}: a file shows one environment: leave out --envs or --{name}")
+            if name == "record" and jobs is not None:
+                raise ValueError("--record: a recording is made here: leave out --jobs, or take --csv or --npz")
+            if name != "record" and history_file(path).suffix != f".{name}":
+                raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
+            if not path.absolute().parent.is_dir():
+                raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
+
+    def recorders(self, episode: Episode) -> Recorders:
+        """What takes note of an episode's steps."""
+        history = HistoryRecorder(episode.controller, episode.plant) if self.histories else None
+        made: list[Recorder] = [history] if history else []
+        if self.record is not None:
+            from ..record.recorder import Recorder as Recording  # slow to import
+
+            made.append(Recording(self._path(self.record, episode.seed), episode.controller, episode.plant))
+        return Recorders(made, history)
+
+    def save(self, history: History, seed: int) -> None:
+        """Write the history of an episode.
+
+        Raises:
+            OSError: If a file cannot be written.
+        """
+        for path in (self.csv, self.npz):
+            if path is not None:
+                history.save(self._path(path, seed))
+
+    def _path(self, path: Path, seed: int) -> Path:
+        return path.with_stem(f"{path.stem}-{seed}") if self.several else path
+
+
+class Recorders:
+    """Several recorders of one episode.
+
+    Args:
+        recorders: The recorders.
+        history: The one of them that keeps a history, if any.
+    """
+
+    def __init__(self, recorders: Sequence[Recorder], history: HistoryRecorder | None):
+        self._recorders, self._history = recorders, history
+
+    def log(self, control: np.ndarray) -> None:
+        """Hand the step just made to all."""
+        for recorder in self._recorders:
+            recorder.log(control)
+
+    def close(self) -> None:
+        """Close all."""
+        for recorder in self._recorders:
+            recorder.close()
+
+    @property
+    def history(self) -> History | None:
+        """The history so far, if one is kept."""
+        return self._history.history if self._history else None

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is allowed in a scene but hardly meant: said before a run, in one sentence each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..planner.covariance import control_sigma
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..model.compiled import CompiledScene
+    from ..model.layout import Layout
+    from ..scene.schema import Scene
+
+WIDE, NARROW = 1.0, 1e-3
+"""Standard deviations of the noise beyond these shares of a control's range are hardly meant."""
+HEAVY = 1e5
+"""Greatest mass that is not asked about [kg]."""
+LARGE, SMALL = 100.0, 1e-4
+"""Sizes of shapes that are not asked about [m]."""
+
+
+def advise(scene: Scene, compiled: CompiledScene) -> list[str]:
+    """Sentences about a scene, none for one that looks as it should.
+
+    Args:
+        scene: The scene.
+        compiled: The scene, compiled.
+    """
+    return [*_times(scene), *_noise(scene, compiled.layout), *_shapes(compiled.layout), *_masses(compiled)]
+
+
+def slow_plans(plan_ms: float, scene: Scene) -> str | None:
+    """What to do about plans that take longer than a control lasts; None where they do not.
+
+    Args:
+        plan_ms: Wall time of a plan, the median of several [ms].
+        scene: The scene.
+    """
+    period = 1e3 * scene.timing.control_dt
+    if not plan_ms > period:
+        return None
+    return (
+        f"a plan takes {plan_ms:.1f} ms, longer than a control of {period:g} ms: on a robot it comes too late; lower "
+        "planner.samples, planner.horizon or engine.substeps, or raise timing.control_dt"
+    )
+
+
+def _times(scene: Scene) -> Iterator[str]:
+    hold, timeout, planner = scene.success.hold, scene.timing.timeout, scene.planner
+    if hold > timeout:
+        yield f"success.hold = {hold:g} s is longer than timing.timeout = {timeout:g} s: no run can succeed"
+    if planner.knots is not None and planner.knots > planner.horizon:
+        yield (
+            f"planner.knots = {planner.knots} are more than the {planner.horizon} steps of planner.horizon: what lies "
+            "between steps changes nothing"
+        )
+
+
+def _noise(scene: Scene, layout: Layout) -> Iterator[str]:
+    lower, upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
+    share = control_sigma(scene, layout) / (upper - lower)
+    for what, wrong, effect in (
+        ("wider than", share * scene.planner.noise.spread[0] > WIDE, "nearly every sample lies at a limit"),
+        ("tiny beside", share * scene.planner.noise.spread[1] < NARROW, "samples hardly differ"),
+    ):
+        if np.any(wrong):
+            names = [name for name, bad in zip(layout.control_name, wrong, strict=True) if bad]
+            i = int(np.argmax(wrong))
+            yield (
+                f"planner.noise.sigma is {what} the range of {_some(names)} ({lower[i]:g} to {upper[i]:g}): {effect}; "
+                "sigma = { range = 0.25 } is a quarter of each control's range"
+            )
+
+
+def _masses(compiled: CompiledScene) -> Iterator[str]:
+    model = compiled.spec().compile()
+    for i in range(1, model.nbody):
+        if model.body_mass[i] > HEAVY:
+            yield _unit(f"the body {model.body(i).name} of {model.body_mass[i]:.3g} kg", "grams")
+
+
+def _shapes(layout: Layout) -> Iterator[str]:
+    for shape in layout.shapes:
+        if shape.kind == "plane":
+            continue
+        extent = 2.0 * float(np.max(np.abs(shape.scale)))
+        if shape.mesh is not None:
+            points = np.asarray(layout.meshes[shape.mesh][0]) * np.asarray(shape.scale)
+            extent = float(np.ptp(points, axis=0).max())
+        if not SMALL < extent < LARGE:
+            yield _unit(f"the shape {shape.name} of {extent:.3g} m", "millimetres")
+
+
+def _unit(what: str, unit: str) -> str:
+    return f"{what} is implausible, lengths are in metres and masses in kilograms: is it in {unit}?"
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
