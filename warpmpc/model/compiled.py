@@ -31,6 +31,7 @@ from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
 from .movable import with_movable
+from .sound import require_sound
 
 if TYPE_CHECKING:
     import mujoco
@@ -148,6 +149,7 @@ def _compile(scene: Scene) -> CompiledScene:
     from .builder import build_world
 
     world = build_world(scene)
+    require_sound(world.layout, scene)
     if not world.natives.robots:
         return CompiledScene(world.layout, *_derive(world), world.actuator_name, mended=world.mended)
     return _compile_natives(scene, world)

@@ -327,6 +327,9 @@ class Plant:
             if start >= 0:
                 width = 3 if layout.joint_type[joint] == 4 else int(layout.joint_dof_dim[joint].sum())
                 columns += [first + start + k for k in range(width)]
+        floating = any(layout.joint_type[joint] == 4 for joint in entity.joints[:1])
+        if floating and len(kick.velocity) == 3:
+            columns = columns[:3]
         if len(columns) != len(kick.velocity):
             raise SceneError(
                 f"needs {len(columns)} values for '{kick.target}'",
