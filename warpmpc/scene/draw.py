@@ -107,7 +107,8 @@ def _place(scene: Scene, rejection: Rejection) -> tuple[float, ...]:
         return rejection.at
     if rejection.place == "goal":
         return scene.goal.position
-    return next(entry.position for entry in (*scene.object, *scene.robot) if entry.name == rejection.place)
+    entry = next(entry for entry in (*scene.object, *scene.robot) if entry.name == rejection.place)
+    return entry.position or (0.0, 0.0, 0.0)
 
 
 def _into_frame(v: list[float], q: tuple[float, ...]) -> tuple[float, float, float]:

@@ -200,7 +200,8 @@ class Kick(Section):
     target: str
     """Object or robot."""
     velocity: Floats
-    """Object: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint velocity [m/s or rad/s]."""
+    """Object, or robot with a free root: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint's
+    velocity [m/s or rad/s], of a free root the linear one."""
 
 
 class PlantNoise(Section):
