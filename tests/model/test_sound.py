@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assets that can be read but not planned with are refused by the joint that is wrong."""
 
+from dataclasses import replace
+
 import pytest
-from small_scenes import CHAIN, make_scene
+from small_scenes import CHAIN, compiled, make_scene
 
 from warpmpc.model.compiled import compile_scene
+from warpmpc.model.sound import require_sound
 from warpmpc.scene.errors import SceneError
 
 KEY = '<keyframe><key name="start" qpos="{}"/></keyframe></mujoco>'
@@ -27,7 +30,7 @@ def build(asset, **robot) -> None:
     ("change", "says"),
     [
         ({"axis": "0 0 nan"}, "no physics can be made of this: .*axis too small.*'arm_turn'"),
-        ({"lower": "3"}, "the lower limit of joint 'arm/turn' is above its upper one"),
+        ({"lower": "3"}, "joint 'turn': lower must be below upper"),
         ({"com": "inf"}, "the centre of mass of 'arm/tip' is not finite"),
     ],
     ids=["axis", "limits", "centre"],
@@ -37,6 +40,16 @@ def test_a_urdf_that_makes_no_sense_is_refused(tmp_path, change, says):
     path.write_text(ARM.format(**{"axis": "0 0 1", "lower": "-2", "com": "0.1", **change}))
     with pytest.raises(SceneError, match=rf"robot\.arm\.asset: .*({says})"):
         build(path)
+
+
+def test_limits_the_wrong_way_round_are_refused_whatever_the_asset_is():
+    scene = make_scene()
+    layout = compiled(scene).layout
+    require_sound(layout, scene)
+    with pytest.raises(
+        SceneError, match=r"robot\.base\.asset: the lower limit of joint 'base/.*' is above its upper one"
+    ):
+        require_sound(replace(layout, dof_lower=layout.dof_upper + 1.0), scene)
 
 
 def test_a_keyframe_of_what_is_no_number_is_refused(tmp_path):
