@@ -10,7 +10,7 @@ import typer.main
 from pages import ROOT, blocks, commands, files, write_files
 from program import results, warpmpc
 
-from warpmpc import Controller, State, load_scene, load_terms
+from warpmpc import Controller, State, load_scene, load_terms, run_episode
 from warpmpc import __all__ as public
 from warpmpc.cli.main import app
 from warpmpc.cli.new import make_starter
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     """The folder of ``warpmpc new`` with the files of the tutorial."""
     path = tmp_path_factory.mktemp("tutorial") / "mine"
     make_starter(path)
-    for page in TUTORIAL:
+    for page in (*TUTORIAL, "docs/scenes.md"):
         write_files(page, path)
     return path
 
@@ -89,7 +89,21 @@ def test_the_loop_runs_block_by_block(folder, monkeypatch):
     assert names["result"].reason == "timeout"
 
 
-def test_the_gpu_page_runs_without_a_gpu(monkeypatch):
+def test_a_task_in_parts_goes_through_its_phases(folder):
+    result = run_episode(load_scene(folder / "rounds.toml"))
+    assert result.success
+    assert [name for name, _ in result.phases] == ["home"]
+
+
+def test_a_wanted_speed_is_followed_when_it_changes_half_way(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    names: dict[str, object] = {}
+    program = next(text for kind, text in blocks("docs/scenes.md") if kind == "python" and "cruise.toml" in text)
+    exec(compile(program, "scenes.md", "exec"), names)
+    assert names["plant"].state.joint_qd[0] == pytest.approx(-0.3, abs=0.15)
+
+
+def test_the_gpu_page_runs_without_a_gpu():
     names: dict[str, object] = {}
     for kind, text in blocks("docs/tutorial/gpu.md"):
         if kind == "python":

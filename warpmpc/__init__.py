@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .cli.terms import load_terms
     from .controller.controller import Controller
     from .controller.rollout import Rollout
+    from .cost.normed import residual_term
     from .cost.term import (
         ArrayCost,
         CostTerm,
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     )
     from .kernels.terms.view import (
         StepView,
+        centre_of_mass,
+        centre_of_mass_velocity,
         contact_force,
         control,
         frame_angular_velocity,
@@ -73,6 +76,8 @@ __all__ = [
     "StepView",
     "Task",
     "array_cost",
+    "centre_of_mass",
+    "centre_of_mass_velocity",
     "choose_engine",
     "contact_force",
     "control",
@@ -90,6 +95,7 @@ __all__ = [
     "memory",
     "memory_before",
     "remember",
+    "residual_term",
     "run_batch",
     "run_episode",
     "sensor",
@@ -121,6 +127,7 @@ _HOME = {
     "CostTerm": "cost.term",
     "array_cost": "cost.term",
     "cost_term": "cost.term",
+    "residual_term": "cost.normed",
     "fit_samples": "run.fit_samples",
     "load_scene": "scene.load",
     "load_terms": "cli.terms",

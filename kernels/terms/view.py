@@ -32,7 +32,10 @@ class StepView:
     frame_body: wp.array[int]  # [nf] body, -1 world, -2 and below poses of the task
     frame_pose: wp.array[wp.transform]  # [nf] in the body's frame
     body_com: wp.array[wp.vec3]  # [nb] centre of mass in the body's frame [m]
+    body_mass: wp.array[float]  # [nb] [kg]
+    body_robot: wp.array[int]  # [nb] number of the robot or object it belongs to
     memory: wp.array3d[float]  # [T+1, W, nx] numbers that terms carry along the rollouts
+    terminal: wp.array[float]  # [term] factor on what each costs at the last step
 
 
 @wp.func
@@ -88,6 +91,30 @@ def frame_angular_velocity(s: StepView, frame: int) -> wp.vec3:
     if body < 0:
         return wp.vec3(0.0)
     return wp.spatial_bottom(s.body_qd[s.t, s.w, body])
+
+
+@wp.func
+def centre_of_mass(s: StepView, robot: int) -> wp.vec3:
+    """Where the centre of mass of a robot or an object is [m], by the scene's masses."""
+    total = float(0.0)
+    moment = wp.vec3(0.0)
+    for body in range(s.body_mass.shape[0]):
+        if s.body_robot[body] == robot:
+            total += s.body_mass[body]
+            moment += s.body_mass[body] * wp.transform_point(s.body_q[s.t, s.w, body], s.body_com[body])
+    return moment / total
+
+
+@wp.func
+def centre_of_mass_velocity(s: StepView, robot: int) -> wp.vec3:
+    """How fast that centre of mass moves [m/s]."""
+    total = float(0.0)
+    momentum = wp.vec3(0.0)
+    for body in range(s.body_mass.shape[0]):
+        if s.body_robot[body] == robot:
+            total += s.body_mass[body]
+            momentum += s.body_mass[body] * wp.spatial_top(s.body_qd[s.t, s.w, body])
+    return momentum / total
 
 
 @wp.func

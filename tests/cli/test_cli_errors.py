@@ -101,6 +101,13 @@ def test_check_refuses_like_run(folder, command):
     assert "Did you mean 'base/tip'?" in message(done)
 
 
+def test_check_reads_variants_that_it_does_not_build(folder, command):
+    (folder / "mine.toml").write_text(SCENE.replace("goal.position = [1.2, 0.0]", "goal.posision = [1.2, 0.0]"))
+    found = message(command("check", "mine.toml"))
+    for part in ("[variants.near]", "goal.posision", "Did you mean 'position'?"):
+        assert part in found
+
+
 def test_a_program_of_its_own_refuses_alike(folder, command):
     """Warp starts there, with a banner and a complaint about a missing GPU that are not for users."""
     args = ("run", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']")

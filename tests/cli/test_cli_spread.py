@@ -89,6 +89,7 @@ def test_results_of_other_code_are_told(command, tmp_path):
         (["--results", "bad.jsonl"], "bad.jsonl:1: is no record"),
         (["--jobs", "1", "--set", 'engine.name="nothing"'], "engine.name"),
         (["--jobs", "1", "--device", "cuda:0"], "cuda:0"),
+        (["--jobs", "2", "--set", 'planner.samples="auto"'], "planner.samples: is measured, which jobs"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(args, says, command, tmp_path):

@@ -127,8 +127,10 @@ def test_it_recovers_from_a_bad_observation():
 
 
 def test_a_cost_that_is_nowhere_finite_is_a_fallback_too():
-    terms = [array_cost("nothing")(lambda batch: np.full(batch["control"].shape[:2], np.nan))]
+    value = [0.0]
+    terms = [array_cost("nothing")(lambda batch: np.full(batch["control"].shape[:2], value[0]))]
     controller = make_controller(terms=terms, cost=[{"term": "nothing"}])
+    value[0] = np.nan  # a term that is so from the start is refused
     np.testing.assert_array_equal(controller.step(start(controller)), 0.0)
     assert controller.info.fallback
     assert controller.info.diverged_worlds == 0

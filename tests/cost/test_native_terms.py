@@ -66,6 +66,18 @@ SPACE = [
     {"term": "position_residual", "of": ["base/tip", "base/centre"], "relative_to": ["box", "goal", "wall"]},
     {"term": "position_residual", "of": COM, "lead": 0.2, "relative_to": "box", "axes": "xy", "target": ["a", 0.3]},
     {"term": "velocity_residual", "of": [COM, "base/tip"], "relative_to": "box", "target": ["a", "b", 0.1]},
+    {"term": "angular_velocity_residual", "of": ["base/tip", "base/centre"], "relative_to": "box", "axes": "yz"},
+    {"term": "momentum_residual", "of": "base", "target": ["a", 0.0, 0.2]},
+    {"term": "angular_momentum_residual", "of": "base", "axes": "xz", "target": "b"},
+    {"term": "angular_momentum_residual", "of": "base", "norm": {"kind": "l2", "p": 0.1}},
+    {"term": "rotation_residual", "of": "base/tip"},
+    {"term": "rotation_residual", "of": "box", "to": "base/tip", "axes": "xz", "norm": {"kind": "l2", "p": 0.1}},
+    {"term": "posture_residual", "target": "a", "norm": {"kind": "smooth_abs", "p": 0.2}},
+    {"term": "joint_velocity_residual", "joints": ["x", "yaw"], "target": [0.2, "b"]},
+    {"term": "control_residual", "norm": {"kind": "cosh", "p": 0.9}},
+    {"term": "control_residual", "controls": ["base/yaw"], "target": "b"},
+    {"term": "contact_residual", "between": ["box", "obstacles"], "least": 1.5, "target": 1.0},
+    {"term": "contact_force_residual", "between": ["base", "box"], "axes": "yz", "target": [0.5, "a"]},
     *(
         {"term": "position_residual", "of": "base/tip", "axes": "yz", "target": ["b", 0.0], "norm": norm}
         for norm in (
@@ -83,7 +95,7 @@ SPACE = [
         )
     ),
 ]
-"""Residuals in space, and the norms."""
+"""Residuals, and the norms."""
 
 
 def kind(cost: dict) -> str:

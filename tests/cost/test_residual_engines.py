@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Residuals inside the launches of engines: what `fused` sums is what their Warp functions say about its record."""
 
+import mujoco
 import numpy as np
+import warp as wp
 from fused_costs import assert_costs, expected_totals, planned
-from small_scenes import chain_scene, compiled
+from judging import Judging
+from small_scenes import chain_scene, compiled, layout_of, make_engine, observed, random_state
 
 from warpmpc import Scene
+from warpmpc.model.batch_size import BatchSize
 
 COM = {"centre_of_mass": "chain"}
 COSTS = [
@@ -13,9 +17,16 @@ COSTS = [
      "norm": {"kind": "smooth_abs", "p": 0.1}},
     {"term": "position_residual", "of": "chain/head", "relative_to": ["chain/hand", "chain/arm"], "axes": "z",
      "target": "height", "norm": {"kind": "l22", "p": 0.1, "q": 3.0}},
-    {"term": "velocity_residual", "of": COM, "axes": "xy", "norm": {"kind": "cosh", "p": 0.9}},
+    {"term": "velocity_residual", "of": COM, "axes": "xy", "norm": {"kind": "cosh", "p": 0.9}, "terminal": 7.0},
     {"term": "velocity_residual", "of": {"centre_of_mass": "chain/arm"}, "relative_to": "chain/trunk",
      "target": "speed"},
+    {"term": "angular_momentum_residual", "of": "chain", "norm": {"kind": "l2", "p": 0.1}},
+    {"term": "momentum_residual", "of": "chain/arm", "axes": "xz"},
+    {"term": "angular_velocity_residual", "of": ["chain/hand", "chain/head"], "relative_to": "chain/trunk"},
+    {"term": "rotation_residual", "of": "chain/hand", "to": "chain/head", "axes": "xz"},
+    {"term": "posture_residual", "joints": ["arm_1", "hand_x"], "target": ["height", 0.2]},
+    {"term": "joint_velocity_residual", "joints": ["arm_1", "hand_2"], "norm": {"kind": "power", "p": 1.5}},
+    {"term": "control_residual", "norm": {"kind": "rectify", "p": 0.3}, "terminal": 0.0},
 ]  # fmt: skip
 
 
@@ -35,3 +46,38 @@ def test_fused_sums_what_the_warp_functions_say(tmp_path):
     expected = expected_totals(mpc)
     assert (np.ptp(expected, axis=1) > 1e-3).all()
     assert_costs(mpc, expected, rtol=1e-4)
+
+
+def test_terminal_counts_at_the_last_step_alone(tmp_path):
+    cost = {"term": "control_residual"}
+    scene = residual_scene(tmp_path, [cost, {**cost, "terminal": 7.0}, {**cost, "terminal": 0.0}])
+    judging = Judging(scene, BatchSize(1, 3, 1, 5), layout=layout_of(scene))
+    judging.control.assign(np.random.default_rng(0).normal(size=judging.control.shape).astype(np.float32))
+    plain, more, none = judging.cost()
+    assert (plain > 0.0).all()
+    np.testing.assert_array_equal(more[:-1], plain[:-1])
+    np.testing.assert_array_equal(none[:-1], plain[:-1])
+    np.testing.assert_allclose(more[-1], 7.0 * plain[-1], rtol=1e-6)
+    assert (none[-1] == 0.0).all()
+
+
+def test_centres_of_mass_and_momenta_are_mujocos(tmp_path):
+    com, arm = {"centre_of_mass": "chain"}, {"centre_of_mass": "chain/arm"}
+    costs = [{"term": "position_residual", "of": com}, {"term": "velocity_residual", "of": com}]
+    costs += [{"term": "position_residual", "of": arm}, {"term": "angular_momentum_residual", "of": "chain"}]
+    scene = residual_scene(tmp_path, costs)
+    engine, layout = make_engine(scene, samples=1, horizon=1), layout_of(scene)
+    states = [random_state(layout, seed) for seed in range(6)]
+    judging = Judging(scene, BatchSize(6, 1, 1, 1), layout=layout)
+    q, qd = (wp.array(np.array([rows]), dtype=float, device="cpu") for rows in zip(*states, strict=True))
+    judging.stack.kinematics(q, qd, judging.trajectory.body_q[1:], judging.trajectory.body_qd[1:])
+    found = judging.cost()[:, 0]
+    for e, state in enumerate(states):
+        engine.clone(observed(*state))
+        data = mujoco.MjData(engine.model)
+        engine.show(0, data)
+        mujoco.mj_forward(engine.model, data)
+        mujoco.mj_subtreeVel(engine.model, data)
+        trunk, arm = (engine.model.body(name).id for name in ("chain/trunk", "chain/arm"))
+        exact = [data.subtree_com[trunk], data.subtree_linvel[trunk], data.subtree_com[arm], data.subtree_angmom[trunk]]
+        np.testing.assert_allclose(found[:, e], [0.5 * (x**2).sum() for x in exact], rtol=1e-3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Residual terms in space against float64, on rollouts of bodies that are anywhere."""
+"""Residual terms against float64, on rollouts of bodies that are anywhere."""
 
 import numpy as np
 import pytest
@@ -70,6 +70,69 @@ def test_centres_of_mass_and_their_velocities_are_those_of_all_that_hangs_on_a_l
     d = 0.5 * (v + v_box[:, :, 0]) - tip
     np.testing.assert_allclose(r.cost(2), 0.5 * (d**2).sum(-1), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(r.cost(3), 0.5 * (centre[:, :, 0] ** 2).sum(-1), rtol=1e-5)
+
+
+def test_momenta_are_sums_over_all_bodies():
+    r = Rollouts(
+        {"term": "momentum_residual", "of": "base", "axes": "yz", "target": "speed"},
+        {"term": "angular_momentum_residual", "of": "base", "axes": "xz", "target": [0.0, "speed"]},
+        {"term": "angular_velocity_residual", "of": ["base/tip", "wall"], "relative_to": "box"},
+        scalar=SCALAR,
+    )
+    bodies = [body for body in r.layout.entity("base").bodies if r.layout.body_mass[body] > 0.0]
+    m, x, v = mass_points(r, bodies)
+    p = np.einsum("n,twnk->twk", m, v)
+    np.testing.assert_allclose(r.cost(0), 0.5 * ((p[..., 1:] + 0.4) ** 2).sum(-1), rtol=1e-5)
+    total = np.cross(x - np.einsum("n,twnk->twk", m / m.sum(), x)[:, :, None], m[:, None] * v).sum(2)
+    spins = r.trajectory.body_qd.numpy()[1:, :, :, 3:].astype(float)
+    for body in bodies:
+        turn = Rotation.from_quat(r.trajectory.body_q.numpy()[1:, :, body, 3:].reshape(-1, 4)).as_matrix()
+        own = np.einsum("nij,jk,nlk,nl->ni", turn, r.layout.body_inertia[body], turn, spins[:, :, body].reshape(-1, 3))
+        total += own.reshape(total.shape)
+    d = total[..., [0, 2]] - [0.0, -0.4]
+    np.testing.assert_allclose(r.cost(1), 0.5 * (d**2).sum(-1), rtol=1e-4, atol=1e-5)
+    tip, box = (spins[:, :, r.layout.frame_body[r.layout.frame(name)]] for name in ("base/tip", "box"))
+    np.testing.assert_allclose(r.cost(2), 0.5 * ((0.5 * tip - box) ** 2).sum(-1), rtol=1e-5)
+
+
+def test_rotations_are_as_long_as_twice_the_sine_of_half_their_angle():
+    r = Rollouts(
+        {"term": "rotation_residual", "of": "base/tip", "to": "box"},
+        {"term": "rotation_residual", "of": "base/tip", "axes": "z", "norm": {"kind": "l2", "p": 0.1}},
+    )
+    tip, box, goal = (r.pose(name)[1] for name in ("base/tip", "box", "goal"))
+    angle = r.each((box.inv() * tip).magnitude())
+    np.testing.assert_allclose(r.cost(0), 2.0 * np.sin(0.5 * angle) ** 2, rtol=1e-4, atol=1e-6)
+    z = r.each(((tip.apply([0, 0, 1.0]) - goal.apply([0, 0, 1.0])) ** 2).sum(-1)) / 2.0
+    np.testing.assert_allclose(r.cost(1), np.sqrt(z + 0.01) - 0.1, rtol=1e-4, atol=1e-6)
+
+
+def test_numbers_of_joints_controls_and_contacts_are_less_what_is_wanted():
+    r = Rollouts(
+        {"term": "posture_residual"},
+        {"term": "posture_residual", "joints": ["yaw", "x"], "target": ["height", 0.2],
+         "norm": {"kind": "smooth_abs", "p": 0.1}},
+        {"term": "joint_velocity_residual", "joints": ["y"], "target": "speed"},
+        {"term": "control_residual", "norm": {"kind": "cosh", "p": 0.9}},
+        {"term": "control_residual", "controls": ["base/yaw"], "target": "speed"},
+        {"term": "contact_residual", "between": ["box", "obstacles"], "least": 1.5, "target": 1.0},
+        {"term": "contact_force_residual", "between": ["base", "box"], "axes": "yz", "target": [0.5, "speed"]},
+        scalar=SCALAR,
+    )  # fmt: skip
+    out = r.trajectory
+    q, qd, u, force = (a.numpy().astype(float) for a in (out.joint_q, out.joint_qd, r.control, out.contact_force))
+    q, qd = q[1:, :, :3], qd[1:, :, :3]
+    np.testing.assert_allclose(r.cost(0), 0.5 * ((q - [0.3, -0.2, 0.5]) ** 2).sum(-1), rtol=1e-5)
+    np.testing.assert_allclose(r.cost(1), smooth(q[..., [2, 0]] - [0.7, 0.2], 0.1), rtol=1e-5)
+    np.testing.assert_allclose(r.cost(2), 0.5 * (qd[..., 1] + 0.4) ** 2, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(r.cost(3), (0.81 * (np.cosh(u / 0.9) - 1.0)).sum(-1), rtol=1e-5)
+    np.testing.assert_allclose(r.cost(4), 0.5 * (u[..., 2] + 0.4) ** 2, rtol=1e-4, atol=1e-6)
+    pairs = len(r.layout.group("obstacles"))
+    touches = np.linalg.norm(force[:, :, :pairs], axis=-1) > 1.5
+    assert 0 < touches.sum() < touches.size
+    np.testing.assert_allclose(r.cost(5), 0.5 * (~touches).sum(-1), rtol=1e-6)
+    d = force[:, :, pairs, 1:] - [0.5, -0.4]
+    np.testing.assert_allclose(r.cost(6), 0.5 * (d**2).sum(-1), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,17 @@ OBSTACLES = [
     {"name": "pillar", "shape": "cylinder", "size": (0.06, 0.8), "position": (0.4, -0.4, 0.4)},
     {"name": "rail", "shape": "capsule", "size": (0.04, 0.5), "position": (0.5, 0.3, 0.6), "rotation": TURN},
 ]
+COM = {"centre_of_mass": "arm"}
+RESIDUALS = [
+    {"term": "position_residual", "of": [COM, "arm/tool"], "lead": 0.2, "relative_to": "goal", "norm": "quadratic"},
+    {"term": "velocity_residual", "of": COM, "axes": "xy", "norm": {"kind": "smooth_abs", "p": 0.1}, "terminal": 5.0},
+    {"term": "angular_velocity_residual", "of": "arm/tool", "target": 0.1},
+    {"term": "angular_momentum_residual", "of": "arm", "norm": {"kind": "l2", "p": 0.1}},
+    {"term": "rotation_residual", "of": "arm/tool", "axes": "z"},
+    {"term": "posture_residual", "norm": {"kind": "power", "p": 1.5}},
+    {"term": "joint_velocity_residual"},
+    {"term": "control_residual", "norm": {"kind": "cosh", "p": 2.0}},
+]
 COLLISION = [
     {"term": "self_collision", "margin": 0.15},
     {"term": "world_collision", "margin": 0.2, "against": ["obstacles", "objects", "ground"]},
@@ -140,6 +151,13 @@ def test_terms_of_an_arm_cost_what_the_plain_kernels_say(robot, mode):
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= len(ARM) - 1  # the wide reach of a mobile arm
         check(mpc, expected, 2e-4)  # manipulability and null space lose digits in single precision
+
+
+def test_residuals_cost_what_the_plain_kernels_say():
+    mpc, expected = planned(scene_of("panda", cost=RESIDUALS), envs=2)
+    assert not mpc.engine.records
+    assert (np.ptp(expected, axis=1) > 1e-3).all()
+    check(mpc, expected, 5e-5)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

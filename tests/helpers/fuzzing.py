@@ -24,7 +24,9 @@ PATIENCE = 10.0
 LAST_WORD = 120.0
 """Time after which a process that says nothing is given up [s]."""
 
-_NAMED = re.compile(r"^error: (?:terms\.py: |.*?(?:\.(?:toml|py|urdf|xml|stl):\d+|\.toml: [\w\"'*][^:\s]*): )")
+_NAMED = re.compile(
+    r"^error: (?:terms\.py: |.*?(?:\.(?:toml|py|urdf|xml|stl):\d+|\.toml(?: \[variants\.\w+\])?: [\w\"'*][^:\s]*): )"
+)
 """An error that names a file and a line of it, or a key; of a file of terms that has none in it, the file."""
 
 

@@ -68,6 +68,10 @@ class RecordedState(StateCode):
         columns, position = self._body(body)
         return self.lines.transform(columns, known(at), position)
 
+    def body_columns(self, body: int) -> Matrix:
+        """Columns of a body's rotation."""
+        return self._body(body)[0]
+
     def point_velocity(self, body: int, at: np.ndarray) -> tuple[Vector, Vector]:
         """Velocity of a point of a body, and the body's angular velocity."""
         if body < 0:

@@ -103,6 +103,7 @@ def test_a_keyframe_is_where_the_robot_starts_with_its_activations_and_controls(
 
 
 def test_sites_are_frames_and_sensors_are_read_by_name(assets):
+    # the frame, which the file puts at z = 0.5, stands at the origin's height: the marker comes down with it
     layout = compiled_native(assets / "quadrotor.xml", position=(1.0, 2.0, 0.0)).layout
     assert {"r/frame", "r/imu", "r/thrust3", "r/marker", "r/beacon"} <= set(layout.frame_name)
     imu = layout.frame("r/imu")
@@ -112,7 +113,7 @@ def test_sites_are_frames_and_sensors_are_read_by_name(assets):
     with pytest.raises(SceneError, match="no such sensor"):
         layout.sensor("compass")
     assert layout.mocap_name == ("r/marker",)
-    np.testing.assert_allclose(layout.mocap[0], [2.0, 2.0, 1.0, 0.0, 0.0, 0.8, 0.6], atol=1e-6)
+    np.testing.assert_allclose(layout.mocap[0], [2.0, 2.0, 0.5, 0.0, 0.0, 0.8, 0.6], atol=1e-6)
 
 
 def test_sensors_that_nobody_reads_are_not_simulated(assets):

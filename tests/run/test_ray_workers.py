@@ -14,6 +14,7 @@ pytest.importorskip("ray", reason="needs Ray: pip install ray")
 
 import ray
 import reproduce
+import warp as wp
 from jobs import Job, run_job
 from program import SCENE, TINY
 from program import untimed as without_times
@@ -119,6 +120,7 @@ def test_a_table_is_that_of_one_process_number_by_number(cluster, tmp_path):
 def test_the_command_runs_episodes_on_a_cluster_and_keeps_their_results(cluster, tmp_path, capfd, monkeypatch):
     (tmp_path / "mine.toml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     args = ["run", "mine.toml:near", "--episodes", "2", "--engine", "mujoco", "--json", *TINY]
     found = []
     for more in (["--jobs", "ray", "--results", "r.jsonl", "--csv", "a.csv"], ["--results", "r.jsonl"], []):

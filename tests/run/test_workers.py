@@ -2,6 +2,7 @@
 """Calls spread over processes: what is prepared, what dies, what is refused, and that nobody is left over."""
 
 import os
+import sys
 import time
 from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
@@ -116,6 +117,12 @@ def test_gpus_that_are_not_there_or_asked_for_twice_are_refused(monkeypatch):
         open_workers("gpus")
     with pytest.raises(ValueError, match="leave out --device, not 'cpu'"):
         open_workers("gpus", device="cpu")
+
+
+def test_a_cluster_without_ray_is_refused_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ValueError, match=r"pip install 'warpmpc\[cluster\]'"):
+        open_workers("ray")
 
 
 def test_calls_that_share_a_machine_take_a_thread_each(two):

@@ -10,7 +10,7 @@ from warpmpc import Scene
 from warpmpc.cost.builtin import BUILTIN
 from warpmpc.cost.collision import SelfCollision, WorldCollision
 from warpmpc.scene.describe import default, keys, takes, unit
-from warpmpc.scene.schema import Cloud, Drive, Obstacle, Planner, Robot
+from warpmpc.scene.schema import Cloud, Drive, Noise, Obstacle, Planner, Robot
 
 
 def sections() -> list[type[BaseModel]]:
@@ -43,6 +43,7 @@ def test_every_key_says_what_it_means(section):
         (WorldCollision, "form", "distance | binary", "", '"distance"'),
         (Planner, "domains", "whole number ≥ 1", "", "1"),
         (Planner, "dt", "number > 0 or [number > 0, ...] or table", "s", "-"),
+        (Noise, "sigma", "number > 0 or [number > 0, ...] or table", "", "{ range = [0.25] }"),
         (Drive, "effort_limit", "number > 0 or [number > 0, ...]", "N or N·m", "-"),
         (Robot, "asset", "text", "", "required"),
         (Robot, "position", "[number, number, number]", "m", "[0.0, 0.0, 0.0]"),

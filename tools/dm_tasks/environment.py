@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import tempfile
 from pathlib import Path
@@ -11,13 +12,9 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import warp as wp
 
-from warpmpc import State
-from warpmpc.kernels.worlds.clone import record_mujoco_kernel
-from warpmpc.launch import Launcher
+from warpmpc import MujocoStates, State
 from warpmpc.model.compiled import CompiledScene, cache_folder
-from warpmpc.model.joints import joint_table
 from warpmpc.model.mujoco_model import make_world
 
 if TYPE_CHECKING:
@@ -32,6 +29,7 @@ def load(domain: str, task: str, *, seed: int) -> Environment:
         ValueError: If dm-control is not installed, or has no such task.
     """
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn
+    logging.getLogger("absl").setLevel(logging.ERROR)  # some models use what MuJoCo calls old
     try:
         from dm_control import suite
     except ImportError:
@@ -120,21 +118,11 @@ class Eyes:
         limits = environment.action_spec()
         _same("limits", np.float32(limits.minimum).tolist(), layout.control_lower.tolist())
         _same("limits", np.float32(limits.maximum).tolist(), layout.control_upper.tolist())
-        self._activation, self._model, self._launch = world.activation, world.model, Launcher("cpu")
-        self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
-        self._row = wp.zeros((1, 1, 1 + own.nq + own.nv), dtype=wp.float64, device="cpu")
-        self._last = wp.zeros(1, dtype=int, device="cpu")
-        shapes = ((layout.nq, float), (layout.nv, float), (layout.nb, wp.transform), (layout.nb, wp.spatial_vector))
-        self._out = [wp.zeros((2, 1, n), dtype=kind, device="cpu") for n, kind in shapes]
+        self._states = MujocoStates(compiled, own)
 
     def state(self) -> State:
         """The physics state in Newton's conventions."""
-        data = self._physics.data
-        self._row.numpy()[0, 0] = np.concatenate([[0.0], data.qpos, data.qvel])
-        inputs = [self._table, self._model.nq, self._last, self._row, 0, 1]
-        self._launch(record_mujoco_kernel, (1, 1), inputs, self._out)
-        q, qd = (array.numpy()[1, 0].copy() for array in self._out[:2])
-        return State(q, qd, time=float(data.time), act=np.array(data.act)[self._activation])
+        return self._states.read(self._physics.data.ptr)
 
     def place(self, name: str) -> np.ndarray:
         """Where a target is: the pose (x, y, z, qx, qy, qz, qw) of the site or geom of that name.

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -100,7 +99,6 @@ def play(episode: Episode, *, on_step=None) -> dict:
     Raises:
         ValueError: If the scene does not fit the environment, or the engine is unknown.
     """
-    logging.getLogger("absl").setLevel(logging.ERROR)  # the suite's own models use what MuJoCo finds old
     domain, task = split(episode.name)
     scene = scene_of(episode.name, episode.overrides)
     environment = load(domain, task, seed=episode.seed)

@@ -66,7 +66,7 @@ def _entries(section: type[BaseModel], data: object) -> Iterator[tuple[type[Base
             yield from _entries(inner, entry)
             if key == "cost" and entry.get("term") in BUILTIN:
                 yield from _entries(BUILTIN[entry["term"]].keys, entry)
-        if not isinstance(value, Mapping | list) or "dt" in key:
+        if not _tables(value, inner):
             yield section, key, value
 
 

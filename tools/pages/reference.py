@@ -68,42 +68,55 @@ def pages() -> dict[str, str]:
     }
 
 
-def _sections(section: type[BaseModel], path: str, found: Examples, seen: dict[type, str]) -> Iterator[str]:
-    """A section of a scene file and the sections in it."""
+def _sections(
+    section: type[BaseModel], path: str, found: Examples, seen: dict[type, str], head: str = ""
+) -> Iterator[str]:
+    """A section of a scene file, below its head as a file writes it, and the sections in it."""
     title = path or "the file"
     seen[section] = title
     level = "##" if path.count(".") == 0 else "###"
-    yield f"\n{level} {f'`{path}`' if path else 'The file'} {{ #{_anchor(title)} }}\n"
+    yield f"\n{level} {f'`{head}`' if path else 'The file'} {{ #{_anchor(title)} }}\n"
     yield f"{inspect.cleandoc(section.__doc__ or '')}\n"
-    yield from _table(section, found)
+    yield from _table(section, path)
+    yield from _example(section, head, found)
     for key, field in keys(section).items():
         inner = next(_models(field.annotation), None)
         if inner is None:
             continue
         below = f"{path}.{key}".strip(".") + (".NAME" if get_origin(field.annotation) is dict else "")
+        inner_head = f"[[{below}]]" if "array" in takes(field) else f"[{below}]"
         if inner in seen:
             level = "##" if "." not in below else "###"
-            yield f"\n{level} `{below}` {{ #{_anchor(below)} }}\n"
+            yield f"\n{level} `{inner_head}` {{ #{_anchor(below)} }}\n"
             yield f"The keys of [`{seen[inner]}`](#{_anchor(seen[inner])}).\n"
         else:
-            yield from _sections(inner, below, found, seen)
+            yield from _sections(inner, below, found, seen, inner_head)
 
 
 def _anchor(title: str) -> str:
     return title.lower().replace(" ", "-").replace(".", "-")
 
 
-def _table(section: type[BaseModel], found: Examples) -> Iterator[str]:
-    """The keys of a section, and an example of each."""
+def _table(section: type[BaseModel], path: str) -> Iterator[str]:
+    """The keys of a section; those of tables lead to the tables' own keys."""
     if not keys(section):
         return
     yield "| key | takes | unit | default | meaning |\n|---|---|---|---|---|"
     for key, field in keys(section).items():
-        cells = (f"`{key}`", takes(field), unit(field), _code(default(field)), _meaning(field))
+        name = f"`{key}`"
+        if next(_models(field.annotation), None):
+            many = ".NAME" if get_origin(field.annotation) is dict else ""
+            name = f"[{name}](#{_anchor(f'{path}.{key}'.strip('.') + many)})"
+        cells = (name, takes(field), unit(field), _code(default(field)), _meaning(field))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _example(section: type[BaseModel], head: str, found: Examples, *more: str) -> Iterator[str]:
+    """An example of every key of a section that takes values, below its head."""
     lines = [f"{key} = {found[section, key]}" for key in keys(section) if (section, key) in found]
-    if lines:
-        yield "\n```toml\n# one example of each\n" + "\n".join(lines) + "\n```\n"
+    shown = [line for line in (head, *more, *lines) if line]
+    if shown:
+        yield "\n```toml\n# one example of each\n" + "\n".join(shown) + "\n```\n"
 
 
 def _code(text: str) -> str:
@@ -143,6 +156,7 @@ def _models(kind: object) -> Iterator[type[BaseModel]]:
 def _terms(found: Examples) -> Iterator[str]:
     """All built-in cost terms, by the module of the kernels that their functions stand in."""
     groups: dict[str, list[CostTerm]] = {}
+    tables: dict[str, type[BaseModel]] = {}
     for term in BUILTIN.values():
         groups.setdefault(term.function.func.__module__, []).append(term)
     for module, terms in groups.items():
@@ -150,14 +164,15 @@ def _terms(found: Examples) -> Iterator[str]:
         yield f"\n## {_GROUPS.get(name, name.replace('_', ' ').capitalize())}\n"
         for term in terms:
             yield f"### `{term.name}` {{ #{term.name} }}\n\n{term.summary}\n"
-            yield from _term_table(term, found)
-
-
-def _term_table(term: CostTerm, found: Examples) -> Iterator[str]:
-    lines = list(_table(term.keys, found))
-    shown = [f"{key} = {found[term.keys, key]}" for key in keys(term.keys) if (term.keys, key) in found]
-    yield from (line for line in lines if not line.startswith("\n```"))
-    yield "\n```toml\n[[cost]]\n" + "\n".join([f'term = "{term.name}"', *shown, "weight = 1.0"]) + "\n```\n"
+            yield from _table(term.keys, "")
+            yield from _example(term.keys, "[[cost]]", found, f'term = "{term.name}"')
+            tables |= {key: inner for key, field in keys(term.keys).items() for inner in _models(field.annotation)}
+    if tables:
+        yield "\n## Tables in cost terms\n"
+    for key, inner in tables.items():
+        yield f"\n### `{key}` {{ #{_anchor(key)} }}\n\n{inspect.cleandoc(inner.__doc__ or '')}\n"
+        yield from _table(inner, "")
+        yield from _example(inner, f"[cost.{key}]", found)
 
 
 def _commands() -> Iterator[str]:
@@ -166,15 +181,15 @@ def _commands() -> Iterator[str]:
     context = click.Context(program, info_name="warpmpc")
     for name, command in program.commands.items():
         inner = click.Context(command, info_name=name, parent=context)
-        usage = " ".join(piece for piece in command.collect_usage_pieces(inner))
+        usage = " ".join(piece.strip("{}") for piece in command.collect_usage_pieces(inner))
         yield f"\n## `{name}`\n\n```text\nwarpmpc {name} {usage}\n```\n\n{inspect.cleandoc(command.help or '')}\n"
-        rows = [record for param in command.get_params(inner) if (record := _parameter(param, inner))]
+        rows = [record for param in command.params if (record := _parameter(param, inner))]
         if rows:
             yield "| option | meaning |\n|---|---|"
             yield from (f"| `{option}` | {meaning.replace('|', chr(92) + '|')} |" for option, meaning in rows)
 
 
 def _parameter(param: click.Parameter, context: click.Context) -> tuple[str, str] | None:
-    if isinstance(param, click.Argument):
-        return param.make_metavar(context), getattr(param, "help", None) or ""
+    if param.param_type_name == "argument":
+        return param.metavar or param.name.upper(), getattr(param, "help", None) or ""
     return param.get_help_record(context)

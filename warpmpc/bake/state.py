@@ -101,6 +101,18 @@ class StateCode:
             return self.lines.transform(given.rotation, known(at), given.position)
         return self.tree.point(self.tree.place(body), at)
 
+    def body_columns(self, body: int) -> Matrix:
+        """Columns of a body's rotation."""
+        return self.tree.columns(self.tree.place(body))
+
+    def sensor(self, index: int) -> Operand:
+        """A number of the sensors, in the sensor's own unit."""
+        raise NotBaked(f"number {index} of the sensors")
+
+    def force(self, pair: int) -> Vector:
+        """Mean contact force on the first of a watched pair during the step, in the world's frame [N]."""
+        raise NotBaked(f"the force of pair {pair}")
+
     def point_velocity(self, body: int, at: np.ndarray) -> tuple[Vector, Vector]:
         """Velocity of such a point [m/s], and its body's angular velocity [rad/s]."""
         if body < 0:

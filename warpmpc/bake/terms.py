@@ -17,6 +17,7 @@ const float* last_control = (const float*)s.last_control.data + e * controls;"""
 """What the source of terms reads of an environment ``e``."""
 TIMES = """const float dt = k.dt.data[at];
 const float counts = live ? k.step_weight.data[at] : 0.0f;
+const bool last = at == steps - 1;
 const float gap = at == 0 ? dt : 0.5f * (dt + k.dt.data[at - 1]); // between the middles of two steps
 const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins"""
 """What it knows about the step ``at``."""
@@ -43,7 +44,8 @@ class TermSource:
     def step(self) -> str:
         """Its statements of one step; without weight it is off."""
         body = "\n".join(self.lines.statements)
-        total = f"total{self.index} += counts * {text(self.value)};"
+        terminal = f"(last ? s.terminal.data[{self.index}] : 1.0f)"
+        total = f"total{self.index} += counts * {terminal} * {text(self.value)};"
         return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
 
 

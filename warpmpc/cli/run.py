@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 import typer
 
 from ..scene.errors import SceneError
-from ..scene.load import load_scene
+from ..scene.load import load_scene, variants
 from ..scene.schema import EngineName
 from .interrupts import INTERRUPTED, Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
@@ -156,11 +156,17 @@ class Setup:
 def check(
     source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
 ) -> int:
-    """Build what a run of the scene would, make one plan and show what was built; returns the exit code."""
+    """Build what a run of the scene would, make one plan and show what was built; returns the exit code.
+
+    The scene's variants are read, too; one of them is built by its name.
+    """
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
         try:
             with user_errors():
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
+                if setup.scene.variant is None:
+                    for variant in variants(source):
+                        load_scene(f"{source}:{variant}", overrides=overrides)
                 episode = setup.episode(seed)
                 observation = episode.plant.observe()
                 for _ in range(2):  # the first plan compiles kernels

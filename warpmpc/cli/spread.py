@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..run.workers import LostJob, one_thread, open_workers
+from ..scene.errors import SceneError
 from ..scene.load import shipped_scenes
+from ..scene.schema import SampleCount
 from .outputs import Outputs
 from .progress import BatchBar
 from .run import FAILURE, Setup, user_errors
@@ -115,6 +117,13 @@ def run_spread(
     """
     with BatchBar(len(seeds), shown=shown) as bar:
         with user_errors():
+            if setup.scene.planner.samples is SampleCount.AUTO:
+                raise SceneError(
+                    "is measured, which jobs beside each other would disturb: give a number, or leave out --jobs",
+                    key="planner.samples",
+                    file=setup.scene.path,
+                    found="auto",
+                )
             workers, device = open_workers(jobs, device=setup.device)
         with workers:
             todo: list[Sequence[int]] = []

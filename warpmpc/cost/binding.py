@@ -77,6 +77,19 @@ class Binding:
         """
         return self._found(self.layout.frame, name, key)
 
+    def robot(self, name: str, key: str) -> int:
+        """Number of a robot or an object with mass.
+
+        Raises:
+            SceneError: If there is none.
+        """
+        bodies = {e.name: list(e.bodies) for e in self.layout.entities if e.kind in ("robot", "object")}
+        allowed = [name for name, own in bodies.items() if self.layout.body_mass[own].sum() > 0.0]
+        if name not in allowed:
+            what = "no such robot or object with mass"
+            raise SceneError(what, key=f"{self.key}.{key}", file=self.file, found=name, allowed=allowed)
+        return next(i for i, entity in enumerate(self.layout.entities) if entity.name == name)
+
     def joint(self, name: str, key: str) -> int:
         """Joint coordinate of a joint.
 

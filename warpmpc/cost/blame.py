@@ -29,7 +29,8 @@ def functions(term: CostTerm | ArrayCost) -> list[Callable]:
     """What a user wrote for a term, as Python functions."""
     if isinstance(term, ArrayCost):
         return [term.function]
-    return [warp_function.func for warp_function in (term.function, term.advance) if warp_function is not None]
+    written = (term.written or term.function, term.advance)
+    return [warp_function.func for warp_function in written if warp_function is not None]
 
 
 def place(function: Callable, line: int | None = None) -> str:
@@ -105,13 +106,14 @@ def require_returns(label: str, term: CostTerm, *, file: Path | None) -> None:
     Raises:
         SceneError: If one may end without.
     """
-    for function in _called(term.function.func, {}):
+    own = functions(term)[0]
+    for function in _called(own, {}):
         try:
             (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         except (OSError, SyntaxError, ValueError):
             continue  # no source to look at: Warp will say so
         whole = isinstance(definition, ast.FunctionDef) and not _returns(definition.body)
-        if whole and (function is term.function.func or function.__annotations__.get("return") is not None):
+        if whole and (function is own or function.__annotations__.get("return") is not None):
             what = "this function can end without returning a value: return one at its end"
             raise complaint(label, term, what, file=file, where=place(function))
 

@@ -18,7 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import arm, cloud, collision, learned, residuals, rolling
+from . import arm, cloud, collision, learned, numbers, residuals, rolling
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -336,6 +336,7 @@ BUILTIN = {
         *cloud.TERMS,
         *learned.TERMS,
         *residuals.TERMS,
+        *numbers.TERMS,
     )
 }
 """Built-in terms by name."""

@@ -31,7 +31,11 @@ WHAT = {
     "scalar": "scalars of the task",
     "frame_body": "frames",
     "frame_pose": "frames",
+    "body_com": "bodies",
+    "body_mass": "bodies",
+    "body_robot": "bodies",
     "memory": "numbers carried along",
+    "terminal": "terms",
 }
 """What the last index of an array of a ``StepView`` counts."""
 

@@ -30,6 +30,7 @@ class JudgeParams:
 @wp.func
 def judge_step(s: StepView, p: JudgeParams, weight: wp.array2d[float], cost: wp.array3d[float]):
     """Weighted cost of every term at one step of one world."""
+    last = s.t == s.controls.shape[0]
 {calls}
 
 
@@ -115,7 +116,8 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
         calls.append(f"    if weight[s.e, {i}] != 0.0:")
-        calls.append(f"        cost[{i}, s.t - 1, s.w] = weight[s.e, {i}] * {function}(s, p.p{i})")
+        factor = f"wp.where(last, s.terminal[{i}], 1.0) * weight[s.e, {i}]"
+        calls.append(f"        cost[{i}, s.t - 1, s.w] = {factor} * {function}(s, p.p{i})")
     names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))

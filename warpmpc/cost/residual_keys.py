@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..scene.types import Finite, NonNegative, OneOrSeveral, Section
+from ..scene.types import Finite, Names, NonNegative, OneOrSeveral, Section
 from .norms import NormKey, NormKind
 
 
@@ -57,3 +57,86 @@ class Velocity(SpatialResidual):
 
     relative_to: Place | None = None
     """Place whose velocity is taken off, as ``of``."""
+
+
+class AngularVelocity(Residual):
+    """How fast a frame turns [rad/s]."""
+
+    of: Names
+    """Frame, or a list of frames: their mean."""
+    relative_to: Names | None = None
+    """Frame whose angular velocity is taken off, as ``of``."""
+    axes: Axes = "xyz"
+    """Axes of the world that count."""
+
+
+class Momentum(Residual):
+    """Momentum of all that belongs to something."""
+
+    of: str
+    """Robot, object, or ``robot/link`` with all that hangs on it."""
+    axes: Axes = "xyz"
+    """Axes of the world that count."""
+
+
+class RotationKeys(Section):
+    """How far two frames are turned from each other."""
+
+    of: str
+    """Frame."""
+    to: str = "goal"
+    """Frame it is compared with."""
+    axes: Axes = "xyz"
+    """Axes of the frames that are compared: "z" leaves turns about it free."""
+    norm: NormKey = NormKind.QUADRATIC
+    """quadratic, or { kind, p, q }: l2, l22, cosh, power, smooth_abs, smooth_abs2, rectify."""
+
+
+class JointNumbers(Residual):
+    """Numbers of joints."""
+
+    of: str | None = None
+    """Robot; the first when left out."""
+    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Joints, ``robot/joint`` or the joint's own name, in place of ``of``."""
+
+
+class PostureNumbers(JointNumbers):
+    """Positions of joints."""
+
+    target: Wanted | None = None
+    """Positions [m or rad]: numbers or names of scalars, one or one for each joint; the start when left out."""
+
+
+class Controls(Residual):
+    """Controls."""
+
+    of: str | None = None
+    """Robot; all when left out."""
+    controls: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Controls, ``robot/joint`` or ``robot/actuator``, in place of ``of``."""
+
+
+class Sensors(Residual):
+    """Sensors of MJCF files."""
+
+    sensors: Names
+    """Sensors, ``robot/sensor`` or the sensor's own name, with all their numbers."""
+
+
+class Contact(Residual):
+    """Which pairs of entities touch."""
+
+    between: tuple[str, str]
+    """Two entities or groups (obstacles, objects, robots)."""
+    least: NonNegative = 0.0
+    """They touch where they push harder than this [N]."""
+
+
+class ContactForceNumbers(Residual):
+    """Net contact forces on the first of each pair [N]."""
+
+    between: tuple[str, str]
+    """Two entities or groups (obstacles, objects, robots)."""
+    axes: Axes = "xyz"
+    """Axes of the world that count."""

@@ -6,43 +6,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from ..kernels.terms import residuals as costs
 from ..scene.errors import SceneError
 from .native import residuals as native
-from .places import place_points, points_struct
-from .residual_keys import CentreOfMass, Position, Velocity
+from .places import Point, massive, place_points, points_struct
+from .residual_keys import AngularVelocity, CentreOfMass, Momentum, Position, RotationKeys, Velocity
 from .term import CostTerm, Residual, parse_keys
+from .wanted import wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from .binding import Binding
-    from .places import Point
     from .residual_keys import SpatialResidual
 
 
-def wanted(target: Sequence[float | str] | None, count: int, b: Binding) -> costs.Wanted:
-    """What each of a residual's numbers shall be.
-
-    Raises:
-        SceneError: If there are neither one nor as many as numbers, or a scalar does not exist.
-    """
-    target = (0.0,) if target is None else target
-    if len(target) not in (1, count):
-        raise SceneError(f"needs 1 or {count} values", key=f"{b.key}.target", file=b.file, found=list(target))
-    if len(target) < count:
-        target = target * count
-    out = costs.Wanted()
-    scalars = [b.scalar(value, "target") if isinstance(value, str) else -1 for value in target]
-    out.scalar = b.array(scalars, dtype=int)
-    out.value = b.array([0.0 if isinstance(value, str) else value for value in target], dtype=float)
-    return out
-
-
-def _spatial(v: SpatialResidual, points: list[Point], b: Binding) -> costs.SpatialParams:
-    frames = [part for place in (v.of, getattr(v, "relative_to", None)) for part in place or ()]
-    flat = [part for part in frames if not isinstance(part, CentreOfMass) and part in b.scene.flat_poses]
+def _spatial(v: SpatialResidual | AngularVelocity | Momentum, points: list[Point], b: Binding) -> costs.SpatialParams:
+    places = (v.of, v.relative_to or ()) if isinstance(v, Position) else ()
+    flat = [part for place in places for part in place if isinstance(part, str) and part in b.scene.flat_poses]
     if v.axes and "z" in v.axes and flat:
         raise SceneError(
             "this pose has no height: give it three coordinates, or leave z out",
@@ -64,11 +45,45 @@ def _position(keys: dict[str, Any], b: Binding) -> costs.SpatialParams:
     return _spatial(v, points, b)
 
 
+def _between(v: Velocity | AngularVelocity, b: Binding) -> list[Point]:
+    points = place_points(v.of, "of", b)
+    return points + [point.scaled(-1.0) for point in place_points(v.relative_to or (), "relative_to", b)]
+
+
 def _velocity(keys: dict[str, Any], b: Binding) -> costs.SpatialParams:
     v = parse_keys(Velocity, keys, b)
-    points = place_points(v.of, "of", b)
-    points += [point.scaled(-1.0) for point in place_points(v.relative_to or (), "relative_to", b)]
+    return _spatial(v, _between(v, b), b)
+
+
+def _angular_velocity(keys: dict[str, Any], b: Binding) -> costs.SpatialParams:
+    v = parse_keys(AngularVelocity, keys, b)
+    return _spatial(v, _between(v, b), b)
+
+
+def _momentum(keys: dict[str, Any], b: Binding) -> costs.SpatialParams:
+    v = parse_keys(Momentum, keys, b)
+    bodies = massive(v.of, "of", b)
+    com, mass = b.layout.body_com[bodies].tolist(), b.layout.body_mass[bodies].tolist()
+    points = [Point(int(body), tuple(at), m) for body, at, m in zip(bodies, com, mass, strict=True)]
     return _spatial(v, points, b)
+
+
+def _angular_momentum(keys: dict[str, Any], b: Binding) -> costs.AngularMomentumParams:
+    v = parse_keys(Momentum, keys, b)
+    bodies = massive(v.of, "of", b)
+    p = costs.AngularMomentumParams()
+    p.own = _spatial(v, place_points((CentreOfMass(centre_of_mass=v.of),), "of", b), b)
+    p.mass = b.array(b.layout.body_mass[bodies], dtype=float)
+    p.inertia = b.array(b.layout.body_inertia[bodies], dtype=wp.mat33)
+    return p
+
+
+def _rotation(keys: dict[str, Any], b: Binding) -> costs.RotationParams:
+    v = parse_keys(RotationKeys, keys, b)
+    p = costs.RotationParams()
+    p.of, p.to, p.norm = b.frame(v.of, "of"), b.frame(v.to, "to"), v.norm.struct()
+    p.axis = b.array(["xyz".index(axis) for axis in v.axes], dtype=int)
+    return p
 
 
 def _axes(p: costs.SpatialParams) -> int:
@@ -93,6 +108,42 @@ TERMS = (
         Velocity,
         native.velocity,
         residual=Residual(costs.velocity_component, _axes),
+    ),
+    CostTerm(
+        "angular_velocity_residual",
+        costs.angular_velocity_residual,
+        costs.SpatialParams,
+        _angular_velocity,
+        AngularVelocity,
+        native.angular_velocity,
+        residual=Residual(costs.angular_velocity_component, _axes),
+    ),
+    CostTerm(
+        "rotation_residual",
+        costs.rotation_residual,
+        costs.RotationParams,
+        _rotation,
+        RotationKeys,
+        native.rotation,
+        residual=Residual(costs.rotation_component, lambda p: 3 * p.axis.shape[0]),
+    ),
+    CostTerm(
+        "momentum_residual",
+        costs.momentum_residual,
+        costs.SpatialParams,
+        _momentum,
+        Momentum,
+        native.velocity,
+        residual=Residual(costs.velocity_component, _axes),
+    ),
+    CostTerm(
+        "angular_momentum_residual",
+        costs.angular_momentum_residual,
+        costs.AngularMomentumParams,
+        _angular_momentum,
+        Momentum,
+        native.angular_momentum,
+        residual=Residual(costs.angular_momentum_component, lambda p: p.own.axis.shape[0]),
     ),
 )
 """Residual terms in space."""

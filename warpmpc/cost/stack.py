@@ -76,6 +76,8 @@ class CostStack:
             term = known[cost.term]
             bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
             self.terms.append((term, bound))
+        self.terminal = [cost.terminal for cost in costs]
+        """Factor on what each term costs at the last step."""
         self.pairs = tuple(binding.pairs)
         self.sensors = tuple(dict.fromkeys(binding.sensors))
         self.resources, self._kept = binding.resources, binding.kept
@@ -184,7 +186,11 @@ class Judge:
         view.frame_body = wp.array(layout.frame_body, dtype=int, device=device)
         view.frame_pose = wp.array(layout.frame_pose, dtype=wp.transform, device=device)
         view.body_com = wp.array(layout.body_com, dtype=wp.vec3, device=device)
+        view.body_mass = wp.array(layout.body_mass, dtype=float, device=device)
+        owner = {body: i for i, entity in enumerate(layout.entities) for body in entity.bodies}
+        view.body_robot = wp.array([owner.get(body, -1) for body in range(layout.nb)], dtype=int, device=device)
         slices, worlds = trajectory.joint_q.shape[:2]
+        view.terminal = wp.array(stack.terminal, dtype=float, device=device)
         view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
@@ -257,12 +263,14 @@ class Judge:
             what = f"this cost term returned an array of the wrong shape, {found} in place of [T, W] = {wanted}"
             raise complaint(label, term, what, file=file)
         weight = np.repeat(self._state.weight.numpy()[:, i], self.shape.rollouts)
+        factor = np.ones((len(self.cost[i]), 1), dtype=np.float32)
+        factor[-1] = self.stack.terminal[i]
         if device == "cpu":
             if np.asarray(value).dtype.kind not in "fiub":
                 what = f"an array cost returns real numbers, this one returned {np.asarray(value).dtype}"
                 raise complaint(label, term, what, file=file)
             value = np.where(weight == 0.0, 0.0, np.asarray(value, dtype=np.float32))  # without weight it is off
-            self.cost[i].assign((value * weight).astype(np.float32))
+            self.cost[i].assign((value * weight * factor).astype(np.float32))
         else:
-            weighted = value * value.new_tensor(weight)
+            weighted = value * value.new_tensor(weight) * value.new_tensor(factor)
             wp.copy(self.cost[i], wp.from_dlpack(weighted.contiguous()))

@@ -60,11 +60,13 @@ class CostTerm:
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
     residual: Residual | None = None
     """What the term is a norm of, if it is one."""
+    written: wp.Function | None = None
+    """What a user wrote, where :attr:`function` is made around it."""
 
     @property
     def summary(self) -> str:
         """What it costs, in one sentence: the first of the function's docstring."""
-        return (inspect.getdoc(self.function.func) or "").split("\n\n")[0].replace("\n", " ")
+        return (inspect.getdoc((self.written or self.function).func) or "").split("\n\n")[0].replace("\n", " ")
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,9 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
     The function takes a :class:`~warpmpc.StepView` and a ``wp.struct`` of parameters and returns a float. Scene
     files set the struct's fields by name; a string given for an ``int`` field is looked up as a frame
     (``robot/frame``), as a joint when the field's name contains ``joint``, as the first number of a sensor
-    (``robot/sensor``) when it contains ``sensor``, or as a scalar of the task when it contains ``scalar``, and as the
-    first number that another term carries along when it contains ``memory``.
+    (``robot/sensor``) when it contains ``sensor``, as a scalar of the task when it contains ``scalar``, as the first
+    number that another term carries along when it contains ``memory``, and as a robot or an object when it ends with
+    ``robot``.
 
     Args:
         name: What scene files call the term.
@@ -107,17 +110,11 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
         raise TypeError(f'a cost term has a name, not {name!r}: @warpmpc.cost_term("name")')
 
     def decorate(function: Callable) -> CostTerm:
-        annotations = list(_annotations(function).values())
-        if len(annotations) < 2 or annotations[0] is not StepView or not hasattr(annotations[1], "vars"):
-            raise TypeError(
-                f"cost term '{name}': write def {function.__name__}(s: warpmpc.StepView, p: Params) -> float, "
-                "with Params a wp.struct"
-            )
-        params = annotations[1]
-        bind = partial(_fill, name, params, numbers if advance else None)
+        params = params_of(name, function)
+        bind = partial(fill, name, params, numbers if advance else None)
         if advance is None:
             return CostTerm(name, wp.func(function, module="unique"), params, bind)
-        if list(_annotations(advance).values()) != [StepView, params] or "memory" not in params.vars or numbers < 1:
+        if list(annotations(advance).values()) != [StepView, params] or "memory" not in params.vars or numbers < 1:
             raise TypeError(
                 f"cost term '{name}': what it carries along needs numbers = 1 or more, def {advance.__name__}(s: "
                 f"warpmpc.StepView, p: {params.__name__}) and a field memory: int in that struct"
@@ -145,23 +142,44 @@ def array_cost(name: str) -> Callable[[Callable], ArrayCost]:
     return lambda function: ArrayCost(name, function)
 
 
-def _annotations(function: Callable) -> dict[str, Any]:
-    """Annotations resolved against the function's globals and closure, so that postponed ones work too."""
+def params_of(name: str, function: Callable) -> Any:
+    """The ``wp.struct`` that a user's function of a step takes.
+
+    Raises:
+        TypeError: If it lacks the annotations ``StepView`` and a ``wp.struct``.
+    """
+    kinds = list(annotations(function).values())
+    if len(kinds) < 2 or kinds[0] is not StepView or not hasattr(kinds[1], "vars"):
+        raise TypeError(
+            f"cost term '{name}': write def {function.__name__}(s: warpmpc.StepView, p: Params) -> float, "
+            "with Params a wp.struct"
+        )
+    return kinds[1]
+
+
+def annotations(function: Callable, *, returned: bool = False) -> dict[str, Any]:
+    """Annotations resolved against the function's globals and closure, so that postponed ones work too.
+
+    Args:
+        function: The function.
+        returned: Whether that of what it returns is wanted, too.
+    """
     cells = dict(zip(function.__code__.co_freevars, [c.cell_contents for c in function.__closure__ or ()], strict=True))
     return {
         k: eval(v, {**function.__globals__, **cells}) if isinstance(v, str) else v  # the user's own annotation
         for k, v in function.__annotations__.items()
-        if k != "return"
+        if returned or k != "return"
     }
 
 
-def _fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], binding: Binding) -> Any:
+def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], binding: Binding) -> Any:
     """Fill a user's parameter struct from scene keys; ``numbers`` is how many the term carries along itself."""
     struct = params()
     if numbers is not None:
         keys = {**keys, "memory": binding.carry(numbers)}
     finders = {
         "joint": binding.joint,
+        "robot": binding.robot,
         "sensor": binding.sensor,
         "scalar": binding.scalar,
         "memory": binding.carried,

@@ -136,7 +136,7 @@ def _watch_indices(stack: CostStack, scene: Scene, step: StepView, users: Collec
                         seen.t, seen.w, seen.e = t, w, 0
                         run(seen, params)
             except OutOfRange as error:
-                where = raised_at(error, function.func)
+                where = raised_at(error, (term.written or function).func)
                 raise complaint(stack.labels[i], term, str(error), file=scene.path, where=where) from None
             except Exception:  # something that Python does not know how to do: the kernel will tell
                 continue

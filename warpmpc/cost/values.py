@@ -44,7 +44,11 @@ class TermValues:
         *,
         terms: Sequence[CostTerm | ArrayCost] = (),
     ):
-        costs = [cost for label, cost in zip(scene.cost_labels, scene.cost, strict=True) if label in labels]
+        costs = [
+            cost.model_copy(update={"terminal": 1.0})  # a condition is about the value itself
+            for label, cost in zip(scene.cost_labels, scene.cost, strict=True)
+            if label in labels
+        ]
         self._labels = [label for label in scene.cost_labels if label in labels]
         self._stack = CostStack(scene, layout, task, terms=terms, costs=costs)
         self._state = ObservedState.allocate(layout, task, "cpu")

@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from .assets import AssetKind, asset_kind, package_dirs
+from .assets import AssetKind, asset_kind, find_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,9 +30,7 @@ def asset_files(path: Path) -> list[Path]:
 
 def _of_urdf(path: Path) -> Iterator[Path]:
     for name in re.findall(r'filename\s*=\s*["\']([^"\']+)["\']', path.read_text(errors="replace")):
-        tail = re.sub(r"^(package|model|file)://", "", name)
-        folders = [*path.parents, *package_dirs(path)]
-        if file := next((f / tail for f in folders if (f / tail).is_file()), None):
+        if file := find_mesh(name, path):
             yield file
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import itertools
 import re
 import sys
 import warnings
@@ -16,6 +17,9 @@ from ..scene.errors import SceneError
 from ..scene.load import shipped_folder
 
 _XML_ROOTS = {"robot": "urdf", "mujoco": "mjcf"}
+_URI = re.compile(r"[a-z]+://|file:")
+_SLASHES = re.compile(r"^(package|model):/{3,}")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _MESHES = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")
 
 
@@ -57,7 +61,7 @@ def resolve_asset(uri: str, *, base: Path | None, key: str, file: Path | str | N
     Raises:
         SceneError: If there is no such file.
     """
-    if re.match(r"[a-z]+://|file:", uri):
+    if _URI.match(uri):
         return _resolve_uri(uri, key=key, file=file)
     candidates = [folder / uri for folder in (base or Path.cwd(), *_shipped())]
     if uri.startswith("assets/"):  # a copy of a shipped scene names what lies beside the original
@@ -79,9 +83,9 @@ def asset_kind(path: Path, *, key: str | None = None, file: Path | str | None = 
     suffix = path.suffix.lower()
     if suffix in (".usd", ".usda", ".usdc", ".usdz"):
         return AssetKind.USD
-    if suffix == ".xacro" or (suffix == ".urdf" and b"<xacro:" in path.read_bytes()):
+    if suffix == ".xacro" or (suffix == ".urdf" and b"<xacro:" in _COMMENT.sub(b"", path.read_bytes())):
         raise SceneError(
-            f"a xacro file must be expanded first: xacro {path.name} > {path.name.split('.')[0]}.urdf",
+            f"a xacro file must be expanded first: xacro {path.name} > {_free_name(path)}",
             key=key,
             file=file,
             found=str(path),
@@ -109,6 +113,33 @@ def asset_kind(path: Path, *, key: str | None = None, file: Path | str | None = 
     return AssetKind(_XML_ROOTS[root.tag])
 
 
+def _free_name(path: Path) -> str:
+    """A name beside a xacro file for what is expanded from it, where no file is yet."""
+    stem = path.name.split(".")[0]
+    names = itertools.chain([stem, f"{stem}_expanded"], (f"{stem}_expanded_{i}" for i in itertools.count(2)))
+    return next(f"{name}.urdf" for name in names if not (path.parent / f"{name}.urdf").exists())
+
+
+def find_mesh(uri: str, urdf: Path) -> Path | None:
+    """Find a mesh or texture that a URDF file names.
+
+    Args:
+        uri: Path relative to the file, absolute path, ``package://``, ``model://`` or ``file:`` URI.
+        urdf: The file.
+
+    Returns:
+        Absolute path of an existing file, or None if there is none; nothing is downloaded.
+    """
+    uri = _SLASHES.sub(r"\1://", uri)
+    if not _URI.match(uri):
+        found = urdf.parent / uri
+        return found.absolute() if uri and found.is_file() else None
+    try:
+        return _resolve_uri(uri, key="", file=None, folders=package_dirs(urdf)).absolute()
+    except SceneError:
+        return None
+
+
 def mesh_file(uri: str, *, base: Path | None, key: str, file: Path | str | None = None) -> Path:
     """Find a mesh file like :func:`resolve_asset`.
 
@@ -127,7 +158,8 @@ def _shipped() -> list[Path]:
     return [shipped_folder() / "assets", *folders]
 
 
-def _resolve_uri(uri: str, *, key: str, file: Path | str | None) -> Path:
+def _resolve_uri(uri: str, *, key: str, file: Path | str | None, folders: tuple[Path, ...] | None = None) -> Path:
+    """Find the file of a URI, in ``folders`` besides those that environment variables name."""
     # slow to import and needed for URIs alone
     from resolve_robotics_uri_py import resolve_robotics_uri
     from resolve_robotics_uri_py.resolve_robotics_uri_py import get_default_search_paths
@@ -143,16 +175,16 @@ def _resolve_uri(uri: str, *, key: str, file: Path | str | None) -> Path:
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about search paths that do not exist, and packages found twice
-        dirs = [*package_dirs(), *_python_package(uri)]
+        known = [*(package_dirs() if folders is None else folders), *_python_package(uri)]
         try:
-            found = resolve_robotics_uri(uri, package_dirs=list(map(str, dirs)))
+            found = resolve_robotics_uri(uri, package_dirs=[str(folder) for folder in known])
         except (FileNotFoundError, ValueError):
             found = None
-        folders = [*get_default_search_paths(), *dirs]
+        places = [*get_default_search_paths(), *known]
     if found is not None and found.is_file():
         return found
     rest = uri.partition("://" if "://" in uri else ":")[2]
-    candidates = [Path(rest)] if scheme == "file" else [folder / rest for folder in dict.fromkeys(folders)]
+    candidates = [Path(rest)] if scheme == "file" else [folder / rest for folder in dict.fromkeys(places)]
     raise _missing(uri, candidates, key=key, file=file)
 
 

@@ -22,11 +22,11 @@ from ..scene.schema import (
 from .assets import (
     AssetKind,
     asset_kind,
-    package_dirs,
     resolve_asset,
 )
 from .axes import axis_names
 from .controls import Actuators, drive_robot
+from .importers import import_links, new_builder, transform
 from .layout import (
     GOAL,
     IDENTITY,
@@ -64,6 +64,8 @@ class World:
     """Its MJCF robots."""
     actuator_name: tuple[str, ...]
     """Actuator of an MJCF file behind each control, empty for controls of drives."""
+    mended: tuple[str, ...]
+    """What is not as the assets' files say."""
 
 
 def build_world(scene: Scene) -> World:
@@ -75,7 +77,7 @@ def build_world(scene: Scene) -> World:
     world = _build(scene)
     if not world.layout.nu:
         raise SceneError(
-            "there is nothing to control: the assets have no actuators of their own, so give a robot a drive",
+            "there is nothing to control: the assets have no actuators of their own; give a robot with joints a drive",
             key="robot.drive",
             file=scene.path,
         )
@@ -88,9 +90,10 @@ def _build(scene: Scene) -> World:
     axes: list[str] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
     actuators, natives = Actuators(), NativeRobots()
+    mended: list[str] = []
 
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives))
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives, mended))
     for item in scene.object:
         entities.append(_add_object(builder, item, scene))
         frames[item.name] = (entities[-1].bodies[0], IDENTITY)
@@ -109,7 +112,7 @@ def _build(scene: Scene) -> World:
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
     layout = _layout(builder, entities, frames, actuators, axes, natives)
-    return World(builder, layout, natives, actuators.own())
+    return World(builder, layout, natives, actuators.own(), tuple(mended))
 
 
 def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
@@ -124,25 +127,6 @@ def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
     return _build(scene.model_copy(update={"robot": left}))
 
 
-_MUJOCO_LIMITS = 2
-"""Newton's mode for joint limits as soft as MuJoCo's own, unless the asset says otherwise; for its solver ``mujoco``.
-With the gains that Newton gives joints by default, of a URDF for example, light links such as fingers swing up at the
-steps of rollouts; and MuJoCo's C engine does not get these gains."""
-
-
-def new_builder() -> newton.ModelBuilder:
-    """An empty builder with the settings and custom attributes of every warpmpc model."""
-    builder = newton.ModelBuilder()
-    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
-    builder.custom_attributes["mujoco:solreflimit_mode"].default = _MUJOCO_LIMITS
-    builder.rigid_gap = 0.0  # every detected contact is an active one: no speculative pairs to pay for
-    return builder
-
-
-def _transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.transform:
-    return wp.transform(wp.vec3(*position), wp.quat(*rotation))
-
-
 def _add_robot(
     builder,
     robot: Robot,
@@ -151,31 +135,17 @@ def _add_robot(
     actuators: Actuators,
     axes: list[str],
     natives: NativeRobots,
+    mended: list[str],
 ) -> Entity:
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
-    part, kind = new_builder(), asset_kind(path)
+    kind = asset_kind(path, key=f"{key}.asset", file=scene.path)
     if kind is AssetKind.MJCF:
-        return add_native(builder, part, robot, path, scene, frames, actuators, axes, natives)
+        return add_native(builder, new_builder(), robot, path, scene, frames, actuators, axes, natives)
     _refuse_mjcf_keys(robot, kind, scene)
-    options = {
-        "xform": _transform(robot.position, robot.rotation),
-        "floating": bool(robot.floating),
-        "enable_self_collisions": bool(robot.self_collision),
-    }
-    try:
-        match kind:
-            case AssetKind.URDF:
-                part.add_urdf(str(path), package_dirs=[str(p) for p in package_dirs(path)], **options)
-            case AssetKind.USD:
-                part.add_usd(str(path), **options)
-    except SceneError:
-        raise
-    except Exception as error:  # importers raise whatever their parser raises: one clear message for all of them
-        raise SceneError(
-            f"this asset cannot be read: {error}", key=f"{key}.asset", file=scene.path, found=str(path)
-        ) from error
+    part, lines = import_links(path, kind, robot, file=scene.path)
+    mended += lines
     if not part.body_count:
         raise SceneError("this asset has no links", key=f"{key}.asset", file=scene.path, found=str(path))
 
@@ -243,13 +213,13 @@ def _root(part: newton.ModelBuilder) -> int:
 
 
 def _add_object(builder, item: Object, scene: Scene) -> Entity:
-    body = builder.add_body(xform=_transform(item.position, item.rotation), label=item.name)
+    body = builder.add_body(xform=transform(item.position, item.rotation), label=item.name)
     shape = _add_shape(builder, body, item, scene, wp.transform_identity(), mass=item.mass)
     return Entity(item.name, "object", bodies=(body,), shapes=(shape,), joints=(builder.joint_count - 1,))
 
 
 def _add_obstacle(builder, item: Obstacle, scene: Scene) -> Entity:
-    pose = _transform(item.position, item.rotation)
+    pose = transform(item.position, item.rotation)
     shape = _add_shape(builder, WORLD, item, scene, pose, mass=0.0)
     return Entity(item.name, "obstacle", shapes=(shape,), movable=item.movable)
 

@@ -18,7 +18,7 @@ import re
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +31,7 @@ from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
 from .movable import with_movable
+from .sound import require_sound
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
     from .builder import World
     from .mjcf import Native
+
+logger = logging.getLogger("warpmpc")
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,8 @@ class CompiledScene:
     """What was taken over from MJCF files and what was not."""
     timestep: float | None = None
     """Physics step that the first MJCF file asks for [s]."""
+    mended: tuple[str, ...] = ()
+    """What of the assets is not as their files say, which is warned of every time."""
 
     def spec(self) -> mujoco.MjSpec:
         """The MuJoCo model of the scene, to be compiled."""
@@ -93,7 +98,20 @@ def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
     Raises:
         SceneError: If an asset is missing or broken, or lacks a joint or link the scene names.
     """
-    key = _cache_key(scene) if cache else None
+    compiled = _compiled(scene, _cache_key(scene) if cache else None)
+    if compiled.mended:
+        logger.warning("%s", _warning(compiled.mended))
+    return compiled
+
+
+def _warning(mended: Sequence[str]) -> str:
+    """One line about what was mended."""
+    more = len(mended) - 1
+    return mended[0] + (f" (and {more} more mended: warpmpc check lists all)" if more else "")
+
+
+def _compiled(scene: Scene, key: str | None) -> CompiledScene:
+    """The scene of a cache entry, which is made if there is none."""
     folder = cache_folder()
     if key:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
@@ -131,8 +149,9 @@ def _compile(scene: Scene) -> CompiledScene:
     from .builder import build_world
 
     world = build_world(scene)
+    require_sound(world.layout, scene)
     if not world.natives.robots:
-        return CompiledScene(world.layout, *_derive(world), world.actuator_name)
+        return CompiledScene(world.layout, *_derive(world), world.actuator_name, mended=world.mended)
     return _compile_natives(scene, world)
 
 
@@ -237,7 +256,10 @@ def _compile_natives(scene: Scene, world: World) -> CompiledScene:
     if needs_implicit(files[0].spec, natives):
         notes.append("the servos of drives are integrated by implicitfast, unless engine.integrator says otherwise")
     timestep = float(files[0].spec.option.timestep)
-    return CompiledScene(layout, mjcf, *names, tuple(joints), world.actuator_name, natives, tuple(notes), timestep)
+    joints = tuple(joints)
+    return CompiledScene(
+        layout, mjcf, *names, joints, world.actuator_name, natives, tuple(notes), timestep, world.mended
+    )
 
 
 def _fetch(folder: Path, key: str) -> CompiledScene:
@@ -250,8 +272,8 @@ def _fetch(folder: Path, key: str) -> CompiledScene:
     if entry["digest"] != _digest(entry["names"], folder / f"{key}.npz", folder / f"{key}.xml"):
         raise ValueError("a damaged cache entry")
     layout, mjcf = Layout.load(folder / f"{key}.npz"), (folder / f"{key}.xml").read_text()
-    *names, natives, notes, timestep = entry["names"]
-    return CompiledScene(layout, mjcf, *map(tuple, names), _natives(natives), tuple(notes), timestep)
+    *names, natives, notes, timestep, mended = entry["names"]
+    return CompiledScene(layout, mjcf, *map(tuple, names), _natives(natives), tuple(notes), timestep, tuple(mended))
 
 
 def _natives(entries: list[dict]) -> tuple[Native, ...]:
@@ -262,7 +284,7 @@ def _natives(entries: list[dict]) -> tuple[Native, ...]:
     from .mjcf import Native, Servo
 
     return tuple(
-        Native(e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**servo) for servo in e["servos"]))
+        Native(e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**s) for s in e["servos"]), tuple(e["place"]))
         for e in entries
     )
 
@@ -279,7 +301,7 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         compiled.layout.save(parts / "npz.npz")
         (parts / "xml").write_text(compiled.mjcf)
         names = [compiled.body_name, compiled.geom_name, compiled.joint_name, compiled.actuator_name]
-        names += [[_entry(native) for native in compiled.natives], compiled.notes, compiled.timestep]
+        names += [[_entry(native) for native in compiled.natives], compiled.notes, compiled.timestep, compiled.mended]
         entry = {"names": names, "digest": _digest(names, parts / "npz.npz", parts / "xml")}
         (parts / "json").write_text(json.dumps(entry))
         os.replace(parts / "npz.npz", folder / f"{key}.npz")
@@ -289,7 +311,8 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
 
 def _entry(native: Native) -> dict:
     servos = [asdict(servo) for servo in native.servos]
-    return {"path": native.path, "robot": native.robot.model_dump(mode="json"), "servos": servos}
+    robot = native.robot.model_dump(mode="json")
+    return {"path": native.path, "robot": robot, "servos": servos, "place": native.place}
 
 
 def _cache_key(scene: Scene) -> str | None:

@@ -19,8 +19,6 @@ from .mjcf import Native, is_floor, read_mjcf
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from ..scene.schema import Robot
-
 _SIZES = ("njmax", "nconmax", "nstack", *(name for name in dir(mujoco.MjSpec) if name.startswith("nuser_")))
 """Sizes that MuJoCo finds by itself when they are left to it."""
 _BITS = range(31)
@@ -47,9 +45,9 @@ def compose(mjcf: str, natives: Sequence[Native], solid: Collection[str]) -> muj
     if needs_implicit(children[0], natives):
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for child, native in zip(children, natives, strict=True):
-        _keep_floors(child, native.robot)
-        x, y, z, w = native.robot.rotation
-        frame = spec.worldbody.add_frame(pos=native.robot.position, quat=[w, x, y, z])
+        _keep_floors(child, native.place)
+        *position, x, y, z, w = native.place
+        frame = spec.worldbody.add_frame(pos=position, quat=[w, x, y, z])
         _copy(spec.option, child.option)  # MuJoCo warns of settings that differ; the notes tell of those that matter
         _copy(spec.visual, child.visual)
         for name in _SIZES:
@@ -64,14 +62,14 @@ def needs_implicit(first: mujoco.MjSpec, natives: Sequence[Native]) -> bool:
     return stiff and first.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
 
 
-def _keep_floors(child: mujoco.MjSpec, robot: Robot) -> None:
+def _keep_floors(child: mujoco.MjSpec, place: Sequence[float]) -> None:
     """Take back from a file's floors what the robot's place in the scene will move them by."""
     floors = [geom for geom in child.worldbody.geoms if is_floor(geom.type) and geom.frame is None]
-    if not floors or (robot.position == (0.0, 0.0, 0.0) and robot.rotation == (0.0, 0.0, 0.0, 1.0)):
+    if not floors:
         return
-    x, y, z, w = robot.rotation
-    back, position = np.array([w, -x, -y, -z]), np.empty(3)
-    mujoco.mju_rotVecQuat(position, -np.array(robot.position), back)
+    *origin, x, y, z, w = place
+    back, position = np.zeros(4), np.zeros(3)
+    mujoco.mju_negPose(position, back, np.array(origin), np.array([w, x, y, z]))
     frame = child.worldbody.add_frame(pos=position, quat=back)
     for geom in floors:
         geom.set_frame(frame)

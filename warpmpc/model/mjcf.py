@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import Robot
@@ -42,6 +43,8 @@ class Native:
     robot: Robot
     servos: tuple[Servo, ...] = ()
     """Servos of the robot's drives; without any, the asset's own actuators stay."""
+    place: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    """Where the origin of the file is (x, y, z, qx, qy, qz, qw)."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,30 @@ def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
         for servo in native.servos:
             _add_servo(spec, servo)
     return Mjcf(spec, keys, actuators, tuple(left_out))
+
+
+def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[float, ...]:
+    """Where the origin of a file is so that its root, the first body that moves, is where the scene puts it.
+
+    Args:
+        robot: The robot.
+        model: The file's own model.
+        key: Keyframe that the robot starts in, if any.
+
+    Returns:
+        The pose (x, y, z, qx, qy, qz, qw).
+    """
+    moving = [int(model.body_rootid[b]) for b in range(1, model.nbody) if model.body_dofnum[b]]
+    root = min(moving, default=min(1, model.nbody - 1))  # an empty file is refused later
+    own = np.concatenate([model.body_pos[root], model.body_quat[root]])
+    joint = int(model.body_jntadr[root])
+    if key is not None and joint >= 0 and model.jnt_type[joint] == FREE:
+        own = np.array(key.qpos[model.joint(joint).name])
+    x, y, z, w = robot.rotation or (*own[4:], own[3])
+    back, place = (np.zeros(3), np.zeros(4)), (np.zeros(3), np.zeros(4))
+    mujoco.mju_negPose(*back, own[:3], own[3:])
+    mujoco.mju_mulPose(*place, np.array(robot.position or own[:3]), np.array([w, x, y, z]), *back)
+    return (*place[0].tolist(), *place[1][1:].tolist(), float(place[1][0]))
 
 
 def is_floor(kind: int) -> bool:

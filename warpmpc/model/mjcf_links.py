@@ -53,19 +53,21 @@ class Links:
     """Geoms that have no shape in Newton's terms."""
 
 
-def add_links(part: newton.ModelBuilder, model: mujoco.MjModel, robot: Robot, *, file: Path | None = None) -> Links:
+def add_links(
+    part: newton.ModelBuilder, model: mujoco.MjModel, robot: Robot, place: wp.transform, *, file: Path | None = None
+) -> Links:
     """Add the bodies, joints and shapes of a compiled MJCF file to an empty builder.
 
     Args:
         part: The builder.
         model: The file's model.
-        robot: The robot, for its name and place.
+        robot: The robot, for its name.
+        place: Where the origin of the file is.
         file: Scene file, for errors.
 
     Raises:
         SceneError: If a body's joints cannot be put as one joint of Newton's.
     """
-    place = wp.transform(wp.vec3(*robot.position), wp.quat(*robot.rotation))
     axes: list[str | None] = []
     articulation: list[int] = []
     for b in range(1, model.nbody):

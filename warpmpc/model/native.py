@@ -15,7 +15,7 @@ from newton import JointTargetMode, JointType
 from ..scene.errors import SceneError
 from .controls import Actuators, add_own_controls, drive_robot
 from .layout import IDENTITY, WORLD, Entity, Keyframe
-from .mjcf import Key, Mjcf, Native, Servo, compile_mjcf, read_mjcf
+from .mjcf import Key, Mjcf, Native, Servo, compile_mjcf, origin_of, read_mjcf
 from .mjcf_links import add_links, pose
 
 if TYPE_CHECKING:
@@ -127,7 +127,9 @@ def add_native(
     native = Native(str(path), robot)
     mjcf = read_mjcf(native, file=scene.path)
     model = compile_mjcf(mjcf, native, file=scene.path)
-    links = add_links(part, model, robot, file=scene.path)
+    origin = origin_of(robot, model, next((key for key in mjcf.keys if key.name == robot.keyframe), None))
+    place = wp.transform(wp.vec3(*origin[:3]), wp.quat(*origin[3:]))
+    links = add_links(part, model, robot, place, file=scene.path)
     bodies = [model.body(b).name for b in range(1, model.nbody)]
     first = {
         "joint_q": builder.joint_coord_count,
@@ -136,7 +138,7 @@ def add_native(
         "control": len(actuators.control),
         "mocap": 7 * len(natives.mocap),
     }
-    rows = [_row(part, model, robot, key, first) for key in mjcf.keys]
+    rows = [_row(part, model, robot, place, key, first) for key in mjcf.keys]
     if robot.keyframe is not None:
         row = next((r for r in rows if r.name == f"{name}/{robot.keyframe}"), None)
         if row is None:
@@ -152,8 +154,9 @@ def add_native(
     natives.rows += rows
     axes += [f"{name}/{axis}" if axis else "" for axis in links.axes]
     drive_robot(part, robot, links.axes, scene, actuators, first_coord=first["joint_q"], first_dof=first["joint_qd"])
+    servos: tuple[Servo, ...] = ()
     if robot.drive:
-        native = Native(str(path), robot, _servos(part, robot, links.axes))
+        servos = _servos(part, robot, links.axes)
     else:
         add_own_controls(model, robot, scene, actuators, first_coord=first["joint_q"])
         for a in range(model.nu):
@@ -163,11 +166,12 @@ def add_native(
         natives.mocap[f"{name}/{bodies[b]}"] = first_body + b
         natives.mocap_pose.append((*at.p, *at.q))
     natives.sensors += [(f"{name}/{model.sensor(s).name}", int(model.sensor_dim[s])) for s in range(model.nsensor)]
+    native = Native(str(path), robot, servos, origin)
     natives.robots.append(native)
 
     first_shape, first_joint = builder.shape_count, builder.joint_count
     builder.add_builder(part)
-    clashes = _add_frames(frames, model, robot, scene, first_body, bodies)
+    clashes = _add_frames(frames, model, robot, place, scene, first_body, bodies)
     natives.notes += _notes(model, mjcf, native, links.left_out, clashes)
     return Entity(
         name,
@@ -178,9 +182,15 @@ def add_native(
     )
 
 
-def _row(part: newton.ModelBuilder, model: mujoco.MjModel, robot: Robot, key: Key, first: dict[str, int]) -> _Row:
-    """A keyframe in Newton's conventions; the robot's place in the scene comes on top of it."""
-    place = wp.transform(wp.vec3(*robot.position), wp.quat(*robot.rotation))
+def _row(
+    part: newton.ModelBuilder,
+    model: mujoco.MjModel,
+    robot: Robot,
+    place: wp.transform,
+    key: Key,
+    first: dict[str, int],
+) -> _Row:
+    """A keyframe in Newton's conventions, in a file whose origin has a place in the scene."""
     q, qd = np.zeros(part.joint_coord_count), np.zeros(part.joint_dof_count)
     for joint, child in enumerate(part.joint_child):
         start, dof = part.joint_q_start[joint], part.joint_qd_start[joint]
@@ -230,9 +240,16 @@ def _servos(part: newton.ModelBuilder, robot: Robot, axes: list[str | None]) -> 
     return tuple(servos)
 
 
-def _add_frames(frames: dict, model: mujoco.MjModel, robot: Robot, scene: Scene, first: int, bodies: list[str]):
+def _add_frames(
+    frames: dict,
+    model: mujoco.MjModel,
+    robot: Robot,
+    place: wp.transform,
+    scene: Scene,
+    first: int,
+    bodies: list[str],
+) -> list[str]:
     """Add bodies, sites and the scene's own frames; returns the sites that have a body's name, and get another."""
-    place = wp.transform(wp.vec3(*robot.position), wp.quat(*robot.rotation))
     frames.update({f"{robot.name}/{body}": (first + i, IDENTITY) for i, body in enumerate(bodies)})
     heavy = [b for b in range(1, model.nbody) if model.body_mass[b] > 0.0]
     if heavy:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import newton
 
-from .builder import build_world, new_builder
+from .builder import build_world
+from .importers import new_builder
 
 if TYPE_CHECKING:
     from ..scene.schema import Scene

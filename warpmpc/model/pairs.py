@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,16 +26,24 @@ class Pair:
 
 
 def collision_pairs(layout: Layout, supports: Collection[str] = ()) -> tuple[Pair, ...]:
-    """Every robot and object against every obstacle: the contacts that count as collisions in reports.
+    """Robots against each other, and every robot and object against every obstacle: what reports call collisions.
 
     Args:
         layout: Layout of the scene.
         supports: Obstacles that objects lie on; against these, robots alone count.
     """
     robots, objects, obstacles = (layout.group(name) for name in ("robots", "objects", "obstacles"))
-    return tuple(
+    crashes = tuple(Pair(a.name, b.name) for a, b in itertools.combinations(robots, 2))
+    return crashes + tuple(
         Pair(m.name, o.name) for m in robots + objects for o in obstacles if m in robots or o.name not in supports
     )
+
+
+def touching_pairs(layout: Layout) -> tuple[Pair, ...]:
+    """Every object against every robot and against the other objects: contacts that a task may be about."""
+    robots, objects = layout.group("robots"), layout.group("objects")
+    pairs = (*itertools.product(robots, objects), *itertools.combinations(objects, 2))
+    return tuple(Pair(a.name, b.name) for a, b in pairs)
 
 
 def pair_table(layout: Layout, pairs: tuple[Pair, ...], shapes: list[int], device: str) -> PairTable:

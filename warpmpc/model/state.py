@@ -62,11 +62,14 @@ class Info:
 
 @dataclass
 class Contact:
-    """Contacts of robots and objects with obstacles over an episode."""
+    """What robots and objects touched over an episode."""
 
     max_force: float = 0.0
-    """Largest net force [N]."""
+    """Largest net force of a collision [N]: of robots with each other, of robots and objects with obstacles."""
     time: float = 0.0
-    """Time in contact [s]."""
+    """Time in collisions [s]."""
     forces: dict[str, float] = field(default_factory=dict)
-    """Largest net force by pair [N]."""
+    """Largest net force by pair that collided [N]."""
+    touches: dict[str, float] = field(default_factory=dict)
+    """Largest net force by pair of an object and another object or a robot [N]: no collisions, for a task may be about
+    them."""

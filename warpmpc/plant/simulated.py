@@ -18,7 +18,8 @@ from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
-from ..model.pairs import collision_pairs
+from ..model.overlaps import refuse_overlap
+from ..model.pairs import collision_pairs, touching_pairs
 from ..model.properties import Properties, draw_properties
 from ..model.state import Contact, State
 from ..scene.errors import SceneError
@@ -32,6 +33,7 @@ from .motion import Motions
 
 if TYPE_CHECKING:
     from ..cost.term import ArrayCost, CostTerm
+    from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
     from .batch import PlantBatch
 
@@ -80,6 +82,7 @@ class Worlds:
         watching = self._values.pairs if self._values else ()
         supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
         self.pairs = collision_pairs(self.layout, supports)
+        self.touching = touching_pairs(self.layout)
         self.first_pair = len(watching)
         shape, dt = BatchSize(len(seeds), 1, 1, 1), scene.timing.control_dt
         substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
@@ -88,12 +91,14 @@ class Worlds:
             shape,
             substeps=[substeps],
             timestep=dt / substeps,
-            pairs=(*watching, *self.pairs),
+            pairs=(*watching, *self.pairs, *self.touching),
             properties=_stacked(self.draws) if self.draws else None,
             threads=1 if len(seeds) == 1 else 0,
             options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
+        for model, start in zip(self.engine.models, self.engine.initial, strict=True):
+            refuse_overlap(scene, compiled, model, start)
         self.control = self.engine.trajectory.control
         """Controls of all worlds ``[1, E, nu]``."""
         if self._values:
@@ -121,6 +126,13 @@ def _stacked(draws: Sequence[Properties]) -> Properties:
     return Properties(draws[0].names, *rows)
 
 
+def _raise(forces: dict[str, float], pairs: Sequence[Pair], peaks: np.ndarray) -> None:
+    """Raise the largest force of each pair to a new one ``[pairs]``."""
+    for pair, peak in zip(pairs, peaks, strict=True):
+        name = f"{pair.first}-{pair.second}"
+        forces[name] = max(forces.get(name, 0.0), float(peak))
+
+
 class Plant:
     """A simulated plant with physical properties, noise, delay and disturbances of its own.
 
@@ -138,7 +150,7 @@ class Plant:
         world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
 
     Raises:
-        SceneError: If a kick has the wrong number of values.
+        SceneError: If things stand deep inside each other at the start, or a kick has the wrong number of values.
         ValueError: If there is to be less than one plant, or not one for each environment of the task.
     """
 
@@ -315,6 +327,9 @@ class Plant:
             if start >= 0:
                 width = 3 if layout.joint_type[joint] == 4 else int(layout.joint_dof_dim[joint].sum())
                 columns += [first + start + k for k in range(width)]
+        floating = any(layout.joint_type[joint] == 4 for joint in entity.joints[:1])
+        if floating and len(kick.velocity) == 3:
+            columns = columns[:3]
         if len(columns) != len(kick.velocity):
             raise SceneError(
                 f"needs {len(columns)} values for '{kick.target}'",
@@ -325,16 +340,17 @@ class Plant:
         return columns
 
     def _feel(self) -> None:
-        """Record contacts between robots and obstacles at every physics step."""
-        if not self.pairs:
+        """Record contacts between robots, objects and obstacles at every physics step."""
+        touching = self._worlds.touching
+        if not self.pairs + touching:
             return
         force = np.linalg.norm(self._measured(), axis=-1)
-        step = self._engine.model.opt.timestep
-        self.contact.time += step * int((force > CONTACT_FORCE).any(axis=1).sum())
-        for pair, peak in zip(self.pairs, force.max(axis=0), strict=True):
-            name = f"{pair.first}-{pair.second}"
-            self.contact.forces[name] = max(self.contact.forces.get(name, 0.0), float(peak))
-        self.contact.max_force = max(self.contact.forces.values())
+        step, colliding = self._engine.model.opt.timestep, len(self.pairs)
+        self.contact.time += step * int((force[:, :colliding] > CONTACT_FORCE).any(axis=1).sum())
+        peaks = force.max(axis=0)
+        _raise(self.contact.forces, self.pairs, peaks[:colliding])
+        _raise(self.contact.touches, touching, peaks[colliding:])
+        self.contact.max_force = max(self.contact.forces.values(), default=0.0)
 
     def _check(self) -> None:
         """Take note of the state just reached."""
@@ -346,7 +362,7 @@ class Plant:
         self.monitor.look(Look(self.body_q, state.joint_q, terms, poses), self.time)
 
     def _measured(self) -> np.ndarray:
-        """Net forces on the first of the watched pairs at every physics step ``[n, pairs, 3]`` [N]."""
+        """Net forces on the first of pairs that collide, then of those that touch, ``[n, pairs, 3]`` [N], by step."""
         return self._engine.pair_force(self._index)[:, self._worlds.first_pair :]
 
     @property
@@ -369,7 +385,7 @@ class Plant:
     @property
     def forces(self) -> np.ndarray:
         """Net contact force on the first of each of :attr:`pairs` at the last physics step ``[pairs, 3]`` [N]."""
-        return self._measured()[-1]
+        return self._measured()[-1, : len(self.pairs)]
 
     @property
     def success(self) -> bool:

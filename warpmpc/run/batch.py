@@ -169,6 +169,7 @@ def _refuse_drawn_bodies(scene: Scene) -> None:
         SceneError: If this is one.
     """
     others = [key for key in scene.randomize_task.draw if split_key(key)[0] != "goal"]
+    others += [f"phase.{phase.name}.goal.rotation" for phase in scene.phase if phase.draw_rotation]
     if others:
         raise SceneError(
             f"episodes that differ in more than their goals ({', '.join(others)}) cannot run as one batch: "

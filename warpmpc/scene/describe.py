@@ -73,8 +73,10 @@ def default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)
-    if value is None or value is PydanticUndefined or isinstance(value, BaseModel) or value in ((), {}):
+    if value is None or value is PydanticUndefined or value in ((), {}):
         return "-"
+    if isinstance(value, BaseModel):  # what a section is when left out stands at its keys
+        return "-" if takes(field) == "table" else written(value.model_dump(mode="json"))
     return written(value)
 
 

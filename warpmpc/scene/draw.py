@@ -38,11 +38,14 @@ def draw_task(scene: Scene, seed: int) -> tuple[Scene, dict[str, object]]:
         SceneError: If a thousand draws are all rejected.
     """
     ranges = _ranges(scene)
-    if not ranges:
+    turned = [phase.name for phase in scene.phase if phase.draw_rotation]
+    if not ranges and not turned:
         return scene, {}
     rng = np.random.default_rng(seed)
+    turns = np.random.default_rng((seed, len(turned)))  # of their own: what else is drawn stays as it was
+    rotations = {join_key(("phase", name, "goal", "rotation")): _rotation(turns) for name in turned}
     for _ in range(TRIES):
-        values = {key: _uniform(rng, draw) for key, draw in ranges.items()}
+        values = {key: _uniform(rng, draw) for key, draw in ranges.items()} | rotations
         drawn = with_values(scene, values)
         rejection = next((r for r in scene.randomize_task.reject if clearance(drawn, r) < r.clearance), None)
         if rejection is None:
@@ -93,12 +96,19 @@ def _uniform(rng: np.random.Generator, draw: Draw) -> object:
     return values[0] if len(values) == 1 else values
 
 
+def _rotation(rng: np.random.Generator) -> tuple[float, ...]:
+    """A unit quaternion, of all orientations alike."""
+    q = rng.normal(size=4)
+    return tuple(float(x) for x in q / np.linalg.norm(q))
+
+
 def _place(scene: Scene, rejection: Rejection) -> tuple[float, ...]:
     if rejection.at is not None:
         return rejection.at
     if rejection.place == "goal":
         return scene.goal.position
-    return next(entry.position for entry in (*scene.object, *scene.robot) if entry.name == rejection.place)
+    entry = next(entry for entry in (*scene.object, *scene.robot) if entry.name == rejection.place)
+    return entry.position or (0.0, 0.0, 0.0)
 
 
 def _into_frame(v: list[float], q: tuple[float, ...]) -> tuple[float, float, float]:

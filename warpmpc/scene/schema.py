@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .schema_bodies import (
     Drive,
@@ -58,6 +58,7 @@ from .types import (
     Vec2or3,
     Vec3,
 )
+from .waypoints import one_by_one
 
 __all__ = [
     "Camera",
@@ -177,6 +178,8 @@ class Cost(Section):
     """What printouts and overrides call it; the term's name when left out."""
     weight: Finite = 1.0
     """Factor on its value; 0 switches it off."""
+    terminal: NonNegative = 1.0
+    """Factor on what it costs at the last step of the horizon, besides ``planner.terminal``."""
 
     @property
     def label(self) -> str:
@@ -197,7 +200,8 @@ class Kick(Section):
     target: str
     """Object or robot."""
     velocity: Floats
-    """Object: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint velocity [m/s or rad/s]."""
+    """Object, or robot with a free root: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint's
+    velocity [m/s or rad/s], of a free root the linear one."""
 
 
 class PlantNoise(Section):
@@ -326,6 +330,12 @@ class Phase(Section):
     """What ``--json`` and ``Monitor.phases`` call it."""
     goal: Pose | None = None
     """Where the goal is in this phase; where it was when left out."""
+    through: Annotated[tuple[Pose, ...], OneOrMore] = ()
+    """Goals one after the other in place of one; ``until``, ``hold`` and ``after`` hold for each, a phase NAME_1 ..."""
+    count: Count | None = None
+    """So many goals one after the other, as with ``through``, at one place: turned anew with ``draw_rotation``."""
+    draw_rotation: Flag = False
+    """Whether every episode draws the goal's orientation, of all there are, those of ``through`` and ``count`` too."""
     target: dict[Name, Pose] = Field(default_factory=dict)
     """Targets that are elsewhere in this phase."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
@@ -338,6 +348,17 @@ class Phase(Section):
     """... for this time [s]."""
     after: Positive | None = None
     """The phase ends after this time [s], whatever holds."""
+
+    @model_validator(mode="after")
+    def _one_kind_of_goal(self) -> Phase:
+        given = [name for name in ("goal", "through") if getattr(self, name)]
+        if len(given) == 2 or (self.through and self.count is not None):
+            raise ValueError("a phase has a goal, with a count or without, or goes through several")
+        if (self.count is not None or self.draw_rotation) and not given:
+            raise ValueError("count and draw_rotation are about goals: give goal or through")
+        if self.draw_rotation and any(pose.yaw is not None for pose in (self.goal, *self.through) if pose is not None):
+            raise ValueError("draw_rotation takes the place of yaw")
+        return self
 
 
 class Success(Section):
@@ -413,6 +434,11 @@ class Scene(Section):
     """File the scene was read from; relative assets are found beside it."""
     variant: str | None = Field(None, exclude=True)
     """Variant that was applied."""
+
+    @field_validator("phase")
+    @classmethod
+    def _one_goal_each(cls, phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+        return one_by_one(phases)
 
     @property
     def flat_poses(self) -> set[str]:

@@ -125,11 +125,12 @@ class Robot(Section):
     """What the rest of the scene calls it; its links, frames and joints are ``name/link`` and so on."""
     asset: str
     """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Start position of the root [m]. MJCF: where the origin of the file is; its floors (planes and height fields that
-    are fixed to the world) stay where they are written."""
-    rotation: Quat = (0.0, 0.0, 0.0, 1.0)
-    """Start orientation of the root (x, y, z, w)."""
+    position: Vec3 | None = None
+    """Start position of the root [m], in place of the asset's own; that one when left out. MJCF: the root is the first
+    body that moves, as its ``keyframe`` has it; all else in the file moves with it, but floors (planes and height
+    fields that are fixed to the world) stay where they are written."""
+    rotation: Quat | None = None
+    """Start orientation of the root (x, y, z, w), in place of the asset's own; that one when left out."""
     floating: Flag | None = None
     """Whether the root moves freely (legged robots, drones) or is fixed to the world. When left out, as an MJCF file
     says; the roots of URDF and USD files are then fixed."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,3 +64,38 @@ def velocity(code: TermCode, p: Any) -> Operand:
     """``residuals.velocity_residual``."""
     parts = [(share, code.state.point_velocity(body, at)[0]) for body, at, share, _ in _points(code, p)]
     return _spatial(code, p, _sum(code, parts))
+
+
+def angular_velocity(code: TermCode, p: Any) -> Operand:
+    """``residuals.angular_velocity_residual``."""
+    parts = [(share, code.state.point_velocity(body, at)[1]) for body, at, share, _ in _points(code, p)]
+    return _spatial(code, p, _sum(code, parts))
+
+
+def rotation(code: TermCode, p: Any) -> Operand:
+    """``residuals.rotation_residual``."""
+    a, b = code.state.frame(p.of).columns, code.state.frame(p.to).columns
+    pairs = [(a[axis], b[axis]) for axis in p.axis.numpy()]
+    values = [code.lines.sum((0.5**0.5, x)) for pair in pairs for x in code.lines.difference(*pair)]
+    return norm(code, values, p)
+
+
+def angular_momentum(code: TermCode, p: Any) -> Operand:
+    """``residuals.angular_momentum_residual``."""
+    state, lines, own = code.state, code.lines, replace(code, params=f"{code.params}.own")
+    points = list(_points(own, p.own))
+    at = [state.body_point(body, at) for body, at, _, _ in points]
+    motion = [state.point_velocity(body, at) for body, at, _, _ in points]
+    shares = [share for _, _, share, _ in points]
+    centre = _sum(code, list(zip(shares, at, strict=True)))
+    moving = _sum(code, [(share, linear) for share, (linear, _) in zip(shares, motion, strict=True)])
+    parts = []
+    for i, (body, *_) in enumerate(points):
+        linear, angular = motion[i]
+        columns, inertia = state.body_columns(body), f"{code.params}.inertia.data[{i}].data"
+        spin = [lines.dot(column, angular) for column in columns]
+        turned = [lines.sum(*((f"{inertia}[{k}][{m}]", spin[m]) for m in range(3))) for k in range(3)]
+        parts.append((1.0, [lines.sum(*((turned[k], columns[k][axis]) for k in range(3))) for axis in range(3)]))
+        lever = lines.cross(lines.difference(at[i], centre), lines.difference(linear, moving))
+        parts.append((f"{code.params}.mass.data[{i}]", lever))
+    return _spatial(own, p.own, _sum(code, parts))

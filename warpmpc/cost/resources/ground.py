@@ -51,13 +51,13 @@ class Ground(Idle):
     def grid(self) -> Grid:
         """The grid; made when it is first used."""
         scene, layout = self._scene, self._layout
-        starts = [item.position[:2] for item in (*scene.object, *scene.robot)]
+        starts = [item.position[:2] for item in (*scene.object, *scene.robot) if item.position]
         for robot in scene.robot:
             moving = [j for j in layout.entity(robot.name).joints if layout.joint_dof_dim[j].any()]
             axes = "".join("xr"[i] * n for j in moving for i, n in enumerate(layout.joint_dof_dim[j]))
             if axes.startswith("xx"):  # a base that moves in the plane
                 q = layout.joint_q_start[moving[0]]
-                starts.append(np.add(robot.position[:2], layout.joint_q[q : q + 2]))
+                starts.append(np.add((robot.position or (0.0, 0.0))[:2], layout.joint_q[q : q + 2]))
         goals = [pose.position[:2] for pose in (scene.goal, *scene.target) if pose is not None]
         goals += [phase.goal.position[:2] for phase in scene.phase if phase.goal is not None]
         points = np.array([*goals, *starts], dtype=float)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Phases whose goal goes through several poses: one phase each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .schema import Phase
+
+
+def one_by_one(phases: Sequence[Phase]) -> tuple[Phase, ...]:
+    """Phases with one goal each: ``NAME_1``, ``NAME_2``, ... in place of one with several.
+
+    The last goal of the last phase is the run's: it ends with success, not with a condition.
+    """
+    out: list[Phase] = []
+    for phase in phases:
+        goals = phase.through or (phase.goal,) * (phase.count or 1)
+        if len(goals) == 1 and not phase.through and phase.count is None:
+            out.append(phase)
+            continue
+        for i, goal in enumerate(goals):
+            change = {"name": f"{phase.name}_{i + 1}", "goal": goal, "through": (), "count": None}
+            out.append(phase.model_copy(update=change))
+        if phase is phases[-1]:
+            out[-1] = out[-1].model_copy(update={"until": (), "hold": 0.0, "after": None})
+    return tuple(out)
