@@ -12,6 +12,28 @@ wp.set_module_options({"enable_backward": False})
 MEAN = wp.constant(0)
 WORST = wp.constant(1)
 CVAR = wp.constant(2)
+BEST = wp.constant(3)
+VAR = wp.constant(4)
+EXPONENTIAL = wp.constant(5)
+
+# a tail of this much more than whole domains is one of whole domains: α·D is rounded
+TAIL_TOLERANCE = wp.constant(1.0e-4)
+
+
+@wp.func
+def stage_risk_ratio(stage_cost: wp.array3d[float], t: int, w: int, stage_risk: float) -> float:
+    """ρ(l; R)/l of one step, ρ = (e^{R l} - 1)/R, l its cost over all terms (Howell et al. 2022, Eq. 5); 1 where R = 0.
+
+    Every term's share grows by it, so that the terms still add up to the cost.
+    """
+    if stage_risk == 0.0:
+        return 1.0
+    x = float(0.0)
+    for i in range(stage_cost.shape[0]):
+        x += stage_risk * stage_cost[i, t, w]
+    if wp.abs(x) < 0.1:  # the difference below would cancel
+        return 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0)))
+    return (wp.exp(x) - 1.0) / x
 
 
 @wp.kernel
@@ -20,17 +42,19 @@ def sum_cost_kernel(
     stage_cost: wp.array3d[float],  # [term, T, W] cost of one term, step and world
     diverged: wp.array[int],  # [W] nonzero where the physics failed
     step_weight: wp.array[float],  # [T] γ^t, or whatever the time grid says
+    stage_risk: float,  # R
     first: int,  # world of thread 0
     # outputs
     rollout_cost: wp.array[float],  # [W] +inf where the world diverged
 ):
-    """One thread: one world's stage costs over terms and steps, S_w = Σ_t γ^t Σ_i c_i (Pezzato et al. 2025, Eq. 5)."""
+    """One thread: one world's stage costs over terms and steps, Σ_t γ^t ρ(Σ_i c_i) (Pezzato et al. 2025, Eq. 5)."""
     w = first + wp.tid()
 
     total = float(0.0)
     for t in range(stage_cost.shape[1]):
+        factor = step_weight[t] * stage_risk_ratio(stage_cost, t, w, stage_risk)
         for i in range(stage_cost.shape[0]):
-            total += step_weight[t] * stage_cost[i, t, w]
+            total += factor * stage_cost[i, t, w]
 
     # a world that diverged must never look cheap
     rollout_cost[w] = wp.where(wp.isfinite(total) and diverged[w] == 0, total, wp.inf)
@@ -49,10 +73,36 @@ def tail_part(rollout_cost: wp.array[float], first: int, domains: int, d: int, t
 
 
 @wp.func
+def ranked_domain(rollout_cost: wp.array[float], first: int, domains: int, mode: int, alpha: float) -> int:
+    """The best domain of a sample, or the mildest one of its worst share α (VaR); of equal ones the first is worse."""
+    wanted = domains - 1
+    if mode == VAR:
+        wanted = wp.clamp(int(wp.ceil(alpha * float(domains) - TAIL_TOLERANCE)) - 1, 0, domains - 1)
+    found = int(0)
+    for d in range(domains):
+        reaching = tail_part(rollout_cost, first, domains, d, float(wanted + 1))
+        short = tail_part(rollout_cost, first, domains, d, float(wanted))
+        if reaching > short:
+            found = d
+    return found
+
+
+@wp.func
 def domain_share(rollout_cost: wp.array[float], first: int, domains: int, d: int, mode: int, alpha: float) -> float:
-    """Share of domain d in the cost that ``risk_kernel`` gives its sample; the shares add up to one."""
+    """Share of domain d in the cost that ``risk_kernel`` gives its sample; the shares add up to one.
+
+    Those of the exponential risk are its gradient e^{R S_d}/Σ e^{R S}, the probabilities that it sees.
+    """
     if mode == MEAN:
         return 1.0 / float(domains)
+    if mode == EXPONENTIAL:
+        own = rollout_cost[first + d]
+        total = float(0.0)
+        for other in range(domains):
+            total += wp.exp(alpha * (rollout_cost[first + other] - own))
+        return 1.0 / total
+    if mode == BEST or mode == VAR:
+        return wp.where(d == ranked_domain(rollout_cost, first, domains, mode, alpha), 1.0, 0.0)
     tail = float(1.0)
     if mode == CVAR:
         tail = wp.max(alpha * float(domains), 1.0)
@@ -66,6 +116,7 @@ def explain_cost_kernel(
     rollout_cost: wp.array[float],  # [W]
     best: wp.array[int],  # [E] sample to explain
     step_weight: wp.array[float],  # [T]
+    stage_risk: float,  # R
     samples: int,
     domains: int,
     mode: int,
@@ -80,17 +131,37 @@ def explain_cost_kernel(
     for d in range(domains):
         part = float(0.0)
         for t in range(stage_cost.shape[1]):
-            part += step_weight[t] * stage_cost[i, t, first + d]
+            ratio = stage_risk_ratio(stage_cost, t, first + d, stage_risk)
+            part += step_weight[t] * ratio * stage_cost[i, t, first + d]
         total += domain_share(rollout_cost, first, domains, d, mode, alpha) * part
     term_cost[e, i] = total
 
 
 @wp.func
-def sample_risk(rollout_cost: wp.array[float], first: int, domains: int, mode: int, alpha: float) -> float:
-    """Reduce one sample's costs over its domains: their mean, the worst, or the mean of the worst share α (CVaR).
+def exponential_risk(rollout_cost: wp.array[float], first: int, domains: int, aversion: float) -> float:
+    """log(mean e^{R S})/R about the domain whose exponential is largest; the mean where R is zero."""
+    mean = float(0.0)
+    largest = rollout_cost[first]
+    for d in range(domains):
+        cost = rollout_cost[first + d]
+        mean += cost / float(domains)
+        if aversion * (cost - largest) > 0.0:
+            largest = cost
+    if aversion == 0.0:
+        return mean
+    total = float(0.0)
+    for d in range(domains):
+        total += wp.exp(aversion * (rollout_cost[first + d] - largest))
+    return largest + wp.log(total / float(domains)) / aversion
 
-    α = 1 is the mean, α ≤ 1/D the worst; in between a domain may count in part (Rockafellar and Uryasev 2002). One
-    diverged domain makes the sample +inf in every mode.
+
+@wp.func
+def sample_risk(rollout_cost: wp.array[float], first: int, domains: int, mode: int, alpha: float) -> float:
+    """Reduce one sample's costs over its domains: mean, worst, best, CVaR, VaR or the exponential risk.
+
+    CVaR is the mean of the worst share α: α = 1 is the mean, α ≤ 1/D the worst; in between a domain may count in part
+    (Rockafellar and Uryasev 2002). VaR is the mildest cost of that share. The exponential risk is log(mean e^{R S})/R
+    (Whittle 1981), ``alpha`` its R. One diverged domain makes the sample +inf in every mode.
     """
     worst = float(-wp.inf)
     total = float(0.0)
@@ -112,6 +183,10 @@ def sample_risk(rollout_cost: wp.array[float], first: int, domains: int, mode: i
             for d in range(domains):
                 excess += tail_part(rollout_cost, first, domains, d, tail) * rollout_cost[first + d]
             risk = excess / tail
+    elif mode == BEST or mode == VAR:
+        risk = rollout_cost[first + ranked_domain(rollout_cost, first, domains, mode, alpha)]
+    elif mode == EXPONENTIAL:
+        risk = exponential_risk(rollout_cost, first, domains, alpha)
     return wp.where(finite, risk, wp.inf)
 
 

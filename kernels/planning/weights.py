@@ -112,6 +112,63 @@ def bisect_temperature_kernel(
         beta[e] = wp.exp(0.5 * (low + high))
 
 
+@wp.func
+def rank_of(cost: wp.array2d[float], e: int, s: int) -> int:
+    """How many finite samples are better than a sample, the first of equally good ones counted as better."""
+    own = cost[e, s]
+    rank = int(0)
+    for other in range(cost.shape[1]):
+        rival = cost[e, other]
+        if wp.isfinite(rival) and (rival < own or (rival == own and other < s)):
+            rank += 1
+    return rank
+
+
+@wp.kernel
+def tsallis_weight_kernel(
+    # inputs
+    cost: wp.array2d[float],  # [E, S]
+    elites: int,
+    exponent: float,  # 1/(r - 1)
+    # outputs
+    eta: wp.array[float],  # [E] number of samples that carry weight, before normalization
+    weight: wp.array2d[float],  # [E, S] sums to one per environment, all zero when every sample diverged
+):
+    """Weigh one environment's samples, one block each, by (1 - ΔS/γ)_+^{1/(r-1)} (Wang et al. 2021, 2104.00241).
+
+    γ is what the first sample that is no elite costs more than the best one, so that the elites carry all weight;
+    where no finite sample is left out, they weigh the same, and so do ties of the best where γ is zero.
+    """
+    e, lane = wp.tid()
+    samples = cost.shape[1]
+
+    best = best_cost(cost, e, lane)
+
+    threshold = float(wp.inf)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and rank_of(cost, e, s) == elites:
+            threshold = cost[e, s]
+    gamma = wp.tile_extract(wp.tile_min(wp.tile(threshold)), 0) - best
+
+    partial = float(0.0)
+    for s in range(lane, samples, wp.block_dim()):
+        w = float(0.0)
+        if wp.isfinite(cost[e, s]):
+            excess = cost[e, s] - best
+            if excess == 0.0:
+                w = 1.0
+            elif excess < gamma:
+                w = wp.pow(1.0 - excess / gamma, exponent)
+        weight[e, s] = w
+        partial += w
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+
+    for s in range(lane, samples, wp.block_dim()):
+        weight[e, s] = weight[e, s] / wp.max(total, 1.0)
+    if lane == 0:
+        eta[e] = total
+
+
 @wp.kernel
 def best_weight_kernel(
     # inputs
@@ -158,14 +215,11 @@ def elite_weight_kernel(
     e, s = wp.tid()
 
     own = cost[e, s]
-    rank = int(0)
+    rank = rank_of(cost, e, s)
     finite = int(0)
     for other in range(cost.shape[1]):
-        rival = cost[e, other]
-        if wp.isfinite(rival):
+        if wp.isfinite(cost[e, other]):
             finite += 1
-            if rival < own or (rival == own and other < s):
-                rank += 1
 
     count = wp.min(elites, finite)
     weight[e, s] = wp.where(wp.isfinite(own) and rank < count, 1.0 / wp.max(float(count), 1.0), 0.0)

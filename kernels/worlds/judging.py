@@ -7,7 +7,7 @@ storage for blocks is one per module there.
 
 import warp as wp
 
-from ..planning.costs import domain_share, sample_risk
+from ..planning.costs import domain_share, sample_risk, stage_risk_ratio
 from ..planning.splines import Spline, evaluate_spline, knot_place, locate
 
 wp.set_module_options({"enable_backward": False})
@@ -51,6 +51,7 @@ def finish_kernel(
     stage_cost: wp.array3d[float],  # [term, T, W] of terms that were not summed on the way, or empty
     staged: wp.array[int],  # [n] which they are
     step_weight: wp.array[float],  # [T]
+    stage_risk: float,  # R of ρ(l; R); where it is not zero every term is staged
     failed: wp.array[int],  # [W] nonzero where the physics failed; empty where there is none
     observed: wp.array[int],  # [E] whether there is an observation to plan from
     domains: int,
@@ -59,7 +60,7 @@ def finish_kernel(
     first: int,  # e·S + s of thread 0
     # outputs
     total: wp.array2d[float],  # [term, W] cost of each term over the horizon
-    rollout_cost: wp.array[float],  # [W] S_w = Σ_t γ^t Σ_i c_i, +inf where it is not finite or the physics failed
+    rollout_cost: wp.array[float],  # [W] S_w = Σ_t γ^t ρ(Σ_i c_i), +inf where it is not finite or the physics failed
     diverged: wp.array[int],  # [W] nonzero where the physics failed, or without it, where a cost is not finite
     cost: wp.array2d[float],  # [E, S]
 ):
@@ -70,7 +71,7 @@ def finish_kernel(
             i = staged[n]
             part = float(0.0)
             for t in range(stage_cost.shape[1]):
-                part += step_weight[t] * stage_cost[i, t, w]
+                part += step_weight[t] * stage_risk_ratio(stage_cost, t, w, stage_risk) * stage_cost[i, t, w]
             total[i, w] = part
         sum = float(0.0)
         for i in range(total.shape[0]):

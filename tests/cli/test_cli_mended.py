@@ -49,7 +49,7 @@ def test_what_was_mended_is_shown_every_time_and_listed_by_check(files, command)
         done = command("check", "r.toml")
         assert done.returncode == 0, done.stderr
         listed = " ".join(done.stdout.split())
-        assert listed.count("mended") == 3
+        assert listed.count("mended r: ") == 3
         assert all(part in listed for part in ("package://foo/x.stl", "A + B ≥ C", "limit of 0 for effort"))
         shown.append([line for line in done.stderr.splitlines() if line.startswith("warning: ")])
     assert shown[0] == shown[1]

@@ -13,7 +13,9 @@ METHODS = {
     "mppi ess": {"method": "mppi", "temperature": {"ess": 5.0}},
     "predictive_sampling": {"method": "predictive_sampling", "spline": "cubic", "knots": 3},
     "cem": {"method": "cem", "sigma_min": (0.05,)},
-    "dial": {"method": "mppi", "iterations": 3, "noise": {"anneal": (0.5, 0.5), "redraw": True}},
+    "dial": {"method": "dial"},
+    "tsallis": {"method": "tsallis"},
+    "stage risk": {"method": "mppi", "stage_risk": -1.0, "domains": 2, "risk": "exponential"},
     "storm": {
         "method": "mppi",
         "iterations": 2,

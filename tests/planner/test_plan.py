@@ -14,6 +14,8 @@ METHODS = {
     "mppi ess": {"method": "mppi", "temperature": {"ess": 5.0}},
     "predictive_sampling": {"method": "predictive_sampling"},
     "cem": {"method": "cem", "elites": 6, "sigma_min": (0.05,)},
+    "tsallis": {"method": "tsallis", "elites": 6},
+    "dial": {"method": "dial", "temperature": {"initial": 0.05}},
 }
 GOAL = np.array([1.0, 0.5])
 WIDE = {**DISC, "drive": {**DISC["drive"], "limit": (9.0, 9.0, 9.0)}}

@@ -10,6 +10,7 @@ from warpmpc.planner.weighting import (
     CrossEntropy,
     Mppi,
     PredictiveSampling,
+    Tsallis,
     WeightingState,
 )
 
@@ -19,8 +20,9 @@ WEIGHTINGS = [
     Mppi(adapt=Adaptation.FIXED),
     PredictiveSampling(),
     CrossEntropy(elites=4),
+    Tsallis(elites=4),
 ]
-ALL = pytest.mark.parametrize("weighting", WEIGHTINGS, ids=["eta", "ess", "fixed", "predictive", "cem"])
+ALL = pytest.mark.parametrize("weighting", WEIGHTINGS, ids=["eta", "ess", "fixed", "predictive", "cem", "tsallis"])
 
 
 def make_state(cost, *, temperature: float = 1.0, device: str) -> WeightingState:
@@ -73,6 +75,28 @@ def test_ess_adaptation_is_met_in_one_launch_in_every_environment(target, device
     np.testing.assert_allclose(effective_samples(state.weight.numpy().astype(np.float64)), target, rtol=1e-3)
 
 
+@pytest.mark.parametrize("index", [1.5, 2.0, 5.0])
+def test_tsallis_weights_match_the_reference(index, device):
+    cost = np.random.default_rng(4).gamma(2.0, 3.0, size=(2, 65)).astype(np.float32)
+    cost[1, 3] = np.inf
+    state = make_state(cost, device=device)
+    Tsallis(elites=6, entropic_index=index).launch(state)
+    wide = cost.astype(np.float64)
+    excess = wide - wide.min(axis=1, keepdims=True)
+    gamma = np.sort(excess, axis=1)[:, 6:7]
+    expected = np.maximum(1.0 - excess / gamma, 0.0) ** (1.0 / (index - 1.0))
+    expected /= expected.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(state.weight.numpy(), expected, rtol=1e-4, atol=1e-6)
+    assert np.count_nonzero(state.weight.numpy(), axis=1).tolist() == [6, 6]
+
+
+def test_tsallis_elites_that_tie_or_are_all_there_weigh_the_same(device):
+    state = make_state([[2.0, 2.0, 2.0, 2.0, 5.0], [1.0, np.inf, 3.0, np.inf, np.inf]], device=device)
+    Tsallis(elites=3).launch(state)
+    expected = [[0.25, 0.25, 0.25, 0.25, 0.0], [0.5, 0.0, 0.5, 0.0, 0.0]]
+    np.testing.assert_allclose(state.weight.numpy(), expected)
+
+
 def test_a_fixed_temperature_stays(device):
     state = make_state([np.arange(50.0)], temperature=0.1, device=device)
     Mppi(adapt=Adaptation.FIXED).launch(state)
@@ -89,7 +113,7 @@ def test_reset_returns_to_the_initial_temperature(device):
 
 
 def test_only_cross_entropy_adapts_sigma():
-    assert [w.adapts_sigma for w in WEIGHTINGS] == [False, False, False, False, True]
+    assert [w.adapts_sigma for w in WEIGHTINGS] == [False, False, False, False, True, False]
 
 
 def test_weightings_are_compared_by_value_and_cannot_be_changed():
@@ -108,6 +132,8 @@ def test_weightings_are_compared_by_value_and_cannot_be_changed():
         (lambda: Mppi(target_ess=0.5), "target_ess"),
         (lambda: Mppi(adapt="sometimes"), "sometimes"),
         (lambda: CrossEntropy(elites=0), "elites"),
+        (lambda: Tsallis(elites=0), "elites"),
+        (lambda: Tsallis(entropic_index=1.0), "entropic_index"),
     ],
 )
 def test_senseless_parameters_are_refused(make, message):

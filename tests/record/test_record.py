@@ -12,6 +12,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
+from small_scenes import DISC, layout_of, make_scene
 
 from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
@@ -261,6 +262,19 @@ def test_a_contact_point_lies_on_the_face_next_to_the_robot(loop):
     body_q = loop.plant.body_q
     body_q[3, :3] = (0.2, 1.1, 0.085)  # left of the wall, whose left face is x = 0.7
     np.testing.assert_allclose(point(body_q), [0.7, 1.1, 0.085], atol=1e-6)
+
+
+def test_a_contact_point_of_two_robots_moves_with_the_second():
+    robots = [{**DISC, "name": name, "position": (x, 0.0, 0.0)} for name, x in (("left", 0.0), ("right", 1.0))]
+    scene = make_scene(robot=robots, goal={"frame": "left/centre", "position": (0.0, 0.0)})
+    layout = layout_of(scene)
+    point, body_q = ContactPoints(layout, "left", "right"), np.zeros((layout.nb, 7))
+    body_q[:, 6] = 1.0
+    right = layout.entity("right").bodies[-1]
+    body_q[right] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    np.testing.assert_allclose(point(body_q)[:2], [0.8, 0.0], atol=1e-6)
+    body_q[right] = (0.0, 3.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+    np.testing.assert_allclose(point(body_q)[:2], [0.0, 2.8], atol=1e-6)
 
 
 def test_rollouts_that_mean_nothing_are_not_drawn(loop, tmp_path, caplog):

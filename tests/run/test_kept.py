@@ -25,6 +25,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
         "steps": 31,
         "position_error": 0.01,
         "yaw_error": 0.2,
+        "axis_error": 0.1,
         "cost": 3.5,
         "max_force": 4.0,
         "time_in_contact": 0.5,
@@ -44,7 +45,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
 
 def test_a_result_survives_json():
     assert result_from_json(a_result().to_json()) == a_result()
-    plain = a_result(success=False, position_error=None, yaw_error=None, phases=(), drawn={})
+    plain = a_result(success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), drawn={})
     assert result_from_json(plain.to_json()) == plain
     unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
     assert math.isnan(unknown.cost)

@@ -21,7 +21,7 @@ from ..launch import Launcher, Replay
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from .crew import Crew
-from .recorded import RISKS
+from .recorded import risk_inputs
 
 if TYPE_CHECKING:
     from .protocol import Proposal
@@ -59,7 +59,7 @@ class JudgingEngine(ABC):
         self._replays: dict[int, tuple[Proposal, Replay, list[Replay]]] = {}
         self.lanes = native_lanes()
         planner = request.scene.planner
-        self._risk = [self.shape.domains, RISKS[planner.risk], planner.cvar]
+        self._risk, self._stage_risk = risk_inputs(planner, self.shape.domains), planner.stage_risk
         self._allocate(work)
         self._failed = self._zeros(0, dtype=int)
         """Worlds whose physics failed ``[W]``; empty where there is none."""
@@ -187,7 +187,8 @@ class JudgingEngine(ABC):
 
     def _finish(self, first: int, count: int) -> None:
         """Costs of some samples from what their terms cost over the horizon."""
-        inputs = [self.judge.cost, self._staged, self.grid.weight, self._failed, self.state.observed]
+        weighing = [self.grid.weight, self._stage_risk]
+        inputs = [self.judge.cost, self._staged, *weighing, self._failed, self.state.observed]
         outputs = [self._work.total, self._rollout_cost, self.diverged, self.cost]
         self._launch(finish_kernel, count, [*inputs, *self._risk, first], outputs)
 

@@ -58,7 +58,7 @@ class KinematicEngine(JudgingEngine):
         _refuse(request)
         super().__init__(request, KinematicWork())
         writer = StateCode(self.layout, moving_dofs(self.layout), quaternions=True)
-        baked, staged = bake(self.costs, writer)
+        baked, staged = bake(self.costs, writer, stage_risk=self._stage_risk)
         spline = request.spline
         source = RolloutSource(writer, baked, spline.kind, len(spline.time), self.lanes, bool(staged))
         judge = self._stage(staged)

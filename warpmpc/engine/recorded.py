@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from ..cost.stack import Judge
-from ..kernels.planning.costs import CVAR, MEAN, WORST, explain_cost_kernel, risk_kernel, sum_cost_kernel
+from ..kernels.planning.costs import (
+    BEST,
+    CVAR,
+    EXPONENTIAL,
+    MEAN,
+    VAR,
+    WORST,
+    explain_cost_kernel,
+    risk_kernel,
+    sum_cost_kernel,
+)
 from ..kernels.planning.splines import Spline, spline_control_kernel
 from ..launch import Launcher, Replay, step_lanes
 from ..scene.schema import Risk
@@ -24,7 +34,20 @@ if TYPE_CHECKING:
     from .protocol import Proposal, Simulator
     from .timegrid import TimeGrid
 
-RISKS = {Risk.MEAN: MEAN, Risk.WORST: WORST, Risk.CVAR: CVAR}
+RISKS = {
+    Risk.MEAN: MEAN,
+    Risk.WORST: WORST,
+    Risk.BEST: BEST,
+    Risk.CVAR: CVAR,
+    Risk.VAR: VAR,
+    Risk.EXPONENTIAL: EXPONENTIAL,
+}
+
+
+def risk_inputs(planner: Planner, domains: int) -> list[int | float]:
+    """What kernels take of the risk over domains: how many there are, the mode, its share α or its R."""
+    of_mode = planner.aversion if planner.risk is Risk.EXPONENTIAL else planner.cvar
+    return [domains, RISKS[planner.risk], of_mode]
 
 
 class RecordedEngine:
@@ -68,7 +91,7 @@ class RecordedEngine:
         envs = shape.envs
         self.control = simulator.trajectory.control
         self.judge = Judge(costs, simulator.trajectory, self.control, state, shape, grid.t)
-        self._risk = [shape.domains, RISKS[planner.risk], planner.cvar]
+        self._risk, self._stage_risk = risk_inputs(planner, shape.domains), planner.stage_risk
         step_place = (grid.t[:-1] / grid.dt[0]).astype("float32") * (grid.dt[:1].astype("float32") / spline.knot_dt)
         self._step_place = wp.array(step_place, dtype=float, device=self.device)
         self._rollout_cost = wp.zeros(shape.worlds, dtype=float, device=self.device)
@@ -122,7 +145,7 @@ class RecordedEngine:
 
     def _sum(self, first: int, count: int) -> None:
         """Costs of some worlds' samples from what their terms cost at every step."""
-        inputs = [self.judge.cost, self.diverged, self.grid.weight, first]
+        inputs = [self.judge.cost, self.diverged, self.grid.weight, self._stage_risk, first]
         self._launch(sum_cost_kernel, count, inputs, [self._rollout_cost])
         domains = self.shape.domains
         inputs = [self._rollout_cost, self.state.observed, *self._risk, first // domains]
@@ -130,10 +153,11 @@ class RecordedEngine:
 
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of a sample of every environment ``[E]``; capture-safe."""
+        weighing = [self.grid.weight, self._stage_risk]
         self._launch(
             explain_cost_kernel,
             self.term_cost.shape,
-            [self.judge.cost, self._rollout_cost, sample, self.grid.weight, self.shape.samples, *self._risk],
+            [self.judge.cost, self._rollout_cost, sample, *weighing, self.shape.samples, *self._risk],
             [self.term_cost],
         )
 

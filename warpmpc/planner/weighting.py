@@ -14,6 +14,7 @@ from warpmpc.kernels.planning.weights import (
     bisect_temperature_kernel,
     elite_weight_kernel,
     importance_weight_kernel,
+    tsallis_weight_kernel,
 )
 
 from ..launch import Launcher
@@ -142,7 +143,7 @@ class Mppi:
 def weighting_of(planner: Planner) -> Weighting:
     """The weighting a scene asks for."""
     match planner.method:
-        case Method.MPPI:
+        case Method.MPPI | Method.DIAL:
             t = planner.temperature
             adapt = Adaptation.ESS if t.ess else Adaptation.ETA if t.eta else Adaptation.FIXED
             return Mppi(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
@@ -150,6 +151,8 @@ def weighting_of(planner: Planner) -> Weighting:
             return PredictiveSampling()
         case Method.CEM:
             return CrossEntropy(elites=planner.elites)
+        case Method.TSALLIS:
+            return Tsallis(elites=planner.elites, entropic_index=planner.entropic_index)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,3 +191,34 @@ class CrossEntropy:
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
         state.launch(elite_weight_kernel, state.cost.shape, [state.cost, self.elites], [state.eta, state.weight])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tsallis:
+    """Elites weigh w ∝ (1 - ΔS/γ)_+^{1/(r-1)}, γ the excess cost of the first sample that is none (2104.00241).
+
+    Args:
+        elites: Number of best samples that carry weight.
+        entropic_index: r, above one; large ones weigh the elites equally.
+    """
+
+    elites: int = 8
+    entropic_index: float = 2.0
+
+    adapts_sigma: ClassVar[bool] = False
+
+    def __post_init__(self):
+        if self.elites < 1:
+            raise ValueError(f"elites must be at least one, got {self.elites}")
+        if not 1.0 < self.entropic_index < float("inf"):
+            raise ValueError(f"entropic_index must be above one and finite, got {self.entropic_index}")
+
+    def launch(self, state: WeightingState) -> None:
+        """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
+        state.launch(
+            tsallis_weight_kernel,
+            [state.cost.shape[0]],
+            [state.cost, self.elites, 1.0 / (self.entropic_index - 1.0)],
+            [state.eta, state.weight],
+            block_dim=state.block_dim,
+        )

@@ -182,35 +182,47 @@ def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 class ContactPoints:
-    """Where to draw the net contact force between a robot and an obstacle.
+    """Where to draw the net contact force between two things.
 
-    Forces are known per pair, not per contact. The arrow starts at the point of the obstacle's bounding box that is
-    nearest to the centre of any of the robot's collision shapes: exact enough to see which side is touched.
+    Forces are known per pair, not per contact. The arrow starts at the point of the second thing's bounding boxes that
+    is nearest to the centre of any of the first one's collision shapes: exact enough to see which side is touched.
 
     Args:
         layout: The scene's layout.
-        robot: Name of the robot.
-        obstacle: Name of the obstacle.
+        first: Name of a robot or object.
+        second: Name of an obstacle or of another robot.
     """
 
-    def __init__(self, layout: Layout, robot: str, obstacle: str):
-        shapes = [layout.shapes[i] for i in layout.entity(robot).shapes]
+    def __init__(self, layout: Layout, first: str, second: str):
+        shapes = [layout.shapes[i] for i in layout.entity(first).shapes]
         shapes = [s for s in shapes if s.collides and s.body != WORLD]
         self._body = np.array([s.body for s in shapes], dtype=int)
         self._centre = np.array([_in_parent(s, box_of(s, layout)[0]) for s in shapes]).reshape(-1, 3)
-        shape = layout.shapes[layout.entity(obstacle).shapes[0]]
-        centre, self._half = box_of(shape, layout)
-        self._at, self._turn = _in_parent(shape, centre), np.array(shape.pose[3:])
+        self._boxes = []
+        for shape in (layout.shapes[i] for i in layout.entity(second).shapes):
+            if shape.collides:
+                centre, half = box_of(shape, layout)
+                self._boxes.append((shape.body, _in_parent(shape, centre), np.array(shape.pose[3:]), half))
 
     def __call__(self, body_q: np.ndarray) -> np.ndarray:
         """The point ``[3]`` for body poses ``[nb, 7]``."""
-        if not len(self._body):
-            return self._at
         centre = body_q[self._body, :3] + rotate(body_q[self._body, 3:], self._centre)
-        local = rotate(self._turn * (-1, -1, -1, 1), centre - self._at)
-        nearest = np.clip(local, -self._half, self._half)
-        shape = int(np.argmin(np.linalg.norm(local - nearest, axis=1)))
-        return self._at + rotate(self._turn, nearest[shape])
+        found = [_nearest(centre, box, body_q) for box in self._boxes]
+        return min(found, key=lambda entry: entry[0])[1] if found else np.zeros(3)
+
+
+def _nearest(points: np.ndarray, box: tuple, body_q: np.ndarray) -> tuple[float, np.ndarray]:
+    """Distance from a box to the nearest of some points ``[n, 3]`` and its own point there, else its centre."""
+    body, at, turn, half = box
+    place = body_q[body] if body != WORLD else np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    if not len(points):
+        return 0.0, place[:3] + rotate(place[3:], at)
+    inside = rotate(place[3:] * (-1, -1, -1, 1), points - place[:3])
+    local = rotate(turn * (-1, -1, -1, 1), inside - at)
+    nearest = np.clip(local, -half, half)
+    apart = np.linalg.norm(local - nearest, axis=1)
+    closest = int(np.argmin(apart))
+    return float(apart[closest]), place[:3] + rotate(place[3:], at + rotate(turn, nearest[closest]))
 
 
 def _in_parent(shape: ShapeInfo, point: np.ndarray) -> np.ndarray:

@@ -133,7 +133,7 @@ class LocalWorkers:
         self.count = count
         self._prepare, self._closed = prepare, False
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
-        self._theirs, self._ours = self._context.Pipe(duplex=False)
+        self._theirs, self._ours = self._context.Pipe()  # all processes share their end
         self._idle: SimpleQueue[_Slot] = SimpleQueue()
         for gpu in gpus or [None] * count:
             self._idle.put(_Slot(self._pool(gpu), gpu))
@@ -143,9 +143,15 @@ class LocalWorkers:
         return self
 
     def __exit__(self, *error: object) -> None:
-        # processes that have loaded physics take seconds to end by themselves: they end when the pipe does
+        # a process that starts ends when the pipe does; one that compiles a kernel would not hear of it for seconds
         self._closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)
+        started = set()
+        while self._ours.poll():
+            started.add(self._ours.recv())
+        for process in multiprocessing.active_children():
+            if process.pid in started:
+                process.kill()
         self._ours.close()
 
     def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
@@ -176,6 +182,7 @@ class LocalWorkers:
 def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None:
     """Prepare a process: it is silent, leaves Ctrl-C to its parent and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent.send(os.getpid())
     threading.Thread(target=_follow, args=(parent,), daemon=True).start()
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too

@@ -348,7 +348,11 @@ def _check_plant(scene: Scene) -> None:
     if scene.timing.timeout < scene.timing.control_dt:
         raise SceneError("is shorter than control_dt", key="timing.timeout", found=scene.timing.timeout)
     samples = scene.planner.samples
-    if scene.planner.method is Method.CEM and samples is not SampleCount.AUTO and scene.planner.elites > samples:
+    if (
+        scene.planner.method in (Method.CEM, Method.TSALLIS)
+        and samples is not SampleCount.AUTO
+        and scene.planner.elites > samples
+    ):
         raise SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
     movable = _names(scene.robot) + _names(scene.object)
     for i, kick in enumerate(scene.plant.kicks):

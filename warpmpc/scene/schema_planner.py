@@ -12,6 +12,7 @@ from .schema_sampling import Covariance, Execute, Postures
 from .types import (
     Channel,
     Count,
+    Finite,
     Flag,
     Fraction,
     Natural,
@@ -33,6 +34,8 @@ class Method(StrEnum):
     MPPI = "mppi"
     PREDICTIVE_SAMPLING = "predictive_sampling"
     CEM = "cem"
+    TSALLIS = "tsallis"
+    DIAL = "dial"
 
 
 class NoiseSource(StrEnum):
@@ -150,7 +153,10 @@ class Risk(StrEnum):
 
     MEAN = "mean"
     WORST = "worst"
+    BEST = "best"
     CVAR = "cvar"
+    VAR = "var"
+    EXPONENTIAL = "exponential"
 
 
 class SampleCount(StrEnum):
@@ -185,6 +191,10 @@ Steps = Annotated[
 ]
 
 
+DIAL = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 0.5)}}
+"""What ``method = "dial"`` means where the scene does not say otherwise: MPPI whose σ is annealed (2409.15610)."""
+
+
 class Planner(Section):
     """The sampling-based planner."""
 
@@ -205,7 +215,12 @@ class Planner(Section):
     risk: Risk = Risk.MEAN
     """How the costs of one sample in several domains become one cost."""
     cvar: Share = 0.25
-    """Share of worst domains that ``risk = "cvar"`` averages."""
+    """Share of worst domains that ``risk = "cvar"`` averages and of which ``risk = "var"`` takes the mildest."""
+    aversion: Finite = 1.0
+    """R of ``risk = "exponential"``, log(mean e^{R S})/R, per unit of cost; zero is the mean."""
+    stage_risk: Finite = 0.0
+    """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
+    [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
     knots: TwoOrMore | None = None
     """Spline control points P; one per step when left out."""
     spline: SplineKind = SplineKind.ZERO
@@ -234,9 +249,20 @@ class Planner(Section):
     iterations: Count = 1
     """Sample-roll-out-update rounds per plan."""
     elites: Count = 8
-    """``cem``: best samples that carry weight."""
+    """``cem`` and ``tsallis``: best samples that carry weight."""
+    entropic_index: Annotated[Positive, Field(gt=1.0)] = 2.0
+    """``tsallis``: r > 1 of w ∝ (1 - ΔS/γ)^{1/(r-1)}; large ones weigh the elites equally."""
     sigma_min: NonNegatives = (0.01,)
     """Floor of an adapted standard deviation, in control units, one value or one per control."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset(cls, data: object) -> object:
+        """Fill in what a method by name means by itself; what the scene says comes first."""
+        if not isinstance(data, dict) or data.get("method") != Method.DIAL:
+            return data
+        noise = data.get("noise", {})
+        return {**DIAL, **data, "noise": {**DIAL["noise"], **noise} if isinstance(noise, dict) else noise}
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:

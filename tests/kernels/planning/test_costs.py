@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warpmpc.kernels.planning.costs import (
+    BEST,
     CVAR,
+    EXPONENTIAL,
     MEAN,
+    VAR,
     WORST,
     explain_cost_kernel,
     risk_kernel,
@@ -24,11 +27,13 @@ def on(device: str, array, dtype=float) -> wp.array:
     return wp.array(np.asarray(array), dtype=dtype, device=device)
 
 
-def discounted(stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, device: str) -> np.ndarray:
+def discounted(
+    stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, stage_risk: float = 0.0, device: str
+) -> np.ndarray:
     """Rollout costs [W] of stage costs [term, T, W]."""
     out = wp.empty(stage_cost.shape[2], dtype=float, device=device)
     weight = float(discount) ** np.arange(stage_cost.shape[1])
-    inputs = [on(device, stage_cost), on(device, diverged, int), on(device, weight), 0]
+    inputs = [on(device, stage_cost), on(device, diverged, int), on(device, weight), stage_risk, 0]
     wp.launch(sum_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 
@@ -68,13 +73,35 @@ def test_steps_count_by_their_weights_and_only_the_worlds_asked_for_are_summed(d
     rng = np.random.default_rng(1)
     stage, weight = rng.normal(size=(2, 5, 7)), rng.uniform(size=5)
     out = wp.full(7, -1.0, dtype=float, device=device)
-    inputs = [on(device, stage), on(device, np.zeros(7), int), on(device, weight), 3]
+    inputs = [on(device, stage), on(device, np.zeros(7), int), on(device, weight), 0.0, 3]
     wp.launch(sum_cost_kernel, dim=4, inputs=inputs, outputs=[out], device=device)
     np.testing.assert_array_equal(out.numpy()[:3], -1.0)
     np.testing.assert_allclose(out.numpy()[3:], np.einsum("itw,t->w", stage, weight)[3:], atol=1e-5)
 
 
-@pytest.mark.parametrize(("mode", "alpha"), [(MEAN, 1.0), (WORST, 1.0), (CVAR, 0.3), (CVAR, 0.5), (CVAR, 0.01)])
+ADDING_UP = [(MEAN, 1.0), (WORST, 1.0), (CVAR, 0.3), (CVAR, 0.5), (CVAR, 0.01), (BEST, 1.0), (VAR, 0.3), (VAR, 0.5)]
+
+
+@pytest.mark.parametrize("stage_risk", [-2.0, -1e-3, 1e-3, 0.05, 1.5])
+def test_a_step_costs_what_its_stage_risk_makes_of_all_terms(stage_risk, device):
+    stage = np.random.default_rng(2).uniform(-0.2, 1.0, size=(3, 5, 7)).astype(np.float32)
+    cost = discounted(stage, np.zeros(7), discount=0.9, stage_risk=stage_risk, device=device)
+    summed = stage.astype(np.float64).sum(axis=0)
+    expected = np.einsum("tw,t->w", np.expm1(stage_risk * summed) / stage_risk, 0.9 ** np.arange(5))
+    np.testing.assert_allclose(cost, expected, rtol=3e-6)
+
+
+@pytest.mark.parametrize("stage_risk", [-1.0, 2.0])
+def test_terms_add_up_to_the_cost_under_a_stage_risk(stage_risk, device):
+    stage = np.random.default_rng(3).uniform(size=(3, 5, 4)).astype(np.float32)
+    cost = discounted(stage, np.zeros(4), discount=1.0, stage_risk=stage_risk, device=device)
+    found = wp.zeros((1, 3), dtype=float, device=device)
+    inputs = [on(device, stage), on(device, cost), on(device, [2], int), on(device, np.ones(5)), stage_risk]
+    wp.launch(explain_cost_kernel, dim=(1, 3), inputs=[*inputs, 4, 1, MEAN, 1.0], outputs=[found], device=device)
+    assert found.numpy().sum() == pytest.approx(cost[2], rel=1e-5)
+
+
+@pytest.mark.parametrize(("mode", "alpha"), ADDING_UP)
 @pytest.mark.parametrize("domains", [1, 4, 5])
 @pytest.mark.parametrize("seed", range(2))
 def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains, mode, alpha, device):
@@ -87,7 +114,7 @@ def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains
     found = wp.zeros((envs, terms), dtype=float, device=device)
     best = [2, 1]
     inputs = [on(device, stage), on(device, rollout), on(device, best, int), on(device, weight)]
-    inputs += [samples, domains, mode, alpha]
+    inputs += [0.0, samples, domains, mode, alpha]
     wp.launch(explain_cost_kernel, dim=found.shape, inputs=inputs, outputs=[found], device=device)
     np.testing.assert_allclose(found.numpy().sum(axis=1), [cost[e, s] for e, s in enumerate(best)], atol=2e-5)
     if mode == MEAN:
@@ -149,3 +176,35 @@ def test_any_diverged_domain_condemns_its_sample_only(mode, device):
     expected = np.ones((2, 3))
     expected[[1, 0], [0, 2]] = INF
     np.testing.assert_array_equal(risk(cost, mode=mode, alpha=0.5, device=device), expected)
+
+
+@pytest.mark.parametrize("domains", [1, 2, 5, 10])
+@pytest.mark.parametrize("alpha", [0.01, 0.1, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("ties", [False, True])
+def test_best_and_var_are_order_statistics(domains, alpha, ties, device):
+    cost = np.random.default_rng(domains).normal(size=(2, 7, domains)).astype(np.float32)
+    cost = np.round(cost) if ties else cost
+    np.testing.assert_array_equal(risk(cost, mode=BEST, device=device), cost.min(axis=2))
+    worst_first = -np.sort(-cost, axis=2)
+    mildest = max(int(np.ceil(round(alpha * domains, 6))) - 1, 0)
+    np.testing.assert_array_equal(risk(cost, mode=VAR, alpha=alpha, device=device), worst_first[..., mildest])
+
+
+@pytest.mark.parametrize("aversion", [-3.0, 0.0, 0.5, 40.0])
+@pytest.mark.parametrize("scale", [1.0, 1000.0])
+def test_the_exponential_risk_matches_the_reference_and_does_not_overflow(aversion, scale, device):
+    cost = scale * np.random.default_rng(7).normal(size=(2, 7, 5)).astype(np.float32)
+    wide = cost.astype(np.float64)
+    expected = wide.mean(axis=2)
+    if aversion:
+        expected = (np.logaddexp.reduce(aversion * wide, axis=2) - np.log(5)) / aversion
+    found = risk(cost, mode=EXPONENTIAL, alpha=aversion, device=device)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * scale)
+
+
+@pytest.mark.parametrize("mode", [MEAN, WORST, BEST, CVAR, VAR, EXPONENTIAL])
+def test_one_diverged_domain_makes_the_sample_infinite_whatever_the_risk(mode, device):
+    cost = np.array([[[1.0, INF, 2.0], [1.0, 3.0, 2.0]]], dtype=np.float32)
+    found = risk(cost, mode=mode, alpha=0.5, device=device)
+    assert np.isinf(found[0, 0])
+    assert np.isfinite(found[0, 1])

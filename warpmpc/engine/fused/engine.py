@@ -95,7 +95,7 @@ class FusedEngine(JudgingEngine):
         if self._on_gpu:
             return None, list(range(len(self.costs.terms)))
         writer = PhysicsState(self.layout, self.simulator.exchange)
-        terms, staged = bake(self.costs, writer)
+        terms, staged = bake(self.costs, writer, stage_risk=self._stage_risk)
         return Judged(writer, terms) if terms else None, staged
 
     def _roll(self, first: int, groups: int) -> None:
