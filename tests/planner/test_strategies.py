@@ -103,3 +103,23 @@ def test_a_name_that_nobody_registered_is_told_with_those_that_are(fixed):
 def test_a_name_is_given_once(fixed):
     with pytest.raises(ValueError, match="strategy 'fixed' already"):
         register("fixed", Fixed)
+
+
+SOLVING = {
+    "tsallis": {"method": "tsallis"},
+    "dial": {"method": "dial"},
+    "averse steps": {"stage_risk": 0.5},
+    "bounded steps": {"stage_risk": -0.5},
+    **{risk: {"risk": risk, "domains": 2, "samples": 24} for risk in ("best", "var", "exponential")},
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", SOLVING)
+def test_every_strategy_and_risk_drives_to_the_goal(name, seed):
+    scene = make_scene(planner={"samples": 32, "horizon": 6, **SOLVING[name]}, engine={"name": "mujoco", "threads": 1})
+    controller = Controller(scene, seed=seed, compiled=compiled(scene))
+    plant = Plant(scene, seed=seed, compiled=compiled(scene), task=controller.task)
+    while not plant.done:
+        plant.apply(controller.step(plant.observe()))
+    assert plant.reason == "goal reached"
