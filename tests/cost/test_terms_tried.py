@@ -136,6 +136,12 @@ def test_an_index_in_a_function_that_a_term_calls_is_named_there():
     tried(helper, count=1)
 
 
+def test_of_several_terms_the_wrong_one_is_named():
+    scene = make_scene(cost=[term("before"), {**term("mixed"), "name": "second"}])
+    with pytest.raises(SceneError, match=rf"cost\.second: .*:{line(mixed.function.func, 'here')}: Warp cannot compile"):
+        Judging(scene, BatchSize(1, 4, 1, 3), terms=[before, mixed])
+
+
 def test_what_is_right_passes():
     tried(before)
 

@@ -30,6 +30,10 @@ _NAMED = re.compile(
 """An error that names a file and a line of it, or a key; of a file of terms that has none in it, the file."""
 
 
+_SAID = re.compile(r"warning: |a plan of \d+ samples takes ")
+"""Warnings, and the notice of how many samples were taken."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What came of a command."""
@@ -47,7 +51,7 @@ class Outcome:
     @property
     def fault(self) -> str | None:
         """What is wrong with it; None for a run, or one line that names file and key."""
-        lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
+        lines = [line for line in self.err.splitlines() if not _SAID.match(line)]
         if self.code is None or "Traceback" in self.err:
             return "a traceback"
         if self.seconds > PATIENCE and not self.compiled:

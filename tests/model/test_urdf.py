@@ -219,6 +219,13 @@ def test_a_joint_of_no_link_is_refused_by_name(tmp_path):
         compile_scene(scene(tmp_path, joints=joint("arm") + joint("leg")))
 
 
+def test_a_file_without_links_is_refused(tmp_path):
+    wanted = scene(tmp_path)
+    (tmp_path / "r.urdf").write_text("<robot name='r'/>")
+    with pytest.raises(SceneError, match=r"r\.urdf: this asset has no links"):
+        compile_scene(wanted)
+
+
 # xacro
 
 

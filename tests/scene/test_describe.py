@@ -46,7 +46,8 @@ def test_every_key_says_what_it_means(section):
         (Noise, "sigma", "number > 0 or [number > 0, ...] or table", "", "{ range = [0.25] }"),
         (Drive, "effort_limit", "number > 0 or [number > 0, ...]", "N or N·m", "-"),
         (Robot, "asset", "text", "", "required"),
-        (Robot, "position", "[number, number, number]", "m", "[0.0, 0.0, 0.0]"),
+        (Robot, "position", "[number, number, number]", "m", "-"),  # the asset's own
+        (Obstacle, "position", "[number, number, number]", "m", "[0.0, 0.0, 0.0]"),
         (Robot, "drive", "table or array of tables", "", "-"),
         (Robot, "frames", "tables by name", "", "-"),
         (Robot, "armature", "number ≥ 0 or [number ≥ 0, ...]", "kg or kg·m²", "-"),

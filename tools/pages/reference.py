@@ -45,6 +45,7 @@ input, 130 after Ctrl-C.
 """
 _GROUPS = {
     "general": "Distances, joints, controls, contacts",
+    "residuals": "Residuals",
     "pushing": "Pushing",
     "grasping": "Picking up",
     "clearance": "Outlines and clearance",

@@ -96,7 +96,7 @@ def print_terms() -> None:
     )
 
 
-def print_check(episode: Episode, advice: Sequence[str], out: TextIO) -> None:
+def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) -> None:
     """Print what an episode is built of, and what is hardly meant; its controller has made a plan."""
     # slow to import, and lists need no physics
     from ..engine.registry import physics_steps

@@ -175,7 +175,7 @@ def check(
             from .report import print_check
 
             controller = episode.controller
-            print_check(episode, setup.advice(controller.info.plan_ms, controller.compiled), out)
+            print_check(episode, out, advice=setup.advice(controller.info.plan_ms, controller.compiled))
         except KeyboardInterrupt:
             return INTERRUPTED
     return SUCCESS

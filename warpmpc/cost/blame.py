@@ -82,21 +82,13 @@ def refused(
     """
     said = str(error.args[0] if error.args else error)
     places = _PLACE.findall(said)
-    if not places:
-        return None
-    source, line, text = places[-1]
-    reason = " ".join(said.rpartition(";")[2].split())
-    if not source.startswith(GENERATED):
-        for label, term in zip(labels, terms, strict=True):
-            if any(place(f).rpartition(":")[0] == source for f in functions(term)):
-                return complaint(
-                    label, term, f"Warp cannot compile this: {reason}", file=file, where=f"{source}:{line}"
-                )
-        return None
-    called = _CALL.search(text)
+    called = next((call for *_, text in places if (call := _CALL.search(text))), None)
     if called is None:
         return None
-    i = int(called[2])
+    reason, i = " ".join(said.rpartition(";")[2].split()), int(called[2])
+    own = [f"{source}:{line}" for source, line, _ in places if not source.startswith(GENERATED)]
+    if own:
+        return complaint(labels[i], terms[i], f"Warp cannot compile this: {reason}", file=file, where=own[-1])
     return complaint(labels[i], terms[i], f"a cost term returns one float; Warp says: {reason}", file=file)
 
 

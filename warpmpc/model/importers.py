@@ -66,7 +66,7 @@ def import_links(
     except SceneError:
         raise
     except Exception as error:  # importers raise whatever their parser raises: one clear message for all of them
-        said = " ".join(str(error).split())
+        said = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"this asset cannot be read: {said}", key=key, file=file, found=str(path)) from error
     said = [" ".join(str(warning.message).split()) for warning in caught if _is_about_assets(warning)]
     return part, [f"{robot.name}: {line}" for line in dict.fromkeys([*(urdf.mended if urdf else ()), *said])]

@@ -44,7 +44,7 @@ class Urdf:
         file: Scene file, for errors.
 
     Raises:
-        SceneError: If a collision mesh cannot be found, or a link or joint can be no part of any physics.
+        SceneError: If it has no links, a collision mesh cannot be found, or no physics can be made of a link or joint.
     """
 
     def __init__(self, path: Path, *, floating: bool, key: str, file: Path | None = None):
@@ -53,6 +53,8 @@ class Urdf:
             self.root = ElementTree.parse(path).getroot()
         except ElementTree.ParseError as error:
             raise self.error(f"is not valid XML: {error}") from error
+        if self.root.find("link") is None:
+            raise self.error("this asset has no links")
         self.mended: list[str] = []
         """What is not as the file says, one line each."""
         self.meshes = list(self._find_meshes())

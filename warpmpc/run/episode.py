@@ -111,7 +111,7 @@ class EpisodeResult:
             "envs": self.envs,
         }
         if self.axis_error is not None:
-            data["final"]["axis_error_rad"] = self.axis_error
+            data["final"]["axis_error_m"] = self.axis_error
         if self.phases:
             data["phases"] = [{"phase": name, "time_s": time} for name, time in self.phases]
         if self.drawn:

@@ -69,7 +69,7 @@ def result_from_json(data: dict[str, Any]) -> EpisodeResult:
         sim_time=data["sim_time_s"],
         position_error=final["position_error_m"],
         yaw_error=final["yaw_error_rad"],
-        axis_error=final.get("axis_error_rad"),
+        axis_error=final.get("axis_error_m"),
         cost=_number(final["cost"]),
         max_force=collisions["max_force_N"],
         time_in_contact=collisions["time_in_contact_s"],
