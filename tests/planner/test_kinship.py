@@ -36,9 +36,9 @@ def test_kinship_ends_where_more_than_the_best_counts():
 
 def test_dial_is_annealed_mppi_and_what_a_scene_says_comes_first():
     dial = Planner.model_validate({"method": "dial"})
-    assert (dial.iterations, dial.noise.shape, dial.noise.anneal) == (4, "identity", (0.5, 0.5))
+    assert (dial.iterations, dial.noise.shape, dial.noise.anneal) == (4, "identity", (0.5, 2.0))
     own = Planner.model_validate({"method": "dial", "iterations": 2, "noise": {"shape": "bspline"}})
-    assert (own.iterations, own.noise.shape, own.noise.anneal) == (2, "bspline", (0.5, 0.5))
-    same = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 0.5)}}
+    assert (own.iterations, own.noise.shape, own.noise.anneal) == (2, "bspline", (0.5, 2.0))
+    same = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}}
     preset, spelled = Planning(planner={"method": "dial"}), Planning(planner={"method": "mppi", **same})
     np.testing.assert_array_equal(preset(5), spelled(5))

@@ -15,8 +15,8 @@ METHODS = {
     "predictive_sampling": {"method": "predictive_sampling"},
     "cem": {"method": "cem", "elites": 6, "sigma_min": (0.05,)},
     "tsallis": {"method": "tsallis", "elites": 6},
-    "dial": {"method": "dial", "temperature": {"initial": 0.05}},
 }
+ANNEALED = {"dial": {"method": "dial", "temperature": {"initial": 0.05}}}
 GOAL = np.array([1.0, 0.5])
 WIDE = {**DISC, "drive": {**DISC["drive"], "limit": (9.0, 9.0, 9.0)}}
 
@@ -136,9 +136,9 @@ def test_zero_order_knots_longer_than_a_control_move_with_time(keys):
         np.testing.assert_allclose(command, best[now], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", [*METHODS, *ANNEALED])
 def test_more_iterations_find_more_in_one_plan(name):
-    one, four = (Planning(planner={**METHODS[name], "iterations": n}) for n in (1, 4))
+    one, four = (Planning(planner={**METHODS, **ANNEALED}[name] | {"iterations": n}) for n in (1, 4))
     one(2)
     four()
     # the plan after one update, a control later, and after three

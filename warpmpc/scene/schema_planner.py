@@ -191,7 +191,7 @@ Steps = Annotated[
 ]
 
 
-DIAL = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 0.5)}}
+DIAL = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}}
 """What ``method = "dial"`` means where the scene does not say otherwise: MPPI whose σ is annealed (2409.15610)."""
 
 
