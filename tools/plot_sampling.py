@@ -18,7 +18,7 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from measure import Meter
-from plot_run import draw
+from scene_picture import VIEWS, ScenePicture
 
 import warpmpc
 from warpmpc.run.episode import Episode
@@ -46,7 +46,7 @@ def panel(axes, name: str, seed: int, overrides: list[str]) -> None:
         places.append(meter.place)
 
     target = episode.plant.scene.goal.target
-    draw(axes, episode.plant.layout, episode.plant.body_q, alpha=0.5, kinds=("obstacle",))
+    ScenePicture(axes, episode.plant, VIEWS["top"]).outlines(episode.plant.body_q, ("obstacle",), alpha=0.5)
     result = episode.run(on_step=note)
     for rollouts in samples:
         axes.plot(rollouts[..., 0], rollouts[..., 1], color="tab:green", lw=0.6, alpha=0.7)

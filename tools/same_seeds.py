@@ -21,12 +21,16 @@ from pathlib import Path
 
 import numpy as np
 from bench import machine, with_physics
-from experiments.runs import Run, Store, code_digest, make_runs, plan_runs
+from experiments.runs import Run, make_runs, plan_runs
 from experiments.tables import Cell
 from progress import Bar
 from rich.console import Console
 from rich.table import Table
 from scipy import stats
+
+from warpmpc.run.code import code_digest
+from warpmpc.run.records import Records
+from warpmpc.run.workers import FORMS
 
 CONFIDENCE = 0.95
 
@@ -118,12 +122,15 @@ def main() -> int:
     parser.add_argument("--device", default="auto", help="device of engines that run on it; the others take the CPU")
     parser.add_argument("--runs", type=int, default=16, help="seeds per scene (default 16)")
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--jobs", type=int, default=1, help="runs at a time, on one thread each if several")
+    parser.add_argument(
+        "--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1); on one thread each if several"
+    )
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + args.runs)
     plans: dict[str, dict[str, list[Run]]] = {}
+    devices = _devices(args.engines, args.device)
     try:
         for name in args.scenes or with_physics():
             cell = Cell(name=name, title=name, scenes=(name,))
@@ -131,29 +138,30 @@ def main() -> int:
                 engine: plan_runs(
                     "same_seeds", [cell], seeds=seeds, overrides=args.overrides, engine=engine, device=device
                 )
-                for engine, device in zip(args.engines, _devices(args.engines, args.device), strict=True)
+                for engine, device in zip(args.engines, devices, strict=True)
             }
     except ValueError as error:
         parser.error(str(error))
-    store, rows = Store(args.out / "same_seeds.jsonl"), []
+    records, rows = Records(args.out / "same_seeds.jsonl"), []
     here = machine()
-    circumstances = {"jobs": args.jobs, "code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
+    circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
     every = [run for by_engine in plans.values() for runs in by_engine.values() for run in runs]
-    with Bar(sum(run.key not in store.runs for run in every)) as bar:
+    with Bar(sum(run.key not in records.by_key for run in every)) as bar:
         for name, by_engine in plans.items():
-            runs = [run for pair in zip(*by_engine.values(), strict=True) for run in pair]
             try:
-                make_runs(
-                    runs,
-                    store,
-                    jobs=args.jobs,
-                    circumstances=circumstances,
-                    on_done=lambda run, _: bar.step(f"{run.cell} seed {run.job.seed}, {run.job.engine}"),
-                )
+                for runs, device in zip(by_engine.values(), devices, strict=True):
+                    make_runs(
+                        runs,
+                        records,
+                        jobs=args.jobs,
+                        device=device,
+                        circumstances=circumstances,
+                        on_done=lambda run, _: bar.step(f"{run.cell} seed {run.job.seed}, {run.job.engine}"),
+                    )
             except ValueError as error:  # an engine that cannot do this scene
                 bar.say(f"{name}: left out: {str(error).splitlines()[0]}")
                 continue
-            first, second = ([store.runs[run.key]["result"] for run in runs] for runs in by_engine.values())
+            first, second = ([records.by_key[run.key]["result"] for run in runs] for runs in by_engine.values())
             rows.append({"scene": name, **compared(first, second)})
             report = {"machine": here, "engines": args.engines, "overrides": args.overrides, "rows": rows}
             (args.out / "same_seeds.json").write_text(json.dumps(report, indent=1) + "\n")

@@ -161,3 +161,34 @@ def test_the_stick_pushes_objects_of_all_sorts(variant, least):
 def test_a_cube_that_is_knocked_away_is_picked_up_again():
     results = episodes("mobile_pick:knocked", (550, 551, 552))
     assert sum(r.success for r in results) >= 2, results
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cartpole_swingup"])
+def test_what_hangs_swings_up_and_stays(name):
+    results = episodes(name, (310, 311))
+    assert all(r.success for r in results), results
+    assert max(r.sim_time for r in results) <= 8.0, results
+
+
+def test_a_quadruped_walks_round_its_waypoints():
+    (result,) = episodes("quadruped_walk", (310,))
+    assert result.success, result
+    assert result.sim_time <= 10.0
+    assert [name for name, _ in result.phases] == ["first", "second", "third", "home"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("humanoid_get_up", 14.0),
+        ("humanoid_get_up:shoved", 12.5),
+        ("quadruped_walk:on_its_back", 10.0),
+        ("quadruped_terrain", 12.0),
+        ("quadrotor", 10.0),
+    ],
+)
+def test_legs_and_rotors_do_what_they_shall(name, most):
+    results = episodes(name, range(310, 313))
+    assert all(r.success for r in results), results
+    assert max(r.sim_time for r in results) <= most, results
