@@ -174,7 +174,7 @@ def test_a_quadruped_walks_round_its_waypoints():
     (result,) = episodes("quadruped_walk", (310,))
     assert result.success, result
     assert result.sim_time <= 10.0
-    assert [name for name, _ in result.phases] == ["first", "second", "third", "home"]
+    assert [name for name, _ in result.phases] == ["second", "third", "home"]  # when later ones were entered
 
 
 @pytest.mark.slow
