@@ -25,13 +25,15 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpmpc.run.workers import FORMS, LostJob, check_jobs, open_workers
+from warpmpc.run.workers import LostJob, check_jobs, open_workers
 
 if TYPE_CHECKING:
     from dm_tasks.play import Episode
 
 STEPS = 1000
 """Control steps of the suite's episodes."""
+LEAST_STEPS = 10
+"""The first two plans are not timed."""
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -45,13 +47,15 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         "--jobs",
         default="1",
         metavar="WHERE",
-        help=f"{FORMS} (default 1); several episodes at a time take a thread each",
+        help="a number of processes, ray or ray:HOST:PORT (default 1); several episodes at a time take a thread each",
     )
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every episode, written as soon as it was played")
     args = parser.parse_args(arguments)
-    if not 1 <= args.steps <= STEPS:
-        parser.error(f"--steps must be 1 to {STEPS}")
+    if not LEAST_STEPS <= args.steps <= STEPS:
+        parser.error(f"--steps must be {LEAST_STEPS} to {STEPS}")
+    if args.jobs == "gpus":
+        parser.error("--jobs gpus: these episodes plan on the CPU; take a number of processes, or ray")
     return args
 
 

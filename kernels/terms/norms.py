@@ -17,7 +17,8 @@ SMOOTH_ABS2 = wp.constant(4)
 RECTIFY = wp.constant(5)
 
 LEAST = wp.constant(1.0e-6)
-"""Nearer to zero than this fraction of p, second derivatives are those at it: exponents below 2 have no bound."""
+"""Nearer to zero than this (a fraction of p but for powers, whose p is the exponent), second derivatives are those at
+it: exponents below 2 have no bound."""
 
 
 @wp.struct

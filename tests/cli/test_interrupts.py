@@ -11,7 +11,9 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
 
+from warpmpc.cli import run as run_module
 from warpmpc.cli.interrupts import Interrupts
+from warpmpc.cli.outputs import Outputs
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +67,13 @@ with interrupts.Interrupts():
 def test_native_code_that_takes_minutes_is_left():
     done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_ctrl_c_while_a_scene_is_built_ends_the_run(monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_module, "Setup", interrupted)
+    command = {"seeds": [0], "envs": 1, "overrides": [], "term_files": [], "engine": "auto", "device": "cpu"}
+    quiet = {"jobs": None, "results_file": None, "json_lines": False, "quiet": True}
+    assert run_module.run("omni_push_box", outputs=Outputs(), **command, **quiet) == run_module.INTERRUPTED

@@ -245,3 +245,10 @@ def test_the_hint_about_xacro_overwrites_no_file(tmp_path, name, there):
     target = str(caught.value).split(" > ")[1].split(";")[0]
     assert target.endswith(".urdf")
     assert not (tmp_path / target).exists()
+
+
+@pytest.mark.parametrize(("effort", "says"), [("nan", "no number"), ("-3", "below zero")])
+def test_an_effort_that_is_none_is_refused(tmp_path, effort, says):
+    inside = f"<limit lower='-1' upper='1' effort='{effort}' velocity='2'/>"
+    with pytest.raises(SceneError, match=f"joint 'to_arm'.*{says}"):
+        compile_scene(scene(tmp_path, joints=joint("arm", inside=inside)))

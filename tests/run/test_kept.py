@@ -3,6 +3,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,8 @@ from warpmpc.run import kept as module
 from warpmpc.run.episode import EpisodeResult
 from warpmpc.run.kept import KeptResults, result_from_json
 from warpmpc.scene.load import load_scene
+
+SCENES = Path(load_scene("omni_push_box").path).parent
 
 
 def a_result(seed: int = 3, **changes) -> EpisodeResult:
@@ -91,3 +94,13 @@ def test_results_of_another_state_of_the_code_are_counted(tmp_path, scene, monke
     later = KeptResults(tmp_path / "r.jsonl", scene, engine="auto", device="auto")
     assert (len(same.find([3])), same.outdated) == (1, 0)
     assert (len(later.find([3])), later.outdated) == (1, 1)
+
+
+def test_a_result_of_another_asset_does_not_count(tmp_path, scene):
+    asset = tmp_path / "robot.urdf"
+    asset.write_text((SCENES / "assets" / "omni_base.urdf").read_text())
+    own = load_scene("omni_push_box", overrides=[f'robot.base.asset="{asset}"'])
+    KeptResults(tmp_path / "r.jsonl", own, engine="auto", device="auto").add([3], a_result())
+    assert KeptResults(tmp_path / "r.jsonl", own, engine="auto", device="auto").find([3])
+    asset.write_text(asset.read_text() + "\n")
+    assert not KeptResults(tmp_path / "r.jsonl", own, engine="auto", device="auto").find([3])

@@ -198,6 +198,7 @@ def run(
 ) -> int:
     """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
+    kept: KeptResults | None = None
     interrupted = False
     notices = not quiet and not json_lines
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
@@ -236,6 +237,12 @@ def run(
             interrupted = True
         if kept is not None and kept.outdated:
             logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
+        if kept is not None and kept.taken and (outputs.csv or outputs.npz or outputs.record):
+            logger.warning(
+                "%s has %d of these episodes: they were not run again, so no files of theirs were written",
+                results_file,
+                kept.taken,
+            )
         if results and not json_lines and not quiet:
             from .report import print_batch, print_results
 

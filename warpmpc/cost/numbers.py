@@ -39,6 +39,13 @@ def _dofs(v: JointNumbers, b: Binding) -> list[int]:
 def _posture(keys: dict[str, Any], b: Binding) -> costs.NumbersParams:
     v = parse_keys(PostureNumbers, keys, b)
     coords = b.layout.dof_coord[_dofs(v, b)]
+    if v.joints and (coords < 0).any():
+        raise SceneError(
+            "a joint here has no single coordinate: free and ball joints have rotation_residual and position_residual",
+            key=f"{b.key}.joints",
+            file=b.file,
+            found=list(v.joints),
+        )
     coords = coords[coords >= 0]
     if v.target is None:
         v = v.model_copy(update={"target": tuple(b.layout.joint_q[coords].tolist())})

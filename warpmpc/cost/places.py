@@ -44,7 +44,7 @@ def place_points(place: Sequence[str | CentreOfMass], key: str, b: Binding) -> l
     points = []
     for part in place:
         if isinstance(part, CentreOfMass):
-            bodies = massive(part.centre_of_mass, key, b)
+            bodies = massive(part.centre_of_mass, f"{key}.centre_of_mass", b)
             mass = b.layout.body_mass[bodies].astype(float)
             shares = zip(bodies, mass / mass.sum(), strict=True)
             points += [Point(int(body), tuple(b.layout.body_com[body].tolist()), float(m)) for body, m in shares]
@@ -69,7 +69,7 @@ def massive(name: str, key: str, b: Binding) -> np.ndarray:
         if name not in links:
             raise SceneError(
                 "no such robot, object or link",
-                key=f"{b.key}.{key}.centre_of_mass",
+                key=f"{b.key}.{key}",
                 file=b.file,
                 found=name,
                 allowed=[*entities, *links],
@@ -77,7 +77,7 @@ def massive(name: str, key: str, b: Binding) -> np.ndarray:
         bodies = hanging(layout, int(layout.frame_body[layout.frame_name.index(name)]))
     found = np.array([body for body in bodies if layout.body_mass[body] > 0.0], dtype=int)
     if not len(found):
-        raise SceneError("this has no mass", key=f"{b.key}.{key}.centre_of_mass", file=b.file, found=name)
+        raise SceneError("this has no mass", key=f"{b.key}.{key}", file=b.file, found=name)
     return found
 
 

@@ -25,7 +25,7 @@ Wanted = Annotated[tuple[Finite | str, ...], Field(min_length=1), OneOrSeveral]
 Axes = Annotated[str, Field(pattern="^(x?y?z?)$", min_length=1)]
 
 
-class Residual(Section):
+class ResidualKeys(Section):
     """A residual and its norm."""
 
     target: Wanted | None = None
@@ -34,7 +34,7 @@ class Residual(Section):
     """quadratic, or { kind, p, q }: l2, l22, cosh, power, smooth_abs, smooth_abs2, rectify."""
 
 
-class SpatialResidual(Residual):
+class SpatialResidual(ResidualKeys):
     """A residual along axes of the world."""
 
     of: Place
@@ -59,7 +59,7 @@ class Velocity(SpatialResidual):
     """Place whose velocity is taken off, as ``of``."""
 
 
-class AngularVelocity(Residual):
+class AngularVelocity(ResidualKeys):
     """How fast a frame turns [rad/s]."""
 
     of: Names
@@ -70,7 +70,7 @@ class AngularVelocity(Residual):
     """Axes of the world that count."""
 
 
-class Momentum(Residual):
+class Momentum(ResidualKeys):
     """Momentum of all that belongs to something."""
 
     of: str
@@ -92,7 +92,7 @@ class RotationKeys(Section):
     """quadratic, or { kind, p, q }: l2, l22, cosh, power, smooth_abs, smooth_abs2, rectify."""
 
 
-class JointNumbers(Residual):
+class JointNumbers(ResidualKeys):
     """Numbers of joints."""
 
     of: str | None = None
@@ -108,7 +108,7 @@ class PostureNumbers(JointNumbers):
     """Positions [m or rad]: numbers or names of scalars, one or one for each joint; the start when left out."""
 
 
-class Controls(Residual):
+class Controls(ResidualKeys):
     """Controls."""
 
     of: str | None = None
@@ -117,14 +117,14 @@ class Controls(Residual):
     """Controls, ``robot/joint`` or ``robot/actuator``, in place of ``of``."""
 
 
-class Sensors(Residual):
+class Sensors(ResidualKeys):
     """Sensors of MJCF files."""
 
     sensors: Names
     """Sensors, ``robot/sensor`` or the sensor's own name, with all their numbers."""
 
 
-class Contact(Residual):
+class Contact(ResidualKeys):
     """Which pairs of entities touch."""
 
     between: tuple[str, str]
@@ -133,7 +133,7 @@ class Contact(Residual):
     """They touch where they push harder than this [N]."""
 
 
-class ContactForceNumbers(Residual):
+class ContactForceNumbers(ResidualKeys):
     """Net contact forces on the first of each pair [N]."""
 
     between: tuple[str, str]

@@ -330,10 +330,24 @@ def _cache_key(scene: Scene) -> str | None:
         path = resolve_asset(robot.asset, base=base, key=key, file=scene.path)
         if asset_kind(path, key=key, file=scene.path) is AssetKind.USD:
             return None
-        for file in asset_files(path):
-            digest.update(str(file).encode() + file.read_bytes())
+    for file in files_of(scene):
+        digest.update(str(file).encode() + file.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def files_of(scene: Scene) -> list[Path]:
+    """Files that a scene's robots and meshes are read from; of USD files the first layer alone.
+
+    Raises:
+        SceneError: If one cannot be found.
+    """
+    base, found = (scene.path.parent if scene.path else None), []
+    for robot in scene.robot:
+        key = f"robot.{robot.name}.asset"
+        path = resolve_asset(robot.asset, base=base, key=key, file=scene.path)
+        usd = asset_kind(path, key=key, file=scene.path) is AssetKind.USD
+        found += [path] if usd else asset_files(path)
     for item in (*scene.object, *scene.obstacle):
         if item.mesh:
-            path = resolve_asset(item.mesh, base=base, key=f"{item.name}.mesh", file=scene.path)
-            digest.update(str(path).encode() + path.read_bytes())
-    return digest.hexdigest()[:32]
+            found.append(resolve_asset(item.mesh, base=base, key=f"{item.name}.mesh", file=scene.path))
+    return found

@@ -32,6 +32,8 @@ def require_sound(layout: Layout, scene: Scene) -> None:
         ):
             if not np.isfinite(values).all():
                 raise _unsound(f"the {what} of joint '{name}' is not finite", name, scene)
+        if np.isnan(layout.dof_lower[dofs]).any() or np.isnan(layout.dof_upper[dofs]).any():
+            raise _unsound(f"a limit of joint '{name}' is no number", name, scene)
         if np.any(layout.dof_lower[dofs] > layout.dof_upper[dofs]):
             raise _unsound(f"the lower limit of joint '{name}' is above its upper one", name, scene)
     for name, centre in zip(layout.body_name, layout.body_com, strict=True):

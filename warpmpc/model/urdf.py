@@ -114,7 +114,8 @@ class Urdf:
                 f"{what}; put it there, name the folder of its package in ROS_PACKAGE_PATH, or take the <collision> "
                 "out of the URDF"
             )
-        link.remove(mesh.element)
+        if mesh.element in list(link):  # or it went with another mesh of the same <visual>
+            link.remove(mesh.element)
         self.mended.append(f"{what}; it is not drawn")
 
     def _drop(self, mesh: MeshUse) -> None:

@@ -196,7 +196,10 @@ def mend_joints(root: Element) -> list[str]:
             unbounded = True
         elif not unbounded and lower >= upper:
             raise Impossible(f"joint '{name}': lower must be below upper in its <limit>; found {lower:g} and {upper:g}")
-        nothing = [key for key in ("effort", "velocity") if known.get(key, 1.0) <= 0.0]
+        for key in ("effort", "velocity"):
+            if known.get(key, 0.0) < 0.0:
+                raise Impossible(f"joint '{name}': {key} of its <limit> is below zero ({known[key]:g})")
+        nothing = [key for key in ("effort", "velocity") if known.get(key, 1.0) == 0.0]
         if nothing:
             said.append(f"joint '{name}': a limit of 0 for {' and '.join(nothing)} is taken as none")
         for key in [*nothing, *(("lower", "upper") if unbounded else ())]:
@@ -206,6 +209,9 @@ def mend_joints(root: Element) -> list[str]:
 
 def _limit(limit: Element, key: str, joint: str | None) -> float:
     try:
-        return float(limit.get(key))
-    except ValueError as error:
-        raise Impossible(f"joint '{joint}': {key} of its <limit> is no number ('{limit.get(key)}')") from error
+        value = float(limit.get(key))
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        raise Impossible(f"joint '{joint}': {key} of its <limit> is no number ('{limit.get(key)}')")
+    return value

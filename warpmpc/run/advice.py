@@ -63,10 +63,11 @@ def _times(scene: Scene) -> Iterator[str]:
 
 def _noise(scene: Scene, layout: Layout) -> Iterator[str]:
     lower, upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
-    share = control_sigma(scene, layout) / (upper - lower)
+    bounded = np.isfinite(upper - lower) & (upper > lower)
+    share = control_sigma(scene, layout) / np.where(bounded, upper - lower, 1.0)
     for what, wrong, effect in (
-        ("wider than", share * scene.planner.noise.spread[0] > WIDE, "nearly every sample lies at a limit"),
-        ("tiny beside", share * scene.planner.noise.spread[1] < NARROW, "samples hardly differ"),
+        ("wider than", bounded & (share * scene.planner.noise.spread[0] > WIDE), "nearly every sample lies at a limit"),
+        ("tiny beside", bounded & (share * scene.planner.noise.spread[1] < NARROW), "samples hardly differ"),
     ):
         if np.any(wrong):
             names = [name for name, bad in zip(layout.control_name, wrong, strict=True) if bad]

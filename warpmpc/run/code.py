@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..model.compiled import files_of
+
 if TYPE_CHECKING:
     from ..scene.schema import Scene
 
@@ -30,8 +32,15 @@ def code_digest() -> str:
 
 
 def scene_digest(scene: Scene) -> str:
-    """Hash of a scene's validated content; what its assets hold does not count."""
-    return hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
+    """Hash of a scene's validated content and of what its assets hold, wherever they lie.
+
+    Raises:
+        SceneError: If an asset cannot be found.
+    """
+    digest = hashlib.sha256(scene.model_dump_json().encode())
+    for file in files_of(scene):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _sources(root: Path) -> Iterator[tuple[Path, Path]]:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class KeptResults:
     """Results of a scene's episodes in a file, one JSON object a line.
 
-    A result counts as long as scene, terms, engine, device and the episodes it was planned together with are the same.
+    A result counts as long as scene, assets, terms, engine, device and the episodes it was planned together with are
+    the same.
 
     Args:
         path: The file; made when the first result is added.
@@ -42,12 +43,15 @@ class KeptResults:
         self._code = code_digest()
         self.outdated = 0
         """Results found that another state of warpmpc made."""
+        self.taken = 0
+        """Results found, whose episodes need not be run."""
 
     def find(self, seeds: Sequence[int]) -> list[EpisodeResult]:
         """Results of episodes that were planned together, or nothing if one is missing."""
         found = [self._records.by_key.get(self._key(seeds, seed)) for seed in seeds]
         if None in found:
             return []
+        self.taken += len(found)
         self.outdated += sum(record["code"] != self._code for record in found)
         return [result_from_json(record["result"]) for record in found]
 
