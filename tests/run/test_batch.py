@@ -86,7 +86,7 @@ def test_one_environment_is_a_plain_plant():
 def test_finished_plants_stand_still():
     """Two discs drive at different speeds, a third one away from the goal."""
     scene = real_scene(
-        goal={"frame": "base/centre", "position": (0.4, 0.0)}, object=[{**BOX, "position": (1.0, 1.0, 0.1)}]
+        goal={"frame": "base/centre", "position": (0.4, 0.0)}, object=[{**BOX, "position": (3.0, 3.0, 0.1)}]
     )
     batch = Plant(scene, envs=3, compiled=compiled(scene))
     alone = [Plant(scene, seed=e, compiled=compiled(scene)) for e in range(3)]
