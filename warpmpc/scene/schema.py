@@ -40,13 +40,13 @@ from .schema_planner import (
     SplineKind,
     Temperature,
 )
+from .schema_plant import Kick, PlantNoise, PlantSettings
+from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
 from .schema_sampling import Covariance, CovarianceForm, Execute
 from .types import (
     Count,
     Finite,
     Flag,
-    Floats,
-    Fraction,
     Name,
     NonNegative,
     OneOrMore,
@@ -56,7 +56,6 @@ from .types import (
     Quat,
     Section,
     Vec2or3,
-    Vec3,
 )
 from .waypoints import one_by_one
 
@@ -190,103 +189,6 @@ class Cost(Section):
     def params(self) -> dict[str, Any]:
         """The term's own keys."""
         return dict(self.model_extra or {})
-
-
-class Kick(Section):
-    """A shove: a sudden change of velocity of an object or of a robot's joints."""
-
-    time: NonNegative
-    """When [s]."""
-    target: str
-    """Object or robot."""
-    velocity: Floats
-    """Object, or robot with a free root: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint's
-    velocity [m/s or rad/s], of a free root the linear one."""
-
-
-class PlantNoise(Section):
-    """Gaussian observation noise, as standard deviations."""
-
-    position: NonNegative = 0.0
-    """Joint positions and object positions [m or rad]."""
-    velocity: NonNegative = 0.0
-    """Velocities [m/s or rad/s]."""
-
-
-class PlantSettings(Section):
-    """How the simulated plant differs from the planner's worlds."""
-
-    substeps: Count | None = None
-    """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks
-    for, else 8."""
-    randomize: Flag = True
-    """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
-    noise: PlantNoise = PlantNoise()
-    """Noise of what is observed."""
-    delay: NonNegative = 0.0
-    """Age of observations [s], rounded to whole controls."""
-    kicks: tuple[Kick, ...] = ()
-    """Shoves during the run."""
-
-
-class Uniform(Section):
-    """A fraction of the nominal value, uniform in ± ``uniform``."""
-
-    uniform: Fraction
-    """Largest deviation, as a fraction of the nominal value."""
-
-
-class Normal(Section):
-    """A Gaussian with standard deviation ``normal``."""
-
-    normal: NonNegative
-    """Standard deviation [m]."""
-
-
-class Randomization(Section):
-    """Random physical properties of one robot, object or obstacle, drawn per world."""
-
-    mass: Uniform | None = None
-    """Factor on every mass."""
-    friction: Uniform | None = None
-    """Factor on every coefficient of friction."""
-    size: Normal | None = None
-    """Added to each dimension [m]."""
-
-
-class Draw(Section):
-    """Uniform draw of a scene key at the start of an episode."""
-
-    low: Floats
-    """Least value, in the unit of the key that is drawn: one, or one for each of its numbers."""
-    high: Floats
-    """Largest value, likewise."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Draw:
-        if len(self.low) != len(self.high) or any(lo > hi for lo, hi in zip(self.low, self.high, strict=False)):
-            raise ValueError("a draw needs low = [...] and high = [...] of one length with low ≤ high")
-        return self
-
-
-class Rejection(Section):
-    """Draws in which a place lies too close to an obstacle are drawn again."""
-
-    place: str
-    """``goal``, an object, a robot (the start position of its root), or a robot frame (``robot/frame``) with ``at``."""
-    at: Vec3 | None = None
-    """Where the place is at the start [m], for robots whose joints carry them away from their root."""
-    clearance: NonNegative
-    """Least distance from the obstacles' surfaces [m]."""
-
-
-class RandomizeTask(Section):
-    """Goals, starts and obstacles drawn anew for every episode, from its seed."""
-
-    draw: dict[str, Draw] = Field(default_factory=dict)
-    """Scene key (as in ``--set``, ``*`` for every name) → range."""
-    reject: tuple[Rejection, ...] = ()
-    """Which draws are drawn again."""
 
 
 class Condition(Section):

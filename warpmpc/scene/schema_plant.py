@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The types of the simulated plant: what befalls it and how it is observed."""
+
+from __future__ import annotations
+
+from .types import Count, Flag, Floats, NonNegative, Section
+
+
+class Kick(Section):
+    """A shove: a sudden change of velocity of an object or of a robot's joints."""
+
+    time: NonNegative
+    """When [s]."""
+    target: str
+    """Object or robot."""
+    velocity: Floats
+    """Object, or robot with a free root: change of linear velocity (x, y, z) [m/s]. Robot: change of each joint's
+    velocity [m/s or rad/s], of a free root the linear one."""
+
+
+class PlantNoise(Section):
+    """Gaussian observation noise, as standard deviations."""
+
+    position: NonNegative = 0.0
+    """Joint positions and object positions [m or rad]."""
+    velocity: NonNegative = 0.0
+    """Velocities [m/s or rad/s]."""
+
+
+class PlantSettings(Section):
+    """How the simulated plant differs from the planner's worlds."""
+
+    substeps: Count | None = None
+    """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks
+    for, else 8."""
+    randomize: Flag = True
+    """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
+    noise: PlantNoise = PlantNoise()
+    """Noise of what is observed."""
+    delay: NonNegative = 0.0
+    """Age of observations [s], rounded to whole controls."""
+    kicks: tuple[Kick, ...] = ()
+    """Shoves during the run."""
