@@ -88,12 +88,16 @@ def test_a_poisoned_world_changes_no_other(rollout, started):
     assert rollout.work.diverged.numpy().tolist() == [int(w == 7) for w in range(WORLDS)]
 
 
-@pytest.mark.parametrize("name", ["omni_push_box", "panda_push"])
-def test_a_plan_on_the_gpu_costs_what_it_does_on_the_cpu(name):
+@pytest.mark.parametrize("sharing", [32, 1], ids=["warp", "thread"])
+@pytest.mark.parametrize("name", ["omni_push_box", "panda_push", "mobile_pick"])
+def test_a_plan_on_the_gpu_costs_what_it_does_on_the_cpu(name, sharing):
+    """Both where a warp judges its world and where another launch does."""
     if not wp.is_cuda_available():
         pytest.skip("needs a CUDA device")
-    scene = warpmpc.load_scene(name, overrides=["planner.samples=64"])
+    samples = 64 if sharing > 1 else 6144
+    scene = warpmpc.load_scene(name, overrides=[f"planner.samples={samples}"])
     gpu, cpu = (warpmpc.Controller(scene, engine="fused", device=device, seed=1) for device in ("cuda:0", "cpu"))
+    assert gpu.engine.simulator.sharing == sharing
     state = warpmpc.State.start(gpu.layout)
     for controller in (gpu, cpu):
         controller.step(state)
