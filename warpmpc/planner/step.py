@@ -124,7 +124,7 @@ class PlanStep:
         """The plan step in order, each piece with the stage it belongs to."""
         strategy, engine = self.strategy, self.engine
         pieces = [("begin", self._replayed(self._begin))]
-        for i in range(strategy.iterations):
+        for i in range(len(strategy.population)):
             proposal = Round(strategy, i)
             pieces += [
                 ("propose", self._replayed(partial(strategy.propose, i))),

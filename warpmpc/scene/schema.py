@@ -42,7 +42,7 @@ from .schema_planner import (
 )
 from .schema_plant import Kick, PlantNoise, PlantSettings
 from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
-from .schema_sampling import Covariance, CovarianceForm, Execute
+from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
 from .types import (
     Count,
     Finite,
@@ -107,6 +107,7 @@ __all__ = [
     "Target",
     "Temperature",
     "Timing",
+    "TryMean",
     "Uniform",
 ]
 
