@@ -188,16 +188,34 @@ def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[
 
 @contextlib.contextmanager
 def _newton_alone() -> Iterator[None]:
-    """Newton's solver made for its translation alone: what it says of files and of MuJoCo Warp is about neither."""
+    """Newton's solver made for its translation alone: what it says of files and of MuJoCo Warp is about neither.
+
+    Its kernels run once and take 18 s to compile, 7 s without optimization.
+    """
     newton = logging.getLogger("newton")
     level = newton.level
     newton.setLevel(logging.WARNING)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _unoptimized("newton._src.solvers.mujoco.kernels"):
             warnings.filterwarnings("ignore", module="mujoco_warp")
             yield
     finally:
         newton.setLevel(level)
+
+
+@contextlib.contextmanager
+def _unoptimized(name: str) -> Iterator[None]:
+    """Compile a module of kernels without optimization for a while; whoever uses it later has it optimized."""
+    import warp as wp
+
+    module = wp.get_module(name)
+    wp.set_module_options({"optimization_level": 0}, module=module)
+    module.unload()
+    try:
+        yield
+    finally:
+        wp.set_module_options({"optimization_level": None}, module=module)
+        module.unload()
 
 
 _HELPER = "helper"
