@@ -190,6 +190,22 @@ def perturb_knots_kernel(
 
 
 @wp.kernel
+def proposed_rows_kernel(
+    # inputs
+    proposed: wp.array2d[float],  # [E, n·P·nu]
+    null: wp.array2d[float],  # [E, nu] control that asks for nothing
+    # outputs
+    rows: wp.array4d[float],  # [n, E, P, nu]
+):
+    """One thread: one knot of a sample that was proposed on the host; where there is none, it asks for nothing."""
+    i, e, p = wp.tid()
+    nu = null.shape[1]
+    for u in range(nu):
+        value = proposed[e, (i * rows.shape[2] + p) * nu + u]
+        rows[i, e, p, u] = wp.where(wp.isfinite(value), value, null[e, u])
+
+
+@wp.kernel
 def null_rows_kernel(
     # inputs
     null: wp.array2d[float],  # [E, nu] control that asks for nothing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that are not drawn: null particles, the best samples so far, sequences of a file."""
+"""Samples that are not drawn: null particles, the best samples so far, sequences of a file, proposals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.proposals import null_rows_kernel
+from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
 from ..launch import Launcher
 
 if TYPE_CHECKING:
@@ -101,6 +101,28 @@ class BestRows:
 
     def before_plan(self) -> None:
         """Nothing: the distribution has moved it on."""
+
+
+class ProposedRows:
+    """What ancillary controllers propose for the observed state; where that is nothing, a null particle.
+
+    Args:
+        proposed: Knots of all of them, side by side ``[E, n·P·nu]``.
+        null: Controls that ask for nothing in the observed state ``[E, nu]``.
+        columns: Numbers of a plan, P·nu.
+    """
+
+    def __init__(self, proposed: wp.array, null: wp.array, columns: int):
+        self.count, self._launch = proposed.shape[1] // columns, Launcher(null.device)
+        self._proposed, self._null = proposed, null
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[count, E, P, nu]`` to write."""
+        self._knots = knots
+
+    def before_plan(self) -> None:
+        """Write what is proposed now; capture-safe."""
+        self._launch(proposed_rows_kernel, self._knots.shape[:3], [self._proposed, self._null], [self._knots])
 
 
 class SequenceRows:

@@ -19,7 +19,7 @@ from .distribution import Gaussian
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureRows
-from .rows import BestRows, FixedRows, NullRows, SequenceRows
+from .rows import BestRows, FixedRows, NullRows, ProposedRows, SequenceRows
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
@@ -190,9 +190,10 @@ class SamplingStrategy:
             )
             rows.append(self._postures)
         rows.append(SequenceRows(sequences(scene, spline.time.numpy(), layout.nu)))
+        rows.append(ProposedRows(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
         fixed = FixedRows(rows, distribution)
         if fixed.count + 1 > samples:
-            kinds = "null, best, postures, sequences"
+            kinds = "null, best, postures, sequences, ancillary"
             message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"
             raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed

@@ -32,7 +32,7 @@ from .monitor import Monitor
 from .motion import Motions
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
     from .batch import PlantBatch
@@ -65,7 +65,7 @@ class Worlds:
         compiled: CompiledScene,
         seeds: Sequence[int],
         task: Task,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
     ):
         if task.envs != len(seeds):
             raise ValueError(
@@ -171,7 +171,7 @@ class Plant:
         seed: int = 0,
         envs: int = 1,
         task: Task | None = None,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
         world: tuple[Worlds, int] | None = None,
     ):

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from .schema_ancillary import Ancillary
 from .schema_bodies import (
     Drive,
     DriveMode,
@@ -60,6 +61,7 @@ from .types import (
 from .waypoints import one_by_one
 
 __all__ = [
+    "Ancillary",
     "Camera",
     "Cloud",
     "Condition",

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from .schema_ancillary import Ancillary
 from .schema_sampling import Covariance, Execute, Postures, TryMean
 from .types import (
     Channel,
@@ -18,6 +19,7 @@ from .types import (
     Natural,
     NonNegative,
     NonNegatives,
+    OneOrMore,
     Param,
     Positive,
     Positives,
@@ -268,6 +270,8 @@ class Planner(Section):
     ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
     postures: Postures | None = None
     """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
+    ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
+    """What proposes samples for the observed state, at every plan: functions of your own, stored motions, policies."""
     execute: Execute = Execute.MEAN
     """What is carried out: the mean, or the best of the last samples."""
     iterations: Count = 1
