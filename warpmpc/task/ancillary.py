@@ -48,7 +48,8 @@ def ancillary(name: str, *, samples: int = 1) -> Callable[[Propose], AncillaryCo
     Example:
         >>> @warpmpc.ancillary("straight")
         ... def straight(state, task, times):
-        ...     return 2.0 * (task["goal"][:2] - state.joint_q[:2])
+        ...     goal = task["goal"]
+        ...     return 2.0 * (goal[:2] - state.joint_q[:2])
     """
     if not isinstance(name, str) or not name:
         raise TypeError(f'an ancillary controller has a name, not {name!r}: @warpmpc.ancillary("name")')
