@@ -104,7 +104,7 @@ class Held:
     """
 
     def __init__(self, strategy: object):
-        self.knots, self.offset = strategy.knots, strategy.offset
+        self.knots, self.offset, self.samples = strategy.knots, strategy.offset, strategy.knots.shape[1]
 
     def sample(self, first: int, count: int) -> None:
         """Leave the knots as they are."""

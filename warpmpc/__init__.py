@@ -52,11 +52,13 @@ if TYPE_CHECKING:
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.schema import Scene
+    from .task.ancillary import AncillaryController, ancillary
     from .task.task import Task
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AncillaryController",
     "ArrayCost",
     "Controller",
     "CostTerm",
@@ -75,6 +77,7 @@ __all__ = [
     "State",
     "StepView",
     "Task",
+    "ancillary",
     "array_cost",
     "centre_of_mass",
     "centre_of_mass_velocity",
@@ -122,6 +125,8 @@ _HOME = {
     "SceneError": "scene.errors",
     "State": "model.state",
     "Task": "task.task",
+    "AncillaryController": "task.ancillary",
+    "ancillary": "task.ancillary",
     "choose_engine": "run.choose_engine",
     "ArrayCost": "cost.term",
     "CostTerm": "cost.term",

@@ -177,26 +177,31 @@ def keep_best_kernel(
     cost: wp.array2d[float],  # [E, S]
     knots: wp.array3d[float],  # [E, S, P·nu]
     # outputs
-    best: wp.array2d[float],  # [E, P·nu]
+    best: wp.array3d[float],  # [n, E, P·nu]
 ):
-    """Keep the best sample of one environment, one block each, the first of equally good ones.
+    """Keep the n best samples of one environment, one block each, the best first, of equally good ones the first.
 
-    What was kept before stays where every sample diverged.
+    What was kept before stays where fewer samples are finite.
     """
     e, lane = wp.tid()
     samples = cost.shape[1]
 
-    least = float(wp.inf)
-    for s in range(lane, samples, wp.block_dim()):
-        if wp.isfinite(cost[e, s]):
-            least = wp.min(least, cost[e, s])
-    least = wp.tile_extract(wp.tile_min(wp.tile(least)), 0)
-    candidate = int(samples)
-    for s in range(lane, samples, wp.block_dim()):
-        if wp.isfinite(cost[e, s]) and cost[e, s] == least:
-            candidate = wp.min(candidate, s)
-    winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
+    bound = float(-wp.inf)  # cost and sample of the one kept last
+    last = int(-1)
+    for i in range(best.shape[0]):
+        least = float(wp.inf)
+        for s in range(lane, samples, wp.block_dim()):
+            if wp.isfinite(cost[e, s]) and (cost[e, s] > bound or (cost[e, s] == bound and s > last)):
+                least = wp.min(least, cost[e, s])
+        lowest = wp.tile_extract(wp.tile_min(wp.tile(least)), 0)
+        candidate = int(samples)
+        for s in range(lane, samples, wp.block_dim()):
+            if wp.isfinite(cost[e, s]) and cost[e, s] == lowest and (lowest > bound or s > last):
+                candidate = wp.min(candidate, s)
+        winner = wp.tile_extract(wp.tile_min(wp.tile(candidate)), 0)
 
-    if winner < samples:
-        for c in range(lane, best.shape[1], wp.block_dim()):
-            best[e, c] = knots[e, winner, c]
+        if winner < samples:
+            for c in range(lane, best.shape[2], wp.block_dim()):
+                best[i, e, c] = knots[e, winner, c]
+        bound = lowest
+        last = winner

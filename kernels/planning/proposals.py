@@ -159,6 +159,7 @@ def perturb_knots_kernel(
     noise: wp.array3d[float],  # [E, S, P·nu] shaped, of unit variance
     fixed: wp.array3d[float],  # [F, E, P·nu] samples that are not drawn
     fixed_rows: int,  # F
+    mean_row: int,  # whether sample 0 is the mean, or else drawn
     lower: wp.array[float],  # [P·nu]
     upper: wp.array[float],  # [P·nu]
     first: int,  # row e·S + s of thread 0
@@ -168,7 +169,7 @@ def perturb_knots_kernel(
 ):
     """One thread: some columns of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
 
-    Sample 0 is the mean itself, samples 1 to F are the fixed ones. With a full covariance the noise of a knot is L z.
+    Sample 0 may be the mean itself, samples 1 to F are fixed ones. With a full covariance the noise of a knot is L z.
     """
     thread, lane = wp.tid()
     e = (first + thread) // knots.shape[1]
@@ -176,16 +177,32 @@ def perturb_knots_kernel(
     begin = lane * knots.shape[2] // lanes
     end = (lane + 1) * knots.shape[2] // lanes
 
-    if s == 0:
+    if s == 0 and mean_row != 0:
         for c in range(begin, end):
             knots[e, s, c] = wp.clamp(mean[e, c], lower[c], upper[c])
-    elif s <= fixed_rows:
+    elif s > 0 and s <= fixed_rows:
         for c in range(begin, end):
             knots[e, s, c] = wp.clamp(fixed[s - 1, e, c], lower[c], upper[c])
     elif full != 0:
         perturb_row_together(mean, bands, schedule, iteration, noise, lower, upper, e, s, begin, end, knots)
     else:
         perturb_row(mean, sigma, schedule, iteration, noise, lower, upper, e, s, begin, end, knots)
+
+
+@wp.kernel
+def proposed_rows_kernel(
+    # inputs
+    proposed: wp.array2d[float],  # [E, n·P·nu]
+    null: wp.array2d[float],  # [E, nu] control that asks for nothing
+    # outputs
+    rows: wp.array4d[float],  # [n, E, P, nu]
+):
+    """One thread: one knot of a sample that was proposed on the host; where there is none, it asks for nothing."""
+    i, e, p = wp.tid()
+    nu = null.shape[1]
+    for u in range(nu):
+        value = proposed[e, (i * rows.shape[2] + p) * nu + u]
+        rows[i, e, p, u] = wp.where(wp.isfinite(value), value, null[e, u])
 
 
 @wp.kernel

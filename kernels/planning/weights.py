@@ -112,6 +112,18 @@ def bisect_temperature_kernel(
         beta[e] = wp.exp(0.5 * (low + high))
 
 
+@wp.kernel
+def forget_cost_kernel(
+    # inputs
+    first: int,  # sample of thread 0
+    # outputs
+    cost: wp.array2d[float],  # [E, S]
+):
+    """One thread: a sample that a round does not try costs +inf."""
+    e, s = wp.tid()
+    cost[e, first + s] = wp.inf
+
+
 @wp.func
 def rank_of(cost: wp.array2d[float], e: int, s: int) -> int:
     """How many finite samples are better than a sample, the first of equally good ones counted as better."""

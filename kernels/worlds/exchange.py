@@ -12,7 +12,7 @@ REPORT = wp.constant(7)
 @wp.kernel
 def unpack_kernel(
     # inputs
-    packed: wp.array2d[float],  # [E, 3 + nq + nv + na + 7 nm + 7 poses + scalars + terms]
+    packed: wp.array2d[float],  # [E, 3 + nq + nv + na + 7 nm + proposed + 7 poses + scalars + terms]
     # outputs
     observed: wp.array[int],  # [E] whether there is an observation to plan from
     elapsed: wp.array[float],  # [E] time since the last plan [s]
@@ -21,6 +21,7 @@ def unpack_kernel(
     joint_qd: wp.array2d[float],  # [E, nv]
     act: wp.array2d[float],  # [E, na]
     mocap: wp.array2d[float],  # [E, 7 nm]
+    proposed: wp.array2d[float],  # [E, n·P·nu] knots of samples that are proposed
     pose: wp.array2d[float],  # [E, 7 poses] of the task
     scalar: wp.array2d[float],  # [E, scalars] of the task
     weight: wp.array2d[float],  # [E, terms] of the task
@@ -50,6 +51,9 @@ def unpack_kernel(
     if at >= 0 and at < mocap.shape[1]:
         mocap[e, at] = value
     at -= mocap.shape[1]
+    if at >= 0 and at < proposed.shape[1]:
+        proposed[e, at] = value
+    at -= proposed.shape[1]
     if at >= 0 and at < pose.shape[1]:
         pose[e, at] = value
     at -= pose.shape[1]

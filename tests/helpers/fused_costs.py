@@ -18,7 +18,7 @@ class Held:
 
     def __init__(self, knots: np.ndarray, device: str = "cpu"):
         self.knots = wp.array(knots, dtype=float, device=device)
-        self.offset = wp.zeros(len(knots), dtype=float, device=device)
+        self.offset, self.samples = wp.zeros(len(knots), dtype=float, device=device), knots.shape[1]
 
     def sample(self, first: int, count: int) -> None:
         """Nothing."""

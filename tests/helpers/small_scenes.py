@@ -80,6 +80,7 @@ def observed(q, qd, *, device: str = "cpu") -> ObservedState:
         pose=empty(0, dtype=wp.transform),
         scalar=empty(0),
         weight=empty(0),
+        proposed=empty(0),
         last_control=empty(0),
         body_q=empty(0, dtype=wp.transform),
         body_qd=empty(0, dtype=wp.spatial_vector),

@@ -20,7 +20,7 @@ def rounds(planning: Planning):
     plan.state.joint_q.assign(planning.q)
     plan.state.elapsed.fill_(planning.elapsed)
     planning.strategy.shift()
-    for i in range(planning.strategy.iterations):
+    for i in range(len(planning.strategy.population)):
         planning.strategy.propose(i)
         plan.engine.evaluate(Round(planning.strategy, i))
         yield planning.knots.astype(np.float64), planning.cost.astype(np.float64)

@@ -123,10 +123,21 @@ def test_the_new_mean_is_within_the_samples_it_came_from(seed, alpha, device):
 def test_the_best_sample_is_kept_until_a_better_one_is_finite(device):
     knots, weight, _ = some_samples(0, 6)
     moments = moments_of(knots, weight, device=device)
-    best = wp.full((2, 5, 3), 9.0, dtype=float, device=device)
+    best = wp.full((1, 2, 5, 3), 9.0, dtype=float, device=device)
     for cost, expected in (
         ([[INF] * 6, [3.0, 2.0, 2.0, INF, np.nan, 2.5]], [np.full((5, 3), 9.0), knots[1, 1]]),
         ([[1.0, -INF, 0.5, 2.0, 2.0, 2.0], [INF] * 6], [knots[0, 2], knots[1, 1]]),
     ):
         moments.keep_best(wp.array(cost, dtype=float, device=device), best)
-        np.testing.assert_array_equal(best.numpy(), np.asarray(expected, dtype=np.float32))
+        np.testing.assert_array_equal(best.numpy()[0], np.asarray(expected, dtype=np.float32))
+
+
+def test_several_of_the_best_are_kept_in_order_the_first_of_equals_first(device):
+    knots, weight, _ = some_samples(0, 6)
+    moments = moments_of(knots, weight, device=device)
+    best = wp.full((3, 2, 5, 3), 9.0, dtype=float, device=device)
+    cost = [[2.0, 1.0, INF, 1.0, 0.5, 1.0], [INF, 3.0, np.nan, INF, 2.0, INF]]
+    moments.keep_best(wp.array(cost, dtype=float, device=device), best)
+    np.testing.assert_array_equal(best.numpy()[:, 0], knots[0, [4, 1, 3]].astype(np.float32))
+    np.testing.assert_array_equal(best.numpy()[:2, 1], knots[1, [4, 1]].astype(np.float32))
+    assert np.all(best.numpy()[2, 1] == 9.0)  # no third one is finite

@@ -13,7 +13,7 @@ from warpmpc.planner.registry import STRATEGIES, register
 class Fixed:
     """Tries the same constant controls at every plan, on a ring around zero, and takes the best one."""
 
-    iterations = 1
+    population = (16,)
 
     def __init__(self, scene, layout, state, spline, limits, cost, *, seed=0):
         self.cost = cost

@@ -24,7 +24,7 @@ from .terms import load_terms
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
     from ..run.batch import Batch
     from ..run.episode import Episode, EpisodeResult
@@ -111,7 +111,7 @@ class Setup:
         from ..run.episode import compile_shared
 
         self.compiled: CompiledScene | None = compile_shared(self.scene)
-        self.terms: list[CostTerm | ArrayCost] = load_terms(term_files)
+        self.terms: list[UserTerm] = load_terms(term_files)
 
     def episode(self, seed: int) -> Episode:
         """The episode of a seed, ready to run."""

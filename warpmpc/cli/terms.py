@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost terms from a user's Python file."""
+"""Cost terms and ancillary controllers from a user's Python file."""
 
 from __future__ import annotations
 
@@ -14,33 +14,35 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import ModuleType
 
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
 
 
 class TermsError(ValueError):
     """A file of cost terms that cannot be used."""
 
 
-def load_terms(files: str | Path | Sequence[str | Path]) -> list[CostTerm | ArrayCost]:
-    """Execute Python files and collect the cost terms they define at module level.
+def load_terms(files: str | Path | Sequence[str | Path]) -> list[UserTerm]:
+    """Execute Python files and collect the cost terms and ancillary controllers they define at module level.
 
     Args:
         files: Python files, or one of them.
 
     Returns:
-        The terms, in the order of the files and of the names in them.
+        These, in the order of the files and of the names in them.
 
     Raises:
-        TermsError: If a file cannot be read or executed or defines no term, or two terms share a name.
+        TermsError: If a file cannot be read or executed or defines none, or two of them share a name.
     """
-    found: dict[str, CostTerm | ArrayCost] = {}
+    found: dict[str, UserTerm] = {}
     for path in map(Path, [files] if isinstance(files, str | Path) else files):
         terms = _execute(path, _module_name(path))
         if not terms:
-            raise TermsError(f'{path}: defines no cost term; write one with @warpmpc.cost_term("name")')
+            raise TermsError(
+                f'{path}: defines no cost term and no ancillary controller; write one with @warpmpc.cost_term("name")'
+            )
         for term in terms:
             if term.name in found:
-                raise TermsError(f"{path}: there are two cost terms called '{term.name}'")
+                raise TermsError(f"{path}: there are two terms called '{term.name}'")
             found[term.name] = term
     return list(found.values())
 
@@ -55,8 +57,8 @@ def _same_file(module: ModuleType, path: Path) -> bool:
     return module.__file__ == str(path.absolute())
 
 
-def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:
-    from ..cost.term import ArrayCost, CostTerm
+def _execute(path: Path, name: str) -> list[UserTerm]:
+    from ..cost.term import UserTerm
 
     if path.exists() and not path.is_file():
         raise TermsError(f"{path}: cannot be read: is {'a folder' if path.is_dir() else 'no regular file'}")
@@ -73,7 +75,7 @@ def _execute(path: Path, name: str) -> list[CostTerm | ArrayCost]:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise TermsError(f"{path}{_line(error, path)}: {type(error).__name__}: {_message(error)}") from error
-    unique = {id(value): value for value in vars(module).values() if isinstance(value, CostTerm | ArrayCost)}
+    unique = {id(value): value for value in vars(module).values() if isinstance(value, UserTerm)}
     return list(unique.values())
 
 

@@ -23,12 +23,13 @@ from ..planner.plan import Plan
 from ..planner.step import PlanStep
 from ..scene.errors import SceneError
 from ..scene.schema import SampleCount
+from ..task.ancillary import AncillaryController
 from ..task.task import Task, task_layout
 from .observation import Observation
 from .rollout import Rollout
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..scene.schema import Scene
 
 logger = logging.getLogger("warpmpc")
@@ -51,7 +52,7 @@ class Controller:
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
         envs: Number of environments E.
         task: What the run wants, shared with its plant; one of its own if None.
-        terms: Users' own cost terms that the scene names.
+        terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -69,7 +70,7 @@ class Controller:
         seed: int = 0,
         envs: int = 1,
         task: Task | None = None,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
     ):
         if envs < 1:
@@ -97,7 +98,7 @@ class Controller:
         self._info: Info | tuple[Info, ...] | None = None
         self._forget()
 
-    def _build(self, name: str, device: str, strategy: str, terms: Sequence[CostTerm | ArrayCost]) -> None:
+    def _build(self, name: str, device: str, strategy: str, terms: Sequence[UserTerm]) -> None:
         """Make everything that lives on the device."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
@@ -115,6 +116,7 @@ class Controller:
             strategy=strategy,
             seed=seed,
             properties=properties,
+            ancillaries=[term for term in terms if isinstance(term, AncillaryController)],
         )
         self.engine = self.planner.engine
         self.graph = PlanGraph(self.planner)

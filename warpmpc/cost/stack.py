@@ -18,7 +18,7 @@ from .binding import Binding
 from .blame import complaint, raised
 from .builtin import BUILTIN
 from .kernel import JudgeCode, judge_code
-from .term import ArrayCost, CostTerm
+from .term import ArrayCost, CostTerm, UserTerm
 from .trial import try_terms
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class CostStack:
         layout: Layout,
         task: Task,
         *,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         device: str = "cpu",
         costs: Sequence[Cost] | None = None,
     ):
@@ -133,12 +133,13 @@ class CostStack:
         self._launch(forward_kinematics_kernel, body_q.shape[:2], [self._table, q, qd], [body_q, body_qd])
 
 
-def _users(terms: Sequence[CostTerm | ArrayCost], scene: Scene) -> dict[str, CostTerm | ArrayCost]:
-    """Users' terms by name.
+def _users(terms: Sequence[UserTerm], scene: Scene) -> dict[str, CostTerm | ArrayCost]:
+    """Users' cost terms by name.
 
     Raises:
         SceneError: If one has the name of a built-in term.
     """
+    terms = [term for term in terms if isinstance(term, CostTerm | ArrayCost)]
     for term in terms:
         if term.name in BUILTIN and term is not BUILTIN[term.name]:
             what = "there is a built-in cost term of this name: choose another"

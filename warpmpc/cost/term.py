@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
+from ..task.ancillary import AncillaryController
 
 if TYPE_CHECKING:
     from ..bake.lines import Operand
@@ -75,6 +76,10 @@ class ArrayCost:
 
     name: str
     function: Callable[[dict[str, Any]], Any]
+
+
+UserTerm = CostTerm | ArrayCost | AncillaryController
+"""What a user brings along with a scene: what it costs, and what else is tried."""
 
 
 def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -> Callable[[Callable], CostTerm]:

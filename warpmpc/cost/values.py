@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..model.trajectory import Trajectory
     from ..scene.schema import Scene
     from ..task.task import Task
-    from .term import ArrayCost, CostTerm
+    from .term import UserTerm
 
 
 class TermValues:
@@ -42,7 +42,7 @@ class TermValues:
         task: Task,
         labels: Collection[str],
         *,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
     ):
         costs = [
             cost.model_copy(update={"terminal": 1.0})  # a condition is about the value itself

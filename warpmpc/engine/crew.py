@@ -27,7 +27,7 @@ class Crew:
 
     Args:
         threads: Number of threads.
-        parts: Number of sequences that are run at once.
+        parts: Most sequences that are run at once.
     """
 
     thread: np.ndarray
@@ -79,7 +79,7 @@ class Crew:
         """Run sequences, each on whatever thread takes it; returns when all are done.
 
         Args:
-            replays: One for each part; hand over the same list every time.
+            replays: One for each part, or fewer; hand over the same list every time.
 
         Raises:
             RuntimeError: If one of them could not be replayed.
@@ -102,7 +102,9 @@ class Crew:
         recorded = [replay.record() for replay in replays]
         if not all(recorded):
             return False
-        self._graphs[:] = [replay.address for replay in replays]
+        self._graphs[: len(replays)] = [replay.address for replay in replays]
+        if self.threads > 1:
+            self._board[_AT["PARTS"]] = len(replays)
         self._shown = replays
         return True
 

@@ -63,10 +63,11 @@ class JudgingEngine(ABC):
         self._allocate(work)
         self._failed = self._zeros(0, dtype=int)
         """Worlds whose physics failed ``[W]``; empty where there is none."""
-        self.parts, groups = self._split()
+        self.parts = self._split(self.shape.samples)
         """First group of lanes, groups, first sample and samples of each part that a thread takes."""
-        self._groups = 0 if self._on_gpu else groups
-        self._crew = Crew(self.threads, len(self.parts))
+        self._groups = 0 if self._on_gpu else -(-self.shape.rollouts // self.lanes)
+        # rounds that try fewer samples may leave gaps, and a part more, between environments
+        self._crew = Crew(min(self.threads, len(self.parts)), PARTS * self.threads + self.shape.envs)
 
     def _zeros(self, *dims: int, dtype: type = float) -> wp.array:
         return wp.zeros(dims, dtype=dtype, device=self.device)
@@ -123,16 +124,23 @@ class JudgingEngine(ABC):
             setattr(self._own, f"p{i}", bound)
         return code
 
-    def _split(self) -> tuple[list[tuple[int, int, int, int]], int]:
-        """First group, groups, first sample and samples of each part; and the groups of an environment."""
+    def _split(self, samples: int) -> list[tuple[int, int, int, int]]:
+        """First group, groups, first sample and samples of each part that together try the first samples.
+
+        Args:
+            samples: How many of every environment; on the CPU whole registers of them, on a GPU all where there are
+                several environments.
+        """
         shape = self.shape
         if self._on_gpu:
-            return [(0, shape.worlds, 0, shape.envs * shape.samples)], 0
+            tried = samples if shape.envs == 1 else shape.envs * shape.samples
+            return [(0, tried * shape.domains, 0, tried)]
         groups = -(-shape.rollouts // self.lanes)
         # all domains of a sample belong to one part
         whole = int(np.lcm(self.lanes, shape.domains)) // self.lanes
         blocks = -(-groups // whole)
-        count = blocks * shape.envs
+        tried = -(-samples * shape.domains // (whole * self.lanes))
+        count = tried * shape.envs
         size = count if self.threads == 1 else max(1, -(-count // (PARTS * self.threads)))
 
         def group(block: int) -> int:
@@ -142,10 +150,13 @@ class JudgingEngine(ABC):
             return block // blocks * shape.samples + block % blocks * whole * self.lanes // shape.domains
 
         parts = []
-        for first in range(0, count, size):
-            end = min(first + size, count)
-            parts.append((group(first), group(end) - group(first), sample(first), sample(end) - sample(first)))
-        return parts, groups
+        # where all are tried, environments lie side by side without a gap
+        runs = [(0, count)] if tried == blocks else [(e * blocks, e * blocks + tried) for e in range(shape.envs)]
+        for begin, stop in runs:
+            for first in range(begin, stop, size):
+                end = min(first + size, stop)
+                parts.append((group(first), group(end) - group(first), sample(first), sample(end) - sample(first)))
+        return parts
 
     def evaluate(self, proposal: Proposal) -> None:
         """Roll proposed knots out from the observed state and judge them, into :attr:`cost`.
@@ -155,10 +166,10 @@ class JudgingEngine(ABC):
         if self._on_gpu:
             if self._steps_of_plan:
                 self._taps(proposal.offset)
-            self._take(proposal, self.parts[0])
+            self._take(proposal, *self._split(proposal.samples))
         else:
             if id(proposal) not in self._replays:
-                parts = [Replay(partial(self._take, proposal, part)) for part in self.parts]
+                parts = [Replay(partial(self._take, proposal, part)) for part in self._split(proposal.samples)]
                 self._replays[id(proposal)] = proposal, Replay(partial(self._taps, proposal.offset)), parts
             _, taps, parts = self._replays[id(proposal)]
             if self._steps_of_plan:

@@ -68,6 +68,7 @@ class Proposal(Protocol):
 
     knots: wp.array  # [E, S, P, nu]
     offset: wp.array  # [E] time from the first knot to the present [s]
+    samples: int  # of every environment, from its first on, whose costs are asked for; others need not be rolled out
 
     def sample(self, first: int, count: int) -> None:
         """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""

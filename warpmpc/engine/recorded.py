@@ -118,13 +118,19 @@ class RecordedEngine:
             self._take(proposal, 0)
         else:
             if id(proposal) not in self._replays:
-                parts = range(len(self.simulator.parts))
+                parts = [p for p, part in enumerate(self.simulator.parts) if self._tries(proposal.samples, *part)]
                 self._replays[id(proposal)] = proposal, [Replay(partial(self._take, proposal, p)) for p in parts]
             _, replays = self._replays[id(proposal)]
             self.simulator.run(replays)
         if not self.costs.capturable:
             self.judge.launch_arrays()
             self._sum(0, self.shape.worlds)
+
+    def _tries(self, samples: int, first: int, count: int) -> bool:
+        """Whether some worlds have any of the first samples of an environment among them."""
+        rollouts = self.shape.rollouts
+        wanted = samples * self.shape.domains
+        return first % rollouts < wanted or first // rollouts != (first + count - 1) // rollouts
 
     def _take(self, proposal: Proposal, part: int) -> None:
         """Take a part of the worlds from the observed state to the costs of its samples."""

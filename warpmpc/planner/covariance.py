@@ -45,6 +45,7 @@ class Covariance:
         schedule: Factor on the deviation in every iteration at every knot ``[n, P]``.
         envs: Number of environments E.
         device: Warp device.
+        restarts: Whether every plan begins with ``sigma`` anew.
     """
 
     sigma: wp.array3d[float]
@@ -67,6 +68,7 @@ class Covariance:
         schedule: np.ndarray,
         envs: int,
         device: wp.DeviceLike,
+        restarts: bool = False,
     ):
         self.form, self.full = form, form is CovarianceForm.FULL
         self.adapts = form is not CovarianceForm.FIXED
@@ -85,7 +87,10 @@ class Covariance:
         shapes = [(envs, nu, nu), (envs, nu, nu), (envs, nu, columns)] if self.full else [(1, 1, 1)] * 3
         arrays = (wp.zeros(shape, dtype=float, device=self.device) for shape in shapes)
         self.covariance, self.factor, self.bands = arrays
+        self.restarts = restarts
         self.reset()
+        adapted = [self.covariance, self.factor, self.bands] if self.full else [self.sigma]
+        self._anew = [(array, wp.clone(array)) for array in adapted] if restarts else []
 
     def reset(self) -> None:
         """Return to the covariance of the start."""
@@ -96,6 +101,11 @@ class Covariance:
             bands = np.zeros(self.bands.shape, dtype=np.float32)
             bands[:, 0] = np.tile(self._start, self.sigma.shape[1])
             self.bands.assign(bands)
+
+    def restart(self) -> None:
+        """Return to the covariance of the start in all environments; capture-safe."""
+        for array, start in self._anew:
+            wp.copy(array, start)
 
     def grow(self, observed: wp.array, fresh: wp.array) -> None:
         """Add κ to the variance of every environment that is observed and has a plan already; capture-safe."""
@@ -137,8 +147,10 @@ def covariance_form(scene: Scene, *, adapts: bool) -> CovarianceForm:
     planner, key = scene.planner, "planner.covariance"
     form = planner.covariance.form or (CovarianceForm.KNOTS if adapts else CovarianceForm.FIXED)
     if form is CovarianceForm.FIXED:
-        for name, given in (("kappa", any(planner.covariance.kappa)), ("step_size", planner.covariance.step_size)):
-            if given:
+        wanted = planner.covariance
+        given = {"kappa": any(wanted.kappa), "step_size": wanted.step_size, "restart": wanted.restart}
+        for name in given:
+            if given[name]:
                 allowed = [str(other) for other in CovarianceForm if other is not form]
                 message = f"{name} is of an adapted covariance: say which form"
                 raise SceneError(message, key=f"{key}.form", file=scene.path, found=str(form), allowed=allowed)

@@ -109,7 +109,9 @@ class Gaussian:
             self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, *inputs], [self.null, plan, last])
         self._launch(advance_plan_kernel, (envs,), [self._spline, self._state.elapsed], [self.offset, by])
         moved = [(plan, self._spline.kind) for plan in self._plans]
-        if self.covariance.varies:
+        if self.covariance.restarts:
+            self.covariance.restart()
+        elif self.covariance.varies:
             moved.append((self.sigma, int(LINEAR)))  # a cubic through σ would overshoot below zero
         for knots, kind in moved:
             self._launch(shift_knots_kernel, self.dim, [knots, self._spline, kind, by], [self._shifted])
@@ -118,7 +120,7 @@ class Gaussian:
         self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
 
     def perturb(
-        self, noise: wp.array, fixed: FixedRows, iteration: int, *, knots: wp.array, first: int, count: int
+        self, noise: wp.array, fixed: FixedRows, iteration: int, *, mean: bool, knots: wp.array, first: int, count: int
     ) -> None:
         """Write sampled knots ``[E, S, P, nu]``: the mean, the fixed rows, and mean + σ ⊙ (B z); capture-safe.
 
@@ -126,13 +128,15 @@ class Gaussian:
             noise: Shaped noise B z ``[E, S, P, nu]``.
             fixed: Samples that are not drawn.
             iteration: Row of the schedule of σ.
+            mean: Whether the mean is among the samples.
             knots: Takes the samples.
             first: First of the rows e·S + s to write.
             count: Number of rows.
         """
         covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
         spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]
-        inputs = [rows(self.mean), *spread, rows(noise), rows(fixed.knots), fixed.count, *self._column_limits]
+        undrawn = [rows(fixed.knots), fixed.count, int(mean)]
+        inputs = [rows(self.mean), *spread, rows(noise), *undrawn, *self._column_limits]
         self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(knots)])
 
     def follow(self, moments: SampleMoments, iteration: int, *, step_size: float) -> None:

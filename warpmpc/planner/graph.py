@@ -68,7 +68,8 @@ class PlanGraph:
         self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
         state = plan.state
         widths = [3, state.joint_q.shape[1], state.joint_qd.shape[1], state.act.shape[1], 7 * state.mocap.shape[1]]
-        widths.append(plan.costs.task.block.shape[1])
+        self._observed_columns = slice(3, sum(widths))
+        widths += [state.proposed.shape[1], plan.costs.task.block.shape[1]]
 
         reported = self._nu + int(REPORT) + terms + self._knots[1] * self._nu + 1
         self._packed, self._in = self._exchanged(envs, sum(widths))
@@ -105,7 +106,9 @@ class PlanGraph:
         """
         packed, task = self._packed, self.plan.costs.task.block
         packed[:, 0], packed[:, 1], packed[:, 2] = observed, elapsed, start
-        packed[:, 3 : -task.shape[1]] = state
+        seen = self._observed_columns
+        packed[:, seen] = state
+        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state)
         packed[:, -task.shape[1] :] = task
         self.plan.costs.refresh()
         if self.captured is not None:
@@ -153,7 +156,8 @@ class PlanGraph:
         """Spread the block that came in over the arrays of the plan."""
         state = self.plan.state
         observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act]
-        outputs = [*observed, _numbers(state.mocap), _numbers(state.pose), state.scalar, state.weight]
+        task = [_numbers(state.pose), state.scalar, state.weight]
+        outputs = [*observed, _numbers(state.mocap), state.proposed, *task]
         self._launch(unpack_kernel, self._in.shape, [self._in], outputs)
 
     def _pack(self) -> None:

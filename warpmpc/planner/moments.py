@@ -61,6 +61,9 @@ class SampleMoments:
             self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=self._block_dim)
 
     def keep_best(self, cost: wp.array, best: wp.array) -> None:
-        """Write the sample of lowest cost ``[E, S]`` into ``best [E, P, nu]``, unless all diverged; capture-safe."""
-        inputs, outputs = [cost, self._knots], [self._flat(best)]
+        """Write the n samples of lowest cost ``[E, S]``, as far as they are finite, into ``best [n, E, P, nu]``.
+
+        Capture-safe.
+        """
+        inputs, outputs = [cost, self._knots], [best.reshape((*best.shape[:2], self._columns))]
         self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=self._block_dim)

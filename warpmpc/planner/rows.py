@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that are not drawn: null particles, the best sample so far, sequences of a file."""
+"""Samples that are not drawn: null particles, the best samples so far, sequences of a file, proposals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.proposals import null_rows_kernel
+from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
 from ..launch import Launcher
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class FixedRow(Protocol):
 
 
 class FixedRows:
-    """All fixed rows, samples 1 to F of every environment; sample 0 is the mean.
+    """All fixed rows, samples 1 to F of every environment; sample 0 is the mean where that is tried.
 
     Args:
         rows: What they are, in order.
@@ -77,29 +77,52 @@ class NullRows:
         self._launch(null_rows_kernel, self._knots.shape[:3], [self._null], [self._knots])
 
 
-class BestRow:
-    """The best sample so far, which moves on with the plan.
+class BestRows:
+    """The best samples so far, which move on with the plan, the best one first.
 
     Args:
         distribution: What the plan moves on with.
-        among: Whether it is one of the samples, and not just kept.
+        count: How many of them are among the samples; without any the best one is kept, but not tried again.
     """
 
-    knots: wp.array3d[float]
-    """Its knots ``[E, P, nu]``."""
+    knots: wp.array4d[float]
+    """Their knots ``[max(count, 1), E, P, nu]``."""
 
-    def __init__(self, distribution: Gaussian, *, among: bool):
-        self.count, self._distribution = int(among), distribution
-        if not among:
+    def __init__(self, distribution: Gaussian, count: int):
+        self.count, self._distribution = count, distribution
+        if not count:
             self.bind(wp.zeros((1, *distribution.dim), dtype=float, device=distribution.device))
 
     def bind(self, knots: wp.array4d[float]) -> None:
-        """Take the knots ``[1, E, P, nu]`` to write."""
-        self.knots = knots[0]
-        self._distribution.carry(self.knots)
+        """Take the knots ``[count, E, P, nu]`` to write."""
+        self.knots = knots
+        for row in range(len(knots)):
+            self._distribution.carry(knots[row])
 
     def before_plan(self) -> None:
         """Nothing: the distribution has moved it on."""
+
+
+class ProposedRows:
+    """What ancillary controllers propose for the observed state; where that is nothing, a null particle.
+
+    Args:
+        proposed: Knots of all of them, side by side ``[E, n·P·nu]``.
+        null: Controls that ask for nothing in the observed state ``[E, nu]``.
+        columns: Numbers of a plan, P·nu.
+    """
+
+    def __init__(self, proposed: wp.array, null: wp.array, columns: int):
+        self.count, self._launch = proposed.shape[1] // columns, Launcher(null.device)
+        self._proposed, self._null = proposed, null
+
+    def bind(self, knots: wp.array4d[float]) -> None:
+        """Take the knots ``[count, E, P, nu]`` to write."""
+        self._knots = knots
+
+    def before_plan(self) -> None:
+        """Write what is proposed now; capture-safe."""
+        self._launch(proposed_rows_kernel, self._knots.shape[:3], [self._proposed, self._null], [self._knots])
 
 
 class SequenceRows:

@@ -85,9 +85,19 @@ def fitted_knots(kind: SplineKind, knot_time: np.ndarray, values: np.ndarray, ti
         values: Values ``[..., T, nu]``.
         times: Times of the values ``[T]`` [s].
     """
+    return (fitting_matrix(kind, knot_time, times) @ values).astype(np.float32)
+
+
+def fitting_matrix(kind: SplineKind, knot_time: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The matrix ``[P, T]`` that turns values at some times into the knots whose spline comes nearest to them.
+
+    Args:
+        kind: Kind of spline.
+        knot_time: Times of the knots ``[P]`` [s].
+        times: Times of the values ``[T]`` [s].
+    """
     corners = np.eye(len(knot_time))
-    spline = np.stack([spline_value(kind, knot_time, corners, t) for t in times])  # [T, P]
-    return (np.linalg.pinv(spline) @ values).astype(np.float32)
+    return np.linalg.pinv(np.stack([spline_value(kind, knot_time, corners, t) for t in times]))
 
 
 def _slope(times: np.ndarray, knots: np.ndarray, j: int) -> np.ndarray:

@@ -16,18 +16,20 @@ from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
 from ..task.observed import ObservedState
 from . import registry
+from .ancillary import Ancillaries
 from .plan import Plan, refitted
 from .splines import SplineKind, spline_table
 from .strategy import Round
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from ..cost.stack import CostStack
     from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
     from ..scene.schema import Scene
+    from ..task.ancillary import AncillaryController
 
 STAGES = ("begin", "propose", "evaluate", "update")
 
@@ -44,6 +46,7 @@ class PlanStep:
         strategy: Name of the strategy, or ``"auto"``: the scene's ``planner.method``.
         seed: Seed of the noise.
         properties: Draws of physical properties of the rollouts' worlds, None for nominal ones.
+        ancillaries: Users' own ancillary controllers that the scene names.
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
@@ -64,6 +67,7 @@ class PlanStep:
         strategy: str = "auto",
         seed: int = 0,
         properties: Properties | None = None,
+        ancillaries: Sequence[AncillaryController] = (),
     ):
         layout = costs.layout
         make_strategy = registry.find(str(scene.planner.method) if strategy == "auto" else strategy)
@@ -77,7 +81,10 @@ class PlanStep:
             return wp.array(values, dtype=float, device=self.device)
 
         self.limits = (array(layout.control_lower), array(layout.control_upper))
-        self.state = ObservedState.allocate(layout, costs.task, self.device)
+        self.ancillaries = Ancillaries(scene, layout, costs.task, self.knot_time, ancillaries)
+        """What proposes samples before a plan."""
+        proposed = self.ancillaries.columns
+        self.state = ObservedState.allocate(layout, costs.task, self.device, proposed=proposed)
         entry, self.engine = make_engine(
             engine,
             EngineRequest(
@@ -124,7 +131,7 @@ class PlanStep:
         """The plan step in order, each piece with the stage it belongs to."""
         strategy, engine = self.strategy, self.engine
         pieces = [("begin", self._replayed(self._begin))]
-        for i in range(strategy.iterations):
+        for i in range(len(strategy.population)):
             proposal = Round(strategy, i)
             pieces += [
                 ("propose", self._replayed(partial(strategy.propose, i))),

@@ -4,35 +4,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
 
+from ..kernels.planning.weights import forget_cost_kernel
+from ..launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal
+from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
 from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureRows
-from .rows import BestRow, FixedRows, NullRows, SequenceRows
+from .rows import BestRows, FixedRows, NullRows, ProposedRows, SequenceRows
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..kernels.planning.splines import Spline
     from ..model.layout import Layout
-    from ..scene.schema import Scene
+    from ..scene.schema import Planner, Scene
     from ..task.observed import ObservedState
 
 
 class Strategy(Protocol):
     """Proposes knots, is told what they cost, and knows the plan."""
 
-    iterations: int
-    """Rounds of propose and update in a plan."""
+    population: Sequence[int]
+    """How many samples of every environment a round of propose and update tries, one number for each round of a plan;
+    the first ones, all others cost +inf then."""
     knots: wp.array4d[float]
     """Proposed knots, ``[E, S, P, nu]``, within the limits."""
     mean: wp.array3d[float]
@@ -77,6 +83,11 @@ class Round:
         """Time from the first knot to the present ``[E]`` [s]."""
         return self.strategy.offset
 
+    @property
+    def samples(self) -> int:
+        """How many samples of every environment are tried."""
+        return self.strategy.population[self.iteration]
+
     def sample(self, first: int, count: int) -> None:
         """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""
         self.strategy.sample(self.iteration, first, count)
@@ -86,7 +97,8 @@ class SamplingStrategy:
     """Samples about a mean, weighs them by cost, moves mean and covariance to the weighted samples.
 
     MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
-    several iterations, STORM is MPPI with a step size, an adapted covariance and its fixed rows.
+    several iterations, STORM is MPPI with a step size, an adapted covariance and its fixed rows, iCEM is the
+    cross-entropy method with coloured noise, kept elites and a population that decays.
 
     Args:
         scene: The scene.
@@ -116,7 +128,7 @@ class SamplingStrategy:
         device = cost.device
         envs, samples = cost.shape
         count, nu = len(spline.time), layout.nu
-        self._state, self.iterations = state, planner.iterations
+        self._state, self._launch = state, Launcher(device)
         self.weighting = weighting_of(planner)
         self.weights = WeightingState(cost, temperature=planner.temperature.initial)
         self.beta, self.eta = self.weights.beta, self.weights.eta
@@ -131,13 +143,15 @@ class SamplingStrategy:
             schedule=schedule(planner.noise, count, planner.iterations),
             envs=envs,
             device=device,
+            restarts=planner.covariance.restart,
         )
         self.distribution = Gaussian(state, spline, limits, covariance=covariance, held=layout.control_safe, rest=rest)
         self.offset = self.distribution.offset
-        self._best = self._best_row(scene)
+        self._best = self._best_rows(scene)
         self._postures = None
         self._fixed = self._fixed_rows(scene, layout, spline, cost, seed)
-        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots
+        self.population = _population(planner, samples, self._fixed.count)
+        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
         white, redraw = planner.noise.shape is NoiseShape.IDENTITY, planner.noise.redraw
@@ -156,11 +170,11 @@ class SamplingStrategy:
             device=device,
         )
 
-    def _best_row(self, scene: Scene) -> BestRow | None:
-        """The best sample so far, if it is tried again or carried out."""
+    def _best_rows(self, scene: Scene) -> BestRows | None:
+        """The best samples so far, if they are tried again or one is carried out."""
         planner = scene.planner
         if planner.keep_best or planner.execute is Execute.BEST:
-            return BestRow(self.distribution, among=planner.keep_best)
+            return BestRows(self.distribution, int(planner.keep_best))
         return None
 
     def _fixed_rows(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> FixedRows:
@@ -176,9 +190,10 @@ class SamplingStrategy:
             )
             rows.append(self._postures)
         rows.append(SequenceRows(sequences(scene, spline.time.numpy(), layout.nu)))
+        rows.append(ProposedRows(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
         fixed = FixedRows(rows, distribution)
         if fixed.count + 1 > samples:
-            kinds = "null, best, postures, sequences"
+            kinds = "null, best, postures, sequences, ancillary"
             message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"
             raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
         return fixed
@@ -210,14 +225,26 @@ class SamplingStrategy:
         """
         if self.noise.redraw:
             self.noise.draw(first, count)
-        self.distribution.perturb(self.noise.noise, self._fixed, iteration, knots=self.knots, first=first, count=count)
+        mean = self._planner.try_mean is TryMean.ALWAYS or iteration == len(self.population) - 1
+        self.distribution.perturb(
+            self.noise.noise, self._fixed, iteration, mean=mean, knots=self.knots, first=first, count=count
+        )
 
     def update(self, iteration: int) -> None:
         """Weigh the samples, then move the mean, and then the covariance where it is adapted; capture-safe."""
+        cost, tried = self.weights.cost, self.population[iteration]
+        if tried < cost.shape[1]:
+            self._launch(forget_cost_kernel, (cost.shape[0], cost.shape[1] - tried), [tried], [cost])
         self.weighting.launch(self.weights)
         self.distribution.follow(self.moments, iteration, step_size=self._planner.step_size)
         if self._best:
-            self.moments.keep_best(self.weights.cost, self._best.knots)
+            self.moments.keep_best(cost, self._best.knots)
+
+
+def _population(planner: Planner, samples: int, fixed: int) -> tuple[int, ...]:
+    """Samples that each iteration tries, S/γ^i, but enough for the elites and for those that are not drawn."""
+    least = max(2 * planner.elites, fixed + 2)
+    return tuple(min(samples, max(ceil(samples / planner.decay**i), least)) for i in range(planner.iterations))
 
 
 def _shaping(scene: Scene, knots: int) -> np.ndarray:

@@ -149,7 +149,7 @@ def weighting_of(planner: Planner) -> Weighting:
             return Mppi(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
         case Method.PREDICTIVE_SAMPLING:
             return PredictiveSampling()
-        case Method.CEM:
+        case Method.CEM | Method.ICEM:
             return CrossEntropy(elites=planner.elites)
         case Method.TSALLIS:
             return Tsallis(elites=planner.elites, entropic_index=planner.entropic_index)

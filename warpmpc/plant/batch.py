@@ -15,7 +15,7 @@ from ..task.task import Task
 from .simulated import Plant, Worlds
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..scene.schema import Scene
 
 
@@ -47,7 +47,7 @@ class PlantBatch:
         *,
         seeds: Sequence[int],
         task: Task | None = None,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
     ):
         self.scene, self.seeds = scenes[0], tuple(seeds)

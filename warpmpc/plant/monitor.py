@@ -15,7 +15,7 @@ from ..task.task import task_layout
 from .seen import Seen
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.state import State
     from ..scene.schema import Scene
     from ..task.task import Task
@@ -55,7 +55,7 @@ class Monitor:
         *,
         task: Task,
         e: int = 0,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
     ):
         self._scene, self._task, self._e, self._terms = scene, task, e, terms

@@ -18,7 +18,7 @@ from ..scene.errors import SceneError
 from ..task.conditions import Look
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.layout import Layout
     from ..model.state import State
     from ..scene.schema import Scene
@@ -48,7 +48,7 @@ class Seen:
         e: int,
         labels: Collection[str],
         *,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
     ):
         shape, self._e = BatchSize(task.envs, 1, 1, 1), e
         self._launch = Launcher("cpu")

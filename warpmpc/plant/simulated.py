@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ from .monitor import Monitor
 from .motion import Motions
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
     from .batch import PlantBatch
@@ -53,7 +53,8 @@ class Worlds:
         compiled: The scene, compiled.
         seeds: Seeds of the plants' properties.
         task: What the plants' runs want, one environment for each of them.
-        terms: Users' own cost terms that conditions name.
+        terms: Users' own cost terms that conditions name or ``watch`` names.
+        watch: Cost terms whose values somebody wants besides.
 
     Raises:
         ValueError: If the task has more or fewer environments than there are plants.
@@ -65,7 +66,8 @@ class Worlds:
         compiled: CompiledScene,
         seeds: Sequence[int],
         task: Task,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
+        watch: Collection[str] = (),
     ):
         if task.envs != len(seeds):
             raise ValueError(
@@ -77,7 +79,7 @@ class Worlds:
         if scene.plant.randomize:
             self.draws = [draw_properties(scene, self.layout, 1, seed=2 * seed + 1) for seed in seeds]
         self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
-        watched = self.monitors[0].watched_terms
+        watched = self.monitors[0].watched_terms.union(watch)
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
         watching = self._values.pairs if self._values else ()
         supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
@@ -106,7 +108,7 @@ class Worlds:
         parts = range(len(self.engine.parts))
         self._replays = [Replay(partial(self.engine.rollout_part, self.control, part)) for part in parts]
         self.terms: list[dict[str, float]] = [{} for _ in seeds]
-        """Values of the cost terms that conditions name, by world."""
+        """Values of the cost terms that conditions name or somebody watches, by world."""
 
     def step(self, times: Sequence[float]) -> None:
         """Hold the controls for one control step in every world.
@@ -145,7 +147,8 @@ class Plant:
         envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant.batch.PlantBatch` of plants
             with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
         task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
-        terms: Users' own cost terms that success or phases name.
+        terms: Users' own cost terms that success, phases or ``watch`` name.
+        watch: Cost terms whose values :attr:`terms` shall have, such as all of ``scene.cost_labels``.
         compiled: The scene compiled earlier, to save doing it again.
         world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
 
@@ -171,7 +174,8 @@ class Plant:
         seed: int = 0,
         envs: int = 1,
         task: Task | None = None,
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
+        watch: Collection[str] = (),
         compiled: CompiledScene | None = None,
         world: tuple[Worlds, int] | None = None,
     ):
@@ -179,7 +183,7 @@ class Plant:
         self.compiled = compiled or compile_scene(scene)
         if world is None:
             with capturing:  # nothing may be allocated while a controller records its plan
-                world = Worlds(scene, self.compiled, [seed], task or Task(scene), terms), 0
+                world = Worlds(scene, self.compiled, [seed], task or Task(scene), terms, watch), 0
         self._worlds, self._index = world
         worlds = self._worlds
         self.layout, self.task, self._engine, self.pairs = worlds.layout, worlds.task, worlds.engine, worlds.pairs
@@ -356,10 +360,9 @@ class Plant:
         """Take note of the state just reached."""
         self._moving = self._motions.at(self.time)
         self._history.append(self.state)
-        terms = self._worlds.terms[self._index] if self._slice else {}
         state = self._history[-1]
         poses = {name: self.pose(name) for name in self._moving}
-        self.monitor.look(Look(self.body_q, state.joint_q, terms, poses), self.time)
+        self.monitor.look(Look(self.body_q, state.joint_q, self.terms, poses), self.time)
 
     def _measured(self) -> np.ndarray:
         """Net forces on the first of pairs that collide, then of those that touch, ``[n, pairs, 3]`` [N], by step."""
@@ -381,6 +384,11 @@ class Plant:
     def error(self) -> GoalError | None:
         """How far the goal's object or frame is from the goal; None for a scene without a goal."""
         return self.monitor.error
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """What each cost term that is watched costs after the last control, without its weight; empty before one."""
+        return dict(self._worlds.terms[self._index]) if self._slice else {}
 
     @property
     def forces(self) -> np.ndarray:

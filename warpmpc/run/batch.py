@@ -20,7 +20,7 @@ from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..plant.batch import PlantBatch
     from ..scene.schema import Scene
 
@@ -41,7 +41,7 @@ class Batch:
         envs: Largest number of environments E; never more than episodes.
         engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
         device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms that the scene names.
+        terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -57,7 +57,7 @@ class Batch:
         envs: int,
         engine: str = "auto",
         device: str = "auto",
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
     ):
         if envs < 1 or not len(seeds):
@@ -135,7 +135,7 @@ def run_batch(
     envs: int,
     engine: str = "auto",
     device: str = "auto",
-    terms: Sequence[CostTerm | ArrayCost] = (),
+    terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
     on_step: OnStep | None = None,
 ) -> Iterator[EpisodeResult]:
@@ -147,7 +147,7 @@ def run_batch(
         envs: Largest number of environments E; never more than episodes.
         engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
         device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms that the scene names.
+        terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
         on_step: Called as ``on_step(controller, plants, control [E, nu])`` after every step.
 

@@ -22,7 +22,7 @@ from ..scene.errors import SceneError
 from ..scene.schema import SampleCount
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
     from ..scene.schema import Scene
 
@@ -40,7 +40,7 @@ def choose_engine(
     engine: str = "auto",
     device: str = "auto",
     envs: int = 1,
-    terms: Sequence[CostTerm | ArrayCost] = (),
+    terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
 ) -> tuple[str, str]:
     """Engine and device for a scene; with both left to ``auto``, GPU and CPU are compared by timing some plans.
@@ -98,7 +98,7 @@ def plan_time(
     device: str,
     *,
     envs: int,
-    terms: Sequence[CostTerm | ArrayCost],
+    terms: Sequence[UserTerm],
     engine: str = "auto",
 ) -> float:
     """Median wall time [s] of a plan from the start state, compilation not counted."""
@@ -125,7 +125,7 @@ def with_samples(scene: Scene, count: int = USUAL) -> Scene:
     return scene.model_copy(update={"planner": scene.planner.model_copy(update={"samples": count})})
 
 
-def timing_key(scene: Scene, device: str, envs: int, terms: Sequence[CostTerm | ArrayCost]) -> str:
+def timing_key(scene: Scene, device: str, envs: int, terms: Sequence[UserTerm]) -> str:
     """Hash of what a plan's time depends on."""
     digest = hashlib.sha256()
     digest.update(scene.model_dump_json().encode())

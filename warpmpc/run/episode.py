@@ -18,7 +18,7 @@ from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.state import Info
     from ..plant.simulated import Plant
     from ..scene.schema import Scene
@@ -198,7 +198,7 @@ class Episode:
         seed: Seed of the task, of the controller's noise and of the plant's properties.
         engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
         device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms that the scene names.
+        terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
 
     Raises:
@@ -213,7 +213,7 @@ class Episode:
         seed: int = 0,
         engine: str = "auto",
         device: str = "auto",
-        terms: Sequence[CostTerm | ArrayCost] = (),
+        terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
     ):
         from ..controller.controller import Controller  # slow to import, and a scene may prove wrong without them
@@ -279,7 +279,7 @@ def run_episode(
     seed: int = 0,
     engine: str = "auto",
     device: str = "auto",
-    terms: Sequence[CostTerm | ArrayCost] = (),
+    terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
     recorder: Callable[[Controller, Plant], Recorder] | None = None,
     on_step: Callable[[Controller, Plant, np.ndarray], None] | None = None,
@@ -291,7 +291,7 @@ def run_episode(
         seed: Seed of the task, of the controller's noise and of the plant's properties.
         engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
         device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms that the scene names.
+        terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
         recorder: Makes the recorder of this episode from its controller and plant, such as
             ``functools.partial(warpmpc.record.recorder.Recorder, "run.rrd")``.

@@ -14,7 +14,7 @@ from ..scene.schema import SampleCount
 from .choose_engine import plan_time, timing_key, with_samples
 
 if TYPE_CHECKING:
-    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
     from ..scene.schema import Scene
 
@@ -32,7 +32,7 @@ def fit_samples(
     engine: str = "auto",
     device: str = "auto",
     envs: int = 1,
-    terms: Sequence[CostTerm | ArrayCost] = (),
+    terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
 ) -> Scene:
     """A scene with ``planner.samples = "auto"`` with the number that fits this machine, any other as it is.

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from .schema_ancillary import Ancillary
 from .schema_bodies import (
     Drive,
     DriveMode,
@@ -42,7 +43,7 @@ from .schema_planner import (
 )
 from .schema_plant import Kick, PlantNoise, PlantSettings
 from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
-from .schema_sampling import Covariance, CovarianceForm, Execute
+from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
 from .types import (
     Count,
     Finite,
@@ -60,6 +61,7 @@ from .types import (
 from .waypoints import one_by_one
 
 __all__ = [
+    "Ancillary",
     "Camera",
     "Cloud",
     "Condition",
@@ -107,6 +109,7 @@ __all__ = [
     "Target",
     "Temperature",
     "Timing",
+    "TryMean",
     "Uniform",
 ]
 

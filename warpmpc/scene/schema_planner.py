@@ -8,7 +8,8 @@ from typing import Annotated
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from .schema_sampling import Covariance, Execute, Postures
+from .schema_ancillary import Ancillary
+from .schema_sampling import Covariance, Execute, Postures, TryMean
 from .types import (
     Channel,
     Count,
@@ -18,6 +19,7 @@ from .types import (
     Natural,
     NonNegative,
     NonNegatives,
+    OneOrMore,
     Param,
     Positive,
     Positives,
@@ -36,6 +38,7 @@ class Method(StrEnum):
     CEM = "cem"
     TSALLIS = "tsallis"
     DIAL = "dial"
+    ICEM = "icem"
 
 
 class NoiseSource(StrEnum):
@@ -166,9 +169,15 @@ class SampleCount(StrEnum):
     """As many as fit into a control on this machine, measured."""
 
 
+def _number_or_flag(value: object) -> str:
+    return "flag" if isinstance(value, bool) else "number"
+
+
 def _number_or_text(value: object) -> str:
     return "text" if isinstance(value, str) else "number"
 
+
+Kept = Annotated[Annotated[Flag, Tag("flag")] | Annotated[Natural, Tag("number")], Discriminator(_number_or_flag)]
 
 Samples = Annotated[
     Annotated[TwoOrMore, Tag("number")] | Annotated[SampleCount, Tag("text")], Discriminator(_number_or_text)
@@ -191,8 +200,22 @@ Steps = Annotated[
 ]
 
 
-DIAL = {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}}
-"""What ``method = "dial"`` means where the scene does not say otherwise: MPPI whose σ is annealed (2409.15610)."""
+PRESETS = {
+    Method.DIAL: {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}},
+    Method.ICEM: {
+        "iterations": 3,
+        "elites": 10,
+        "keep_best": 3,
+        "decay": 1.25,
+        "step_size": 0.9,
+        "try_mean": "last",
+        "execute": "best",
+        "covariance": {"form": "knots", "restart": True},
+        "noise": {"shape": "coloured", "exponent": 2.0, "null_sample": False},
+    },
+}
+"""What methods mean where the scene does not say otherwise: ``dial`` is MPPI whose σ is annealed (2409.15610), ``icem``
+the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it."""
 
 
 class Planner(Section):
@@ -237,19 +260,26 @@ class Planner(Section):
     """Step α of the mean towards the weighted samples [S4]."""
     covariance: Covariance = Covariance()
     """What becomes of the covariance of the samples."""
-    keep_best: Flag = False
-    """Whether the best sample so far, moved on by the time that has passed, is tried again among the samples."""
+    keep_best: Kept = 0
+    """How many of the best samples so far, moved on by the time that has passed, are tried again among the samples;
+    ``true`` is one."""
+    try_mean: TryMean = TryMean.ALWAYS
+    """In which iterations the mean itself is one of the samples."""
     sequences: str | None = None
     """File of control sequences that are tried at every plan, one sample each: ``.npy`` or ``.npz`` with
     ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
     postures: Postures | None = None
     """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
+    ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
+    """What proposes samples for the observed state, at every plan: functions of your own, stored motions, policies."""
     execute: Execute = Execute.MEAN
     """What is carried out: the mean, or the best of the last samples."""
     iterations: Count = 1
     """Sample-roll-out-update rounds per plan."""
+    decay: Annotated[Positive, Field(ge=1.0)] = 1.0
+    """γ of a population that decays: iteration i tries S/γ^i samples, but no fewer than twice the ``elites``."""
     elites: Count = 8
-    """``cem`` and ``tsallis``: best samples that carry weight."""
+    """``cem``, ``icem`` and ``tsallis``: best samples that carry weight."""
     entropic_index: Annotated[Positive, Field(gt=1.0)] = 2.0
     """``tsallis``: r > 1 of w ∝ (1 - ΔS/γ)^{1/(r-1)}; large ones weigh the elites equally."""
     sigma_min: NonNegatives = (0.01,)
@@ -259,10 +289,12 @@ class Planner(Section):
     @classmethod
     def _preset(cls, data: object) -> object:
         """Fill in what a method by name means by itself; what the scene says comes first."""
-        if not isinstance(data, dict) or data.get("method") != Method.DIAL:
+        preset = PRESETS.get(data.get("method")) if isinstance(data, dict) else None
+        if preset is None:
             return data
-        noise = data.get("noise", {})
-        return {**DIAL, **data, "noise": {**DIAL["noise"], **noise} if isinstance(noise, dict) else noise}
+        tables = {key: value for key, value in preset.items() if isinstance(value, dict)}
+        merged = {key: {**own, **data[key]} for key, own in tables.items() if isinstance(data.get(key), dict)}
+        return {**preset, **data, **merged}
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .types import Count, Fraction, NonNegatives, Positive, Section, Share
+from .types import Count, Flag, Fraction, NonNegatives, Positive, Section, Share
 
 
 class CovarianceForm(StrEnum):
@@ -30,11 +30,13 @@ class Covariance(Section):
     """How the covariance of the samples is adapted."""
 
     form: CovarianceForm | None = None
-    """What follows the samples that carry weight; ``knots`` for ``cem`` and ``fixed`` else, when left out."""
+    """What follows the samples that carry weight; ``knots`` for ``cem`` and ``icem``, ``fixed`` else, when left out."""
     step_size: Share | None = None
     """Step α_σ of the covariance towards the spread of the weighted samples [S5]; ``planner.step_size`` if left out."""
     kappa: NonNegatives = (0.0,)
     """Variance κ that is added whenever the plan moves on, in control units squared, one value or one per control."""
+    restart: Flag = False
+    """Whether every plan begins with ``noise.sigma`` anew, so that what is adapted lasts for its iterations alone."""
 
 
 class Postures(Section):
@@ -61,3 +63,12 @@ class Execute(StrEnum):
 
     MEAN = "mean"
     BEST = "best"
+
+
+class TryMean(StrEnum):
+    """When the mean is one of the samples."""
+
+    ALWAYS = "always"
+    """In every iteration."""
+    LAST = "last"
+    """In the last one alone: until then samples would narrow about it early (iCEM)."""

@@ -29,6 +29,7 @@ class ObservedState:
     pose: wp.array  # [E, poses] transform, of the task
     scalar: wp.array  # [E, scalars] of the task
     weight: wp.array  # [E, terms] of the task
+    proposed: wp.array  # [E, n·P·nu] knots of samples that are proposed for this state, not finite for none
     last_control: wp.array  # [E, nu] control that acts now
     body_q: wp.array  # [E, nb] transform, from the joints, for the resources of cost terms
     body_qd: wp.array  # [E, nb] spatial vector
@@ -40,8 +41,15 @@ class ObservedState:
         return tuple(array.reshape((1, *array.shape)) for array in arrays)
 
     @classmethod
-    def allocate(cls, layout: Layout, task: Task, device: str) -> ObservedState:
-        """Arrays for the environments of a task, at the scene's start and with the task's present values."""
+    def allocate(cls, layout: Layout, task: Task, device: str, *, proposed: int = 0) -> ObservedState:
+        """Arrays for the environments of a task, at the scene's start and with the task's present values.
+
+        Args:
+            layout: State layout.
+            task: The task.
+            device: Warp device.
+            proposed: Numbers of all knots that are proposed for an environment.
+        """
         envs = task.envs
 
         def tiled(values: np.ndarray, dtype: type = float) -> wp.array:
@@ -61,6 +69,7 @@ class ObservedState:
             pose=wp.array(task.block[:, :split].reshape(envs, poses, 7), dtype=wp.transform, device=device),
             scalar=wp.array(task.block[:, split : split + scalars], dtype=float, device=device),
             weight=wp.array(task.block[:, split + scalars :], dtype=float, device=device),
+            proposed=wp.full((envs, proposed), np.nan, dtype=float, device=device),
             last_control=wp.zeros((envs, layout.nu), dtype=float, device=device),
             body_q=wp.zeros((envs, layout.nb), dtype=wp.transform, device=device),
             body_qd=wp.zeros((envs, layout.nb), dtype=wp.spatial_vector, device=device),

@@ -143,6 +143,11 @@ class Task(Mapping[str, np.ndarray]):
         """Pose ``[7]`` of one environment."""
         return self.block[e, self._columns[name]]
 
+    def values(self, e: int = 0) -> dict[str, np.ndarray | float]:
+        """Poses ``[7]`` and scalars of one environment by name, copies."""
+        poses = {name: self.pose(name, e).copy() for name in self.pose_name}
+        return poses | {name: float(self.block[e, self._columns[name]][0]) for name in self.scalar_name}
+
     def move(self, name: str, position: np.ndarray, e: int = 0) -> None:
         """Put a pose of one environment somewhere else ``[3]``; it keeps its orientation."""
         at = self.pose(name, e)[:3]

@@ -21,6 +21,7 @@ def perturb(
     null_sample: bool = False,
     null=None,
     fixed=(),
+    mean_row: bool = True,
     factor=None,
     schedule=None,
     iteration: int = 0,
@@ -52,7 +53,7 @@ def perturb(
     wp.launch(shape_noise_kernel, dim=(count, lanes[0]), inputs=inputs, outputs=[noise], device=device)
     inputs = [on(mean, envs, wide), on(sigma, envs, wide), on(bands, envs, nu, wide), int(factor is not None)]
     inputs += [on(np.repeat(schedule, nu, axis=1)), iteration, noise]
-    inputs += [on(rows or np.zeros((1, envs, wide)), max(len(rows), 1), envs, wide), len(rows)]
+    inputs += [on(rows or np.zeros((1, envs, wide)), max(len(rows), 1), envs, wide), len(rows), int(mean_row)]
     inputs += [on(np.tile(lower, knots)), on(np.tile(upper, knots)), first, lanes[1]]
     wp.launch(perturb_knots_kernel, dim=(count, lanes[1]), inputs=inputs, outputs=[out], device=device)
     return out.numpy().reshape(z.shape)

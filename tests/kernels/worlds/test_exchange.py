@@ -63,7 +63,7 @@ def test_a_report_holds_command_numbers_terms_knots_and_offset_in_this_order(dev
 
 
 def test_a_packed_row_is_taken_apart_in_order(device):
-    sizes = {"joint_q": 4, "joint_qd": 3, "act": 2, "mocap": 7, "pose": 21, "scalar": 2, "weight": 5}
+    sizes = {"joint_q": 4, "joint_qd": 3, "act": 2, "mocap": 7, "proposed": 6, "pose": 21, "scalar": 2, "weight": 5}
     packed = np.random.default_rng(0).normal(size=(2, 3 + sum(sizes.values()))).astype(np.float32)
     packed[:, 0] = [1.0, 0.0]
     out = [wp.zeros(2, dtype=int, device=device), *(wp.zeros(2, dtype=float, device=device) for _ in range(2))]

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A strategy on a task: how many samples its plans have time for, and its episodes in closed loop."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+
+import numpy as np
+from bench import machine
+
+import warpmpc
+from warpmpc.run.code import scene_digest
+
+SINGLE = ("planner.iterations=1", "planner.execute=mean")
+STRATEGIES = {
+    "shipped": (),
+    "mppi": ("planner.method=mppi", *SINGLE),
+    "predictive_sampling": ("planner.method=predictive_sampling", *SINGLE),
+    "tsallis": ("planner.method=tsallis", "planner.elites=10", *SINGLE),
+    "cem": (
+        *("planner.method=cem", "planner.iterations=3", "planner.elites=10", "planner.execute=mean"),
+        *('planner.covariance={form="knots", restart=true}', "planner.noise.redraw=true"),
+    ),
+    "icem": (
+        *("planner.method=icem", "planner.iterations=3", "planner.elites=10", "planner.execute=best"),
+        *('planner.covariance={form="knots", restart=true}', "planner.noise.redraw=true", "planner.keep_best=3"),
+        *("planner.decay=1.25", "planner.step_size=0.9", "planner.try_mean=last"),
+        *("planner.noise.shape=coloured", "planner.noise.exponent=2.0", "planner.noise.null_sample=false"),
+    ),
+    "dial": (
+        *("planner.method=dial", "planner.iterations=4", "planner.execute=mean", "planner.noise.redraw=true"),
+        *("planner.noise.shape=identity", "planner.noise.anneal=[0.5, 2.0]"),
+    ),
+}
+"""What each strategy changes of a scene."""
+FEWEST, MOST, MEASURED = 16, 8192, 5
+"""Bounds of the number of samples, and how often it is corrected at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """A strategy on a task; with a seed, one of its episodes."""
+
+    task: str
+    strategy: str
+    ms: float
+    samples: int = FEWEST
+    seed: int = 0
+    seconds: float = 0.0
+
+    @property
+    def scene(self) -> warpmpc.Scene:
+        """The task's scene as the strategy plans it, on one thread."""
+        own = (*STRATEGIES[self.strategy], f"planner.samples={self.samples}", "engine.threads=1")
+        return warpmpc.load_scene(self.task, overrides=own)
+
+    def key(self, what: str) -> str:
+        """What tells the record of a fit or of a run from others'."""
+        depends = figures_of(what, self.task, self.strategy, self.samples)
+        return json.dumps([*asdict(self).values(), depends])
+
+
+@cache
+def figures_of(what: str, task: str, strategy: str, samples: int) -> str:
+    """What figures depend on besides task, strategy and seed: scene, code's choice of figures and machine."""
+    here = machine()
+    scene = Cell(task=task, strategy=strategy, ms=1.0, samples=samples).scene
+    return f"{what} {scene_digest(scene)} {here['cpu']} {here['cores']}"
+
+
+def fit(cell: Cell) -> dict:
+    """The number of samples whose plans take as long as the cell wants, as near as it gets, and how long they take."""
+    from warpmpc.model.compiled import compile_scene
+    from warpmpc.run.choose_engine import plan_time
+
+    compiled = compile_scene(cell.scene)
+
+    def seconds(samples: int) -> float:
+        return plan_time(replace(cell, samples=samples).scene, compiled, "cpu", envs=1, terms=())
+
+    samples, taken = nearest_count(seconds, 1e-3 * cell.ms)
+    return {"samples": samples, "plan_ms": 1e3 * taken}
+
+
+def nearest_count(seconds: Callable[[int], float], budget: float, *, first: int = 64) -> tuple[int, float]:
+    """The number of samples whose plans come nearest to a time, of those that are tried on the way.
+
+    Args:
+        seconds: Wall time of a plan with a number of samples [s].
+        budget: The time wanted [s].
+        first: The number to begin with.
+    """
+    tried: dict[int, float] = {}
+    count = first
+    while count not in tried and len(tried) < MEASURED:
+        tried[count] = seconds(count)
+        # whole registers; what a plan takes besides makes the next guess too careful, not too bold
+        count = int(np.clip(16 * round(count * budget / tried[count] / 16), FEWEST, MOST))
+    best = min(tried, key=lambda n: abs(tried[n] - budget))
+    return best, tried[best]
+
+
+def run(cell: Cell) -> dict:
+    """One episode in closed loop, to its end whatever is reached.
+
+    Returns:
+        ``cost``, the mean of the control steps, None where the plant diverged; ``reached``, when the goal was, None
+        where it was not [s]; ``plan_ms``, the median.
+    """
+    from warpmpc.model.compiled import compile_scene
+    from warpmpc.run.episode import draws_bodies
+    from warpmpc.scene.draw import draw_task
+
+    scene, _ = draw_task(cell.scene, cell.seed)
+    compiled = compile_scene(scene, cache=not draws_bodies(scene))
+    controller = warpmpc.Controller(scene, device="cpu", seed=cell.seed, compiled=compiled)
+    task, labels = controller.task, scene.cost_labels
+    plant = warpmpc.Plant(scene, seed=cell.seed, task=task, watch=labels, compiled=compiled)
+    observation = plant.observe()
+    controller.step(observation)  # loads kernels and touches memory
+    controller.reset()
+    costs, taken, reached = [], [], None
+    while plant.time < cell.seconds - 1e-9 and not plant.diverged:
+        plant.apply(controller.step(observation))
+        taken.append(controller.info.plan_ms)
+        costs.append(sum(float(task[label]) * value for label, value in plant.terms.items()))
+        if reached is None and plant.success:
+            reached = plant.time
+        observation = plant.observe()
+    controller.engine.close()
+    cost = float(np.mean(costs))
+    whole = not plant.diverged and math.isfinite(cost)
+    return {"cost": cost if whole else None, "reached": reached, "plan_ms": float(np.median(taken))}
