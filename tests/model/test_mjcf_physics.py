@@ -53,7 +53,7 @@ def test_an_inertia_that_breaks_the_triangle_is_mended_with_a_warning(compiled, 
     assert "body 'arm': no body has the principal inertias" in scene.mended[0]
     assert scene.mended[0] in caplog.text
     model = scene.spec().compile()
-    body = [b for b in range(model.nbody) if model.body(b).name.endswith("arm")][0]
+    body = next(b for b in range(model.nbody) if model.body(b).name.endswith("arm"))
     found, before = np.sort(model.body_inertia[body]), np.linalg.eigvalsh(matrix(given))
     assert found[0] + found[1] >= found[2]
     assert found[2] == pytest.approx(before[2], rel=1e-4)
