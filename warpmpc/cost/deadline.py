@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 
 class TooLong(TimeoutError):
@@ -40,30 +39,3 @@ def deadline(seconds: float) -> Iterator[None]:
         with lock:  # from here on nothing is raised any more
             through.set()
         timer.cancel()
-
-
-def leave_after(seconds: float, call: Callable[[], Any]) -> None:
-    """Make a call into native code and wait for it, but no longer than a time.
-
-    Args:
-        seconds: How long it may take [s].
-        call: The call; what it raises is raised here. One that takes longer goes on in a thread that nobody waits for.
-
-    Raises:
-        TooLong: If it is not through by then.
-    """
-    raised: list[BaseException] = []
-
-    def make() -> None:
-        try:
-            call()
-        except BaseException as error:
-            raised.append(error)
-
-    thread = threading.Thread(target=make, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if thread.is_alive():
-        raise TooLong
-    if raised:
-        raise raised[0]

@@ -6,7 +6,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from ..compiling import native_output
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
@@ -14,7 +13,7 @@ from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..task.observed import ObservedState
 from .blame import complaint, raised_at, refused, require_returns
-from .deadline import TooLong, deadline, leave_after
+from .deadline import TooLong, deadline
 from .interpret import OutOfRange, as_python, watched
 from .kernel import judge_code
 from .term import ArrayCost, CostTerm
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
 SAMPLES, STEPS = 4, 2
 """Rollouts of an environment, the first of which stays at the start, and their steps."""
 LONGEST = 5.0
-"""How long a term may take for one step of one world in Python, or for all worlds of a trial in a kernel or over whole
-arrays [s]: far longer than any that a plan could wait for."""
+"""How long a term may take in Python for one step of one world, or over the arrays of the trial [s]: far longer than
+any that a plan could wait for."""
 
 
 def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
@@ -114,17 +113,7 @@ def _launch(stack: CostStack, scene: Scene, judge: Judge, users: Collection[int]
     said: list[str] = []
     try:
         with native_output() as said:  # a C++ compiler speaks of code that no user has seen
-            for kernel in filter(None, (code.kernel, code.advance_kernel if code.advances else None)):
-                kernel.module.load(stack.device)
-
-            def launch() -> None:
-                judge.launch_with(code, params)
-                wp.synchronize_device(stack.device)
-
-            leave_after(LONGEST, launch)
-    except TooLong as error:
-        i, term, _ = kernels[0]
-        raise complaint(stack.labels[i], term, str(error), file=scene.path) from None
+            judge.launch_with(code, params)
     except Exception as error:
         blamed = refused(error, stack.labels, [term for term, _ in stack.terms], file=scene.path)
         if blamed is None:
