@@ -44,6 +44,12 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
+    from .realtime.agent import Agent
+    from .realtime.letters import TimedPlan
+    from .realtime.loop import RealTimeReport, RobotLoop
+    from .realtime.planning import PlannerThread
+    from .realtime.process import PlannerProcess
+    from .realtime.robot import simulated_robot
     from .record.history import History, HistoryRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
@@ -58,6 +64,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Agent",
     "AncillaryController",
     "ArrayCost",
     "Controller",
@@ -70,13 +77,18 @@ __all__ = [
     "MujocoStates",
     "NewtonStates",
     "Plan",
+    "PlannerProcess",
+    "PlannerThread",
     "Plant",
+    "RealTimeReport",
+    "RobotLoop",
     "Rollout",
     "Scene",
     "SceneError",
     "State",
     "StepView",
     "Task",
+    "TimedPlan",
     "ancillary",
     "array_cost",
     "centre_of_mass",
@@ -103,6 +115,7 @@ __all__ = [
     "run_episode",
     "sensor",
     "shipped_scenes",
+    "simulated_robot",
     "step_before",
     "step_length",
     "step_time",
@@ -110,6 +123,13 @@ __all__ = [
 ]
 
 _HOME = {
+    "Agent": "realtime.agent",
+    "PlannerProcess": "realtime.process",
+    "PlannerThread": "realtime.planning",
+    "RealTimeReport": "realtime.loop",
+    "RobotLoop": "realtime.loop",
+    "TimedPlan": "realtime.letters",
+    "simulated_robot": "realtime.robot",
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
     "History": "record.history",
