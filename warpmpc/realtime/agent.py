@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.safe import safe_command
 from ..model.state import State
-from .watchdog import Bounds, Watchdog
+from .watchdog import Bounds, FaultKind, Finding, Watchdog
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
@@ -25,8 +25,10 @@ logger = logging.getLogger("warpmpc")
 class Fault:
     """A time in which no plan was followed."""
 
-    why: str
+    kind: FaultKind
     """What was wrong first."""
+    why: str
+    """A sentence about it."""
     start: float
     """When [s], on the robot's clock."""
     end: float | None = None
@@ -77,13 +79,13 @@ class Agent:
             timed: The newest plan, None before the first.
             now: The robot's clock [s].
         """
-        why = self._watchdog.observation_fault(state, now)
-        self._seen = why is None
-        why = why or self._watchdog.plan_fault(timed, now)
-        if why is None:
+        found = self._watchdog.observation_fault(state, now)
+        self._seen = found is None
+        found = found or self._watchdog.plan_fault(timed, now)
+        if found is None:
             self._recover(now)
             return self._bounds(timed.plan.at(now))
-        self._fail(why, now, waiting=timed is None and self._seen)
+        self._fail(found, now, waiting=timed is None and self._seen)
         return self._safe(now)
 
     def safe(self) -> np.ndarray | None:
@@ -98,11 +100,11 @@ class Agent:
             logger.warning("t = %.3f s: following the plan again after %.3f s", now, lasted)
         self.following, self._held = True, None
 
-    def _fail(self, why: str, now: float, *, waiting: bool) -> None:
+    def _fail(self, found: Finding, now: float, *, waiting: bool) -> None:
         self.following = False
         if not waiting and self.fault is None:
-            self.faults.append(Fault(why, now))
-            logger.warning("t = %.3f s: %s; sending the safe command", now, why)
+            self.faults.append(Fault(*found, now))
+            logger.warning("t = %.3f s: %s; sending the safe command", now, found[1])
 
     def _safe(self, now: float) -> np.ndarray | None:
         """The safe command: holds are where the fault began, brakes act until the robot stands as far as is known."""

@@ -99,7 +99,9 @@ class RobotLoop:
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
-        self._plans, self._ticks, self._wall = 0, 0, 0.0
+        self._plans, self._ticks = 0, 0
+        self.wall = 0.0
+        """Wall time spent in :meth:`run` [s]."""
 
     @property
     def now(self) -> float:
@@ -143,7 +145,7 @@ class RobotLoop:
                 self.pace.wait()
         finally:
             gc.unfreeze()
-            self._wall += time.monotonic() - start
+            self.wall += time.monotonic() - start
             safe = self.agent.safe()
             if safe is not None:
                 self.robot.apply(safe)
@@ -161,7 +163,7 @@ class RobotLoop:
             missed=self.pace.missed,
             slipped=self.pace.slipped,
             plans=self._plans,
-            plan_rate=self._plans / self._wall if self._wall else 0.0,
+            plan_rate=self._plans / self.wall if self.wall else 0.0,
             latency_ms=dict(zip(names, latency, strict=True)),
             plan_ms=dict(zip(names, plan, strict=True)),
             faults=tuple(self.agent.faults),

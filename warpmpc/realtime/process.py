@@ -12,6 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import warp as wp
+
+from ..compiling import native_output
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.errors import SceneError
 from ..task.task import Task, task_layout
@@ -173,6 +176,9 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection) -> 
     logger.setLevel(logging.ERROR)  # what plans come to, the agent says
     parent = multiprocessing.parent_process()
     try:
+        with native_output():  # Warp complains about a missing GPU
+            wp.config.log_level = wp.LOG_WARNING
+            wp.init()
         from ..controller.controller import Controller
         from .planning import Planning
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,21 @@ if TYPE_CHECKING:
     from ..model.state import State
     from ..scene.schema import Scene
 
+
+class FaultKind(StrEnum):
+    """What can be wrong."""
+
+    OBSERVATION_INVALID = "observation not finite or of the wrong size"
+    OBSERVATION_OLD = "old observation"
+    OBSERVATION_FROZEN = "frozen observation"
+    OBSERVATION_BACK = "observation back in time"
+    PLAN_MISSING = "no fresh plan"
+    PLAN_DIVERGED = "every rollout diverged"
+    PLAN_INVALID = "plan not finite or out of range"
+
+
+Finding = tuple[FaultKind, str]
+"""What is wrong, and a sentence about it."""
 MOVING = 1e-3
 """Joint velocity above which joint positions must change [m/s or rad/s]."""
 BEYOND = 1e-3
@@ -43,7 +59,7 @@ class Watchdog:
         self._joint_q: np.ndarray | None = None
         self._number, self._received = -1, -np.inf
 
-    def observation_fault(self, state: State, now: float) -> str | None:
+    def observation_fault(self, state: State, now: float) -> Finding | None:
         """Why an observation cannot be trusted, None where it can.
 
         Args:
@@ -54,26 +70,32 @@ class Watchdog:
         self.state = state if fault is None else self.state
         return fault
 
-    def _observation_fault(self, state: State, now: float) -> str | None:
+    def _observation_fault(self, state: State, now: float) -> Finding | None:
         layout, limit = self._layout, self._settings.observation_timeout + SLACK
         parts = (state.joint_q, state.joint_qd, state.act, state.mocap, state.time)
         if np.shape(state.joint_q) != (layout.nq,) or np.shape(state.joint_qd) != (layout.nv,):
-            return f"the observation has not {layout.nq} joint coordinates and {layout.nv} velocities"
+            return (
+                FaultKind.OBSERVATION_INVALID,
+                f"the observation has not {layout.nq} joint coordinates and {layout.nv} velocities",
+            )
         if not all(part is None or np.isfinite(part).all() for part in parts):
-            return "the observation is not finite"
+            return FaultKind.OBSERVATION_INVALID, "the observation is not finite"
         back = self._newest - state.time
         if back > SLACK:
-            return f"the observation went back in time by {back:.3f} s"
+            return FaultKind.OBSERVATION_BACK, f"the observation went back in time by {back:.3f} s"
         self._newest = state.time
         if now - state.time > limit:
-            return f"the observation is {now - state.time:.3f} s old"
+            return FaultKind.OBSERVATION_OLD, f"the observation is {now - state.time:.3f} s old"
         if self._joint_q is None or not np.array_equal(state.joint_q, self._joint_q):
             self._joint_q, self._moved = state.joint_q, now
         if now - self._moved > limit and np.max(np.abs(state.joint_qd), initial=0.0) > MOVING:
-            return f"the observation is frozen: the joints move, their positions are {now - self._moved:.3f} s the same"
+            return (
+                FaultKind.OBSERVATION_FROZEN,
+                f"the observation is frozen: the joints move, their positions are {now - self._moved:.3f} s the same",
+            )
         return None
 
-    def plan_fault(self, timed: TimedPlan | None, now: float) -> str | None:
+    def plan_fault(self, timed: TimedPlan | None, now: float) -> Finding | None:
         """Why a plan is not to be followed, None where it is.
 
         Args:
@@ -81,21 +103,21 @@ class Watchdog:
             now: The robot's clock [s].
         """
         if timed is None:
-            return "there is no plan yet"
+            return FaultKind.PLAN_MISSING, "there is no plan yet"
         if timed.number != self._number:
             self._number, self._received = timed.number, now
         if not timed.survived:
-            return "every rollout diverged"
+            return FaultKind.PLAN_DIVERGED, "every rollout diverged"
         if now - self._received > self._settings.plan_timeout + SLACK:
-            return f"there is no plan for {now - self._received:.3f} s"
+            return FaultKind.PLAN_MISSING, f"there is no plan for {now - self._received:.3f} s"
         knots, layout = timed.plan.knots, self._layout
         if not np.isfinite(knots).all():
-            return "the plan is not finite"
+            return FaultKind.PLAN_INVALID, "the plan is not finite"
         outside = (knots < layout.control_lower - self._range) | (knots > layout.control_upper + self._range)
         if outside.any():
             row, column = np.argwhere(outside)[0]
             name, value = layout.control_name[column], knots[row, column]
-            return f"the plan is out of range: {name} = {value:.4g}"
+            return FaultKind.PLAN_INVALID, f"the plan is out of range: {name} = {value:.4g}"
         return None
 
 
