@@ -125,15 +125,32 @@ def forget_cost_kernel(
 
 
 @wp.func
-def rank_of(cost: wp.array2d[float], e: int, s: int) -> int:
-    """How many finite samples are better than a sample, the first of equally good ones counted as better."""
-    own = cost[e, s]
-    rank = int(0)
-    for other in range(cost.shape[1]):
-        rival = cost[e, other]
-        if wp.isfinite(rival) and (rival < own or (rival == own and other < s)):
-            rank += 1
-    return rank
+def ordered(cost: float) -> int:
+    """A whole number that is lower where a cost is lower: the bits of a float, those of negative ones turned round."""
+    bits = wp.cast(cost, int)
+    return wp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
+
+
+@wp.func
+def nth_cost(cost: wp.array2d[float], e: int, lane: int, n: int) -> float:
+    """The n-th lowest finite cost of environment e, for the whole block; +inf where fewer are finite.
+
+    Bisection over all floats, so that it takes S steps a bit and not S² in all.
+    """
+    low = int(-2139095040)  # the lowest finite float, ordered
+    high = int(2139095040)  # +inf
+    for _ in range(32):
+        middle = (low >> 1) + (high >> 1) + (low & high & 1)
+        partial = int(0)
+        for s in range(lane, cost.shape[1], wp.block_dim()):
+            if wp.isfinite(cost[e, s]) and ordered(cost[e, s]) <= middle:
+                partial += 1
+        count = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+        if count >= n:
+            high = middle
+        else:
+            low = wp.min(middle + 1, high)
+    return wp.cast(wp.where(high < 0, high ^ 0x7FFFFFFF, high), float)
 
 
 @wp.kernel
@@ -156,11 +173,7 @@ def tsallis_weight_kernel(
 
     best = best_cost(cost, e, lane)
 
-    threshold = float(wp.inf)
-    for s in range(lane, samples, wp.block_dim()):
-        if wp.isfinite(cost[e, s]) and rank_of(cost, e, s) == elites:
-            threshold = cost[e, s]
-    gamma = wp.tile_extract(wp.tile_min(wp.tile(threshold)), 0) - best
+    gamma = nth_cost(cost, e, lane, elites + 1) - best
 
     partial = float(0.0)
     for s in range(lane, samples, wp.block_dim()):
@@ -220,20 +233,31 @@ def elite_weight_kernel(
     eta: wp.array[float],  # [E] number of elites, fewer when fewer samples are finite
     weight: wp.array2d[float],  # [E, S] equal for the elites, all zero when every sample diverged
 ):
-    """Weigh one sample: 1/n if fewer than n are better, the first of equally good ones counted as better.
+    """Weigh one environment's samples, one block each: 1/n for the n best, the first of equally good ones first.
 
-    Cross-entropy method (Rubinstein 1999), n the number of elites. One plain thread per sample, not a block.
+    Cross-entropy method (Rubinstein 1999), n the number of elites, or of finite samples where these are fewer.
     """
-    e, s = wp.tid()
+    e, lane = wp.tid()
+    samples = cost.shape[1]
 
-    own = cost[e, s]
-    rank = rank_of(cost, e, s)
-    finite = int(0)
-    for other in range(cost.shape[1]):
-        if wp.isfinite(cost[e, other]):
-            finite += 1
+    worst = nth_cost(cost, e, lane, elites)
+    partial = int(0)
+    for s in range(lane, samples, wp.block_dim()):
+        if wp.isfinite(cost[e, s]) and cost[e, s] < worst:
+            partial += 1
+    better = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    # with fewer finite samples than elites the worst elite costs +inf, and all of them are better
+    count = wp.where(wp.isfinite(worst), elites, better)
 
-    count = wp.min(elites, finite)
-    weight[e, s] = wp.where(wp.isfinite(own) and rank < count, 1.0 / wp.max(float(count), 1.0), 0.0)
-    if s == 0:
+    for s in range(lane, samples, wp.block_dim()):
+        own = cost[e, s]
+        chosen = wp.isfinite(own) and own < worst
+        if wp.isfinite(own) and own == worst:
+            before = better
+            for other in range(s):
+                if cost[e, other] == own:
+                    before += 1
+            chosen = before < elites
+        weight[e, s] = wp.where(chosen, 1.0 / wp.max(float(count), 1.0), 0.0)
+    if lane == 0:
         eta[e] = float(count)

@@ -97,24 +97,39 @@ class SpatialParams:
     """Parameters of residuals in space."""
 
     points: Points
-    axis: wp.array[int]  # [n] axes of the world that count, in their order
+    axis: wp.array[int]  # [n] axes that count, in their order
+    heading: int  # frame with whose heading the axes turn, -1 for the world's
     wanted: Wanted
     norm: Norm
+
+
+@wp.func
+def along(s: StepView, r: wp.vec3, p: SpatialParams) -> wp.vec3:
+    """A vector along the axes: ahead, to the left and up where they turn with a heading, the x axis seen from above."""
+    if p.heading < 0:
+        return r
+    ahead = wp.quat_rotate(frame_rotation(s, p.heading), wp.vec3(1.0, 0.0, 0.0))
+    # a frame that looks straight up has no heading
+    scale = 1.0 / wp.max(wp.sqrt(ahead[0] * ahead[0] + ahead[1] * ahead[1]), 1.0e-6)
+    cosine = scale * ahead[0]
+    sine = scale * ahead[1]
+    return wp.vec3(cosine * r[0] + sine * r[1], cosine * r[1] - sine * r[0], r[2])
 
 
 @wp.func
 def spatial_cost(s: StepView, r: wp.vec3, p: SpatialParams) -> float:
     """Norm of the components that count, less what is wanted."""
     total = float(0.0)
+    v = along(s, r, p)
     for i in range(p.axis.shape[0]):
-        total += norm_part(r[p.axis[i]] - wanted(s, p.wanted, i), p.norm)
+        total += norm_part(v[p.axis[i]] - wanted(s, p.wanted, i), p.norm)
     return norm_total(total, p.norm)
 
 
 @wp.func
 def position_component(s: StepView, p: SpatialParams, i: int) -> float:
     """Number i of ``position_residual``."""
-    return points_position(s, p.points)[p.axis[i]] - wanted(s, p.wanted, i)
+    return along(s, points_position(s, p.points), p)[p.axis[i]] - wanted(s, p.wanted, i)
 
 
 @wp.func
@@ -126,7 +141,7 @@ def position_residual(s: StepView, p: SpatialParams) -> float:
 @wp.func
 def velocity_component(s: StepView, p: SpatialParams, i: int) -> float:
     """Number i of ``velocity_residual``."""
-    return points_velocity(s, p.points)[p.axis[i]] - wanted(s, p.wanted, i)
+    return along(s, points_velocity(s, p.points), p)[p.axis[i]] - wanted(s, p.wanted, i)
 
 
 @wp.func
@@ -144,7 +159,7 @@ def momentum_residual(s: StepView, p: SpatialParams) -> float:
 @wp.func
 def angular_velocity_component(s: StepView, p: SpatialParams, i: int) -> float:
     """Number i of ``angular_velocity_residual``."""
-    return points_angular_velocity(s, p.points)[p.axis[i]] - wanted(s, p.wanted, i)
+    return along(s, points_angular_velocity(s, p.points), p)[p.axis[i]] - wanted(s, p.wanted, i)
 
 
 @wp.func
@@ -183,7 +198,7 @@ def angular_momentum(s: StepView, p: AngularMomentumParams) -> wp.vec3:
 @wp.func
 def angular_momentum_component(s: StepView, p: AngularMomentumParams, i: int) -> float:
     """Number i of ``angular_momentum_residual``."""
-    return angular_momentum(s, p)[p.own.axis[i]] - wanted(s, p.own.wanted, i)
+    return along(s, angular_momentum(s, p), p.own)[p.own.axis[i]] - wanted(s, p.own.wanted, i)
 
 
 @wp.func

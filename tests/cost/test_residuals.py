@@ -45,6 +45,44 @@ def test_a_position_is_seen_from_means_of_frames_along_the_axes_that_count():
     np.testing.assert_allclose(r.cost(3), np.sqrt((d**2).sum(-1) + 0.04) - 0.2, rtol=1e-5, atol=1e-6)
 
 
+def tip_velocity(r: Rollouts) -> np.ndarray:
+    """Velocity ``[T, W, 3]`` of the frame base/tip after every control."""
+    index, (place, turn) = r.layout.frame("base/tip"), r.pose("base/tip")
+    body, local = r.layout.frame_body[index], r.layout.frame_pose[index].astype(float)
+    twist = r.trajectory.body_qd.numpy()[1:, :, body].astype(float)
+    arm = (turn * Rotation.from_quat(local[3:]).inv()).apply(local[:3] - r.layout.body_com[body])
+    return twist[..., :3] + np.cross(twist[..., 3:], arm.reshape(place.shape))
+
+
+def test_a_velocity_along_a_heading_is_ahead_to_the_left_and_up():
+    r = Rollouts(
+        {"term": "velocity_residual", "of": "base/tip", "heading": "box", "target": ["speed", 0.2, 0.0]},
+        {"term": "position_residual", "of": "base/tip", "relative_to": "box", "heading": "box", "axes": "y"},
+        {"term": "velocity_residual", "of": "base/tip", "heading": "goal", "axes": "x"},
+        scalar=SCALAR,
+    )
+    (tip, _), (box, turn) = r.pose("base/tip"), r.pose("box")
+    velocity = tip_velocity(r)
+
+    def along(v: np.ndarray, turn: Rotation) -> np.ndarray:
+        """In a frame that has the heading of another one and stands upright."""
+        x = turn.apply([1.0, 0.0, 0.0])
+        upright = Rotation.from_euler("z", np.arctan2(x[:, 1], x[:, 0])[:, None])
+        return upright.inv().apply(v.reshape(-1, 3)).reshape(v.shape)
+
+    d = along(velocity, turn) - [SCALAR["speed"], 0.2, 0.0]
+    np.testing.assert_allclose(r.cost(0), 0.5 * (d**2).sum(-1), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(r.cost(1), 0.5 * along(tip - box, turn)[..., 1] ** 2, rtol=1e-4, atol=1e-5)
+    ahead = along(velocity, r.pose("goal")[1])[..., 0]
+    np.testing.assert_allclose(r.cost(2), 0.5 * ahead**2, rtol=1e-4, atol=1e-5)
+
+
+def test_a_frame_that_looks_straight_up_has_no_heading_and_asks_for_nothing_but_heights():
+    up = {"name": "up", "position": [0.0, 0.0, 0.0], "rotation": [0.0, -(0.5**0.5), 0.0, 0.5**0.5]}
+    r = Rollouts({"term": "velocity_residual", "of": "base/tip", "heading": "up"}, target=[up])
+    np.testing.assert_allclose(r.cost(0), 0.5 * tip_velocity(r)[..., 2] ** 2, atol=0.05)
+
+
 def test_centres_of_mass_and_their_velocities_are_those_of_all_that_hangs_on_a_link():
     com = {"centre_of_mass": "base"}
     r = Rollouts(

@@ -78,3 +78,12 @@ def linger_once(mark: str, value: int) -> int:
         while not Path(mark).with_suffix(".go").exists():
             time.sleep(0.02)
     return value
+
+
+def gone(process: int) -> bool:
+    """Whether a process has ended; one that nobody has waited for counts."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return True
+    return state == "Z"

@@ -23,6 +23,8 @@ def test_a_container_has_what_it_may_use(tmp_path, monkeypatch):
     (tmp_path / "memory.current").write_text("1000000\n")
     monkeypatch.setattr(memory, "CGROUP", tmp_path)
     assert memory.free_memory("cpu") == 2000000
+    (tmp_path / "memory.stat").write_text("anon 250000\ninactive_anon 0\ninactive_file 600000\nactive_file 70000\n")
+    assert memory.free_memory("cpu") == 2600000  # files that were read make room
     (tmp_path / "memory.max").write_text("max\n")
     assert memory.free_memory("cpu") > 2000000
 

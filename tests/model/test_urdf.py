@@ -219,6 +219,19 @@ def test_a_joint_of_no_link_is_refused_by_name(tmp_path):
         compile_scene(scene(tmp_path, joints=joint("arm") + joint("leg")))
 
 
+def test_links_that_form_a_loop_are_refused_by_name(tmp_path):
+    links = "".join(f"<link name='{name}'>{BALL}</link>" for name in ("elbow", "wrist"))
+    joints = joint("arm") + joint("elbow", parent="arm") + joint("wrist", parent="elbow")
+    closing = joint("elbow", parent="wrist").replace("to_elbow", "closing")
+    with pytest.raises(
+        SceneError, match=r"r\.urdf: links ('wrist' → 'elbow' → 'wrist'|'elbow' → 'wrist' → 'elbow') form"
+    ):
+        compile_scene(scene(tmp_path, joints=joints + closing, links=links))
+    loose = joint("elbow", parent="wrist") + joint("wrist", parent="elbow")  # without a root
+    with pytest.raises(SceneError, match="form a loop of joints, but a URDF is a tree: take one"):
+        compile_scene(scene(tmp_path, joints=joint("arm") + loose, links=links))
+
+
 def test_a_file_without_links_is_refused(tmp_path):
     wanted = scene(tmp_path)
     (tmp_path / "r.urdf").write_text("<robot name='r'/>")

@@ -150,6 +150,11 @@ def test_tables_name_one_thing_and_its_own_keys(table, message):
         scene_with(table)
 
 
+def test_a_scene_that_is_built_from_its_own_data_is_the_same():
+    scene = scene_with({"function": "straight"}, {"policy": "a.onnx", "observation": "goal"}, {"motions": "b.npz"})
+    assert type(scene).model_validate(scene.model_dump()).planner == scene.planner
+
+
 def test_more_proposals_than_samples_are_refused():
     with pytest.raises(SceneError, match=r"planner\.samples: the mean and 3 fixed samples \(.*ancillary\)"):
         plan(scene_with({"function": "pair"}, samples=3), [pair])

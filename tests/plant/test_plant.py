@@ -238,3 +238,19 @@ def test_plants_refuse_a_task_of_another_number_of_environments(plants, envs):
     scene = make_scene()
     with pytest.raises(ValueError, match=f"{plants} plants share a task of {envs} environments"):
         Plant(scene, envs=plants, task=Task(scene, envs=envs))
+
+
+def test_a_plant_tells_what_cost_terms_are_worth_without_their_weights():
+    cost = [
+        {"term": "distance", "between": ["base/centre", "goal"], "weight": 7.0, "terminal": 3.0},
+        {"name": "speed", "term": "joint_velocity"},
+    ]
+    scene = make_scene(cost=cost)
+    plant = Plant(scene, watch=scene.cost_labels, compiled=compiled(scene))
+    assert plant.terms == {}
+    for _ in range(3):
+        plant.apply(np.array([0.5, 0.2, 0.0]))
+    assert plant.terms["distance"] == pytest.approx(plant.error.position, rel=1e-4)
+    assert plant.terms["speed"] == pytest.approx(float(np.sum(plant.state.joint_qd**2)), rel=1e-3)
+    assert set(plant.terms) == set(scene.cost_labels)
+    assert not Plant(scene, compiled=compiled(scene)).terms  # nobody asked

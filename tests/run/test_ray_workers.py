@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calls and whole episodes on a Ray cluster of two nodes, both on this machine, with processes and nodes that die."""
 
+import contextlib
 import json
 import os
 import signal
@@ -85,6 +86,32 @@ def test_other_sources_on_a_node_are_refused(cluster, monkeypatch):
     with RayWorkers() as workers, pytest.raises(ValueError, match="other sources of warpmpc") as error:
         workers.submit(calls.where).result(timeout=90.0)
     assert "\n" not in str(error.value)
+
+
+def test_a_session_of_the_users_own_goes_on_without_the_calls(cluster, tmp_path):
+    ray.shutdown()
+    with contextlib.chdir("/"):  # else nodes import warpmpc from the folder of the tests
+        ray.init(address=cluster.address, log_to_driver=False)
+    try:
+        with pytest.raises(ValueError, match="has joined the cluster at .*, not the one at 127.0.0.1:1"):
+            RayWorkers("127.0.0.1:1")
+        marks = [tmp_path / name for name in "ab"]
+        with RayWorkers(cluster.address) as workers:
+            futures = [workers.submit(calls.sleep, str(mark)) for mark in marks]
+            queued = workers.submit(calls.where)
+            while not all(mark.exists() for mark in marks):
+                assert not any(future.done() and future.result() for future in futures)
+                time.sleep(0.05)
+        assert ray.is_initialized()
+        end = time.monotonic() + 60.0
+        while not all(calls.gone(int(mark.read_text())) for mark in marks):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert all(future.cancelled() for future in (*futures, queued))
+        with RayWorkers() as workers:  # whose cores are free again
+            assert workers.submit(calls.where).result(timeout=90.0)[1] == 0
+    finally:
+        ray.shutdown()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "no.such.host.invalid:6379"])

@@ -60,13 +60,12 @@ def test_a_call_that_kills_every_process_is_given_up_and_the_others_go_on(two, t
     assert kept.result()[1] == two.submit(calls.where).result()[1] == 1
 
 
-def gone(process: int) -> bool:
-    """Whether a process has ended; one that nobody has waited for counts."""
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return True
-    return state == "Z"
+def test_why_a_process_cannot_be_prepared_is_told():
+    with (
+        LocalWorkers(1, prepare=calls.refuse) as workers,
+        pytest.raises(SceneError, match=r"planner\.samples: is wrong"),
+    ):
+        workers.submit(calls.where).result(timeout=60.0)
 
 
 def test_leaving_ends_calls_at_once(tmp_path):
@@ -78,7 +77,7 @@ def test_leaving_ends_calls_at_once(tmp_path):
     assert isinstance(running.exception(timeout=20.0), BrokenProcessPool)
     assert queued.cancelled()
     end = time.monotonic() + 20.0
-    while not gone(int(mark.read_text())):
+    while not calls.gone(int(mark.read_text())):
         assert time.monotonic() < end
         time.sleep(0.05)
 

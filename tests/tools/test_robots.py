@@ -60,7 +60,7 @@ def test_a_page_counts_what_loads_plans_and_was_mended(tmp_path):
         robots.Row("mjlab", "b.urdf", loads=True, dof=1, mended=("one | two", "three")),
         robots.Row("mjlab", "c.urdf", error=f"{tmp_path}/c.urdf: " + "long " * 60),
     ]
-    text = robots.page(rows, {"mjlab": tmp_path})
+    text = robots.page(rows, {"mjlab": tmp_path}, "mujoco")
     assert "2 of 3 load, 1 of them mended with a warning; a plan was made with 1." in text
     assert "| a.xml | yes | 3 | 2 | fused |  |" in text
     assert "| b.urdf | yes | 1 | 0 | not tried | one / two (and 1 more) |" in text

@@ -37,8 +37,10 @@ STRATEGIES = {
     ),
 }
 """What each strategy changes of a scene."""
-FEWEST, MOST, MEASURED = 16, 8192, 5
-"""Bounds of the number of samples, and how often it is corrected at most."""
+FEWEST, MOST = 16, 8192
+"""Bounds of the number of samples."""
+TRIAL_SECONDS, TRIAL_SEED = 6.0, 10000
+"""How long an episode is whose plans are timed [s], since contacts make plans longer, and its seed, no other's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,35 +75,34 @@ def figures_of(what: str, task: str, strategy: str, samples: int) -> str:
 
 
 def fit(cell: Cell) -> dict:
-    """The number of samples whose plans take as long as the cell wants, as near as it gets, and how long they take."""
-    from warpmpc.model.compiled import compile_scene
-    from warpmpc.run.choose_engine import plan_time
-
-    compiled = compile_scene(cell.scene)
+    """The number of samples whose plans take as long as the cell wants, in closed loop."""
+    times: dict[int, float] = {}
 
     def seconds(samples: int) -> float:
-        return plan_time(replace(cell, samples=samples).scene, compiled, "cpu", envs=1, terms=())
+        seconds = min(TRIAL_SECONDS, cell.scene.timing.timeout)
+        times[samples] = 1e-3 * float(
+            np.median(drive(replace(cell, samples=samples, seed=TRIAL_SEED, seconds=seconds))[1])
+        )
+        return times[samples]
 
-    samples, taken = nearest_count(seconds, 1e-3 * cell.ms)
-    return {"samples": samples, "plan_ms": 1e3 * taken}
+    samples = count_for(seconds, 1e-3 * cell.ms)
+    return {"samples": samples, "times_ms": {str(n): 1e3 * taken for n, taken in times.items()}}
 
 
-def nearest_count(seconds: Callable[[int], float], budget: float, *, first: int = 64) -> tuple[int, float]:
-    """The number of samples whose plans come nearest to a time, of those that are tried on the way.
+def count_for(seconds: Callable[[int], float], budget: float, *, first: int = 64) -> int:
+    """The number of samples whose plans take a time: between two that are measured, in proportion.
 
     Args:
         seconds: Wall time of a plan with a number of samples [s].
         budget: The time wanted [s].
-        first: The number to begin with.
+        first: The number to begin with; it is doubled until plans take longer than wanted.
     """
-    tried: dict[int, float] = {}
-    count = first
-    while count not in tried and len(tried) < MEASURED:
-        tried[count] = seconds(count)
-        # whole registers; what a plan takes besides makes the next guess too careful, not too bold
-        count = int(np.clip(16 * round(count * budget / tried[count] / 16), FEWEST, MOST))
-    best = min(tried, key=lambda n: abs(tried[n] - budget))
-    return best, tried[best]
+    low, high = (FEWEST, seconds(FEWEST)), (first, seconds(first))
+    while high[1] < budget and high[0] < MOST:
+        low, high = high, (2 * high[0], seconds(2 * high[0]))
+    share = (budget - low[1]) / max(high[1] - low[1], 1e-9)
+    count = low[0] + float(np.clip(share, 0.0, 1.0)) * (high[0] - low[0])
+    return max(16 * round(count / 16), FEWEST)  # whole registers
 
 
 def run(cell: Cell) -> dict:
@@ -110,6 +111,18 @@ def run(cell: Cell) -> dict:
     Returns:
         ``cost``, the mean of the control steps, None where the plant diverged; ``reached``, when the goal was, None
         where it was not [s]; ``plan_ms``, the median.
+    """
+    costs, taken, reached = drive(cell)
+    cost = float(np.mean(costs))
+    return {"cost": cost if math.isfinite(cost) else None, "reached": reached, "plan_ms": float(np.median(taken))}
+
+
+def drive(cell: Cell) -> tuple[list[float], list[float], float | None]:
+    """One episode in closed loop.
+
+    Returns:
+        The cost of every control step, infinite once the plant diverged; the wall time of every plan [ms]; and when
+        the goal was reached [s].
     """
     from warpmpc.model.compiled import compile_scene
     from warpmpc.run.episode import draws_bodies
@@ -121,7 +134,8 @@ def run(cell: Cell) -> dict:
     task, labels = controller.task, scene.cost_labels
     plant = warpmpc.Plant(scene, seed=cell.seed, task=task, watch=labels, compiled=compiled)
     observation = plant.observe()
-    controller.step(observation)  # loads kernels and touches memory
+    for _ in range(2):  # loads kernels, then records them
+        controller.step(observation)
     controller.reset()
     costs, taken, reached = [], [], None
     while plant.time < cell.seconds - 1e-9 and not plant.diverged:
@@ -132,6 +146,4 @@ def run(cell: Cell) -> dict:
             reached = plant.time
         observation = plant.observe()
     controller.engine.close()
-    cost = float(np.mean(costs))
-    whole = not plant.diverged and math.isfinite(cost)
-    return {"cost": cost if whole else None, "reached": reached, "plan_ms": float(np.median(taken))}
+    return [*costs, math.inf] if plant.diverged else costs, taken, reached

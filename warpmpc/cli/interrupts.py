@@ -63,11 +63,18 @@ class Interrupts:
     def _watch(self, wakeup: socket.socket) -> None:
         """Wait for a signal, and for the main thread to take note of it; in a thread of its own."""
         with suppress(OSError):  # closed when it is over
-            while number := wakeup.recv(1):
-                if number[0] == signal.SIGINT and not self._noted.wait(PATIENCE):
+            while numbers := wakeup.recv(64):
+                if signal.SIGINT not in numbers:
+                    continue
+                if not self._noted.wait(PATIENCE):
                     if sys.stderr.isatty():
                         os.write(2, b"\x1b[?25h\n")  # a bar hides the cursor
                     os._exit(INTERRUPTED)
+                self._noted.clear()  # the next one may come while native code runs
+                wakeup.setblocking(False)
+                with suppress(BlockingIOError):
+                    wakeup.recv(64)  # presses before the note was taken are noted with it
+                wakeup.setblocking(True)
 
     def check(self) -> None:
         """Raise ``KeyboardInterrupt`` if Ctrl-C was pressed."""

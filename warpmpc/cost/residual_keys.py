@@ -35,12 +35,14 @@ class ResidualKeys(Section):
 
 
 class SpatialResidual(ResidualKeys):
-    """A residual along axes of the world."""
+    """A residual along axes of the world, or ahead, to the left and up."""
 
     of: Place
     """Frame, or { centre_of_mass = "robot" }, or a list of such: their mean."""
     axes: Axes | None = None
-    """Axes of the world that count, such as "xy"; all when left out, but for heights of goals that have none."""
+    """Axes that count, such as "xy"; all when left out, but for heights of goals that have none."""
+    heading: str | None = None
+    """Frame whose heading, its x axis seen from above, the axes turn with; they are the world's when left out."""
 
 
 class Position(SpatialResidual):

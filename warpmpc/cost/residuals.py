@@ -12,13 +12,20 @@ from ..kernels.terms import residuals as costs
 from ..scene.errors import SceneError
 from .native import residuals as native
 from .places import Point, massive, place_points, points_struct
-from .residual_keys import AngularVelocity, CentreOfMass, Momentum, Position, RotationKeys, Velocity
+from .residual_keys import (
+    AngularVelocity,
+    CentreOfMass,
+    Momentum,
+    Position,
+    RotationKeys,
+    SpatialResidual,
+    Velocity,
+)
 from .term import CostTerm, Residual, parse_keys
 from .wanted import wanted
 
 if TYPE_CHECKING:
     from .binding import Binding
-    from .residual_keys import SpatialResidual
 
 
 def _spatial(v: SpatialResidual | AngularVelocity | Momentum, points: list[Point], b: Binding) -> costs.SpatialParams:
@@ -34,6 +41,7 @@ def _spatial(v: SpatialResidual | AngularVelocity | Momentum, points: list[Point
     axes = ["xyz".index(axis) for axis in v.axes or ("xy" if flat else "xyz")]
     p = costs.SpatialParams()
     p.points, p.norm = points_struct(points, b), v.norm.struct()
+    p.heading = b.frame(v.heading, "heading") if isinstance(v, SpatialResidual) and v.heading else -1
     p.axis, p.wanted = b.array(np.array(axes), dtype=int), wanted(v.target, len(axes), b)
     return p
 

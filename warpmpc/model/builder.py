@@ -112,7 +112,7 @@ def _build(scene: Scene) -> World:
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
     layout = _layout(builder, entities, frames, actuators, axes, natives)
-    return World(builder, layout, natives, actuators.own(), tuple(mended))
+    return World(builder, layout, natives, actuators.own(), (*mended, *natives.mended))
 
 
 def build_rest(scene: Scene, natives: Collection[str]) -> World | None:

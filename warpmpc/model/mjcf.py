@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import Robot
+from .mjcf_physics import mend_spec, refusal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -72,6 +72,8 @@ class Mjcf:
     """Number of actuators in the file."""
     left_out: tuple[str, ...]
     """What was not taken over, and why."""
+    mended: tuple[str, ...]
+    """What is not as the file says, one line each."""
 
 
 def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
@@ -90,11 +92,12 @@ def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
         spec.compiler.fusestatic = spec.compiler.discardvisual = False  # every body and geom keeps its name
         left_out = _drop_broken_sensors(spec)
         _name_everything(spec)
+        mended = mend_spec(spec)
         keys = _take_keys(spec)
         _set_root(spec, robot, key, file)
     except ValueError as error:
         raise SceneError(
-            f"this asset cannot be read: {_one_line(error)}", key=f"{key}.asset", file=file, found=native.path
+            f"this asset cannot be read: {refusal(error)}", key=f"{key}.asset", file=file, found=native.path
         ) from error
     if robot.friction is not None:
         for geom in spec.geoms:
@@ -111,7 +114,7 @@ def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
             spec.delete(actuator)
         for servo in native.servos:
             _add_servo(spec, servo)
-    return Mjcf(spec, keys, actuators, tuple(left_out))
+    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(mended))
 
 
 def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[float, ...]:
@@ -153,15 +156,11 @@ def compile_mjcf(mjcf: Mjcf, native: Native, *, file: Path | None = None) -> muj
         return mjcf.spec.compile()
     except ValueError as error:
         raise SceneError(
-            f"this asset cannot be compiled: {_one_line(error)}",
+            f"this asset cannot be compiled: {refusal(error)}",
             key=f"robot.{native.robot.name}.asset",
             file=file,
             found=native.path,
         ) from error
-
-
-def _one_line(error: Exception) -> str:
-    return re.sub(r"\s*\n\s*", "; ", str(error).strip()).removeprefix("Error: ")
 
 
 _NAMED = {

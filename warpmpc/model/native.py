@@ -53,6 +53,8 @@ class NativeRobots:
     rows: list[_Row] = field(default_factory=list)
     chosen: list[_Row] = field(default_factory=list)
     """Keyframes that robots start in."""
+    mended: list[str] = field(default_factory=list)
+    """What is not as the files say."""
     notes: list[str] = field(default_factory=list)
     """What was taken over from the files and what was not."""
 
@@ -172,6 +174,7 @@ def add_native(
     first_shape, first_joint = builder.shape_count, builder.joint_count
     builder.add_builder(part)
     clashes = _add_frames(frames, model, robot, place, scene, first_body, bodies)
+    natives.mended += [f"{name}: {line}" for line in mjcf.mended]
     natives.notes += _notes(model, mjcf, native, links.left_out, clashes)
     return Entity(
         name,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,6 +48,7 @@ def mend_inertias(root: Element, *, floating: bool) -> list[str]:
         parent, child = (_end(joint, side, links) for side in ("parent", "child"))
         children[parent].append((child, joint.get("type") == "fixed"))
         below.add(child)
+    _require_no_loop(children)
     for name in links:
         if name not in below:
             said += _mend_massless(name, links, children, moves=floating, moving=floating)
@@ -60,6 +62,22 @@ def _end(joint: Element, side: str, links: dict[str, Element]) -> str:
     if name not in links:
         raise Impossible(f"joint '{joint.get('name')}': its {side} is no link of the file ('{name}')")
     return name
+
+
+def _require_no_loop(children: dict[str, list[tuple[str, bool]]]) -> None:
+    """Refuse links that hang on themselves.
+
+    Raises:
+        Impossible: If there are such.
+    """
+    try:
+        TopologicalSorter({name: [child for child, _ in below] for name, below in children.items()}).prepare()
+    except CycleError as error:
+        loop = " → ".join(f"'{name}'" for name in error.args[1][::-1])
+        raise Impossible(
+            f"links {loop} form a loop of joints, but a URDF is a tree: take one of these joints out (an MJCF file may "
+            "close a loop with <equality>)"
+        ) from None
 
 
 def _mend_massless(name: str, links: dict, children: dict, *, moves: bool, moving: bool) -> list[str]:

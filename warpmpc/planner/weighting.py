@@ -190,7 +190,13 @@ class CrossEntropy:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        state.launch(elite_weight_kernel, state.cost.shape, [state.cost, self.elites], [state.eta, state.weight])
+        state.launch(
+            elite_weight_kernel,
+            [state.cost.shape[0]],
+            [state.cost, self.elites],
+            [state.eta, state.weight],
+            block_dim=state.block_dim,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

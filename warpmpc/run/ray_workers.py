@@ -44,8 +44,12 @@ class RayWorkers:
             import ray
         except ImportError:
             raise ValueError(f"--jobs {RAY}: needs the package ray: pip install 'warpmpc[cluster]'") from None
-        self._ray, self._opened = ray, not ray.is_initialized()
-        if self._opened:
+        self._ray, self._opened, self._closed = ray, not ray.is_initialized(), False
+        self._replies: set[Any] = set()
+        """Calls that are not through."""
+        if not self._opened:
+            self._require_same(address)
+        else:
             address = address or os.environ.get("RAY_ADDRESS") or "auto"
             try:
                 if address != "auto":
@@ -72,18 +76,32 @@ class RayWorkers:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._closed = True
+        for reply in list(self._replies):
+            self._ray.cancel(reply, force=True)
         if self._opened:
-            self._ray.shutdown()  # which ends this program's calls, not the cluster
+            self._ray.shutdown()  # the cluster goes on, and so does a session that was there before
 
     def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
         """Queue a call, as :class:`~warpmpc.run.workers.Workers` says."""
         out: Future[Any] = Future()
         reply = self._task.remote(self._code, self._gpu, pickle.dumps((self._prepare, function, arguments)))
-        reply.future().add_done_callback(lambda done: self._hand_over(done, out))
+        self._replies.add(reply)
+        reply.future().add_done_callback(lambda done: self._hand_over(reply, done, out))
         return out
 
-    def _hand_over(self, done: Future[Any], out: Future[Any]) -> None:
+    def _require_same(self, address: str) -> None:
+        """Refuse another cluster than the one that this program has joined by itself."""
+        joined = self._ray.get_runtime_context().gcs_address
+        if address not in ("", "auto") and not _same_place(address, joined):
+            raise ValueError(f"--jobs {RAY}: this program has joined the cluster at {joined}, not the one at {address}")
+
+    def _hand_over(self, reply: Any, done: Future[Any], out: Future[Any]) -> None:
         """What Ray says of a call, as a plain future."""
+        self._replies.discard(reply)
+        if self._closed:
+            out.cancel()
+            return
         errors, error = self._ray.exceptions, done.exception()
         if error is None:
             out.set_result(done.result())
@@ -93,6 +111,17 @@ class RayWorkers:
             out.set_exception(LostJob())
         else:
             out.set_exception(ValueError(f"--jobs {RAY}: {str(error).splitlines()[0]}"))
+
+
+def _same_place(one: str, other: str) -> bool:
+    """Whether two ``HOST:PORT`` are the same, whichever of its names a host goes by."""
+    (host, _, port), (other_host, _, other_port) = (a.rpartition("/")[2].rpartition(":") for a in (one, other))
+    try:
+        hosts = {socket.gethostbyname(name) for name in (host, other_host)}
+    except OSError:
+        return one == other
+    own = {"127.0.0.1", socket.gethostbyname(socket.gethostname())}
+    return port == other_port and (len(hosts) == 1 or hosts <= own)
 
 
 def _call(code: str, gpu: bool, call: bytes) -> Any:

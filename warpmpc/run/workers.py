@@ -34,6 +34,10 @@ Prepare = Callable[[], None]
 """Called once in every process, before its first call; a function at the top of a module."""
 
 
+_unprepared: Exception | None = None
+"""What went wrong when this process was prepared."""
+
+
 class LostJob(RuntimeError):
     """A call whose process died as often as it was made."""
 
@@ -168,7 +172,7 @@ class LocalWorkers:
         try:
             for _ in range(TRIES):
                 try:
-                    return slot.pool.submit(function, *arguments).result()
+                    return slot.pool.submit(_make, function, arguments).result()
                 except BrokenProcessPool:
                     if self._closed:
                         raise
@@ -181,6 +185,7 @@ class LocalWorkers:
 
 def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None:
     """Prepare a process: it is silent, leaves Ctrl-C to its parent and does not outlive it."""
+    global _unprepared
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent.send(os.getpid())
     threading.Thread(target=_follow, args=(parent,), daemon=True).start()
@@ -191,7 +196,17 @@ def _start(parent: Connection, gpu: str | None, prepare: Prepare | None) -> None
     logger.setLevel(logging.ERROR)  # results count what is warned of
     warnings.simplefilter("ignore")
     if prepare is not None:
-        prepare()
+        try:
+            prepare()
+        except Exception as error:  # a pool whose processes fail to start would not say why: each call does
+            _unprepared = error
+
+
+def _make(function: Callable[..., Any], arguments: tuple[object, ...]) -> Any:
+    """Make a call in a process that was prepared; raises what kept it from being so."""
+    if _unprepared is not None:
+        raise _unprepared
+    return function(*arguments)
 
 
 def _follow(parent: Connection) -> None:

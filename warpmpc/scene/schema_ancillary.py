@@ -39,7 +39,7 @@ class Ancillary(Section):
             raise ValueError(f"needs one of function, motions and policy; found {found}")
         for kind, keys in KINDS.items():
             for key in keys:
-                if kind != given[0] and key in self.model_fields_set:
+                if kind != given[0] and getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"'{key}' is a key of {kind}, not of {given[0]}")
         return self
 

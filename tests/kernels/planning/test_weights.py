@@ -76,8 +76,13 @@ def elite(cost, *, elites: int, device: str):
     cost = np.asarray(cost, dtype=np.float32)
     weight = wp.empty(cost.shape, dtype=float, device=device)
     eta = wp.empty(len(cost), dtype=float, device=device)
-    wp.launch(
-        elite_weight_kernel, dim=cost.shape, inputs=[on(device, cost), elites], outputs=[eta, weight], device=device
+    wp.launch_tiled(
+        elite_weight_kernel,
+        dim=[len(cost)],
+        inputs=[on(device, cost), elites],
+        outputs=[eta, weight],
+        block_dim=256,
+        device=device,
     )
     return weight.numpy(), eta.numpy()
 
@@ -268,3 +273,23 @@ def test_elites_match_a_stable_sort(elites, device):
         expected[np.argsort(row, kind="stable")[:count]] = np.float32(1.0) / np.float32(count)
         np.testing.assert_array_equal(weight[e], expected)
         assert eta[e] == count
+
+
+@given(
+    costs=st.lists(
+        st.floats(width=32, allow_nan=True) | st.sampled_from([-1.0, -0.0, 0.0, 1.0, INF, -INF]),
+        min_size=1,
+        max_size=40,
+    ),
+    elites=st.integers(1, 45),
+)
+def test_elites_are_the_first_of_all_costs_in_order(costs, elites, device):
+    """Of every sign and size, equal ones, and those that are not finite: as a stable sort has them."""
+    cost = np.array([costs], dtype=np.float32)
+    weight, eta = elite(cost, elites=elites, device=device)
+    finite = np.flatnonzero(np.isfinite(cost[0]))
+    chosen = finite[np.argsort(cost[0, finite], kind="stable")][:elites]
+    expected = np.zeros(len(costs))
+    expected[chosen] = 1.0 / max(len(chosen), 1)
+    assert eta[0] == len(chosen)
+    np.testing.assert_allclose(weight[0], expected, rtol=1e-6)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...bake.lines import Operand, Vector
+from ...bake.lines import Operand, Vector, text
 from .norms import norm
 
 if TYPE_CHECKING:
@@ -38,7 +38,21 @@ def _points(code: TermCode, p: Any) -> Iterator[tuple[int, np.ndarray, Operand, 
         yield int(body), at[i].astype(float), known, f"{code.params}.points.lead.data[{i}]" if lead[i] else 0.0
 
 
+def _along(code: TermCode, p: Any, vector: Vector) -> Vector:
+    """``residuals.along``."""
+    if p.heading < 0:
+        return vector
+    lines, (x, y, _) = code.lines, code.state.frame(p.heading).columns[0]
+    squared = text(lines.sum((x, x), (y, y)))
+    scale = lines.let(f"1.0f / VMAX(VSQRT({squared}), 1.0e-6f)")
+    cosine, sine = (lines.let(f"{scale} * {text(part)}") for part in (x, y))
+    ahead = lines.sum((cosine, vector[0]), (sine, vector[1]))
+    left = lines.sum((cosine, vector[1]), (lines.let(f"-{sine}"), vector[0]))
+    return [ahead, left, vector[2]]
+
+
 def _spatial(code: TermCode, p: Any, vector: list[Operand]) -> Operand:
+    vector = _along(code, p, vector)
     values = [vector[axis] for axis in p.axis.numpy()]
     return norm(code, less_wanted(code, values, p), p)
 
