@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
-    from .realtime.agent import Agent
-    from .realtime.letters import TimedPlan
     from .realtime.loop import RealTimeReport, RobotLoop
     from .realtime.planning import PlannerThread
     from .realtime.process import PlannerProcess
@@ -64,7 +62,6 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "Agent",
     "AncillaryController",
     "ArrayCost",
     "Controller",
@@ -88,7 +85,6 @@ __all__ = [
     "State",
     "StepView",
     "Task",
-    "TimedPlan",
     "ancillary",
     "array_cost",
     "centre_of_mass",
@@ -123,12 +119,10 @@ __all__ = [
 ]
 
 _HOME = {
-    "Agent": "realtime.agent",
     "PlannerProcess": "realtime.process",
     "PlannerThread": "realtime.planning",
     "RealTimeReport": "realtime.loop",
     "RobotLoop": "realtime.loop",
-    "TimedPlan": "realtime.letters",
     "simulated_robot": "realtime.robot",
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",

@@ -9,7 +9,9 @@ import pytest
 from faulty_robots import FaultyRobot
 from small_scenes import DISC, compiled, layout_of, make_scene
 
-from warpmpc import Agent, Plan, RobotLoop, SceneError, State, TimedPlan, simulated_robot
+from warpmpc import Plan, RobotLoop, SceneError, State, simulated_robot
+from warpmpc.realtime.agent import Agent
+from warpmpc.realtime.letters import TimedPlan
 from warpmpc.scene.schema import SplineKind
 
 SOON = 0.1

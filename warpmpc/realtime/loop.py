@@ -15,7 +15,7 @@ import numpy as np
 from ..model.compiled import compile_scene
 from .agent import Agent, Fault
 from .letters import Sighting, TimedPlan
-from .pace import LONGEST, Pace
+from .pace import LONGEST, Pace, RobotClock
 
 if TYPE_CHECKING:
     from ..model.state import State
@@ -95,7 +95,7 @@ class RobotLoop:
         self.scene, self.robot, self.planner = scene, robot, planner
         self.agent = agent or Agent(scene, compile_scene(scene).layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
-        self._origin: float | None = None  # the robot's clock at the pace's zero
+        self._clock = RobotClock()
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
@@ -106,13 +106,12 @@ class RobotLoop:
     @property
     def now(self) -> float:
         """The robot's clock at this tick [s]."""
-        return (self._origin or 0.0) + self.pace.now
+        return self._clock.at(self.pace.now)
 
     def tick(self) -> np.ndarray | None:
         """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
         state = self.robot.observe()
-        if self._origin is None and np.isfinite(state.time):
-            self._origin = state.time - self.pace.now
+        self._clock.see(state.time, self.pace.now)
         timed = self.planner.newest()
         if timed is not None and timed.number != self._number:
             self._number = timed.number

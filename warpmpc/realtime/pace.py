@@ -10,6 +10,8 @@ import numpy as np
 
 LONGEST = 200_000
 """Newest ticks whose lateness is kept."""
+WINDOW = 1.0
+"""Newest observations that the robot's clock is read from [s]."""
 BEHIND = 0.1
 """Wall time by which a simulated robot may be behind and still catch up [s]; beyond it, its clock slips."""
 
@@ -66,3 +68,35 @@ class Pace:
         """How late ticks were [ms]: ``p50``, ``p99``, ``max``; NaN before the first."""
         values = np.percentile(list(self.late) or [np.nan], [50, 99, 100]) * 1e3
         return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
+
+
+class RobotClock:
+    """Tells the robot's time at a tick, from the times of its observations.
+
+    Observations take their time, some more than others. The robot's clock is where the least delayed of the last
+    second says: it may start anywhere, drift and slip, but a delay that never ends cannot be told from a slip.
+    """
+
+    def __init__(self):
+        self._seen: deque[tuple[float, float]] = deque()  # tick, and by how much the robot's clock was ahead of it
+        self._newest = -np.inf
+        self._ahead = 0.0
+
+    def see(self, time: float, tick: float) -> None:
+        """Take note of an observation's time, if it is a new one.
+
+        Args:
+            time: Time of the observation [s].
+            tick: Time of the tick that saw it [s].
+        """
+        if not np.isfinite(time) or time <= self._newest:
+            return
+        self._newest = time
+        while self._seen and self._seen[0][0] < tick - WINDOW:
+            self._seen.popleft()
+        self._seen.append((tick, time - tick))
+        self._ahead = max(ahead for _, ahead in self._seen)
+
+    def at(self, tick: float) -> float:
+        """The robot's time at a tick [s]."""
+        return tick + self._ahead

@@ -91,7 +91,7 @@ class Watchdog:
         if now - self._moved > limit and np.max(np.abs(state.joint_qd), initial=0.0) > MOVING:
             return (
                 FaultKind.OBSERVATION_FROZEN,
-                f"the observation is frozen: the joints move, their positions are {now - self._moved:.3f} s the same",
+                f"the observation is frozen: moving joints are {now - self._moved:.3f} s where they were",
             )
         return None
 
