@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = (
     ("cli",),
     ("run", "record"),
+    ("realtime",),
     ("controller", "plant"),
     ("planner",),
     ("engine",),

@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from .planner.plan import Plan
     from .plant.monitor import Monitor
     from .plant.simulated import Plant
+    from .realtime.loop import RealTimeReport, RobotLoop
+    from .realtime.planning import PlannerThread
+    from .realtime.process import PlannerProcess
+    from .realtime.robot import simulated_robot
     from .record.history import History, HistoryRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
@@ -70,7 +74,11 @@ __all__ = [
     "MujocoStates",
     "NewtonStates",
     "Plan",
+    "PlannerProcess",
+    "PlannerThread",
     "Plant",
+    "RealTimeReport",
+    "RobotLoop",
     "Rollout",
     "Scene",
     "SceneError",
@@ -103,6 +111,7 @@ __all__ = [
     "run_episode",
     "sensor",
     "shipped_scenes",
+    "simulated_robot",
     "step_before",
     "step_length",
     "step_time",
@@ -110,6 +119,11 @@ __all__ = [
 ]
 
 _HOME = {
+    "PlannerProcess": "realtime.process",
+    "PlannerThread": "realtime.planning",
+    "RealTimeReport": "realtime.loop",
+    "RobotLoop": "realtime.loop",
+    "simulated_robot": "realtime.robot",
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
     "History": "record.history",

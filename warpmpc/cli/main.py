@@ -175,6 +175,19 @@ def run(
         Path | None,
         typer.Option(metavar="FILE.jsonl", help="Keep results in a file; those it has are not run again."),
     ] = None,
+    real_time: Annotated[
+        bool,
+        typer.Option(
+            "--real-time",
+            help="Plan in another process while the plant moves on in real time; report rates, jitter and latency.",
+        ),
+    ] = False,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001, max=1.0, help="With --real-time: simulated seconds in a second; 1 when left out, 0.1 is slow."
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,
 ) -> None:
@@ -185,6 +198,33 @@ def run(
     from ..cli import run as cli_run
     from ..cli.outputs import Outputs
 
+    if real_time:
+        from ..cli.real_time import run_real_time
+
+        given = {
+            "--envs": envs > 1,
+            "--record": record,
+            "--csv": csv,
+            "--npz": npz,
+            "--jobs": jobs,
+            "--results": results,
+        }
+        raise typer.Exit(
+            run_real_time(
+                scene,
+                seeds=range(seed, seed + episodes),
+                speed=1.0 if speed is None else speed,
+                overrides=overrides,
+                term_files=terms,
+                engine=engine,
+                device=device,
+                refused=[option for option, value in given.items() if value],
+                json_lines=json,
+                quiet=quiet,
+            )
+        )
+    if speed is not None:
+        raise typer.BadParameter("goes with --real-time", param_hint="--speed")
     raise typer.Exit(
         cli_run.run(
             scene,

@@ -17,6 +17,7 @@ from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.memory import require_memory
 from ..model.properties import draw_properties
+from ..model.safe import safe_command
 from ..model.state import Info, State
 from ..planner.graph import PlanGraph, PlanReport
 from ..planner.plan import Plan
@@ -292,14 +293,10 @@ class Controller:
 
     def _safe_command(self, needed: np.ndarray) -> np.ndarray:
         """Zero velocity or effort, a stop by the next control, the position last seen, as the drive is; ``[n, nu]``."""
-        held = self.layout.control_safe
-        if (held >= 0).any() and not self._observed.seen[needed].all():
+        seen, control_dt = self._observed, self.scene.timing.control_dt
+        if (self.layout.control_safe >= 0).any() and not seen.seen[needed].all():
             raise ValueError("the first observation is not finite: there is no position to hold yet, send nothing")
-        rest = self.layout.control_start if len(self.layout.control_start) else 0.0
-        safe = np.where(held >= 0, self._observed.joint_q[needed][:, np.maximum(held, 0)], rest)
-        brake = self.layout.control_brake
-        stop = -self._observed.joint_qd[needed][:, np.maximum(brake, 0)] / self.scene.timing.control_dt
-        safe = np.where(brake >= 0, stop, safe)
+        safe = safe_command(self.layout, seen.joint_q[needed], seen.joint_qd[needed], control_dt)
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
     def _why_none(self, report: PlanReport, fallback: np.ndarray) -> str:

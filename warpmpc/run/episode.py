@@ -116,7 +116,7 @@ class EpisodeResult:
             data["phases"] = [{"phase": name, "time_s": time} for name, time in self.phases]
         if self.drawn:
             data["drawn"] = self.drawn
-        return _plain(data)
+        return plain(data)
 
 
 class EpisodeInterrupted(KeyboardInterrupt):
@@ -321,12 +321,12 @@ def compile_shared(scene: Scene) -> CompiledScene | None:
     return None if draws_bodies(scene) else compile_scene(scene)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Data as JSON can say it."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from .schema_agent import AgentSettings
 from .schema_ancillary import Ancillary
 from .schema_bodies import (
     Drive,
@@ -62,6 +63,7 @@ from .types import (
 from .waypoints import one_by_one
 
 __all__ = [
+    "AgentSettings",
     "Ancillary",
     "Camera",
     "Cloud",
@@ -331,6 +333,8 @@ class Scene(Section):
     """The physics of the rollouts."""
     plant: PlantSettings = PlantSettings()
     """How the simulated plant differs from the planner's worlds."""
+    agent: AgentSettings = AgentSettings()
+    """How plans are followed in real time."""
     randomize: dict[str, Randomization] = Field(default_factory=dict)
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()

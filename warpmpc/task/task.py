@@ -85,6 +85,18 @@ class Task(Mapping[str, np.ndarray]):
         self._start = np.concatenate([task.block for task in tasks])
         self.reset()
 
+    def follow(self, block: np.ndarray, e: int = 0) -> None:
+        """Take over the values of another task of the same scene, such as one in another process.
+
+        Args:
+            block: Row of its :attr:`block` ``[7 poses + scalars + terms]``.
+            e: Environment.
+        """
+        changed = self.block[e] != block
+        if changed.any():
+            self.block[e] = block
+            self._tell({name for name, column in self._columns.items() if changed[column].any()})
+
     def __getitem__(self, name: str) -> np.ndarray:
         """A pose ``[7]``, scalar or weight, a copy; with a leading axis ``[E]`` for several environments.
 

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fault drill: whatever goes wrong, the safe command within 100 ms, a log line, and back by itself."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from faulty_robots import FaultyRobot
+from small_scenes import DISC, compiled, layout_of, make_scene
+
+from warpmpc import Plan, RobotLoop, SceneError, State, simulated_robot
+from warpmpc.realtime.agent import Agent
+from warpmpc.realtime.letters import TimedPlan
+from warpmpc.scene.schema import SplineKind
+
+SOON = 0.1
+"""Within this time after a fault the robot has the safe command [s]."""
+MOVE = np.array([0.5, 0.2, 0.0], dtype=np.float32)
+
+
+class Scripted:
+    """A planner that drives along for ever, until it is told otherwise."""
+
+    def __init__(self, control: np.ndarray = MOVE, period: float = 0.04):
+        self.control, self.period, self.survived = np.asarray(control, dtype=np.float32), period, True
+        self.stalled = False
+        self._timed, self.sightings = None, []
+
+    def observe(self, sighting) -> None:
+        self.sightings.append(sighting)
+        last = -np.inf if self._timed is None else self._timed.observed
+        if not self.stalled and sighting.state.time >= last + self.period - 1e-9:
+            nu = len(self.control)
+            times = sighting.state.time + np.array([0.0, 1.0])
+            plan = Plan(np.tile(self.control, (2, 1)), times, SplineKind.ZERO, np.full(nu, -9.0), np.full(nu, 9.0))
+            number = 0 if self._timed is None else self._timed.number + 1
+            self._timed = TimedPlan(plan, number, sighting.state.time, 0.0, 0.0, self.survived)
+
+    def newest(self):
+        return self._timed
+
+
+def drill(**sections):
+    """A robot loop of a disc, its robot and its planner, driving."""
+    scene = make_scene(plant={"randomize": False}, **sections)
+    robot = FaultyRobot(simulated_robot(scene, compiled=compiled(scene)))
+    planner = Scripted()
+    loop = RobotLoop(scene, robot, planner, simulated=True, agent=Agent(scene, layout_of(scene)))
+    ticks(loop, 50)
+    assert loop.agent.following
+    return loop, robot, planner
+
+
+def ticks(loop: RobotLoop, count: int) -> None:
+    for _ in range(count):
+        loop.tick()
+        loop.pace._tick += 1  # the next tick, without waiting for it
+
+
+def stall(robot, planner) -> None:
+    planner.stalled = True
+
+
+def diverge(robot, planner) -> None:
+    planner.survived = False
+
+
+def exceed(robot, planner) -> None:
+    planner.control = np.array([5.0, 0.0, 0.0], dtype=np.float32)
+
+
+def lose_numbers(robot, planner) -> None:
+    planner.control = np.array([np.nan, 0.0, 0.0], dtype=np.float32)
+
+
+def mend(robot, planner) -> None:
+    planner.stalled, planner.survived, planner.control, robot.spoil = False, True, MOVE, None
+
+
+FAULTS = {
+    "stalled": (stall, "there is no plan for 0.09"),
+    "diverged": (diverge, "every rollout diverged"),
+    "out of range": (exceed, "the plan is out of range: base/x = 5"),
+    "plan not finite": (lose_numbers, "the plan is not finite"),
+    "not finite": (lambda robot, _: robot.forget_numbers(), "the observation is not finite"),
+    "frozen": (lambda robot, _: robot.freeze(), "the observation is 0.05"),
+    "joints frozen": (lambda robot, _: robot.freeze_joints(), "the observation is frozen"),
+    "back in time": (lambda robot, _: robot.go_back(0.5), "the observation went back in time by 0.4"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_fault_gets_the_safe_command_in_time_and_is_recovered_from(name, caplog):
+    fail, why = FAULTS[name]
+    loop, robot, planner = drill()
+    begin = robot.plant.time
+    assert np.abs(robot.plant.state.joint_qd).max() > 0.3  # it moves
+    with caplog.at_level(logging.WARNING):
+        fail(robot, planner)
+        ticks(loop, 500)  # a second
+    unsafe = [time for time, control in robot.sent if time >= begin and control.any()]
+    assert max(unsafe, default=begin) - begin + 1.0 / loop.scene.agent.rate <= SOON
+    assert len(caplog.messages) == 1
+    assert why in caplog.messages[0]
+    assert caplog.messages[0].endswith("sending the safe command")
+    assert np.abs(robot.plant.state.joint_qd).max() < 0.02  # zero velocity, and it stands
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        mend(robot, planner)
+        ticks(loop, 300)
+    assert loop.agent.following
+    assert loop.agent.fault is None
+    assert len(loop.agent.faults) == 1
+    assert "following the plan again" in caplog.messages[0]
+    np.testing.assert_allclose(robot.sent[-1][1], MOVE)
+
+
+def test_positions_are_held_where_the_robot_was_when_the_fault_began():
+    drive = {"mode": "position", "stiffness": 900.0, "damping": 60.0, "lower": (-2.0,) * 3, "upper": (2.0,) * 3}
+    loop, robot, planner = drill(robot=[DISC | {"drive": drive}])
+    robot.forget_numbers()
+    was = planner.sightings[-1].state.joint_q
+    ticks(loop, 200)
+    sent = np.array([control for _, control in robot.sent[-200:]])
+    np.testing.assert_allclose(sent, np.tile(sent[0], (200, 1)))
+    np.testing.assert_allclose(sent[0], was)
+
+
+def test_accelerations_brake_and_then_keep_still():
+    drive = {"mode": "acceleration", "damping": 300.0, "limit": 20.0, "speed_limit": 1.0}
+    loop, robot, planner = drill(robot=[DISC | {"drive": drive}])
+    planner.stalled = True
+    ticks(loop, 250)
+    assert np.abs(robot.plant.state.joint_qd).max() < 0.02
+
+
+def test_the_planner_hears_of_no_observation_that_cannot_be_trusted():
+    loop, robot, planner = drill()
+    seen = len(planner.sightings)
+    robot.forget_numbers()
+    ticks(loop, 100)
+    assert len(planner.sightings) == seen
+
+
+def test_before_the_first_plan_the_robot_stands_and_that_is_no_fault(caplog):
+    scene = make_scene()
+    robot, planner = FaultyRobot(simulated_robot(scene, compiled=compiled(scene))), Scripted()
+    planner.stalled = True
+    loop = RobotLoop(scene, robot, planner, simulated=True, agent=Agent(scene, layout_of(scene)))
+    ticks(loop, 200)
+    assert not any(control.any() for _, control in robot.sent)
+    assert len(robot.sent) == 200
+    assert not loop.agent.faults
+    assert not caplog.messages
+
+
+def test_nothing_is_sent_where_there_is_no_position_to_hold():
+    drive = {"mode": "position", "stiffness": 900.0, "damping": 60.0, "lower": (-2.0,) * 3, "upper": (2.0,) * 3}
+    scene = make_scene(robot=[DISC | {"drive": drive}])
+    agent = Agent(scene, layout_of(scene))
+    state = State(np.full(3, np.nan), np.zeros(3), time=0.0)
+    assert agent.command(state, None, 0.0) is None
+
+
+@pytest.mark.parametrize("slew", [2.0, (2.0, 4.0, 1.0)])
+def test_controls_change_no_faster_than_the_slew_whatever_is_planned_and_when_it_fails(slew):
+    loop, robot, planner = drill(agent={"slew": slew})
+    for control in ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0]):
+        planner.control = np.array(control, dtype=np.float32)
+        ticks(loop, 100)
+    planner.stalled = True
+    ticks(loop, 400)
+    sent = np.array([control for _, control in robot.sent])
+    rate = np.abs(np.diff(sent, axis=0)).max(axis=0) * loop.scene.agent.rate
+    np.testing.assert_allclose(rate, np.broadcast_to(slew, 3), rtol=1e-3)  # all of it is used
+    assert not sent[-1].any()
+
+
+def test_a_slew_of_the_wrong_length_is_refused_by_its_key():
+    scene = make_scene(agent={"slew": (1.0, 2.0)})
+    with pytest.raises(SceneError, match=r"agent\.slew.*one value or 3"):
+        Agent(scene, layout_of(scene))
+
+
+def test_a_plan_that_is_replaced_is_followed_from_its_own_times():
+    scene = make_scene()
+    agent = Agent(scene, layout_of(scene))
+    limits = np.full(3, -1.0), np.full(3, 1.0)
+    plan = Plan(np.array([[0.0] * 3, [0.4] * 3]), np.array([2.0, 2.4]), SplineKind.LINEAR, *limits)
+    timed = TimedPlan(plan, 0, 1.98, 0.02, 10.0, True)
+    state = State(np.zeros(3), np.zeros(3), time=2.0)
+    np.testing.assert_allclose(agent.command(state, timed, 2.0), 0.0)
+    later = replace(state, joint_q=np.full(3, 0.1), time=2.08)
+    np.testing.assert_allclose(agent.command(later, timed, 2.08), 0.08, atol=1e-6)
+
+
+def test_a_robot_that_rests_is_not_taken_for_frozen():
+    scene = make_scene()
+    agent = Agent(scene, layout_of(scene))
+    planner = Scripted(control=np.zeros(3))
+    for k in range(200):
+        state = State(np.zeros(3), np.zeros(3), time=0.002 * k)
+        agent.command(state, planner.newest(), 0.002 * k)
+        planner.observe(type("Seen", (), {"state": state}))
+    assert not agent.faults

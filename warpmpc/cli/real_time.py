@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``warpmpc run --real-time`` does: episodes at the pace of the clock, and what kept them from it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..scene.load import load_scene
+from .interrupts import INTERRUPTED, Interrupts
+from .progress import Messages
+from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
+from .terms import load_terms
+
+if TYPE_CHECKING:
+    from ..run.real_time import RealTimeResult
+
+
+def run_real_time(
+    source: str,
+    *,
+    seeds: Sequence[int],
+    speed: float,
+    overrides: Sequence[str],
+    term_files: Sequence[Path],
+    engine: str,
+    device: str,
+    refused: Sequence[str],
+    json_lines: bool,
+    quiet: bool,
+) -> int:
+    """Run one episode per seed in real time, report, and return the exit code.
+
+    Args:
+        source: Scene and variant.
+        seeds: Seeds of the episodes.
+        speed: Simulated seconds in a second of wall time.
+        overrides: ``KEY=VALUE`` texts.
+        term_files: Python files of cost terms.
+        engine: Engine of the roll-outs.
+        device: Device of the roll-outs.
+        refused: Options that were given and do not go with real time.
+        json_lines: Whether to print JSON.
+        quiet: Whether to print nothing.
+    """
+    results: list[RealTimeResult] = []
+    notices = not quiet and not json_lines
+    with results_only() as out, Messages(notices=notices, warnings=not quiet), Interrupts() as interrupts:
+        try:
+            with user_errors():
+                if refused:
+                    raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
+                scene = load_scene(source, overrides=overrides)
+                start_warp()
+                from ..run.real_time import run_real_time
+
+                options = {"engine": engine, "device": device, "speed": speed, "check": interrupts.check}
+                terms = partial(load_terms, [path.absolute() for path in term_files]) if term_files else None
+                for seed in seeds:
+                    results.append(run_real_time(scene, seed=seed, terms=terms, **options))
+                    if json_lines:
+                        line = json.dumps(results[-1].to_json(), ensure_ascii=False, allow_nan=False)
+                        print(line, file=out, flush=True)
+                    elif not quiet:
+                        print(*described(results[-1]), sep="\n", file=out, flush=True)
+                    if results[-1].reason == "interrupted":
+                        return INTERRUPTED
+        except KeyboardInterrupt:
+            return INTERRUPTED
+    return SUCCESS if all(result.success for result in results) else FAILURE
+
+
+def described(result: RealTimeResult) -> Iterator[str]:
+    """The lines that tell of an episode."""
+    report = result.report
+    yield f"seed {result.seed}: {result.reason} at {result.sim_time:.2f} s, in {result.wall_time:.1f} s of wall time"
+    jitter, latency = report.jitter_ms, report.latency_ms
+    yield (
+        f"  agent    {report.rate:g} Hz, jitter {_percentiles(jitter)}, {report.missed} of {report.ticks} ticks late"
+        + (f", the clock waited {report.slipped:.2f} s for the plant" if report.slipped else "")
+    )
+    if report.plans:
+        yield f"  planner  {report.plan_rate:.1f} plans/s, plan {_percentiles(report.plan_ms)}"
+        yield f"  latency  {_percentiles(latency)} from observation to plan"
+    for kind, count in Counter(fault.kind for fault in report.faults).items():
+        yield f"  faults   {count} × {kind}"
+    late = slow_planner(result)
+    if late:
+        yield f"  {late}"
+
+
+def slow_planner(result: RealTimeResult) -> str | None:
+    """What to do about a planner that does not keep up with the clock; None where it does."""
+    possible, period = result.needed_speed, 1e3 * result.period
+    if possible is None:
+        return "no plan came in time: real time would need a faster planner, or a lower --speed"
+    if possible >= result.speed:
+        return None
+    return (
+        f"real time would need a plan every {period / result.speed:.0f} ms of wall time, there is one every "
+        f"{period / possible:.0f} ms: lower planner.samples, planner.horizon or engine.substeps, or run slowed down "
+        f"with --speed {0.9 * possible:.2g}"
+    )
+
+
+def _percentiles(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in values.items()) + " ms"

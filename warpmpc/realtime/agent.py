@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The agent: what the robot is sent at every tick, from the newest plan or from the watchdog."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.safe import safe_command
+from ..model.state import State
+from .watchdog import Bounds, FaultKind, Finding, Watchdog
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..scene.schema import Scene
+    from .letters import TimedPlan
+
+logger = logging.getLogger("warpmpc")
+
+
+@dataclass
+class Fault:
+    """A time in which no plan was followed."""
+
+    kind: FaultKind
+    """What was wrong first."""
+    why: str
+    """A sentence about it."""
+    start: float
+    """When [s], on the robot's clock."""
+    end: float | None = None
+    """When plans were followed again [s], None while they are not."""
+
+
+class Agent:
+    """Evaluates the newest plan at the robot's clock, and sends the safe command where it cannot be trusted.
+
+    The safe command is that of the drives: zero velocity, zero effort, a stop, or the position where the robot was
+    when the fault began. Limits of controls and ``agent.slew`` hold for whatever is sent.
+
+    Args:
+        scene: The scene.
+        layout: State layout (``Controller.layout``).
+
+    Raises:
+        SceneError: If ``agent.slew`` has neither one value nor one per control.
+    """
+
+    faults: list[Fault]
+    """What went wrong, the newest last; waiting for the first plan is no fault."""
+
+    def __init__(self, scene: Scene, layout: Layout):
+        self.layout, self._dt = layout, scene.timing.control_dt
+        self._watchdog, self._bounds = Watchdog(scene, layout), Bounds(scene, layout)
+        self.faults = []
+        self.following = False
+        """Whether the last command came from a plan."""
+        self._held: State | None = None  # where the robot was when the fault began
+        self._seen = True
+
+    @property
+    def fault(self) -> Fault | None:
+        """What is wrong now."""
+        return self.faults[-1] if self.faults and self.faults[-1].end is None else None
+
+    @property
+    def trusts_observation(self) -> bool:
+        """Whether the last observation could be trusted."""
+        return self._seen
+
+    def command(self, state: State, timed: TimedPlan | None, now: float) -> np.ndarray | None:
+        """The control ``[nu]`` to send now; None while there is neither a plan nor a position to hold.
+
+        Args:
+            state: The newest observation, with its time.
+            timed: The newest plan, None before the first.
+            now: The robot's clock [s].
+        """
+        found = self._watchdog.observation_fault(state, now)
+        self._seen = found is None
+        found = found or self._watchdog.plan_fault(timed, now)
+        if found is None:
+            self._recover(now)
+            return self._bounds(timed.plan.at(now))
+        self._fail(found, now, waiting=timed is None and self._seen)
+        return self._safe(now)
+
+    def safe(self) -> np.ndarray | None:
+        """The safe command ``[nu]`` where the robot was seen last; None where it never was."""
+        state = self._watchdog.state
+        return None if state is None else self._safe(state.time)
+
+    def _recover(self, now: float) -> None:
+        if self.fault is not None:
+            self.fault.end = now
+            lasted = now - self.faults[-1].start
+            logger.warning("t = %.3f s: following the plan again after %.3f s", now, lasted)
+        self.following, self._held = True, None
+
+    def _fail(self, found: Finding, now: float, *, waiting: bool) -> None:
+        self.following = False
+        if not waiting and self.fault is None:
+            self.faults.append(Fault(*found, now))
+            logger.warning("t = %.3f s: %s; sending the safe command", now, found[1])
+
+    def _safe(self, now: float) -> np.ndarray | None:
+        """The safe command: holds are where the fault began, brakes act until the robot stands as far as is known."""
+        state = self._watchdog.state
+        if state is None:
+            return None
+        if self._held is None:
+            self._held = state
+        velocity = state.joint_qd if now - state.time < self._dt else np.zeros_like(state.joint_qd)
+        return self._bounds(safe_command(self.layout, self._held.joint_q[None], velocity[None], self._dt)[0])

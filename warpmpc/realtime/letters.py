@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What robot and planner tell each other: observations one way, plans the other, as arrays that cross processes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.state import State
+from ..planner.plan import Plan
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..scene.schema import SplineKind
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """An observation on its way to the planner."""
+
+    state: State
+    """The state, of one environment, with its time."""
+    command: np.ndarray
+    """What the robot was sent last ``[nu]``."""
+    following: bool
+    """Whether that came from a plan, and not from the watchdog."""
+    task: np.ndarray | None = None
+    """The task's values, a row of ``Task.block``; None where robot and planner share the task itself."""
+    stamp: float = field(default_factory=time.monotonic)
+    """When it was sent, on this host's monotonic clock [s]."""
+
+
+@dataclass(frozen=True)
+class TimedPlan:
+    """A plan on its way to the agent; immutable."""
+
+    plan: Plan
+    """Controls over the robot's clock."""
+    number: int
+    """Plans before it."""
+    observed: float
+    """Time of the observation that it was made from [s]."""
+    latency: float
+    """From that observation to the plan, on the robot's clock [s]."""
+    plan_ms: float
+    """Wall time of the planning itself [ms]."""
+    survived: bool
+    """Whether any rollout survived; else the plan is not to be followed."""
+
+
+class SightingCodec:
+    """Turns sightings into arrays and back.
+
+    Args:
+        layout: State layout.
+        task: Numbers of the task.
+    """
+
+    def __init__(self, layout: Layout, task: int):
+        widths = (3, layout.nq, layout.nv, layout.na, 7 * layout.nm, layout.nu, task)
+        self.capacity = sum(widths)
+        self._splits = np.cumsum(widths)[:-1]
+        self._layout = layout
+
+    def encode(self, sighting: Sighting) -> np.ndarray:
+        """Numbers of a sighting; what its state leaves out is the scene's start."""
+        state, layout = sighting.state, self._layout
+        act = layout.act if state.act is None else state.act
+        mocap = layout.mocap if state.mocap is None else state.mocap
+        head = [state.time, sighting.stamp, sighting.following]
+        tail = (np.ravel(mocap), sighting.command, sighting.task)
+        return np.concatenate([head, state.joint_q, state.joint_qd, act, *tail]).astype(float)
+
+    def decode(self, letter: np.ndarray) -> Sighting:
+        """The sighting that numbers tell."""
+        head, q, qd, act, mocap, command, task = np.split(letter.astype(np.float32), self._splits)
+        moment, stamp = letter[:2].tolist()
+        state = State(q, qd, time=moment, act=act, mocap=mocap.reshape(-1, 7))
+        return Sighting(state, command, bool(head[2]), task, stamp)
+
+
+class PlanCodec:
+    """Turns plans into arrays and back.
+
+    Args:
+        layout: State layout, whose limits plans have.
+        spline: Their spline.
+        knots: Knots at most.
+    """
+
+    def __init__(self, layout: Layout, spline: SplineKind, knots: int):
+        self.capacity = 6 + knots * (1 + layout.nu)
+        self._layout, self._spline = layout, spline
+
+    def encode(self, timed: TimedPlan) -> np.ndarray:
+        """Numbers of a plan."""
+        plan = timed.plan
+        head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, len(plan.times)]
+        return np.concatenate([head, plan.times, plan.knots.ravel()])
+
+    def decode(self, letter: np.ndarray) -> TimedPlan:
+        """The plan that numbers tell."""
+        count, layout = int(letter[5]), self._layout
+        knots = letter[6 + count :].reshape(count, layout.nu).astype(np.float32)
+        limits = layout.control_lower.copy(), layout.control_upper.copy()
+        plan = Plan(knots, letter[6 : 6 + count].copy(), self._spline, *limits)
+        number, observed, latency, plan_ms, survived = letter[:5].tolist()
+        return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived))

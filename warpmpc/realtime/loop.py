@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot's loop: observe, tell the planner, send what the agent says, at a rate that no plan can disturb."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ..model.compiled import compile_scene
+from .agent import Agent, Fault
+from .letters import Sighting, TimedPlan
+from .pace import LONGEST, Pace, RobotClock
+
+if TYPE_CHECKING:
+    from ..model.state import State
+    from ..scene.schema import Scene
+
+
+class Robot(Protocol):
+    """A robot, real or simulated, in two functions."""
+
+    def observe(self) -> State:
+        """The newest state, with its time; returns at once."""
+
+    def apply(self, control: np.ndarray) -> None:
+        """Send a control ``[nu]``, which is held until the next one; a simulated robot moves on by one tick."""
+
+
+class Planner(Protocol):
+    """Where plans come from: :class:`PlannerProcess` or :class:`PlannerThread`."""
+
+    def observe(self, sighting: Sighting) -> None:
+        """Hand over an observation; returns at once."""
+
+    def newest(self) -> TimedPlan | None:
+        """The newest plan, None before the first; returns at once."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealTimeReport:
+    """What a run in real time came to."""
+
+    ticks: int
+    """Commands sent."""
+    rate: float
+    """Ticks in a second of the robot's clock [Hz]."""
+    jitter_ms: dict[str, float]
+    """How late ticks were, in wall time [ms]: ``p50``, ``p99``, ``max``."""
+    missed: int
+    """Ticks whose work was not done when the next one was due."""
+    slipped: float
+    """Wall time that a simulated robot's clock waited because it was too far behind [s]."""
+    plans: int
+    """Plans received."""
+    plan_rate: float
+    """Plans in a second of wall time [Hz]."""
+    latency_ms: dict[str, float]
+    """From observation to plan on the robot's clock [ms]: ``p50``, ``p99``, ``max``; NaN without a plan."""
+    plan_ms: dict[str, float]
+    """Wall time of the planning itself [ms], likewise."""
+    faults: tuple[Fault, ...]
+    """Times in which no plan was followed."""
+
+
+class RobotLoop:
+    """Runs a robot at ``agent.rate``.
+
+    Args:
+        scene: The scene.
+        robot: The robot.
+        planner: Where plans come from.
+        speed: The robot's seconds in a second of wall time; below 1 a simulated robot is slowed down, and the planner
+            is to know.
+        simulated: Whether the robot moves on by one tick with every command and waits in between, as a simulated one
+            does. A real one does not: then ticks that are long past are left out.
+        agent: Evaluates plans; the scene's if None.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        robot: Robot,
+        planner: Planner,
+        *,
+        speed: float = 1.0,
+        simulated: bool = False,
+        agent: Agent | None = None,
+    ):
+        self.scene, self.robot, self.planner = scene, robot, planner
+        self.agent = agent or Agent(scene, compile_scene(scene).layout)
+        self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
+        self._clock = RobotClock()
+        self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
+        self._number = -1
+        self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
+        self._plans, self._ticks = 0, 0
+        self.wall = 0.0
+        """Wall time spent in :meth:`run` [s]."""
+
+    @property
+    def now(self) -> float:
+        """The robot's clock at this tick [s]."""
+        return self._clock.at(self.pace.now)
+
+    def tick(self) -> np.ndarray | None:
+        """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
+        state = self.robot.observe()
+        self._clock.see(state.time, self.pace.now)
+        timed = self.planner.newest()
+        if timed is not None and timed.number != self._number:
+            self._number = timed.number
+            self._plans += 1
+            self._latencies.append((1e3 * timed.latency, timed.plan_ms))
+        control = self.agent.command(state, timed, self.now)
+        if self.agent.trusts_observation:
+            self.planner.observe(Sighting(state, self._last, self.agent.following))
+        if control is not None:
+            self._last = control
+            self.robot.apply(control)
+        self._ticks += 1
+        return control
+
+    def run(self, until: Callable[[], bool]) -> RealTimeReport:
+        """Tick until told to stop; whatever ends it, the last command is the safe one.
+
+        Args:
+            until: Whether to stop, asked after every tick.
+        """
+        gc.collect()
+        gc.freeze()  # collecting what was built before takes longer than a tick
+        start = time.monotonic()
+        self.pace.start()
+        try:
+            while True:
+                self.tick()
+                if until():
+                    break
+                self.pace.wait()
+        finally:
+            gc.unfreeze()
+            self.wall += time.monotonic() - start
+            safe = self.agent.safe()
+            if safe is not None:
+                self.robot.apply(safe)
+        return self.report()
+
+    def report(self) -> RealTimeReport:
+        """What came of it so far."""
+        found = np.array(self._latencies or [(np.nan, np.nan)])
+        latency, plan = np.percentile(found, [50, 99, 100], axis=0).T.tolist()
+        names = ("p50", "p99", "max")
+        return RealTimeReport(
+            ticks=self._ticks,
+            rate=self.scene.agent.rate,
+            jitter_ms=self.pace.jitter_ms(),
+            missed=self.pace.missed,
+            slipped=self.pace.slipped,
+            plans=self._plans,
+            plan_rate=self._plans / self.wall if self.wall else 0.0,
+            latency_ms=dict(zip(names, latency, strict=True)),
+            plan_ms=dict(zip(names, plan, strict=True)),
+            faults=tuple(self.agent.faults),
+        )

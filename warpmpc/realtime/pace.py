@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ticks at a fixed rate, and how late they were."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import numpy as np
+
+LONGEST = 200_000
+"""Newest ticks whose lateness is kept."""
+WINDOW = 1.0
+"""Newest observations that the robot's clock is read from [s]."""
+BEHIND = 0.1
+"""Wall time by which a simulated robot may be behind and still catch up [s]; beyond it, its clock slips."""
+
+
+class Pace:
+    """Waits for ticks on a schedule of its own, so that a late one does not delay those after it.
+
+    Args:
+        period: Time between ticks on the robot's clock [s].
+        speed: The robot's seconds in a second of wall time; below 1 a simulated robot is slowed down.
+        skip: Whether ticks that nobody can keep any more are left out, as the clock of a real robot does not wait.
+            Without, the clock waits: all ticks are made, and slip when they are too far behind.
+    """
+
+    missed: int
+    """Ticks whose work was not done when the next one was due."""
+    slipped: float
+    """Wall time that the clock waited [s]."""
+
+    def __init__(self, period: float, *, speed: float = 1.0, skip: bool = True):
+        self.period, self.speed, self.skip = period, speed, skip
+        self.late: deque[float] = deque(maxlen=LONGEST)
+        self.missed, self.slipped = 0, 0.0
+        self._tick = 0
+        self._begin = time.monotonic()
+
+    @property
+    def now(self) -> float:
+        """Time of the present tick on the robot's clock, since the start [s]."""
+        return self._tick * self.period
+
+    def start(self) -> None:
+        """The present tick is now."""
+        self._begin = time.monotonic() - self._tick * self.period / self.speed
+
+    def wait(self) -> float:
+        """Wait for the next tick; returns :attr:`now`."""
+        wall = self.period / self.speed
+        self._tick += 1
+        rest = self._begin + self._tick * wall - time.monotonic()
+        if rest > 0.0:
+            time.sleep(rest)
+        else:
+            self.missed += 1
+            if self.skip:
+                self._tick += int(-rest / wall)
+            elif -rest > BEHIND:
+                self.slipped -= rest
+                self._begin -= rest
+        self.late.append(time.monotonic() - self._begin - self._tick * wall)
+        return self.now
+
+    def jitter_ms(self) -> dict[str, float]:
+        """How late ticks were [ms]: ``p50``, ``p99``, ``max``; NaN before the first."""
+        values = np.percentile(list(self.late) or [np.nan], [50, 99, 100]) * 1e3
+        return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
+
+
+class RobotClock:
+    """Tells the robot's time at a tick, from the times of its observations.
+
+    Observations take their time, some more than others. The robot's clock is where the least delayed of the last
+    second says: it may start anywhere, drift and slip, but a delay that never ends cannot be told from a slip.
+    """
+
+    def __init__(self):
+        self._seen: deque[tuple[float, float]] = deque()  # tick, and by how much the robot's clock was ahead of it
+        self._newest = -np.inf
+        self._ahead = 0.0
+
+    def see(self, time: float, tick: float) -> None:
+        """Take note of an observation's time, if it is a new one.
+
+        Args:
+            time: Time of the observation [s].
+            tick: Time of the tick that saw it [s].
+        """
+        if not np.isfinite(time) or time <= self._newest:
+            return
+        self._newest = time
+        while self._seen and self._seen[0][0] < tick - WINDOW:
+            self._seen.popleft()
+        self._seen.append((tick, time - tick))
+        self._ahead = max(ahead for _, ahead in self._seen)
+
+    def at(self, tick: float) -> float:
+        """The robot's time at a tick [s]."""
+        return tick + self._ahead

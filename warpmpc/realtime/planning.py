@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planning loop: the newest observation, where it leads to by the time a plan is ready, the plan from there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.state import State
+from .letters import Sighting, TimedPlan
+from .predictor import Predictor
+
+if TYPE_CHECKING:
+    from ..controller.controller import Controller
+    from ..task.task import Task
+
+REMEMBERED = 9
+"""Latest latencies whose median is the one expected next."""
+PAUSE = 2e-4
+"""Wall time between looks for a new observation [s]."""
+
+
+class Planning:
+    """Plans from observations that are on their way while the robot moves on.
+
+    Args:
+        controller: Makes the plans, of one environment.
+        speed: The robot's seconds in a second of wall time.
+    """
+
+    def __init__(self, controller: Controller, *, speed: float = 1.0):
+        if controller.envs != 1:
+            raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
+        self.controller, self._speed = controller, speed
+        scene = controller.scene
+        self._longest = scene.planner.horizon * scene.timing.control_dt  # farther no plan reaches
+        self._predict = None
+        if scene.agent.compensate:
+            self._predict = Predictor(scene, controller.compiled, controller.layout, controller.task)
+        self._latencies: deque[float] = deque(maxlen=REMEMBERED)
+        self._timed: TimedPlan | None = None  # the newest that is followed
+        self._made = 0
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Make two plans and forget them: the first compiles kernels, the second is recorded for later ones."""
+        start = State.start(self.controller.layout)
+        for _ in range(2):
+            self.controller.step(start)
+        self.controller.reset()
+
+    @property
+    def latency(self) -> float:
+        """Time from observation to plan that is expected next, on the robot's clock [s]."""
+        return float(np.median(self._latencies)) if self._latencies else 0.0
+
+    def plan(self, sighting: Sighting) -> TimedPlan | None:
+        """The plan from an observation; None for one that is not finite."""
+        controller, state = self.controller, sighting.state
+        if not all(np.isfinite(part).all() for part in (state.joint_q, state.joint_qd, state.time)):
+            return None
+        if sighting.task is not None:
+            controller.task.follow(sighting.task)
+        if self._predict is not None:
+            state = self._predict(state, self._acting(sighting), min(self.latency, self._longest))
+        plan = controller.plan(state)
+        latency = self._speed * (time.monotonic() - sighting.stamp)
+        self._latencies.append(latency)
+        info = controller.info
+        timed = TimedPlan(plan, self._made, sighting.state.time, latency, info.plan_ms, not info.fallback)
+        self._made += 1
+        self._timed = timed if timed.survived else self._timed
+        return timed
+
+    def _acting(self, sighting: Sighting) -> Callable[[float], np.ndarray]:
+        """What the robot is sent until the plan is ready."""
+        if sighting.following and self._timed is not None:
+            return self._timed.plan.at
+        return lambda _: sighting.command
+
+    def run(
+        self,
+        newest: Callable[[], Sighting | None],
+        publish: Callable[[TimedPlan], None],
+        stopped: Callable[[], bool],
+    ) -> None:
+        """Plan until told to stop.
+
+        Args:
+            newest: The newest observation, None where there is no new one.
+            publish: Takes each plan.
+            stopped: Whether to stop.
+        """
+        while not stopped():
+            sighting = newest()
+            if sighting is None:
+                time.sleep(PAUSE)
+            elif (timed := self.plan(sighting)) is not None:
+                publish(timed)
+
+
+class PlannerThread:
+    """The planning loop in a thread of this process, for whoever shares a controller with it.
+
+    Robots want :class:`~warpmpc.realtime.process.PlannerProcess`: threads of one process wait for each other.
+
+    Args:
+        controller: Makes the plans.
+        speed: The robot's seconds in a second of wall time.
+    """
+
+    def __init__(self, controller: Controller, *, speed: float = 1.0):
+        self.controller, self._planning = controller, Planning(controller, speed=speed)
+        self._stop = threading.Event()
+        self._sighting: Sighting | None = None
+        self._taken: Sighting | None = None
+        self._timed: TimedPlan | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    @property
+    def task(self) -> Task:
+        """The task, shared with the controller."""
+        return self.controller.task
+
+    def __enter__(self) -> PlannerThread:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def observe(self, sighting: Sighting) -> None:
+        """Hand over an observation; the one before is forgotten."""
+        self._sighting = sighting
+
+    def newest(self) -> TimedPlan | None:
+        """The newest plan."""
+        return self._timed
+
+    def _run(self) -> None:
+        self._planning.run(self._take, self._publish, self._stop.is_set)
+
+    def _take(self) -> Sighting | None:
+        sighting = self._sighting
+        if sighting is self._taken:
+            return None
+        self._taken = sighting
+        return sighting
+
+    def _publish(self, timed: TimedPlan) -> None:
+        self._timed = timed

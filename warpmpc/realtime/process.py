@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planning loop in a process of its own, which is started again when it dies."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from ..compiling import native_output
+from ..model.compiled import CompiledScene, compile_scene
+from ..scene.errors import SceneError
+from ..task.task import Task, task_layout
+from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
+from .mailbox import Mailbox
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from ..cost.term import UserTerm
+    from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
+
+MakeTerms = Callable[[], "Sequence[UserTerm]"]
+"""Makes users' cost terms in the planner's process, such as ``functools.partial(warpmpc.load_terms, ["cost.py"])``."""
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What the process is to plan with."""
+
+    scene: Scene
+    seed: int
+    engine: str
+    device: str
+    terms: MakeTerms | None
+    speed: float
+    knots: int
+
+
+class PlannerProcess:
+    """Plans in another process, so that the robot's loop never waits for a plan, nor for Python's lock.
+
+    The processes share memory for observations and plans, nothing else. One that dies is started again. Programs that
+    use it have their entry below ``if __name__ == "__main__":``, as with all processes that are spawned.
+
+        >>> with warpmpc.PlannerProcess(scene) as planner:
+        ...     warpmpc.RobotLoop(scene, robot, planner).run(until=lambda: robot.done)
+
+    Args:
+        scene: The scene.
+        seed: Seed of the controller.
+        engine: Engine of the roll-outs, as for :class:`~warpmpc.Controller`.
+        device: Device of the roll-outs, as for :class:`~warpmpc.Controller`.
+        terms: Makes users' cost terms in that process.
+        task: What the run wants: what is changed there takes effect at the next plan; one of its own if None.
+        compiled: The scene compiled earlier, to save doing it again.
+        speed: The robot's seconds in a second of wall time.
+
+    Raises:
+        SceneError: If the scene has point clouds: they do not travel between processes yet.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        engine: str = "auto",
+        device: str = "auto",
+        terms: MakeTerms | None = None,
+        task: Task | None = None,
+        compiled: CompiledScene | None = None,
+        speed: float = 1.0,
+    ):
+        if scene.cloud:
+            message = "point clouds do not travel between processes yet: run the scene without --real-time"
+            raise SceneError(message, key="cloud", file=scene.path)
+        self.scene, self.task = scene, task or Task(scene)
+        self.compiled = compiled or compile_scene(scene)
+        self.layout = task_layout(self.compiled.layout, scene)
+        knots = max(scene.planner.knots or 0, scene.planner.horizon)
+        self._order = _Order(scene, seed, engine, device, terms, speed, knots)
+        self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
+        self._sightings = SightingCodec(self.layout, self.task.block.shape[1])
+        self._plans = PlanCodec(self.layout, scene.planner.spline, knots)
+        self._seen = Mailbox(self._context, self._sightings.capacity)
+        self._planned = Mailbox(self._context, self._plans.capacity)
+        self._timed: TimedPlan | None = None
+        self._closed = threading.Event()
+
+    def __enter__(self) -> PlannerProcess:
+        """Start, and wait until it has planned once.
+
+        Raises:
+            SceneError: If the scene is wrong.
+            ValueError: If the engine or device is unknown or not to be had here.
+            RuntimeError: If the process died.
+        """
+        self._start()
+        try:
+            self._await()
+        except BaseException:
+            self._process.kill()
+            raise
+        self._keeper = threading.Thread(target=self._keep, daemon=True)
+        self._keeper.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._closed.set()
+        self._process.kill()
+        self._keeper.join()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the planner, for a look at it."""
+        return self._process.pid
+
+    def observe(self, sighting: Sighting) -> None:
+        """Hand over an observation, with the task as it is; the one before is forgotten."""
+        self._seen.write(self._sightings.encode(replace(sighting, task=self.task.block[0])))
+
+    def newest(self) -> TimedPlan | None:
+        """The newest plan."""
+        letter = self._planned.read()
+        if letter is not None:
+            self._timed = self._plans.decode(letter)
+        return self._timed
+
+    def _start(self) -> None:
+        self._ready, theirs = self._context.Pipe(duplex=False)
+        arguments = (self._order, self._seen, self._planned, theirs)
+        self._process = self._context.Process(target=_plan, args=arguments, daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def _await(self) -> None:
+        """Wait until the process plans, or raise what kept it from that."""
+        try:
+            failed = self._ready.recv()
+        except EOFError:
+            raise RuntimeError("the planner's process died before its first plan") from None
+        if failed is not None:
+            raise failed
+
+    def _keep(self) -> None:
+        """Start the process again whenever it dies."""
+        while True:
+            self._process.join()
+            if self._closed.is_set():
+                return
+            logger.warning("the planner's process died (exit code %s); starting another", self._process.exitcode)
+            self._start()
+            try:
+                self._await()
+            except Exception as error:
+                if not self._closed.is_set():
+                    logger.error("the planner does not start again: %s", error)
+                return
+
+
+def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection) -> None:
+    """What the process does: it is silent, leaves Ctrl-C to its parent and does not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
+    logger.setLevel(logging.ERROR)  # what plans come to, the agent says
+    parent = multiprocessing.parent_process()
+    try:
+        with native_output():  # Warp complains about a missing GPU
+            wp.config.log_level = wp.LOG_WARNING
+            wp.init()
+        from ..controller.controller import Controller
+        from .planning import Planning
+
+        terms = order.terms() if order.terms else ()
+        scene = order.scene
+        controller = Controller(scene, engine=order.engine, device=order.device, seed=order.seed, terms=terms)
+        task = controller.task.block.shape[1]
+        sightings = SightingCodec(controller.layout, task)
+        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots)
+        planning = Planning(controller, speed=order.speed)
+        ready.send(None)
+    except Exception as error:
+        ready.send(error)
+        return
+
+    def newest() -> Sighting | None:
+        letter = seen.read()
+        return None if letter is None else sightings.decode(letter)
+
+    def publish(timed: TimedPlan) -> None:
+        planned.write(plans.encode(timed))
+
+    planning.run(newest, publish, lambda: not parent.is_alive())

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated plant as a robot that takes commands at the agent's rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from ..model.compiled import CompiledScene, compile_scene
+from ..plant.simulated import SUBSTEPS, Plant
+
+if TYPE_CHECKING:
+    from ..cost.term import UserTerm
+    from ..scene.schema import Scene
+    from ..task.task import Task
+
+
+def simulated_robot(
+    scene: Scene,
+    *,
+    seed: int = 0,
+    task: Task | None = None,
+    terms: Sequence[UserTerm] = (),
+    compiled: CompiledScene | None = None,
+) -> Plant:
+    """The scene's plant, moved on by one tick of ``agent.rate`` with every command; physics steps are not longer.
+
+    Args:
+        scene: The scene.
+        seed: Seed of the plant's properties and noise.
+        task: What the run wants, shared with the planner (``planner.task``); one of its own if None.
+        terms: Users' own cost terms that success or phases name.
+        compiled: The scene compiled earlier, to save doing it again.
+
+    Raises:
+        SceneError: As :class:`~warpmpc.Plant`.
+    """
+    compiled = compiled or compile_scene(scene)
+    timing, tick = scene.timing, 1.0 / scene.agent.rate
+    physics = timing.control_dt / compiled.substeps(scene.plant.substeps, timing.control_dt, SUBSTEPS)
+    faster = scene.model_copy(
+        update={
+            "timing": timing.model_copy(update={"control_dt": tick}),
+            "plant": scene.plant.model_copy(update={"substeps": math.ceil(tick / physics - 1e-6)}),
+        }
+    )
+    return Plant(faster, seed=seed, task=task, terms=terms, compiled=compiled)

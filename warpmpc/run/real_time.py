@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One episode in real time: the planner in a process of its own, the simulated plant here, neither waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..realtime.loop import RealTimeReport, RobotLoop
+from ..realtime.process import MakeTerms, PlannerProcess
+from ..realtime.robot import simulated_robot
+from ..scene.draw import draw_task
+from .choose_engine import choose_engine, with_samples
+from .episode import compile_shared, plain
+from .fit_samples import fit_samples
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealTimeResult:
+    """What became of one episode in real time."""
+
+    scene: str
+    variant: str | None
+    seed: int
+    success: bool
+    reason: str
+    """Why it ended: ``goal reached``, ``timeout``, ``the plant's physics diverged`` or ``interrupted``."""
+    sim_time: float
+    """Simulated time [s]."""
+    speed: float
+    """Simulated seconds in a second of wall time that were asked for."""
+    wall_time: float
+    """Wall time [s]."""
+    period: float
+    """Length of a planned control [s]."""
+    report: RealTimeReport
+    """Rates, jitter, latencies, faults."""
+
+    @property
+    def needed_speed(self) -> float | None:
+        """Speed at which a plan would be ready for every control; None without a plan."""
+        return self.report.plan_rate * self.period if self.report.plans else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as data for JSON: plain types, units in the keys."""
+        report = self.report
+        return plain(
+            {
+                "scene": self.scene,
+                "variant": self.variant,
+                "seed": self.seed,
+                "success": self.success,
+                "reason": self.reason,
+                "sim_time_s": self.sim_time,
+                "speed": self.speed,
+                "wall_time_s": self.wall_time,
+                "ticks": report.ticks,
+                "rate_Hz": report.rate,
+                "jitter_ms": report.jitter_ms,
+                "missed_ticks": report.missed,
+                "slipped_s": report.slipped,
+                "plans": report.plans,
+                "plan_rate_Hz": report.plan_rate,
+                "latency_ms": report.latency_ms,
+                "plan_ms": report.plan_ms,
+                "faults": [asdict(fault) for fault in report.faults],
+            }
+        )
+
+
+def run_real_time(
+    scene: Scene,
+    *,
+    seed: int = 0,
+    engine: str = "auto",
+    device: str = "auto",
+    terms: MakeTerms | None = None,
+    speed: float = 1.0,
+    check: Callable[[], None] = lambda: None,
+) -> RealTimeResult:
+    """Run one episode of a scene in real time, with the planner in a process of its own.
+
+    Args:
+        scene: The scene; what its ``randomize_task`` names is drawn from the seed.
+        seed: Seed of the task, of the controller's noise and of the plant's properties.
+        engine: Engine of the roll-outs, as for :class:`~warpmpc.Controller`.
+        device: Device of the roll-outs, as for :class:`~warpmpc.Controller`.
+        terms: Makes users' cost terms, here and in the planner's process.
+        speed: Simulated seconds in a second of wall time.
+        check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
+
+    Raises:
+        SceneError: If the scene names anything that does not exist, or has point clouds.
+        ValueError: If the speed is no positive number, or the engine or device is not to be had here.
+    """
+    if not 0.0 < speed < float("inf"):
+        raise ValueError(f"the speed is a positive number, not {speed}")
+    made = tuple(terms()) if terms else ()
+    shared = compile_shared(scene)
+    engine, device = choose_engine(scene, engine=engine, device=device, terms=made, compiled=shared)
+    fitted = fit_samples(scene, engine=engine, device=device, terms=made, compiled=shared)
+    drawn = with_samples(draw_task(scene, seed)[0], fitted.planner.samples)
+    options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
+    with PlannerProcess(drawn, speed=speed, **options) as planner:
+        robot = simulated_robot(drawn, seed=seed, task=planner.task, terms=made, compiled=planner.compiled)
+        loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True)
+
+        def over() -> bool:
+            check()
+            return robot.done
+
+        reason = None
+        try:
+            loop.run(over)
+        except KeyboardInterrupt:
+            reason = "interrupted"
+        report = loop.report()
+    return RealTimeResult(
+        scene=scene.name,
+        variant=scene.variant,
+        seed=seed,
+        success=robot.success,
+        reason=robot.reason if robot.success else reason or robot.reason,
+        sim_time=robot.time,
+        speed=speed,
+        wall_time=loop.wall,
+        period=scene.timing.control_dt,
+        report=report,
+    )

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The type of what follows plans in real time, at a rate of its own, and when it does not trust them."""
+
+from __future__ import annotations
+
+from .types import Flag, Positive, Positives, Section
+
+
+class AgentSettings(Section):
+    """The agent follows the newest plan in real time and sends the safe command where it cannot be trusted."""
+
+    rate: Positive = 500.0
+    """How often it observes and commands the robot [Hz]."""
+    plan_timeout: Positive = 0.09
+    """Age beyond which the newest plan is not followed any more [s]."""
+    observation_timeout: Positive = 0.05
+    """Age beyond which an observation is not believed any more, or time for which a moving robot may show the same
+    joint positions [s]."""
+    slew: Positives | None = None
+    """Largest change of the controls per second, one value or one per control [control unit/s]; any when left out.
+    Holds whatever the planner says, for the safe command, too."""
+    compensate: Flag = True
+    """Whether observations are predicted forward by the time that a plan takes."""
