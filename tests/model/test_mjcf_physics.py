@@ -93,8 +93,10 @@ def test_a_force_range_of_nothing_limits_nothing(compiled):
         ("", inertial('diaginertia="0 0 0"'), r"'arm' \(line 3\): it moves, and its mass or an inertia"),
         ('limited="true"', BALL, r"'swing' \(line 3\): its range must begin below its end: mend range, or"),
         ('actuatorfrclimited="true" actuatorfrcrange="2 1"', BALL, r"'swing' \(line 3\): its actuatorfrcrange must"),
+        ('axis="0 0 0"', BALL, r"'swing' \(line 3\): its axis has no length"),
+        ("", '<geom name="ball" size="-1"/>', r"'ball' \(line 3\): its sizes must be above zero"),
     ],
-    ids=["no mass", "no inertia", "no range", "force range reversed"],
+    ids=["no mass", "no inertia", "no range", "force range reversed", "no axis", "negative size"],
 )
 def test_what_mujoco_refuses_is_said_with_file_line_and_cure(compiled, joint, arm, says):
     with pytest.raises(SceneError, match=says) as caught:
@@ -102,3 +104,10 @@ def test_what_mujoco_refuses_is_said_with_file_line_and_cure(compiled, joint, ar
     assert "arm.xml" in str(caught.value)
     assert "mjMINVAL" not in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("what", ["ctrl", "force"])
+def test_a_range_of_an_actuator_that_is_reversed_is_said_with_its_name_and_cure(compiled, what):
+    motor = f'<motor name="second" joint="swing" {what}limited="true" {what}range="1 -1"/>'
+    with pytest.raises(SceneError, match=rf"'second' \(line \d\): its {what}range must begin below its end"):
+        compiled(more=f"<actuator>{motor}</actuator>")

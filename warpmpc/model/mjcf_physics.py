@@ -26,6 +26,10 @@ _CURES = {
     "actfrcrange[0] should be smaller than actfrcrange[1]": (
         "its actuatorfrcrange must begin below its end: mend it, or leave actuatorfrclimited out where it has none"
     ),
+    "axis too small": "its axis has no length: give it one",
+    "must be positive in geom": "its sizes must be above zero: mend size",
+    "invalid control range": "its ctrlrange must begin below its end: mend it, or leave ctrllimited out",
+    "invalid force range": "its forcerange must begin below its end: mend it, or leave forcelimited out",
 }
 """What MuJoCo says of an element → what is wrong and what to do about it."""
 _ELEMENT = re.compile(r"^(.*?);? Element name '([^']*)', id \d+(?:, line (\d+))?", re.DOTALL)
