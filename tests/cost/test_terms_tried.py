@@ -154,11 +154,23 @@ def test_a_loop_that_does_not_end_is_named_by_its_line(monkeypatch):
         tried(endless)
     number = int(re.search(r"py:(\d+)", str(raised.value))[1])
     assert number - first in (3, 4)
+    monkeypatch.setattr(trial, "LONGEST_FIRST", 0.5)
     first = line(endless_array, "")
     with pytest.raises(SceneError, match=r"cost\.endless_array: .*this takes too long") as raised:
         tried(warpmpc.array_cost("endless_array")(endless_array))
     assert int(re.search(r"py:(\d+)", str(raised.value))[1]) - first in (2, 3)
     assert "\n" not in str(raised.value)
+
+
+def test_the_first_call_of_an_array_cost_may_prepare_what_it_needs(monkeypatch):
+    monkeypatch.setattr(trial, "LONGEST", 0.2)
+
+    def late(batch):
+        for _ in range(8):
+            time.sleep(0.05)  # as long as an import, piece by piece
+        return np.zeros(batch["control"].shape[:2])
+
+    tried(warpmpc.array_cost("late")(late))
 
 
 def test_a_time_that_is_enough_changes_nothing(monkeypatch):

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 SAMPLES, STEPS = 4, 2
 """Rollouts of an environment, the first of which stays at the start, and their steps."""
 LONGEST = 5.0
-"""How long a term may take in Python for one step of one world, or over the arrays of the trial [s]: far longer than
-any that a plan could wait for."""
+"""How long a term may take in Python for one step of one world [s]: far longer than any that a plan could wait for."""
+LONGEST_FIRST = 60.0
+"""How long a term over whole arrays may take [s]: its first call may import or compile what it computes with."""
 
 
 def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
@@ -63,7 +64,7 @@ def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
     for i in users:
         term, label = stack.terms[i][0], stack.labels[i]
         if isinstance(term, ArrayCost):
-            judge.evaluate_array(i, longest=LONGEST)
+            judge.evaluate_array(i, longest=LONGEST_FIRST)
         value = judge.cost.numpy()[i]
         if not np.isfinite(value[:, :: shape.rollouts]).all():
             found = "NaN" if np.isnan(value[:, :: shape.rollouts]).any() else "infinite"
