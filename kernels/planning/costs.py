@@ -207,3 +207,25 @@ def risk_kernel(
     e = at // sample_cost.shape[1]
     risk = sample_risk(rollout_cost, at * domains, domains, mode, alpha)
     sample_cost[e, at % sample_cost.shape[1]] = wp.where(observed[e] != 0, risk, wp.inf)
+
+
+@wp.kernel
+def weigh_values_kernel(
+    # inputs
+    value: wp.array2d[float],  # [T, W] what a term over whole arrays returned
+    weight: wp.array2d[float],  # [E, term]
+    term: int,
+    terminal: float,  # factor on the last step
+    rollouts: int,  # worlds of an environment
+    # outputs
+    cost: wp.array3d[float],  # [term, T, W]
+):
+    """One thread: the cost of one step of one world; a term without weight is off, whatever it says."""
+    t, w = wp.tid()
+    factor = weight[w // rollouts, term]
+    total = float(0.0)
+    if factor != 0.0:
+        total = value[t, w] * factor
+        if t == cost.shape[1] - 1:
+            total *= terminal
+    cost[term, t, w] = total

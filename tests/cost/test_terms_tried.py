@@ -3,6 +3,12 @@
 
 import inspect
 import logging
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +18,7 @@ from small_scenes import compiled, make_scene
 
 import warpmpc
 from warpmpc import SceneError
+from warpmpc.cost import trial
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.state import State
 
@@ -87,6 +94,37 @@ def root(s: warpmpc.StepView, p: Params) -> float:
     return wp.sqrt(-p.gain)
 
 
+@warpmpc.cost_term("endless")
+def endless(s: warpmpc.StepView, p: Params) -> float:
+    total = float(0.0)  # noqa: UP018
+    while total < p.gain:
+        total += 0.0 * p.gain
+    return total
+
+
+@wp.struct
+class Counter:
+    i: int
+
+
+@warpmpc.cost_term("endless_native")
+def endless_native(s: warpmpc.StepView, p: Params) -> float:
+    counter = Counter()
+    total = float(1.0)  # noqa: UP018
+    while counter.i < p.count:  # Python is not asked about functions that set fields
+        counter.i = counter.i - counter.i
+        total = wp.sin(total)
+        s.memory[0, 0, 0] = total
+    return total
+
+
+def endless_array(batch):
+    value = 0.0
+    while value < 1.0:
+        value *= 1.0
+    return np.zeros(batch["control"].shape[:2])
+
+
 def raising(batch):
     return batch["joint_q"][1:, :, 77]  # here
 
@@ -127,6 +165,51 @@ def test_a_mistake_is_one_line_that_names_file_and_line(own, marker, says, capfd
         tried(own)
     assert "\n" not in str(raised.value)
     assert "error" not in capfd.readouterr().err  # no compiler has its say
+
+
+def test_a_loop_that_does_not_end_is_named_by_its_line(monkeypatch):
+    monkeypatch.setattr(trial, "LONGEST", 0.5)
+    first = line(endless.function.func, "")
+    with pytest.raises(SceneError, match=r"cost\.endless: .*test_terms_tried\.py:(\d+): this takes too long") as raised:
+        tried(endless)
+    number = int(re.search(r"py:(\d+)", str(raised.value))[1])
+    assert number - first in (3, 4)
+    first = line(endless_array, "")
+    with pytest.raises(SceneError, match=r"cost\.endless_array: .*this takes too long") as raised:
+        tried(warpmpc.array_cost("endless_array")(endless_array))
+    assert int(re.search(r"py:(\d+)", str(raised.value))[1]) - first in (2, 3)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_time_that_is_enough_changes_nothing(monkeypatch):
+    monkeypatch.setattr(trial, "LONGEST", 1.0)
+    tried(before)
+    time.sleep(1.2)  # nothing is raised later
+
+
+ENDLESS = """
+import time
+from test_terms_tried import SceneError, endless_native, tried, trial
+trial.LONGEST = 1.0
+try:
+    tried(endless_native)
+except SceneError as error:
+    print(error)
+"""
+
+
+def test_a_kernel_that_does_not_end_is_left():
+    done = subprocess.run(
+        [sys.executable, "-c", ENDLESS],
+        cwd="/",
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "cost.endless_native: " in done.stdout
+    assert f"test_terms_tried.py:{line(endless_native.function.func, '')}: this takes too long" in done.stdout
+    assert done.returncode == 0
 
 
 def test_an_index_in_a_function_that_a_term_calls_is_named_there():

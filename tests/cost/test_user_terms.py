@@ -130,6 +130,27 @@ def test_an_array_cost_of_the_wrong_shape_is_refused():
         Rollouts({"term": "flat"}, terms=[flat]).cost()
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
+def test_an_array_cost_is_weighed_by_environment_and_step_and_without_weight_it_is_off(device):
+    if device != "cpu" and not wp.is_cuda_available():
+        pytest.skip("needs a CUDA device")
+
+    def counting(batch):
+        steps, worlds = batch["control"].shape[:2]
+        value = np.arange(steps * worlds, dtype=np.float32).reshape(steps, worlds)
+        if steps == 3:  # no trial
+            value[1, :4] = np.nan
+        return value if device == "cpu" else wp.array(value, dtype=float, device=device)
+
+    scene = make_scene(cost=[{"term": "counting", "terminal": 3.0}], planner={"samples": 4, "horizon": 3})
+    judging = Judging(scene, BatchSize(2, 4, 1, 3), terms=[warpmpc.array_cost("counting")(counting)], device=device)
+    judging.state.weight.assign(np.array([[0.0], [2.0]], np.float32))
+    expected = 2.0 * np.arange(24.0).reshape(3, 8)
+    expected[2] *= 3.0
+    expected[:, :4] = 0.0
+    np.testing.assert_allclose(judging.cost()[0], expected)
+
+
 @wp.struct
 class ClockParams:
     frame: int

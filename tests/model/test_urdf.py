@@ -223,9 +223,7 @@ def test_links_that_form_a_loop_are_refused_by_name(tmp_path):
     links = "".join(f"<link name='{name}'>{BALL}</link>" for name in ("elbow", "wrist"))
     joints = joint("arm") + joint("elbow", parent="arm") + joint("wrist", parent="elbow")
     closing = joint("elbow", parent="wrist").replace("to_elbow", "closing")
-    with pytest.raises(
-        SceneError, match=r"r\.urdf: links ('wrist' → 'elbow' → 'wrist'|'elbow' → 'wrist' → 'elbow') form"
-    ):
+    with pytest.raises(SceneError, match=r"links '(wrist' → 'elbow' → 'wrist|elbow' → 'wrist' → 'elbow)' form"):
         compile_scene(scene(tmp_path, joints=joints + closing, links=links))
     loose = joint("elbow", parent="wrist") + joint("wrist", parent="elbow")  # without a root
     with pytest.raises(SceneError, match="form a loop of joints, but a URDF is a tree: take one"):

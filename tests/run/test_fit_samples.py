@@ -5,6 +5,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 import warpmpc
+from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.run import fit_samples as module
 from warpmpc.run.episode import Episode
 from warpmpc.run.fit_samples import FEWEST, MOST, SHARE, fit_samples, most_samples
@@ -73,6 +74,29 @@ def test_a_controller_does_not_measure():
     scene = make_scene(planner=OPEN)
     with pytest.raises(SceneError, match=r"planner\.samples: a controller does not measure: warpmpc\.fit_samples"):
         warpmpc.Controller(scene, compiled=compiled(scene))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "steps"),
+    [([], 25), (["timing.control_dt=0.02"], 50), (["planner.dt=0.3"], 4), (["planner.dt=[0.1,0.2,0.2]"], 3)],
+)
+def test_a_horizon_that_is_left_open_looks_a_second_ahead(overrides, steps):
+    scene = load_scene("panda_reach_pose", overrides=["planner.horizon=auto", *overrides])
+    assert scene.planner.horizon == steps
+    assert TimeGrid.of(scene).steps == steps
+
+
+def test_a_horizon_and_samples_may_be_open_together(timed):
+    scene = make_scene(planner={"samples": "auto", "horizon": "auto"})
+    found = fit_samples(scene, compiled=compiled(scene))
+    assert (found.planner.horizon, type(found.planner.samples)) == (25, int)
+
+
+def test_an_open_horizon_of_steps_that_grow_is_refused():
+    with pytest.raises(SceneError, match=r'planner: horizon = "auto" does not go with steps that grow'):
+        load_scene("storm_reach", overrides=["planner.horizon=auto"])
+    with pytest.raises(SceneError, match=r"planner\.horizon: no such choice; found 'far'; allowed: auto"):
+        load_scene("storm_reach", overrides=["planner.horizon=far"])
 
 
 def test_a_file_may_leave_it_open():

@@ -93,7 +93,7 @@ def test_a_session_of_the_users_own_goes_on_without_the_calls(cluster, tmp_path)
     with contextlib.chdir("/"):  # else nodes import warpmpc from the folder of the tests
         ray.init(address=cluster.address, log_to_driver=False)
     try:
-        with pytest.raises(ValueError, match="has joined the cluster at .*, not the one at 127.0.0.1:1"):
+        with pytest.raises(ValueError, match=r"has joined the cluster at .*, not the one at 127\.0\.0\.1:1"):
             RayWorkers("127.0.0.1:1")
         marks = [tmp_path / name for name in "ab"]
         with RayWorkers(cluster.address) as workers:

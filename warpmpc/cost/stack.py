@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
+from ..kernels.planning.costs import weigh_values_kernel
 from ..kernels.terms.view import StepView
 from ..launch import Launcher
 from ..model.joints import joint_table
@@ -17,6 +19,7 @@ from ..scene.errors import SceneError
 from .binding import Binding
 from .blame import complaint, raised
 from .builtin import BUILTIN
+from .deadline import deadline
 from .kernel import JudgeCode, judge_code
 from .term import ArrayCost, CostTerm, UserTerm
 from .trial import try_terms
@@ -226,11 +229,12 @@ class Judge:
             if isinstance(term, ArrayCost):
                 self.evaluate_array(i)
 
-    def evaluate_array(self, i: int) -> None:
+    def evaluate_array(self, i: int, *, longest: float | None = None) -> None:
         """Evaluate a term over whole arrays.
 
         Args:
             i: Which of the stack's terms.
+            longest: How long its function may take [s]; any time if None.
 
         Raises:
             SceneError: If its function raises, or returns anything but an array of numbers ``[T, W]``.
@@ -252,7 +256,8 @@ class Judge:
         if device == "cpu":
             batch = {name: array.numpy() for name, array in batch.items()}
         try:
-            value = term.function({**batch, "params": params})
+            with nullcontext() if longest is None else deadline(longest):
+                value = term.function({**batch, "params": params})
         except Exception as error:
             raise raised(error, label, term, file=file) from error
         wanted = tuple(self.cost.shape[1:])
@@ -263,15 +268,14 @@ class Judge:
             found = tuple(value.shape)
             what = f"this cost term returned an array of the wrong shape, {found} in place of [T, W] = {wanted}"
             raise complaint(label, term, what, file=file)
-        weight = np.repeat(self._state.weight.numpy()[:, i], self.shape.rollouts)
-        factor = np.ones((len(self.cost[i]), 1), dtype=np.float32)
-        factor[-1] = self.stack.terminal[i]
         if device == "cpu":
             if np.asarray(value).dtype.kind not in "fiub":
                 what = f"an array cost returns real numbers, this one returned {np.asarray(value).dtype}"
                 raise complaint(label, term, what, file=file)
-            value = np.where(weight == 0.0, 0.0, np.asarray(value, dtype=np.float32))  # without weight it is off
-            self.cost[i].assign((value * weight * factor).astype(np.float32))
+            value = wp.array(value, dtype=float, device=device)
         else:
-            weighted = value * value.new_tensor(weight) * value.new_tensor(factor)
-            wp.copy(self.cost[i], wp.from_dlpack(weighted.contiguous()))
+            value = wp.from_dlpack(value)
+            if value.dtype is not wp.float32:
+                raise complaint(label, term, "on a GPU an array cost returns numbers of type float32", file=file)
+        inputs = [value, self._state.weight, i, self.stack.terminal[i], self.shape.rollouts]
+        self._launch(weigh_values_kernel, wanted, inputs, [self.cost])

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from ..compiling import native_output
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
@@ -13,6 +14,7 @@ from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..task.observed import ObservedState
 from .blame import complaint, raised_at, refused, require_returns
+from .deadline import TooLong, deadline, leave_after
 from .interpret import OutOfRange, as_python, watched
 from .kernel import judge_code
 from .term import ArrayCost, CostTerm
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
 
 SAMPLES, STEPS = 4, 2
 """Rollouts of an environment, the first of which stays at the start, and their steps."""
+LONGEST = 5.0
+"""How long a term may take for one step of one world in Python, or for all worlds of a trial in a kernel or over whole
+arrays [s]: far longer than any that a plan could wait for."""
 
 
 def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
@@ -38,8 +43,8 @@ def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
         users: Which terms of the stack users wrote.
 
     Raises:
-        SceneError: If one cannot be compiled, raises, reads behind the end of what a step has to show, returns anything
-            but numbers or is not finite at the start; it names the user's file and line.
+        SceneError: If one cannot be compiled, raises, does not end, reads behind the end of what a step has to show,
+            returns anything but numbers or is not finite at the start; it names the user's file and line.
     """
     from .stack import Judge  # which calls this
 
@@ -59,7 +64,7 @@ def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
     for i in users:
         term, label = stack.terms[i][0], stack.labels[i]
         if isinstance(term, ArrayCost):
-            judge.evaluate_array(i)
+            judge.evaluate_array(i, longest=LONGEST)
         value = judge.cost.numpy()[i]
         if not np.isfinite(value[:, :: shape.rollouts]).all():
             found = "NaN" if np.isnan(value[:, :: shape.rollouts]).any() else "infinite"
@@ -109,7 +114,17 @@ def _launch(stack: CostStack, scene: Scene, judge: Judge, users: Collection[int]
     said: list[str] = []
     try:
         with native_output() as said:  # a C++ compiler speaks of code that no user has seen
-            judge.launch_with(code, params)
+            for kernel in filter(None, (code.kernel, code.advance_kernel if code.advances else None)):
+                kernel.module.load(stack.device)
+
+            def launch() -> None:
+                judge.launch_with(code, params)
+                wp.synchronize_device(stack.device)
+
+            leave_after(LONGEST, launch)
+    except TooLong as error:
+        i, term, _ = kernels[0]
+        raise complaint(stack.labels[i], term, str(error), file=scene.path) from None
     except Exception as error:
         blamed = refused(error, stack.labels, [term for term, _ in stack.terms], file=scene.path)
         if blamed is None:
@@ -134,8 +149,9 @@ def _watch_indices(stack: CostStack, scene: Scene, step: StepView, users: Collec
                 for w in range(SAMPLES):
                     for t in range(first, STEPS + 1):
                         seen.t, seen.w, seen.e = t, w, 0
-                        run(seen, params)
-            except OutOfRange as error:
+                        with deadline(LONGEST):
+                            run(seen, params)
+            except (OutOfRange, TooLong) as error:
                 where = raised_at(error, (term.written or function).func)
                 raise complaint(stack.labels[i], term, str(error), file=scene.path, where=where) from None
             except Exception:  # something that Python does not know how to do: the kernel will tell

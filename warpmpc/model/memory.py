@@ -31,7 +31,7 @@ def free_memory(device: wp.DeviceLike) -> int:
 
 
 def _page_cache() -> int:
-    """Bytes of files that a container has read and not used since: counted as its own, given up when memory is short."""
+    """Bytes of files that a container has read and not used since: its own, but given up when memory is short."""
     with contextlib.suppress(OSError, ValueError):
         for line in (CGROUP / "memory.stat").read_text().splitlines():
             name, _, value = line.partition(" ")

@@ -17,8 +17,8 @@ _AXES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 _CURES = {
     "mass and inertia of moving bodies must be larger than mjMINVAL": (
-        "it moves, and its mass or an inertia is not above zero: give it an <inertial>, a geom that weighs something, or "
-        "no joint"
+        "it moves, and its mass or an inertia is not above zero: give it an <inertial>, a geom that weighs something, "
+        "or no joint"
     ),
     "range[0] should be smaller than range[1]": (
         "its range must begin below its end: mend range, or leave limited out where it has none"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from .schema_agent import AgentSettings
 from .schema_ancillary import Ancillary
@@ -40,6 +40,7 @@ from .schema_planner import (
     ShareOfRange,
     Solver,
     SplineKind,
+    StepCount,
     Temperature,
 )
 from .schema_plant import Kick, PlantNoise, PlantSettings
@@ -107,6 +108,7 @@ __all__ = [
     "ShareOfRange",
     "Solver",
     "SplineKind",
+    "StepCount",
     "Success",
     "Target",
     "Temperature",
@@ -343,6 +345,13 @@ class Scene(Section):
     """File the scene was read from; relative assets are found beside it."""
     variant: str | None = Field(None, exclude=True)
     """Variant that was applied."""
+
+    @field_validator("planner")
+    @classmethod
+    def _with_horizon(cls, planner: Planner, info: ValidationInfo) -> Planner:
+        if planner.horizon is not StepCount.AUTO or "timing" not in info.data:
+            return planner
+        return planner.model_copy(update={"horizon": planner.steps_ahead(info.data["timing"].control_dt)})
 
     @field_validator("phase")
     @classmethod

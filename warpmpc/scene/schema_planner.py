@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import Annotated
 
@@ -169,6 +170,17 @@ class SampleCount(StrEnum):
     """As many as fit into a control on this machine, measured."""
 
 
+class StepCount(StrEnum):
+    """A number of steps that is not given."""
+
+    AUTO = "auto"
+    """As many as look :data:`AHEAD` ahead."""
+
+
+AHEAD = 1.0
+"""How far ``horizon = "auto"`` looks ahead [s]."""
+
+
 def _number_or_flag(value: object) -> str:
     return "flag" if isinstance(value, bool) else "number"
 
@@ -182,6 +194,9 @@ Kept = Annotated[Annotated[Flag, Tag("flag")] | Annotated[Natural, Tag("number")
 Samples = Annotated[
     Annotated[TwoOrMore, Tag("number")] | Annotated[SampleCount, Tag("text")], Discriminator(_number_or_text)
 ]
+
+
+Horizon = Annotated[Annotated[Count, Tag("number")] | Annotated[StepCount, Tag("text")], Discriminator(_number_or_text)]
 
 
 class Growing(Section):
@@ -226,8 +241,9 @@ class Planner(Section):
     samples: Samples = 256
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
-    horizon: Count = 16
-    """Steps T of a rollout."""
+    horizon: Horizon = 16
+    """Steps T of a rollout, or ``auto``: as many as look 1 s ahead, the median of the shipped scenes, or as ``dt``
+    lists. How far to look is up to the task and not to the machine: ``samples`` alone are measured."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``);
     ``timing.control_dt`` when left out. Longer steps look further ahead at the same price."""
@@ -298,9 +314,17 @@ class Planner(Section):
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:
-        if isinstance(self.dt, tuple) and len(self.dt) not in (1, self.horizon):
+        if self.horizon is StepCount.AUTO:
+            if isinstance(self.dt, Growing):
+                raise ValueError('horizon = "auto" does not go with steps that grow: give horizon a number')
+        elif isinstance(self.dt, tuple) and len(self.dt) not in (1, self.horizon):
             raise ValueError(f"dt has one number, or {self.horizon}: one for each step of the horizon")
         return self
+
+    def steps_ahead(self, control_dt: float) -> int:
+        """The horizon that ``auto`` stands for, with controls of a length [s]."""
+        dt = self.dt or (control_dt,)
+        return len(dt) if len(dt) > 1 else max(1, math.ceil(AHEAD / dt[0] - 1e-9))
 
     @model_validator(mode="after")
     def _domains_differ(self) -> Planner:
