@@ -65,7 +65,7 @@ def test_a_plan_is_for_the_time_at_which_it_is_ready():
 def test_a_late_plan_swings_the_pole_up_sooner_where_its_lateness_is_known():
     scene = load_scene("cartpole_swingup", overrides=["engine.name=fused", "engine.threads=1"])
     times = {
-        compensate: [delayed_episode(scene, latency=0.08, compensate=compensate, seed=seed).time for seed in range(4)]
+        compensate: [delayed_episode(scene, latency=0.12, compensate=compensate, seed=seed).time for seed in range(4)]
         for compensate in (True, False)
     }
     assert np.mean(times[True]) < np.mean(times[False])

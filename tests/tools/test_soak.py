@@ -19,10 +19,10 @@ def test_memory_that_grows_and_plans_that_slow_down_are_found():
 
 
 @pytest.mark.slow
-def test_ten_thousand_plans_leave_memory_as_it_is():
+def test_thousands_of_plans_leave_memory_as_it_is():
     scene = make_scene(engine={"threads": 1}, timing={"control_dt": 0.04, "timeout": 2.0})
-    tenths = list(soak.soak(scene, 10_000))
-    assert [tenth.plans for tenth in tenths] == list(range(1000, 10_001, 1000))
+    tenths = list(soak.soak(scene, 3000))
+    assert [tenth.plans for tenth in tenths] == list(range(300, 3001, 300))
     assert all(0.0 < tenth.p50 <= tenth.p99 <= tenth.worst for tenth in tenths)
     assert soak.complaints(tenths, growth=5.0, slower=float("inf")) == []  # cores are shared: times are not judged
     assert tenths[-1].faults == 0
