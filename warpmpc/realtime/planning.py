@@ -31,12 +31,13 @@ class Planning:
     Args:
         controller: Makes the plans, of one environment.
         speed: The robot's seconds in a second of wall time.
+        latency: Time from observation to plan to expect, on the robot's clock [s]; as it is measured if None.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0):
+    def __init__(self, controller: Controller, *, speed: float = 1.0, latency: float | None = None):
         if controller.envs != 1:
             raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
-        self.controller, self._speed = controller, speed
+        self.controller, self._speed, self._given = controller, speed, latency
         scene = controller.scene
         self._longest = scene.planner.horizon * scene.timing.control_dt  # farther no plan reaches
         self._predict = None
@@ -57,6 +58,8 @@ class Planning:
     @property
     def latency(self) -> float:
         """Time from observation to plan that is expected next, on the robot's clock [s]."""
+        if self._given is not None:
+            return self._given
         return float(np.median(self._latencies)) if self._latencies else 0.0
 
     def plan(self, sighting: Sighting) -> TimedPlan | None:

@@ -48,8 +48,8 @@ class Predictor:
             self._engine = MujocoEngine(
                 compiled,
                 BatchSize(1, 1, 1, 1),
-                substeps=[1],
-                timestep=self.dt,
+                substeps=[2],  # a world that blows up is found by the physics step after
+                timestep=0.5 * self.dt,
                 threads=1,
                 options=Options.of(scene.engine),
             )
@@ -69,11 +69,14 @@ class Predictor:
             self._set(state)
             engine.clone(self._observed)
             steps = math.ceil(duration / self.dt - 1e-6)
+            diverged = False
             for k in range(steps):
                 out.control.numpy()[0, 0] = control(state.time + k * self.dt)
                 engine.run(self._step)
                 engine.initial[0] = engine.state[0, -1]
-        if steps < 1 or out.diverged.numpy()[0]:
+                engine.initial[0, 0] = 0.0  # steps that take other than their time count as diverged
+                diverged |= bool(out.diverged.numpy()[0])
+        if steps < 1 or diverged:
             return state
         q, qd, act = (array.numpy()[1, 0].copy() for array in (out.joint_q, out.joint_qd, out.act))
         if not all(np.isfinite(part).all() for part in (q, qd, act)):

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``warpmpc run --real-time``: what it reports, and what it refuses."""
+
+import pytest
+from program import SCENE, results, warpmpc
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "push.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
+    # slowed down, and with patience: tests share their cores with others
+    slow = ["--speed", "0.1", "--set", "timing.timeout=0.4", "--set", "agent.plan_timeout=0.3", "--engine", "mujoco"]
+    done = warpmpc("run", scene, "--real-time", *slow, "--set", "engine.threads=1", "--json")
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == ""
+    (result,) = results(done)
+    assert (result["success"], result["reason"], result["speed"]) == (False, "timeout", 0.1)
+    assert result["ticks"] == pytest.approx(200, abs=2)
+    assert result["wall_time_s"] >= 3.9
+    assert result["plans"] > 5
+    assert result["plan_rate_Hz"] == pytest.approx(result["plans"] / result["wall_time_s"], rel=1e-3)
+    assert 0.0 < result["latency_ms"]["p50"] <= result["latency_ms"]["max"]
+    assert result["jitter_ms"]["p50"] < 20.0
+    assert result["faults"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--real-time", "--envs", "4"], "--envs: not with --real-time"),
+        (["--real-time", "--csv", "run.csv", "--jobs", "2"], "--csv, --jobs: not with --real-time"),
+        (["--speed", "0.5"], "goes with --real-time"),
+        (["--real-time", "--speed", "2"], "should be less than or equal to 1"),
+    ],
+)
+def test_what_does_not_go_with_real_time_is_refused(scene, options, message):
+    done = warpmpc("run", scene, *options)
+    assert done.returncode == 2
+    assert message in " ".join(done.stderr.split())
+
+
+def test_point_clouds_are_refused_by_their_key(tmp_path):
+    done = warpmpc("run", "storm_cloud", "--real-time", folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("error: ")
+    assert "cloud: point clouds do not travel between processes yet" in done.stderr
