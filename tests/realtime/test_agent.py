@@ -195,6 +195,24 @@ def test_a_plan_that_is_replaced_is_followed_from_its_own_times():
     np.testing.assert_allclose(agent.command(later, timed, 2.08), 0.08, atol=1e-6)
 
 
+def test_a_plan_that_comes_after_its_own_end_is_not_followed(caplog):
+    loop, robot, planner = drill()
+    sighting, planner.stalled = planner.sightings[-1], True
+    ticks(loop, 1000)  # the planner stalls for two seconds over a plan for the one that follows the sighting
+    before, begin = planner.newest(), robot.plant.time
+    plan = replace(before.plan, times=sighting.state.time + np.array([0.0, 1.0]))
+    planner._timed = replace(before, plan=plan, number=before.number + 1, observed=sighting.state.time, latency=2.0)
+    caplog.clear()
+    ticks(loop, 20)
+    assert not any(control.any() for time, control in robot.sent if time >= begin)
+    assert not loop.agent.following
+    mend(robot, planner)
+    ticks(loop, 20)
+    assert loop.agent.following
+    assert len(loop.agent.faults) == 1
+    assert ["following the plan again" in line for line in caplog.messages] == [True]
+
+
 def test_a_robot_that_rests_is_not_taken_for_frozen():
     scene = make_scene()
     agent = Agent(scene, layout_of(scene))

@@ -110,6 +110,9 @@ class Watchdog:
             return FaultKind.PLAN_DIVERGED, "every rollout diverged"
         if now - self._received > self._settings.plan_timeout + SLACK:
             return FaultKind.PLAN_MISSING, f"there is no plan for {now - self._received:.3f} s"
+        past = now - float(timed.plan.times[-1])
+        if past > self._settings.plan_timeout + SLACK:  # it came, but of a planner that stalled while it made it
+            return FaultKind.PLAN_MISSING, f"the newest plan is over since {past:.3f} s"
         knots, layout = timed.plan.knots, self._layout
         if not np.isfinite(knots).all():
             return FaultKind.PLAN_INVALID, "the plan is not finite"
