@@ -50,7 +50,7 @@ class Drawing:
         @server.on_client_connect
         def _look(client: viser.ClientHandle) -> None:
             client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = tuple(centre + radius * np.array([-1.3, -1.5, 1.5]))
+            client.camera.position = tuple(centre + radius * np.array([-0.7, -1.1, 1.0]))
             client.camera.look_at = tuple(centre)
 
     def draw(self) -> None:

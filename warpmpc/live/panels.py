@@ -30,11 +30,11 @@ class Panels:
         self._running()
         with self._gui.add_folder("Weights"):
             for name in session.controller.task.weight_name:
-                self._value(name, session.scene.path is not None)
+                self._value(name)
         if session.controller.task.scalar_name:
             with self._gui.add_folder("Scalars"):
                 for name in session.controller.task.scalar_name:
-                    self._value(name, True)
+                    self._value(name)
         with self._gui.add_folder("Planner"):
             self._planner()
         with self._gui.add_folder("Save"):
@@ -53,18 +53,18 @@ class Panels:
         pace.on_update(lambda _: setattr(session, "pace", float(pace.value)))
         planning.on_update(lambda _: session.plan_or_not(planning.value))
 
-    def _value(self, name: str, _: bool) -> None:
+    def _value(self, name: str) -> None:
         """A slider from zero to four times the value."""
         session = self._session
-        value = float(session.controller.task[name])
+        value = float(f"{session.controller.task[name]:.6g}")  # of a float32
         low, high = (0.0, 4.0 * value) if value > 0.0 else (4.0 * value, 1.0)
-        step = (high - low) / 400.0
+        step = float(f"{(high - low) / 400.0:.6g}")
         slider = self._gui.add_slider(name, low, high, step, value)
         slider.on_update(lambda _: session.set_value(name, float(slider.value)))
 
     def _planner(self) -> None:
         gui, planner = self._gui, self._session.scene.planner
-        method = gui.add_dropdown("Method", tuple(Method), str(planner.method))
+        method = gui.add_dropdown("Method", tuple(m.value for m in Method), initial_value=planner.method.value)
         self._rebuilds(method, "planner.method", lambda: f'"{method.value}"')
         samples = gui.add_number("Samples", int(planner.samples), min=2, step=1)
         self._rebuilds(samples, "planner.samples", lambda: str(int(samples.value)))
