@@ -61,7 +61,7 @@ def opened(browser, port):
 
 
 def click(page, name):
-    page.get_by_role("button", name=name, exact=True).click(timeout=WAIT, no_wait_after=True)
+    page.get_by_role("button", name=name, exact=True).dispatch_event("click", timeout=WAIT)
 
 
 def test_the_page_steers_the_session_and_tabs_come_and_go(served, browser):

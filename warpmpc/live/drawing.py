@@ -87,7 +87,7 @@ class Drawing:
         self._draw_goal(plant, layout)
         self._points = [ContactPoints(layout, pair.first, pair.second) for pair in plant.pairs]
         self._lines: dict[str, object] = {}
-        self._episode = snapshot.episode
+        self._ways = None
 
     def _add(self, name: str, shape: ShapeInfo, layout: Layout, pose: np.ndarray, opacity: float | None = None) -> None:
         mesh = _mesh(shape, layout)
@@ -144,6 +144,9 @@ class Drawing:
 
     def _draw_ways(self, snapshot: Snapshot) -> None:
         ways = snapshot.ways
+        if ways is self._ways:
+            return
+        self._ways = ways
         if ways is None or not ways.best.size:
             self._hide("/rollouts/fan", "/rollouts/best")
             return

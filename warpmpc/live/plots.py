@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
     from .session import Session, Snapshot
 
+PERIOD = 0.3
+"""Wall time between two pictures of the curves [s]; browsers without a GPU are slow at them."""
 KEPT = 300
 """Points of a curve."""
 COLORS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#17a2b8", "#b8860b", "#f032e6", "#808000", "#9a6324")
@@ -32,6 +35,7 @@ class Plots:
         self._times: deque[float] = deque(maxlen=KEPT)
         self._rows: deque[list[float]] = deque(maxlen=KEPT)
         self._episode, self._steps = -1, -1
+        self._drawn = 0.0
         with server.gui.add_folder("Curves", expand_by_default=True):
             self._plots = [
                 self._add(server, "cost", self._labels),
@@ -61,6 +65,9 @@ class Plots:
         costs = [snapshot.terms.get(label, np.nan) for label in self._labels]
         self._times.append(snapshot.time)
         self._rows.append([*costs, *snapshot.control, snapshot.plan_ms, self._dt])
+        if perf_counter() - self._drawn < PERIOD:
+            return
+        self._drawn = perf_counter()
         times, table = np.array(self._times), np.nan_to_num(np.array(self._rows), posinf=0.0, neginf=0.0)
         for plot, columns in zip(self._plots, np.split(table.T, np.cumsum(self._sizes)[:-1]), strict=True):
             plot.data = (times, *(np.ascontiguousarray(c) for c in columns))
