@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FLOORS = (
     ("cli",),
+    ("live",),
     ("run", "record"),
     ("realtime",),
     ("controller", "plant"),

@@ -20,7 +20,7 @@ from warpmpc.model.layout import ShapeInfo
 from warpmpc.model.state import State
 from warpmpc.plant.simulated import Plant
 from warpmpc.record.recorder import (
-    _COLORS,
+    COLORS,
     FORCE_LENGTH,
     ROWS,
     Recorder,
@@ -179,7 +179,7 @@ def test_rollouts_start_where_the_plant_is_and_the_fan_is_coloured_by_cost(run):
         np.testing.assert_allclose(box[0], loop.bodies[k][4, :3], atol=1e-5)
         np.testing.assert_allclose(tip[0], base[:3] + rotate(base[3:], np.array([0.31, 0.0, 0.0])), atol=1e-5)
         assert np.array(fan[k]).shape == (2 * FAN, 7, 3)
-        rank = [int(np.flatnonzero(c == _COLORS)[0]) for c in colors[k]]
+        rank = [int(np.flatnonzero(c == COLORS)[0]) for c in colors[k]]
         assert rank == sorted(rank, reverse=True)  # from the cheapest on
     # the last plan is still in the controller
     poses = loop.controller.engine.simulator.trajectory.body_q.numpy()[:, loop.infos[-1].best, 4, :3]

@@ -243,5 +243,31 @@ def run(
     )
 
 
+@app.command()
+def live(
+    scene: SceneArgument,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines, too.")] = "127.0.0.1",
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+) -> None:
+    """Watch and steer the controller on a page in the browser; Ctrl-C ends it."""
+    from .live import live as cli_live
+
+    cli_live(
+        scene,
+        host=host,
+        port=port,
+        overrides=overrides,
+        term_files=terms,
+        seed=seed,
+        engine=engine,
+        device=device,
+    )
+
+
 if __name__ == "__main__":
     main()

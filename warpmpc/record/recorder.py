@@ -65,7 +65,7 @@ def _color_table(size: int = 256) -> np.ndarray:
     return (red << 24) | (green << 16) | (blue << 8) | 0xFF
 
 
-_COLORS = _color_table()
+COLORS = _color_table()
 
 
 class Recorder:
@@ -105,7 +105,7 @@ class Recorder:
         self._dt = scene.timing.control_dt
         self._poses: dict[str, np.ndarray] = {}
         self._clouds: dict[str, np.ndarray] = {}
-        self._frames = _acting_frames(controller)
+        self._frames = acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
         wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
         self._turning = [n for n in ("yaw", "rotation") if any(getattr(w, n) is not None for w in wanted)]
@@ -282,7 +282,7 @@ class Recorder:
         chosen, high = ranked[rows], cost[ranked[int(0.9 * (len(ranked) - 1))]]
         cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
         worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
-        return worlds, _COLORS[(cheap * (len(_COLORS) - 1)).astype(int)]
+        return worlds, COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
 
     # ---- to the file
 
@@ -363,7 +363,7 @@ def _writable(name: str | Path) -> Path:
     return file
 
 
-def _acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
+def acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
     """Body ``[F]`` and place in it ``[F, 3]`` of the goal's target and of what the robots act with."""
     layout, scene = controller.layout, controller.scene
     names = [] if scene.goal is None else [scene.goal.target]

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``warpmpc live`` does: build a session and serve its page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import typer
+
+from .run import start_warp, user_errors
+from .terms import load_terms
+
+NEEDED = ("viser", "tomlkit")
+"""Packages of the extra ``live``."""
+
+
+def live(
+    source: str,
+    *,
+    host: str,
+    port: int,
+    overrides: Sequence[str],
+    term_files: Sequence[Path],
+    seed: int,
+    engine: str,
+    device: str,
+) -> None:
+    """Serve a scene's page until Ctrl-C.
+
+    Args:
+        source: Scene and variant.
+        host: Address to listen at.
+        port: Port to listen at.
+        overrides: ``KEY=VALUE`` texts.
+        term_files: Python files of cost terms.
+        seed: Seed of the first episode.
+        engine: Engine of the rollouts.
+        device: Device of the rollouts.
+    """
+    with user_errors():
+        missing = [name for name in NEEDED if find_spec(name) is None]
+        if missing:
+            raise ValueError(f"the page needs {' and '.join(missing)}: pip install 'warpmpc[live]'")
+        from ..live.page import require_port, serve
+        from ..live.session import Session
+
+        require_port(host, port)
+        start_warp()
+        try:
+            session = Session(
+                source, overrides=overrides, seed=seed, engine=engine, device=device, terms=load_terms(term_files)
+            )
+            typer.echo(f"http://{host}:{port}  (Ctrl-C ends it)")
+            serve(session, host=host, port=port)
+        except KeyboardInterrupt:
+            typer.echo("ended")

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page: serves a session to any number of browsers until it is stopped."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import TYPE_CHECKING
+
+from .drawing import Drawing
+from .panels import Panels
+from .plots import Plots
+
+if TYPE_CHECKING:
+    from .session import Session
+
+PERIOD = 0.05
+"""Wall time between two pictures [s]."""
+
+
+def require_port(host: str, port: int) -> None:
+    """Refuse a port that is taken.
+
+    Raises:
+        OSError: If nothing can listen there.
+    """
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise OSError(f"cannot listen at {host}:{port} ({error.strerror}); choose another with --port") from None
+
+
+def serve(session: Session, *, host: str, port: int, ending: threading.Event | None = None) -> None:
+    """Start a session and show it until it ends, ``ending`` is set or Ctrl-C comes.
+
+    Args:
+        session: A session not yet started.
+        host: Address to listen at.
+        port: Port to listen at.
+        ending: Ends it from another thread.
+
+    Raises:
+        OSError: If the port is taken.
+    """
+    import viser
+
+    require_port(host, port)
+    ending = ending or threading.Event()
+    server = viser.ViserServer(host=host, port=port, label=session.scene.title or session.scene.name, verbose=False)
+    try:
+        server.gui.configure_theme(control_layout="fixed", control_width="medium", show_logo=False)
+        parts = [Drawing(server, session), Panels(server, session), Plots(server, session)]
+        session.start()
+        while session.is_alive() and not ending.wait(PERIOD):
+            snapshot = session.snapshot
+            with server.atomic():
+                for part in parts:
+                    part.update(snapshot)
+    finally:
+        session.stop()
+        if session.ident is not None:
+            session.join(10.0)
+        server.stop()
