@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..controller.controller import Controller
+from ..model.safe import safe_command
 from ..run.episode import Episode, compile_shared
 from ..scene.load import load_scene
 from .fan import Ways, ways_of
@@ -125,7 +126,7 @@ class Session(threading.Thread):
         self.do(lambda: setattr(self, "paused", paused))
 
     def plan_or_not(self, planning: bool) -> None:
-        """Plan, or send the safe control zero."""
+        """Plan, or send the safe command of the drives."""
         self.do(lambda: setattr(self, "planning", planning))
 
     def single_step(self) -> None:
@@ -177,7 +178,9 @@ class Session(threading.Thread):
         if self.planning:
             self._control = self.controller.step(observation)
         else:
-            self._control = np.clip(np.zeros(self.plant.layout.nu, np.float32), *self._limits)
+            layout, dt = self.plant.layout, self.plant.scene.timing.control_dt
+            safe = safe_command(layout, observation.joint_q[None], observation.joint_qd[None], dt)[0]
+            self._control = np.clip(safe, *self._limits)
         self.plant.apply(self._control)
         now = time.perf_counter()
         rollouts = now - self._published >= PUBLISH or self.paused
