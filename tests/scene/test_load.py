@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene file, its variants and overrides become."""
 
+import math
 import subprocess
 import sys
 
@@ -188,3 +189,8 @@ print([name for name in ("newton", "warp", "trimesh", "scipy", "mujoco", "numpy"
 def test_loading_needs_no_physics():
     done = subprocess.run([sys.executable, "-c", BARE], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_minus_nothing_is_nothing():
+    scene = load_scene("point_reach", overrides=["plant.noise.velocity=-0.0"])
+    assert math.copysign(1.0, scene.plant.noise.velocity) == 1.0  # numpy draws nothing from a deviation of -0
