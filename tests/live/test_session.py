@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from warpmpc.live.session import Session
+from warpmpc.model.safe import safe_command
 
 FAST = ["engine.threads=1", "planner.samples=16", "planner.horizon=20"]
 
@@ -63,6 +64,13 @@ def test_a_new_planner_plans_and_a_wrong_one_is_refused(session):
     assert session.planner_keys == {"planner.samples": "24"}
 
 
-def test_without_planning_the_control_is_zero(session):
+def test_without_planning_the_drives_get_their_safe_command(session):
     session.plan_or_not(False)
-    until(lambda: not session.planning and session.snapshot.ways is None and not session.snapshot.control.any())
+    until(lambda: not session.planning and session.snapshot.ways is None)
+    session.pause()
+    until(lambda: session.snapshot.paused)
+    layout, state, dt = session.plant.layout, session.plant.state, session.scene.timing.control_dt
+    control = session.snapshot.control.copy()
+    assert control.any(), "it holds where it is"
+    wanted = safe_command(layout, state.joint_q[None], state.joint_qd[None], dt)[0]
+    np.testing.assert_allclose(control, np.clip(wanted, layout.control_lower, layout.control_upper), atol=0.02)

@@ -6,10 +6,11 @@ import os
 import socket
 import subprocess
 import sys
-from importlib.resources import files as resources
 
 import pytest
 from pages import files
+
+from warpmpc.scene.load import load_scene
 
 PAGE = "docs/tutorial/realtime.md"
 
@@ -49,7 +50,7 @@ def test_a_robot_behind_sockets_is_steered_by_valid_messages_alone(program):
     pytest.importorskip("zmq")
     port = free_port()
     control = program("control.py", port, 0.15)
-    cartpole = resources("warpmpc.scenes") / "assets" / "cartpole.xml"
+    cartpole = load_scene("cartpole_swingup").path.parent / "assets" / "cartpole.xml"
     robot = program("robot.py", cartpole, port, 3.0, 0.15)
     out, errors = robot.communicate(timeout=250)
     told, warned = control.communicate(timeout=60)

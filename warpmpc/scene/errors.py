@@ -238,7 +238,7 @@ def _length(annotation: object, context: dict) -> str:
 
 
 def _shown(value: object) -> str:
-    """A value as a scene file would write it."""
+    """A value as a scene file would write it; of a long one its ends, for a path's end is the file."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, StrEnum):
@@ -247,4 +247,4 @@ def _shown(value: object) -> str:
         text = f"[{', '.join(map(_shown, value))}]"
     else:
         text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return text if len(text) <= 80 else f"{text[:30]}...{text[-47:]}"
