@@ -44,6 +44,7 @@ def set_to(tmp_path, override: str) -> SceneError:
         # choices
         ('shape = "sphere"', 'shape = "Spere"', "obstacle.ball.shape", ["found 'Spere'", "cylinder", "'sphere'?"]),
         # types
+        ("[planner]", "[planner]\nmethod = []", "planner.method", ["no such choice", "found []"]),
         ("mass = 1.0", 'mass = "1.0"', "object.box.mass", ["must be a number", "found '1.0'"]),
         ("mass = 1.0", "mass = true", "object.box.mass", ["must be a number", "found true"]),
         ("mass = 1.0", "mass = [1.0]", "object.box.mass", ["must be a number", "found [1.0]"]),

@@ -305,7 +305,8 @@ class Planner(Section):
     @classmethod
     def _preset(cls, data: object) -> object:
         """Fill in what a method by name means by itself; what the scene says comes first."""
-        preset = PRESETS.get(data.get("method")) if isinstance(data, dict) else None
+        method = data.get("method") if isinstance(data, dict) else None
+        preset = PRESETS.get(method) if isinstance(method, str) else None
         if preset is None:
             return data
         tables = {key: value for key, value in preset.items() if isinstance(value, dict)}
