@@ -70,6 +70,11 @@ class Observation:
         """Joint velocities ``[E, nv]``."""
         return self.block[:, self._part["joint_qd"]]
 
+    @property
+    def last(self) -> np.ndarray:
+        """Time of the newest finite observation ``[E]`` [s], zero before the first."""
+        return np.where(np.isnan(self.planned), 0.0, self.planned)
+
     def take(self, state: State) -> None:
         """Take in a state; what it leaves out is as it was.
 

@@ -42,7 +42,7 @@ class Plan:
         else:
             rows = zip(self.times, self.knots, np.broadcast_to(time, len(self.knots)), strict=True)
             value = np.stack([spline_value(self.spline, times, knots, float(t)) for times, knots, t in rows])
-        return np.clip(value, self.lower, self.upper).astype(np.float32)
+        return np.minimum(np.maximum(value, self.lower), self.upper).astype(np.float32)
 
 
 def refitted(plan: Plan, kind: SplineKind, knot_time: np.ndarray) -> np.ndarray:
