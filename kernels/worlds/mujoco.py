@@ -83,7 +83,7 @@ def roll_out_mujoco(
     nsensor: int,
     steps: int,
 ):
-    """Step one world as ``mujoco.rollout`` does, from a state, without warm start, up to a step that MuJoCo warns of."""
+    """Step one world as ``mujoco.rollout`` does, from a state, without warm start, until MuJoCo warns of a step."""
     ...
 
 

@@ -120,7 +120,7 @@ class Conditions:
 
 
 def _chained(pose: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Pose ``[7]`` in the world of a pose relative to another one; in plain numbers, which cost less than small arrays."""
+    """World pose ``[7]`` of a pose relative to another; in plain numbers, which cost less than small arrays."""
     px, py, pz, x, y, z, w = pose.tolist()
     lx, ly, lz, a, b, c, d = local.tolist()
     tx, ty, tz = 2.0 * (y * lz - z * ly), 2.0 * (z * lx - x * lz), 2.0 * (x * ly - y * lx)
