@@ -199,9 +199,7 @@ def test_a_plan_that_is_replaced_is_followed_from_its_own_times():
 def test_a_plan_from_before_a_stall_is_not_followed_whether_it_is_over_or_not(stall, caplog):
     loop, robot, planner = drill()
     sighting, planner.stalled = planner.sightings[-1], True
-    ticks(
-        loop, round(stall * loop.scene.agent.rate)
-    )  # over a plan for the second after the sighting
+    ticks(loop, round(stall * loop.scene.agent.rate))  # over a plan for the second after the sighting
     before, begin = planner.newest(), robot.plant.time
     plan = replace(before.plan, times=sighting.state.time + np.array([0.0, 1.0]))
     late = {"number": before.number + 1, "observed": sighting.state.time, "latency": stall}
