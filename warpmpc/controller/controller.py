@@ -261,6 +261,7 @@ class Controller:
             spline=self.planner.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
+            feedback=self.planner.feedback,
         )
 
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
