@@ -56,12 +56,12 @@ def test_a_weight_is_changed_and_outlives_a_reset(session):
 
 
 def test_a_new_planner_plans_and_a_wrong_one_is_refused(session):
-    session.set_planner("planner.samples", "24")
+    session.set_key("planner.samples", "24")
     until(lambda: session.controller.shape.samples == 24)
-    session.set_planner("planner.horizon", "-1")
+    session.set_key("planner.horizon", "-1")
     until(lambda: "horizon" in session.snapshot.message)
     assert session.controller.shape.horizon == 20
-    assert session.planner_keys == {"planner.samples": "24"}
+    assert session.keys == {"planner.samples": "24"}
 
 
 def test_without_planning_the_drives_get_their_safe_command(session):

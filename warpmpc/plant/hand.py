@@ -82,11 +82,14 @@ class Hand:
             self._engine.wrenches(self._world)[:] = 0.0
 
     @property
-    def grip(self) -> np.ndarray:
-        """Where the point taken hold of is in the world at the start of the next control ``[3]`` [m]."""
+    def spring(self) -> np.ndarray | None:
+        """Ends of the spring that pulls, at the body and at the hand, ``[2, 3]`` [m]; None if nothing is pulled at."""
+        if self.body is None or not self._grip.active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE):
+            return None
         self._look()
-        index = self._grip.select
-        return self._data.xpos[index] + self._data.xmat[index].reshape(3, 3) @ self._grip.localpos
+        data, grip = self._data, self._grip
+        at = data.xpos[grip.select] + data.xmat[grip.select].reshape(3, 3) @ grip.localpos
+        return np.stack([at, grip.refselpos])
 
     def act(self) -> None:
         """Give the engine the force and moment to hold during the next control."""
