@@ -24,6 +24,7 @@ KEPT = 300
 CURVES = 8
 """Curves of one plot, that can still be told apart."""
 COLORS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#17a2b8", "#b8860b", "#f032e6")
+AHEAD_COLOR = "rgba(0, 0, 0, 0.07)"
 WIDTH = 330.0
 """Width of the panel [pixels]."""
 
@@ -65,17 +66,17 @@ class Plots:
         for begin in range(0, len(names), CURVES):
             part = names[begin : begin + CURVES]
             series = [uplot.Series(label="t [s]")]
-            for dash in ((), (4, 4)) if ahead else ((),):
-                series += [
-                    uplot.Series(label=f"{name} ahead" if dash else name, stroke=color, width=1.5, dash=dash)
-                    for name, color in zip(part, COLORS, strict=False)
-                ]
+            if ahead:
+                series.append(uplot.Series(label="ahead", scale="ahead", fill=AHEAD_COLOR, width=0))
+            series += [
+                uplot.Series(label=name, stroke=color, width=1.5) for name, color in zip(part, COLORS, strict=False)
+            ]
             handle = server.gui.add_uplot(
                 tuple(np.zeros(1) for _ in series),
                 tuple(series),
                 title=title,
-                scales={"x": uplot.Scale(time=False)},
-                legend=uplot.Legend(show=len(part) > 1),
+                scales={"x": uplot.Scale(time=False), "ahead": uplot.Scale(range=(0.0, 1.0))},
+                legend=uplot.Legend(show=len(names) > 1),
                 aspect=1.8,
             )
             made.append((handle, slice(first + begin, first + begin + len(part)), ahead))
@@ -89,31 +90,34 @@ class Plots:
         elif snapshot.steps == self._steps:
             return
         self._steps, ahead = snapshot.steps, snapshot.forecast
-        costs = np.full(len(self._labels), np.nan) if ahead is None else ahead.cost[:, 0]
-        numbers = [snapshot.eta, snapshot.beta, snapshot.plan_ms, self._budget]
-        self._rows.append([snapshot.time, *costs, *snapshot.control, *numbers])
-        if perf_counter() - self._drawn < PERIOD:
+        if ahead is not None:
+            numbers = [snapshot.eta, snapshot.beta, snapshot.plan_ms, self._budget]
+            self._rows.append([snapshot.time, *ahead.cost[:, 0], *snapshot.control, *numbers])
+        if perf_counter() - self._drawn < PERIOD or not self._rows:
             return
         self._drawn = perf_counter()
         past = np.array(self._rows)
-        future = np.zeros((0, past.shape[1]))
+        future = past[:0]
         if ahead is not None:
-            future = np.full((len(ahead.times), past.shape[1]), np.nan)
-            future[:, 0], known = ahead.times, len(self._labels) + ahead.control.shape[1]
+            future, known = np.zeros((len(ahead.times), past.shape[1])), sum(self._widths[:2])
+            future[:, 0] = ahead.times
             future[:, 1 : 1 + known] = np.hstack([ahead.cost.T, ahead.control])
         for plot, columns, goes_on in self._plots:
             plot.data = _curves(past, future, columns) if goes_on else _curves(past, None, columns)
 
 
 def _curves(past: np.ndarray, future: np.ndarray | None, columns: slice) -> tuple[np.ndarray, ...]:
-    """Times, curves of the past and curves of the future, each as long as the times; NaN where they are not drawn."""
-    known = past[:, 1:][:, columns]
-    if future is None:
-        return tuple(np.ascontiguousarray(c) for c in np.column_stack([past[:, 0], known]).T)
-    guessed = future[:, 1:][:, columns]
-    times = np.concatenate([past[:, 0], future[:, 0]])
-    upper = np.hstack([known, np.full_like(known, np.nan)])
-    lower = np.hstack([np.full_like(guessed, np.nan), guessed])
-    table = np.vstack([upper, lower])
+    """Times, whether they are ahead if there is a future, and curves; where one is not finite it keeps its value."""
+    rows = past if future is None else np.vstack([past, future])
+    times, curves = rows[:, 0], [_kept(curve) for curve in rows[:, 1:][:, columns].T]
     order = np.argsort(times, kind="stable")
-    return tuple(np.ascontiguousarray(c) for c in np.column_stack([times, table])[order].T)
+    marks = [] if future is None else [np.repeat([0.0, 1.0], [len(past), len(future)])]
+    return tuple(np.ascontiguousarray(row[order]) for row in (times, *marks, *curves))
+
+
+def _kept(curve: np.ndarray) -> np.ndarray:
+    """A curve ``[n]`` whose values that are not finite are the finite one before; browsers do not draw others."""
+    finite = np.flatnonzero(np.isfinite(curve))
+    if not len(finite):
+        return np.zeros_like(curve)
+    return curve[finite[np.maximum(np.searchsorted(finite, np.arange(len(curve)), side="right") - 1, 0)]]
