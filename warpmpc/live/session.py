@@ -36,7 +36,7 @@ WAIT = 0.02
 
 
 class Session(threading.Thread):
-    """Runs controller and plant in lock step until it is stopped.
+    """Runs controller and plant in lock step until it is stopped, at the goal and after the time-out, too.
 
     Everything that touches either happens in this thread. Other threads hand in changes, which are taken between two
     plans, and read :attr:`snapshot`. A change that cannot be made is told there and leaves everything as it was.
@@ -162,7 +162,7 @@ class Session(threading.Thread):
         while not self._ending.is_set():
             self._take_changes()
             control_dt, now = self.plant.scene.timing.control_dt, time.perf_counter()
-            held = self.plant.done or (self.paused and not self._steps_wanted)
+            held = self.plant.diverged or (self.paused and not self._steps_wanted)
             due = self._from + control_dt / self.pace
             if held or (now < due and not self._steps_wanted):
                 if held:
@@ -170,7 +170,7 @@ class Session(threading.Thread):
                 self._publish(rollouts=False)
                 self._ending.wait(WAIT if held else min(WAIT, due - now))
                 continue
-            self._from = max(due, now - 0.1)
+            self._from = min(now, max(due, now - 0.1))
             self._steps_wanted = max(0, self._steps_wanted - 1)
             self._guarded(self._step)
 
@@ -287,7 +287,7 @@ class Session(threading.Thread):
         elif rollouts:
             self._fan.look()
         forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
-        state = plant.reason if plant.done else "paused" if self.paused else self._state
+        state = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._state
         nothing = float("nan")
         self.snapshot = Snapshot(
             source=self.source,
@@ -307,7 +307,6 @@ class Session(threading.Thread):
             eta=nothing if info is None else info.eta,
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
-            done=plant.done,
             state=state,
             paused=self.paused,
             planning=self.planning,

@@ -46,7 +46,6 @@ class Snapshot:
     eta: float
     beta: float
     plan_ms: float
-    done: bool
     state: str
     """What it is doing, in words."""
     paused: bool
