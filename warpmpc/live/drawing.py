@@ -34,7 +34,7 @@ SMALLEST_FORCE = 1e-3
 """Forces below are not drawn [N]."""
 STILL = 1e-5
 """What moved less is not sent [m, or parts of a quaternion]."""
-VIEW = np.array([-0.7, -1.1, 1.0])
+VIEW = np.array([-0.8, -1.2, 1.1])
 """From where the scene is seen, in radii from its middle."""
 PULL_COLOR = (30, 120, 255)
 MARK_COLOR = (50, 200, 80)
@@ -66,7 +66,7 @@ class Drawing:
         self._draw_grid(centre, 0.0 if plant.scene.ground is None else plant.scene.ground.height)
         self._bodies = [scene.add_frame(f"/body/{body}", show_axes=False) for body in range(layout.nb)]
         self._shown = np.full((layout.nb, 7), np.nan)
-        size = max(0.12, 0.15 * self._radius)
+        size = max(0.15, 0.3 * self._radius)
         names = [name for name in snapshot.poses if name != GOAL or plant.scene.goal is not None]
         self._gizmos = {n: Gizmo(scene, self._session, n, snapshot.poses[n], size) for n in names}
         for entity in layout.entities:
