@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from typing import TYPE_CHECKING
 
 from .drawing import Drawing
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 
     from .session import Session
 
-PERIOD = 0.05
-"""Wall time between two pictures [s]."""
+RATE = 30.0
+"""Pictures per second at most."""
 
 
 def require_port(host: str, port: int) -> None:
@@ -66,8 +67,10 @@ def serve(session: Session, *, host: str, port: int, ending: threading.Event | N
 
 def _show(server: viser.ViserServer, session: Session, ending: threading.Event) -> None:
     """Send what changes until the session or somebody ends it."""
-    source: str | None = None
-    while session.is_alive() and not ending.wait(PERIOD):
+    source, due = None, time.perf_counter()
+    while session.is_alive() and not ending.wait(max(0.0, due - time.perf_counter())):
+        due = max(due + 1.0 / RATE, time.perf_counter())
+        session.watched = bool(server.get_clients())
         snapshot = session.snapshot
         with server.atomic():
             if source != snapshot.source:  # other weights, other curves

@@ -62,7 +62,7 @@ class Panels:
         pace = gui.add_dropdown(
             "speed",
             [f"{p:g} %" for p in paces],
-            f"{100.0 * session.pace:g} %",
+            initial_value=f"{100.0 * session.pace:g} %",
             hint="how fast the plant's time passes, at most",
         )
         self._on(pace, lambda: setattr(session, "pace", 0.01 * float(pace.value.split()[0])))
@@ -100,7 +100,7 @@ class Panels:
     def _scenes(self) -> None:
         gui, session = self._gui, self._session
         names = [f"{name}:{v}" if v else name for name in shipped_scenes() for v in (None, *variants(name))]
-        scene = gui.add_dropdown("scene", list(dict.fromkeys([session.source, *names])), session.source)
+        scene = gui.add_dropdown("scene", list(dict.fromkeys([session.source, *names])), initial_value=session.source)
         self._on(scene, lambda: session.switch(scene.value))
         button = gui.add_button(
             "Save", disabled=session.scene.path is None, hint="what was changed, and values of --set"

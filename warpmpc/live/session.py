@@ -68,6 +68,8 @@ class Session(threading.Thread):
     ):
         super().__init__(name="warpmpc live", daemon=True)
         self.source, self.overrides, self.seed, self.pace = source, tuple(overrides), seed, pace
+        self.watched = True
+        """Whether anybody looks: else nothing is prepared to be seen of rollouts."""
         self.paused, self.planning, self.controlling = False, True, True
         self.tuned: dict[str, float] = {}
         """Weights and scalars changed since the start, by name."""
@@ -205,7 +207,7 @@ class Session(threading.Thread):
         self._control = self._command(observation)
         self.plant.apply(self._control)
         now = time.perf_counter()
-        rollouts = now - self._published >= PUBLISH or self.paused
+        rollouts = self.watched and (now - self._published >= PUBLISH or self.paused)
         if rollouts:
             self._published = now
         self._publish(rollouts=rollouts)

@@ -56,7 +56,7 @@ class Settings:
     def _input(self, name: str, kind: object, value: object, hint: str) -> Any:
         gui, shown = self._gui, _shown(value)
         if isinstance(kind, type) and issubclass(kind, Enum):
-            return gui.add_dropdown(name, [choice.value for choice in kind], shown, hint=hint)
+            return gui.add_dropdown(name, [choice.value for choice in kind], initial_value=shown, hint=hint)
         if isinstance(value, bool):
             return gui.add_checkbox(name, shown, hint=hint)
         if isinstance(value, int):
