@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+WRENCH = int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 MOCAP = int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
@@ -132,6 +133,7 @@ class MujocoEngine:
         threads: CPU threads, 0 for one per core this process may use.
         options: What the scene says about the physics.
         sensors: Sensors to record, all if None; the others are left out of the model.
+        pushed: Whether there are :meth:`wrenches` on the bodies.
     """
 
     name = "mujoco"
@@ -149,6 +151,7 @@ class MujocoEngine:
         threads: int = 0,
         options: Options | None = None,
         sensors: Collection[str] | None = None,
+        pushed: bool = False,
     ):
         self.shape, self.pairs, self.substeps = shape, pairs, tuple(substeps)
         layout = compiled.layout
@@ -171,7 +174,8 @@ class MujocoEngine:
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
         self.initial = np.zeros((shape.worlds, nstate))
-        self._control_spec = CONTROL | (MOCAP if layout.nm or layout.movable else 0)
+        self._control_spec = CONTROL | (WRENCH if pushed else 0) | (MOCAP if layout.nm or layout.movable else 0)
+        self._first_mocap = world.model.nu + (6 * world.model.nbody if pushed else 0)
         self.control = np.tile(self._control_at_rest(world.model), (shape.worlds, self.steps, 1))
         self.state = np.zeros((shape.worlds, self.steps, nstate))
         self.sensor = np.zeros((shape.worlds, self.steps, world.model.nsensordata))
@@ -254,7 +258,7 @@ class MujocoEngine:
             self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self.initial_array])
 
     def _write_mocap(self, poses: wp.array, order: wp.array, first: int, count: int) -> None:
-        inputs = [poses, order, self.model.nu, self.model.nmocap, first]
+        inputs = [poses, order, self._first_mocap, self.model.nmocap, first]
         self._launch(mujoco_mocap_kernel, (count, self.steps), inputs, [self._control])
 
     @property
@@ -278,6 +282,14 @@ class MujocoEngine:
         starts = self.initial_array.reshape((self.shape.worlds, 1, width))
         inputs = [self._table, self.model.nq, starts, first]
         self._launch(start_mujoco_kernel, count, inputs, [out.joint_q, out.joint_qd, out.body_q, out.body_qd])
+
+    def wrenches(self, world: int) -> np.ndarray:
+        """Forces [N] and moments [N m] in the world on the centres of mass of one world's bodies, to be written to.
+
+        They act in rollouts from now on, at every physics step ``[steps, bodies, 6]``; engines that are ``pushed`` have
+        them.
+        """
+        return self.control[world, :, self.model.nu : self._first_mocap].reshape(self.steps, -1, 6)
 
     def show(self, world: int, data: mujoco.MjData) -> None:
         """Put a simulation state of the caller's where a world is at the start of its next step."""
