@@ -114,3 +114,23 @@ def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):
     assert done.returncode == 2
     assert "old.npz: has no log of what its plans were made from" in done.stderr
     assert command("replay", "new.npz").returncode == 0
+
+
+def test_figures_of_a_folder_are_beside_what_they_show(folder, command, tmp_path, monkeypatch):
+    done = command("plot", "run")
+    assert (done.returncode, done.stderr) == (0, "")
+    for seed in (4, 5):
+        files = {path.name for path in (folder / "plots" / f"history-{seed}").iterdir()}
+        assert files >= {"history.csv", "path.png", "costs.png", "controls.png", "plan_times.png", "errors.png"}
+        assert f"run/plots/history-{seed}/path.png" in done.stdout
+
+    done = command("plot", "run/history-4.npz", "--out", "here", "--terms", "far.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "here" / "path.png").exists()
+
+    done = command("plot", "no.npz")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    done = command("plot", "run")
+    assert done.returncode == 2
+    assert 'figures need matplotlib: pip install "warpmpc[plot]"' in done.stderr

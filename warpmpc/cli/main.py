@@ -269,6 +269,22 @@ def replay(
 
 
 @app.command()
+def plot(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="History (.npz) or folder that warpmpc run --npz or --out wrote.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
+    ] = None,
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Draw a run: its path, costs, controls, plan times, errors and forces as PNG, all numbers as CSV."""
+    from .plot import plot as cli_plot
+
+    raise typer.Exit(cli_plot(path, out=out, term_files=terms))
+
+
+@app.command()
 def live(
     scene: SceneArgument,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
