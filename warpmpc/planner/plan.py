@@ -53,7 +53,7 @@ class Plan:
             value = np.stack([spline_value(self.spline, times, knots, float(t)) for times, knots, t in rows])
         if self.feedback is not None and state is not None:
             value = value + self._answer(time, state)
-        return np.clip(value, self.lower, self.upper).astype(np.float32)
+        return np.minimum(np.maximum(value, self.lower), self.upper).astype(np.float32)
 
     def _answer(self, time: float | np.ndarray, state: State) -> np.ndarray:
         """What feedback adds to the controls ``[nu]``, or ``[E, nu]``."""
