@@ -9,6 +9,8 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
+from warpmpc.planner.feedback import StateSpace
+from warpmpc.realtime.letters import PlanCodec, TimedPlan
 from warpmpc.scene.load import with_values
 
 DISC_PLANNER = {"samples": 16, "horizon": 10, "discount": 1.0, "randomize": False}
@@ -178,9 +180,27 @@ def test_a_plan_that_derivatives_fail_for_stays_as_the_samples_left_it(caplog):
 
 
 def test_check_says_which_terms_have_no_residual():
-    cost = [{"term": "distance", "between": ["base/centre", "goal"]}, {"term": "contact_force", "between": ["robots", "obstacles"]}]
+    cost = [
+        {"term": "distance", "between": ["base/centre", "goal"]},
+        {"term": "contact_force", "between": ["robots", "obstacles"]},
+    ]
     scene = disc().model_copy(update={"cost": make_scene(cost=cost).cost})
     controller, _ = planned(scene)
     worlds = 10 * (1 + 2 * (6 + 3))
     assert controller.planner.refiner.summary.startswith(f"differences of 3 residuals in {worlds} worlds")
     assert controller.planner.refiner.summary.endswith("rough Hessian: contact_force")
+
+
+def test_feedback_crosses_processes_as_numbers():
+    scene = disc()
+    controller, _ = planned(scene, plans=2)
+    state = replace(State.start(controller.layout), time=0.0, joint_q=np.float32([0.9, 0.45, 0.0]))
+    plan = controller.plan(state)
+    codec = PlanCodec(controller.layout, plan.spline, len(plan.times), StateSpace.of(controller.compiled))
+    letter = codec.encode(TimedPlan(plan, 3, 0.0, 0.01, 5.0, True))
+    assert len(letter) == codec.capacity
+    told = codec.decode(letter)
+    assert told.number == 3
+    pushed = replace(state, joint_q=state.joint_q + np.float32([0.01, -0.02, 0.1]))
+    assert np.abs(plan.at(0.05, pushed) - plan.at(0.05)).max() > 1e-3
+    np.testing.assert_array_equal(told.plan.at(0.05, pushed), plan.at(0.05, pushed))

@@ -9,11 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..derivatives.rollouts import Policy
+from ..derivatives.tangent import Tangent
+from ..model.mujoco_model import make_world
+from ..model.rows import MujocoRows
 
 if TYPE_CHECKING:
-    from ..derivatives.tangent import Tangent
-    from ..model.rows import MujocoRows
+    from ..model.compiled import CompiledScene
     from ..model.state import State
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """How states of a scene are subtracted."""
+
+    tangent: Tangent
+    """Where MuJoCo's states are."""
+    rows: MujocoRows
+    """Turns a scene's states into MuJoCo's."""
+
+    @classmethod
+    def of(cls, compiled: CompiledScene) -> StateSpace:
+        """That of a compiled scene."""
+        world = make_world(compiled, timestep=1.0)  # nothing is simulated
+        return cls(Tangent(world.model), MujocoRows(compiled.layout, world))
 
 
 @dataclass(frozen=True)
@@ -26,10 +44,8 @@ class Feedback:
     """x̄, MuJoCo's (qpos, qvel, act) ``[E, T, nx]``."""
     gain: np.ndarray
     """K ``[E, T, nu, n]``."""
-    tangent: Tangent
-    """Where states are subtracted."""
-    rows: MujocoRows
-    """Turns a scene's states into MuJoCo's."""
+    space: StateSpace
+    """How states are subtracted."""
 
     def correction(self, times: np.ndarray, state: State) -> np.ndarray:
         """K (x ⊖ x̄), what the controls answer to states at some times ``[E, nu]``.
@@ -39,8 +55,8 @@ class Feedback:
             state: States of all environments, ``joint_q`` ``[E, nq]``.
         """
         wanted, gain = self.at(times[:, None])
-        found = self.rows(state.joint_q, state.joint_qd, state.act)
-        return np.einsum("eun,en->eu", gain[:, 0], self.tangent.subtract(found, wanted[:, 0]))
+        found = self.space.rows(state.joint_q, state.joint_qd, state.act)
+        return np.einsum("eun,en->eu", gain[:, 0], self.space.tangent.subtract(found, wanted[:, 0]))
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x̄ ``[E, N, nx]`` and K ``[E, N, nu, n]`` at some times ``[E, N]``.
@@ -54,7 +70,7 @@ class Feedback:
         i = np.clip(np.floor(place).astype(int), 0, last)
         state, after = self.state[rows, i], self.state[rows, np.minimum(i + 1, last)]
         part = np.clip(place - i, 0.0, 1.0)[..., None]
-        state = self.tangent.add(state, part * self.tangent.subtract(after, state))
+        state = self.space.tangent.add(state, part * self.space.tangent.subtract(after, state))
         return state, np.where((place < last + 1.0)[..., None, None], self.gain[rows, i], 0.0)
 
     def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:

@@ -17,7 +17,7 @@ from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
 from ..scene.schema import Refinement
-from .feedback import Feedback
+from .feedback import Feedback, StateSpace
 from .riccati import Backward, backward
 from .splines import SplineKind, spline_value
 
@@ -230,6 +230,7 @@ class IlqgRefiner(Refiner):
             )
         self._shares = shares(self._settings.candidates)
         self._damping = np.full(self._request.shape.envs, DAMPING[1])
+        self._space = StateSpace(self.tangent, self._rollouts.worlds.rows)
 
     def reset(self) -> None:
         """Forget earlier plans."""
@@ -261,7 +262,7 @@ class IlqgRefiner(Refiner):
         strategy.mean.assign(control.astype(np.float32))
         strategy.offset.zero_()
         now = self._request.state.start.numpy().astype(float)
-        self.feedback = Feedback(now[:, None] + times, state[:, :-1], gains, self.tangent, self._rollouts.worlds.rows)
+        self.feedback = Feedback(now[:, None] + times, state[:, :-1], gains, self._space)
 
     def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[Outcome, np.ndarray]:
         """Roll the plan out with and without the last plan's feedback; tells which is the cheaper one."""
