@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from .realtime.process import PlannerProcess
     from .realtime.robot import simulated_robot
     from .record.history import History, HistoryRecorder
+    from .record.plan_log import PlanLog
+    from .record.replay import Replay, replay
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -74,10 +76,12 @@ __all__ = [
     "MujocoStates",
     "NewtonStates",
     "Plan",
+    "PlanLog",
     "PlannerProcess",
     "PlannerThread",
     "Plant",
     "RealTimeReport",
+    "Replay",
     "RobotLoop",
     "Rollout",
     "Scene",
@@ -106,6 +110,7 @@ __all__ = [
     "memory",
     "memory_before",
     "remember",
+    "replay",
     "residual_term",
     "run_batch",
     "run_episode",
@@ -133,6 +138,9 @@ _HOME = {
     "MujocoStates": "model.exchange",
     "NewtonStates": "model.exchange",
     "Plan": "planner.plan",
+    "PlanLog": "record.plan_log",
+    "Replay": "record.replay",
+    "replay": "record.replay",
     "Plant": "plant.simulated",
     "Rollout": "controller.rollout",
     "Scene": "scene.schema",

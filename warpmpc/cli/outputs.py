@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..record.history import HistoryRecorder, history_file
+from .run_folder import HISTORY, RECORDING, check_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,13 +25,20 @@ class Outputs:
     record: Path | None = None
     csv: Path | None = None
     npz: Path | None = None
+    out: Path | None = None
+    """Folder of the run, which has a history and a recording of every episode."""
     several: bool = False
     """Whether there are several episodes."""
 
     @property
     def histories(self) -> bool:
         """Whether histories are to be written."""
-        return self.csv is not None or self.npz is not None
+        return any((self.csv, self.npz, self.out))
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is to be written."""
+        return self.histories or self.record is not None
 
     def check(self, *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
@@ -38,7 +46,7 @@ class Outputs:
         Raises:
             ValueError: If one cannot.
         """
-        for name in ("record", "csv", "npz"):
+        for name in ("record", "csv", "npz", "out"):
             path = getattr(self, name)
             if path is None:
                 continue
@@ -46,6 +54,9 @@ class Outputs:
                 raise ValueError(f"--{name}: a file shows one environment: leave out --envs or --{name}")
             if name == "record" and jobs is not None:
                 raise ValueError("--record: a recording is made here: leave out --jobs, or take --csv or --npz")
+            if name == "out":
+                check_folder(path)
+                continue
             if name != "record" and history_file(path).suffix != f".{name}":
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
             if not path.absolute().parent.is_dir():
@@ -55,10 +66,11 @@ class Outputs:
         """What takes note of an episode's steps."""
         history = HistoryRecorder(episode.controller, episode.plant) if self.histories else None
         made: list[Recorder] = [history] if history else []
-        if self.record is not None:
-            from ..record.recorder import Recorder as Recording  # slow to import
+        for path in (self.record, self.out and self.out / RECORDING):
+            if path is not None:
+                from ..record.recorder import Recorder as Recording  # slow to import
 
-            made.append(Recording(self._path(self.record, episode.seed), episode.controller, episode.plant))
+                made.append(Recording(self._path(path, episode.seed), episode.controller, episode.plant))
         return Recorders(made, history)
 
     def save(self, history: History, seed: int) -> None:
@@ -67,7 +79,7 @@ class Outputs:
         Raises:
             OSError: If a file cannot be written.
         """
-        for path in (self.csv, self.npz):
+        for path in (self.csv, self.npz, self.out and self.out / HISTORY):
             if path is not None:
                 history.save(self._path(path, seed))
 

@@ -19,6 +19,7 @@ from ..scene.load import load_scene, variants
 from ..scene.schema import EngineName
 from .interrupts import INTERRUPTED, Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
+from .run_folder import RunFolder
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -199,6 +200,7 @@ def run(
     """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
     kept: KeptResults | None = None
+    folder: RunFolder | None = None
     interrupted = False
     notices = not quiet and not json_lines
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
@@ -208,6 +210,7 @@ def run(
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
+                folder = _folder(outputs, setup, seeds, term_files, jobs)
             if jobs is not None:
                 from .spread import run_spread
 
@@ -231,13 +234,16 @@ def run(
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
                     results.append(result)
+                    if folder is not None:
+                        with user_errors():
+                            folder.add(result.to_json())
                     if json_lines:
                         print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
         except KeyboardInterrupt:
             interrupted = True
         if kept is not None and kept.outdated:
             logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
-        if kept is not None and kept.taken and (outputs.csv or outputs.npz or outputs.record):
+        if kept is not None and kept.taken and outputs.any:
             logger.warning(
                 "%s has %d of these episodes: they were not run again, so no files of theirs were written",
                 results_file,
@@ -282,6 +288,20 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     from ..run.kept import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
+
+
+def _folder(
+    outputs: Outputs, setup: Setup, seeds: Sequence[int], term_files: Sequence[Path], jobs: str | None
+) -> RunFolder | None:
+    """The run's folder, begun; None where none is asked for.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    if outputs.out is None:
+        return None
+    asked = {"engine": setup.engine, "device": setup.device, "jobs": jobs}
+    return RunFolder(outputs.out, setup.scene, seeds=seeds, term_files=term_files, asked=asked)
 
 
 def _run_each(

@@ -149,7 +149,7 @@ class Plant:
         envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant.batch.PlantBatch` of plants
             with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
         task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
-        terms: Users' own cost terms that success, phases or ``watch`` name.
+        terms: Users' own cost terms that success, failures, phases or ``watch`` name.
         watch: Cost terms whose values :attr:`terms` shall have, such as all of ``scene.cost_labels``.
         compiled: The scene compiled earlier, to save doing it again.
         world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
@@ -408,8 +408,9 @@ class Plant:
 
     @property
     def done(self) -> bool:
-        """Whether the episode is over: goal reached, time out or the physics diverged."""
-        return self.success or self.diverged or self.time >= self.scene.timing.timeout - 1e-9
+        """Whether the episode is over: goal reached, failed, time out or the physics diverged."""
+        over = self.success or self.diverged or self.monitor.failure is not None
+        return over or self.time >= self.scene.timing.timeout - 1e-9
 
     @property
     def reason(self) -> str:
@@ -418,4 +419,6 @@ class Plant:
             return "goal reached"
         if self.diverged:
             return "the plant's physics diverged"
+        if self.monitor.failure is not None:
+            return f"failed: {self.monitor.failure}"
         return "timeout" if self.done else "running"

@@ -40,7 +40,7 @@ class TimedPlan:
     plan: Plan
     """Controls over the robot's clock."""
     number: int
-    """Plans before it."""
+    """Plans before it, those of a planner that died included."""
     observed: float
     """Time of the observation that it was made from [s]."""
     latency: float

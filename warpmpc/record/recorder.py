@@ -19,6 +19,7 @@ from ..model.layout import IDENTITY, WORLD
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
+from .history import turning
 from .shapes import (
     GHOST,
     ContactPoints,
@@ -107,8 +108,7 @@ class Recorder:
         self._clouds: dict[str, np.ndarray] = {}
         self._frames = acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
-        wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
-        self._turning = [n for n in ("yaw", "rotation") if any(getattr(w, n) is not None for w in wanted)]
+        self._turning = turning(scene)
         self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]
         self._curves = self._name_curves()
         self._scalar = rr.Scalars.descriptor_scalars()
