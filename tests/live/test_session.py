@@ -3,6 +3,7 @@ import time
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from warpmpc.live.session import Session
 from warpmpc.model.safe import safe_command
@@ -227,3 +228,24 @@ def test_posts_are_hit_once_touching_them_costs_nothing():
         until(lambda: session.snapshot.episode == 2 and session.plant.contact.max_force > 10.0, seconds=60.0)
     finally:
         ended(session)
+
+
+def test_what_is_recorded_opens_and_a_reset_ends_it(session, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    steps_on(session)
+    session.record()
+    until(lambda: session.snapshot.recording)
+    first = session.snapshot.recording
+    steps_on(session, 10)
+    session.reset()
+    until(lambda: session.snapshot.episode == 2 and not session.snapshot.recording)
+    session.record()
+    until(lambda: session.snapshot.recording)
+    assert session.snapshot.recording != first
+    steps_on(session)
+    session.record(False)
+    until(lambda: not session.snapshot.recording)
+    for file in tmp_path.iterdir():
+        recorded = {chunk.entity_path for chunk in RrdReader(file).stream().to_chunks()}
+        assert {"/cost/total", "/rollouts/best", "/scene/discs/cart"} <= recorded
+    assert len(list(tmp_path.iterdir())) == 2

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 import time
@@ -52,8 +53,8 @@ def serve(session: Session, *, host: str, port: int, ending: threading.Event | N
 
     require_port(host, port)
     ending = ending or threading.Event()
-    console = rich.get_console()
-    console.quiet = True  # viser greets there
+    rich.get_console().quiet = True  # viser greets there
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # whoever connects and says nothing
     server = viser.ViserServer(host=host, port=port, label=session.scene.title or session.scene.name, verbose=False)
     try:
         session.start()

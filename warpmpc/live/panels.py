@@ -54,8 +54,10 @@ class Panels:
         gui, session = self._gui, self._session
         self._pause = gui.add_button("Pause")
         step, reset = gui.add_button("Step"), gui.add_button("Reset")
+        self._record = gui.add_button("Record", hint="for rerun, to a file in the working directory")
         self._seed = gui.add_number("seed", session.seed, min=0, max=2**28, step=1, hint="of the next reset")
         self._pause.on_click(lambda _: session.pause(not session.snapshot.paused))
+        self._record.on_click(lambda _: session.record(not session.snapshot.recording))
         step.on_click(lambda _: session.single_step())
         reset.on_click(lambda _: session.reset(int(self._seed.value)))
         paces = sorted({*PACES, 100.0 * session.pace}, reverse=True)
@@ -129,10 +131,13 @@ class Panels:
         text = f"**{snapshot.state}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
         if snapshot.plan_ms == snapshot.plan_ms:
             text += f" · plan {snapshot.plan_ms:.0f} ms"
+        if snapshot.recording:
+            text += f"\n\nrecording to `{snapshot.recording}`"
         if snapshot.message:
             text += f"\n\n**refused:** {snapshot.message}"
         _show(self._status, "content", text)
         _show(self._pause, "label", "Resume" if snapshot.paused else "Pause")
+        _show(self._record, "label", "Stop recording" if snapshot.recording else "Record")
         _show(self._planning, "value", snapshot.planning)
         _show(self._controlling, "value", snapshot.controlling)
         now = perf_counter()

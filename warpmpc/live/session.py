@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that owns controller and plant: takes changes, observes, plans, applies, publishes what is seen."""
+"""The thread that owns controller and plant: takes what others want changed, steps, keeps the pace."""
 
 from __future__ import annotations
 
@@ -7,35 +7,21 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
-from ..controller.controller import Controller
-from ..model.safe import safe_command
-from ..run.choose_engine import with_samples
-from ..run.episode import Episode, compile_shared
-from ..scene.load import load_scene
-from .fan import Fan
-from .snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from ..cost.term import UserTerm
-    from ..model.state import State
-    from ..planner.plan import Plan
+from .closed_loop import ClosedLoop
 
 logger = logging.getLogger("warpmpc")
 
-PUBLISH = 0.05
-"""Shortest wall time between two snapshots with rollouts [s]."""
 SETTLE = 0.3
 """Wall time without another change of a key after which it is made: texts are typed letter by letter [s]."""
 WAIT = 0.02
 """Longest sleep between two looks at what others want [s]."""
 
 
-class Session(threading.Thread):
+class Session(ClosedLoop, threading.Thread):
     """Runs controller and plant in lock step until it is stopped, at the goal and after the time-out, too.
 
     Everything that touches either happens in this thread. Other threads hand in changes, which are taken between two
@@ -43,46 +29,24 @@ class Session(threading.Thread):
 
     Args:
         source: Scene and variant.
-        overrides: ``KEY=VALUE`` texts.
-        seed: Seed of the first episode.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
-        terms: Users' own cost terms.
         pace: Simulated seconds per second of wall time at most.
+        options: As for :class:`~.closed_loop.ClosedLoop`.
 
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown.
     """
 
-    def __init__(
-        self,
-        source: str,
-        *,
-        overrides: Sequence[str] = (),
-        seed: int = 0,
-        engine: str = "auto",
-        device: str = "auto",
-        terms: Sequence[UserTerm] = (),
-        pace: float = 1.0,
-    ):
-        super().__init__(name="warpmpc live", daemon=True)
-        self.source, self.overrides, self.seed, self.pace = source, tuple(overrides), seed, pace
-        self.watched = True
-        """Whether anybody looks: else nothing is prepared to be seen of rollouts."""
-        self.paused, self.planning, self.controlling = False, True, True
-        self.tuned: dict[str, float] = {}
-        """Weights and scalars changed since the start, by name."""
-        self.keys: dict[str, str] = {}
-        """Keys of the scene changed since the start, ``planner.samples`` and so on, with TOML values."""
+    def __init__(self, source: str, *, pace: float = 1.0, **options: object):
+        threading.Thread.__init__(self, name="warpmpc live", daemon=True)
+        self.pace = pace
         self.waiting: dict[str, str] = {}
         """Keys about to be changed."""
-        self._options = {"engine": engine, "device": device, "terms": tuple(terms)}
         self._changes: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
-        self._steps_wanted, self._message, self.build, self.episode = 0, "", 0, 0
         self._settled = self._from = 0.0
-        self._build(source, self.overrides, {}, seed)
+        self._steps_wanted = 0
+        ClosedLoop.__init__(self, source, **options)
 
     # ---- for other threads
 
@@ -136,6 +100,10 @@ class Session(threading.Thread):
         """Go on with another scene, as its file has it."""
         self.do(lambda: self._build(source, (), {}, self.seed))
 
+    def record(self, recording: bool = True) -> None:
+        """Record to a new file in the working directory, or stop; other planners, plants and resets stop it, too."""
+        self.do(self._start_recording if recording else self._stop_recording)
+
     def grab(self, body: str, point: np.ndarray) -> None:
         """Take hold of a body at a point of the world ``[3]`` [m]."""
         self.do(lambda: self.plant.hand.grab(body, point))
@@ -159,7 +127,13 @@ class Session(threading.Thread):
     # ---- in this thread
 
     def run(self) -> None:
-        """Take changes, step, keep the pace."""
+        """Take changes, step, keep the pace; finish a recording at the end."""
+        try:
+            self._go_on()
+        finally:
+            self._stop_recording()
+
+    def _go_on(self) -> None:
         self._from = time.perf_counter()
         while not self._ending.is_set():
             self._take_changes()
@@ -192,130 +166,10 @@ class Session(threading.Thread):
         try:
             work()
         except Exception as error:
-            self._message = " ".join(str(error).split()) or type(error).__name__
-            logger.warning("%s", self._message)
+            self.message = " ".join(str(error).split()) or type(error).__name__
+            logger.warning("%s", self.message)
             if work == self._step:
                 self.paused = True  # it would go wrong at every step
         else:
             if work != self._step:
-                self._message = ""
-
-    def _step(self) -> None:
-        observation = self.plant.observe()
-        if self.planning:
-            self._plan = self.controller.plan(observation)
-        self._control = self._command(observation)
-        self.plant.apply(self._control)
-        now = time.perf_counter()
-        rollouts = self.watched and (now - self._published >= PUBLISH or self.paused)
-        if rollouts:
-            self._published = now
-        self._publish(rollouts=rollouts)
-
-    def _command(self, observation: State) -> np.ndarray:
-        plan, layout = self._plan, self.plant.layout
-        usable = plan is not None and not (self.planning and self.controller.info.fallback)
-        ended = usable and not self.planning and observation.time > plan.times[-1]
-        self._state = "the plan has ended" if ended else "running"
-        if self.controlling and usable and not ended:
-            return plan.at(observation.time)
-        dt = self.plant.scene.timing.control_dt
-        safe = safe_command(layout, observation.joint_q[None], observation.joint_qd[None], dt)[0]
-        return np.clip(safe, layout.control_lower, layout.control_upper)
-
-    # ---- what is changed
-
-    def _build(self, source: str, overrides: Sequence[str], keys: dict[str, str], seed: int) -> None:
-        """Another scene, seed or plant; what there was stays if it cannot be built."""
-        scene = load_scene(source, overrides=[*overrides, *_texts(keys)])
-        episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
-        fan = Fan(episode.controller)
-        if source != self.source:
-            self.tuned = {}
-        self.source, self.overrides, self.keys, self.seed = source, tuple(overrides), keys, seed
-        self.scene, self.controller, self.plant, self._fan = episode.scene, episode.controller, episode.plant, fan
-        self.build += 1
-        self._begin()
-
-    def _begin(self) -> None:
-        """What is shown belongs to a new episode."""
-        for name, value in self.tuned.items():
-            self.controller.task[name] = value
-        self.episode += 1
-        self._control = np.zeros(self.plant.layout.nu, np.float32)
-        self._plan: Plan | None = None
-        self._steps_wanted, self._published, self._state = 0, 0.0, "running"
-        self._publish(rollouts=False)
-
-    def _reset(self, seed: int | None) -> None:
-        if seed is not None and seed != self.seed:
-            self._build(self.source, self.overrides, self.keys, seed)
-            return
-        self.plant.reset()
-        self.controller.reset()
-        self._begin()
-
-    def _set_keys(self, changed: dict[str, str]) -> None:
-        keys = {**self.keys, **changed}
-        if all(key.startswith("planner.") for key in changed):
-            self._replan(keys)
-        else:
-            self._build(self.source, self.overrides, keys, self.seed)
-
-    def _replan(self, keys: dict[str, str]) -> None:
-        """A controller of the same task with another planner, once it has made a plan."""
-        planner = load_scene(self.source, overrides=[*self.overrides, *_texts(keys)]).planner
-        old, scene = self.controller, self.scene.model_copy(update={"planner": planner})
-        if not isinstance(planner.samples, int):
-            scene = with_samples(scene, old.shape.samples)  # measured at the start
-        controller = Controller(
-            scene,
-            engine=old.engine.name,
-            device=old.device,
-            seed=self.seed,
-            terms=self._options["terms"],
-            compiled=old.compiled,
-            task=old.task,
-        )
-        controller.step(self.plant.observe())  # what users' functions make of it shows now
-        controller.reset(self._plan)
-        self.scene, self.controller, self.keys, self._fan = scene, controller, keys, Fan(controller)
-
-    def _publish(self, *, rollouts: bool) -> None:
-        plant, task = self.plant, self.controller.task
-        info = self.controller.info if self.planning else None
-        if info is None or info.fallback:
-            self._fan.clear()
-        elif rollouts:
-            self._fan.look()
-        forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
-        state = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._state
-        nothing = float("nan")
-        self.snapshot = Snapshot(
-            source=self.source,
-            build=self.build,
-            episode=self.episode,
-            time=plant.time,
-            steps=plant.steps,
-            body_q=np.array(plant.body_q).copy(),
-            poses={name: task.pose(name).copy() for name in task.pose_name},
-            values={name: float(task[name]) for name in (*task.weight_name, *task.scalar_name)},
-            ways=self._fan.ways,
-            forecast=self._fan.forecast,
-            forces=forces,
-            pull=plant.hand.spring,
-            control=np.array(self._control),
-            cost=nothing if info is None else info.cost,
-            eta=nothing if info is None else info.eta,
-            beta=nothing if info is None else info.beta,
-            plan_ms=nothing if info is None else info.plan_ms,
-            state=state,
-            paused=self.paused,
-            planning=self.planning,
-            controlling=self.controlling,
-            message=self._message,
-        )
-
-
-def _texts(keys: dict[str, str]) -> list[str]:
-    return [f"{key}={value}" for key, value in keys.items()]
+                self.message = ""

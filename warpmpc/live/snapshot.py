@@ -51,5 +51,7 @@ class Snapshot:
     paused: bool
     planning: bool
     controlling: bool
+    recording: str
+    """File that is recorded to; empty without."""
     message: str
     """What became of the last change that could not be made; empty when all is well."""
