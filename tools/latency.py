@@ -5,8 +5,8 @@ r"""What latency does to a scene, with and without predicting observations forwa
     python tools/latency.py cartpole_swingup --latency 0 20 40 80 --seeds 3
 
 Planner, agent and plant are those of `warpmpc run --real-time`, but the clock is not: every plan takes the latency that
-is asked for, on the plant's clock, however fast the machine is. The next observation is taken when a plan is ready.
-Prints successes and the mean time to the goal, the timeout where it was missed.
+is asked for, on the plant's clock, however fast the machine is. The next observation is taken when a plan is ready, and
+at most one for every control. Prints successes and the mean time to the goal, the timeout where it was missed.
 """
 
 from __future__ import annotations
@@ -41,15 +41,17 @@ def delayed_episode(scene: Scene, *, latency: float, compensate: bool, seed: int
     agent = Agent(scene, controller.layout)
     acting: TimedPlan | None = None
     coming: tuple[float, TimedPlan] | None = None
+    begin = 0.0  # of the next plan
     command = np.zeros(controller.layout.nu, dtype=np.float32)
     while not robot.done:
         state = robot.observe()
         if coming is not None and robot.time >= coming[0] - 1e-9:
             acting, coming = coming[1], None
         command = agent.command(state, acting, robot.time)
-        if coming is None:
+        if coming is None and robot.time >= begin - 1e-9:
             timed = planning.plan(Sighting(state, command, agent.following))
-            coming = robot.time + max(latency, 1.0 / scene.agent.rate), replace(timed, latency=latency)
+            coming = robot.time + latency, replace(timed, latency=latency)
+            begin = robot.time + scene.timing.control_dt
         robot.apply(command)
     return robot
 
@@ -65,7 +67,7 @@ def main() -> None:
     scene = load_scene(options.scene, overrides=options.set)
     print("latency [ms]  compensated  successes  mean time [s]")
     for latency in options.latency:
-        for compensate in (True, False):
+        for compensate in (True, False) if latency else (True,):
             runs = [
                 delayed_episode(scene, latency=1e-3 * latency, compensate=compensate, seed=seed)
                 for seed in range(options.seeds)

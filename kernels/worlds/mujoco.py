@@ -38,18 +38,23 @@ _ROLL_OUT = """
     ((SetState)set_state)(m, d, (const double*)initial, full_spec);
     for (int i = 0; i < nv; ++i) ((double*)warmstart)[i] = 0.0;
     for (int i = 0; i < warnings; ++i) *(int*)((char*)warning + i * warning_stride) = 0;
+    bool warned = false;
     for (int n = 0; n < steps; ++n) {
-        bool warned = false;
-        for (int i = 0; i < warnings; ++i) warned = warned || *(const int*)((const char*)warning + i * warning_stride);
-        if (warned && n > 0) {  // the world blew up: its last good state is repeated
-            for (int i = 0; i < nstate; ++i) states[n * nstate + i] = states[(n - 1) * nstate + i];
-            for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = sensors[(n - 1) * nsensor + i];
+        if (!warned) {
+            ((SetState)set_state)(m, d, (const double*)control + n * ncontrol, control_spec);
+            ((Step)step)(m, d);
+            for (int i = 0; i < warnings; ++i)
+                warned = warned || *(const int*)((const char*)warning + i * warning_stride);
+        }
+        if (!warned) {
+            ((GetState)get_state)(m, d, states + n * nstate, full_spec);
+            for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = ((const double*)measured)[i];
             continue;
         }
-        ((SetState)set_state)(m, d, (const double*)control + n * ncontrol, control_spec);
-        ((Step)step)(m, d);
-        ((GetState)get_state)(m, d, states + n * nstate, full_spec);
-        for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = ((const double*)measured)[i];
+        // the world blew up, be it in its last step: the last good state stays, whose time tells of it
+        const double* before = n > 0 ? states + (n - 1) * nstate : (const double*)initial;
+        for (int i = 0; i < nstate; ++i) states[n * nstate + i] = before[i];
+        for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = n > 0 ? sensors[(n - 1) * nsensor + i] : 0.0;
     }
 """
 
@@ -78,7 +83,7 @@ def roll_out_mujoco(
     nsensor: int,
     steps: int,
 ):
-    """Step one world as ``mujoco.rollout`` does: from a state, without warm start, until a warning stops it."""
+    """Step one world as ``mujoco.rollout`` does, from a state, without warm start, until MuJoCo warns of a step."""
     ...
 
 

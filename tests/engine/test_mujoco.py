@@ -146,6 +146,16 @@ def test_a_world_that_blows_up_is_flagged_and_disturbs_nobody(scene, layout, fir
         np.testing.assert_array_equal(a, b.numpy())
 
 
+def test_a_world_that_blows_up_in_its_only_step_stays_where_it_was_and_is_flagged(scene, layout):
+    engine = make_engine(scene, samples=3, horizon=1, substeps=1)
+    q, qd = starts(layout, 1)
+    control = controls(1, 3)
+    control[0, 1] = 1e30
+    out = roll(engine, control, q, qd)
+    assert out.diverged.numpy().tolist() == [0, 1, 0]
+    np.testing.assert_array_equal(out.joint_q.numpy()[1, 1], out.joint_q.numpy()[0, 1])
+
+
 @pytest.mark.parametrize(("array", "value"), [("q", np.nan), ("q", np.inf), ("qd", np.nan), ("qd", 1e12)])
 def test_a_bad_state_flags_its_environment_alone(scene, layout, array, value):
     engine = make_engine(scene, envs=2, samples=3, horizon=4)

@@ -209,12 +209,15 @@ def test_a_control_that_makes_no_sense_is_refused(control):
         make_plant().apply(control)
 
 
-def test_a_plant_that_blows_up_says_so():
-    plant = make_plant(plant={"kicks": [{"time": 0.04, "target": "box", "velocity": (1e12, 0.0, 0.0)}]})
+@pytest.mark.parametrize("substeps", [1, 8])
+def test_a_plant_that_blows_up_says_so(substeps):
+    kick = {"time": 0.04, "target": "box", "velocity": (1e12, 0.0, 0.0)}
+    plant = make_plant(plant={"substeps": substeps, "kicks": [kick]})
     run(plant, 1)
     assert not plant.diverged
     run(plant, 1)
     assert plant.done
+    assert np.isfinite(plant.state.joint_q).all()  # the last good state
     assert plant.reason == "the plant's physics diverged"
     plant.reset()
     assert not plant.diverged

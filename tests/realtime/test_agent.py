@@ -79,7 +79,7 @@ def mend(robot, planner) -> None:
 
 
 FAULTS = {
-    "stalled": (stall, "there is no plan for 0.09"),
+    "stalled": (stall, "the newest plan is from what was observed 0.09"),
     "diverged": (diverge, "every rollout diverged"),
     "out of range": (exceed, "the plan is out of range: base/x = 5"),
     "plan not finite": (lose_numbers, "the plan is not finite"),
@@ -191,26 +191,49 @@ def test_a_plan_that_is_replaced_is_followed_from_its_own_times():
     timed = TimedPlan(plan, 0, 1.98, 0.02, 10.0, True)
     state = State(np.zeros(3), np.zeros(3), time=2.0)
     np.testing.assert_allclose(agent.command(state, timed, 2.0), 0.0)
-    later = replace(state, joint_q=np.full(3, 0.1), time=2.08)
-    np.testing.assert_allclose(agent.command(later, timed, 2.08), 0.08, atol=1e-6)
+    later = replace(state, joint_q=np.full(3, 0.1), time=2.06)
+    np.testing.assert_allclose(agent.command(later, timed, 2.06), 0.06, atol=1e-6)
 
 
-def test_a_plan_that_comes_after_its_own_end_is_not_followed(caplog):
+@pytest.mark.parametrize("stall", [0.3, 2.0])
+def test_a_plan_from_before_a_stall_is_not_followed_whether_it_is_over_or_not(stall, caplog):
     loop, robot, planner = drill()
     sighting, planner.stalled = planner.sightings[-1], True
-    ticks(loop, 1000)  # the planner stalls for two seconds over a plan for the one that follows the sighting
+    ticks(loop, round(stall * loop.scene.agent.rate))  # over a plan for the second after the sighting
     before, begin = planner.newest(), robot.plant.time
     plan = replace(before.plan, times=sighting.state.time + np.array([0.0, 1.0]))
-    planner._timed = replace(before, plan=plan, number=before.number + 1, observed=sighting.state.time, latency=2.0)
-    caplog.clear()
+    late = {"number": before.number + 1, "observed": sighting.state.time, "latency": stall}
+    planner._timed = replace(before, plan=plan, **late)
     ticks(loop, 20)
     assert not any(control.any() for time, control in robot.sent if time >= begin)
     assert not loop.agent.following
     mend(robot, planner)
-    ticks(loop, 20)
+    ticks(loop, 300)
     assert loop.agent.following
     assert len(loop.agent.faults) == 1
-    assert ["following the plan again" in line for line in caplog.messages] == [True]
+    assert ["following the plan again" in line for line in caplog.messages] == [False, True]
+
+
+def test_a_fault_that_comes_and_goes_is_two_lines_and_one_fault_with_a_count(caplog):
+    loop, robot, planner = drill()
+    begin = robot.plant.time
+    for _ in range(20):  # a plan lasts 0.09 s, the next one comes after 0.12 s
+        planner.period = 0.12
+        ticks(loop, 60)
+    loop_fault = loop.agent.faults[0]
+    assert [line.endswith("sending the safe command") for line in caplog.messages] == [True]
+    planner.period = 0.04
+    ticks(loop, 400)
+    assert loop.agent.faults == [loop_fault]
+    assert 18 <= loop_fault.count <= 20
+    assert begin < loop_fault.start < begin + 0.15
+    assert loop_fault.end == pytest.approx(begin + 20 * 0.12, abs=0.15)
+    assert len(caplog.messages) == 2
+    assert f"following the plan again after {loop_fault.end - loop_fault.start:.3f} s" in caplog.messages[1]
+    assert caplog.messages[1].endswith(f", {loop_fault.count} times in all")
+    planner.stalled = True
+    ticks(loop, 60)
+    assert len(loop.agent.faults) == 2  # another one
 
 
 def test_a_robot_that_rests_is_not_taken_for_frozen():

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..run.episode import Episode, EpisodeResult
     from ..scene.schema import (
         Condition,
+        Failure,
         Object,
         Obstacle,
         Planner,
@@ -135,6 +136,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         fact("obstacle", f"{item.name}: {_shape(item)} at {_number(item.position)}")
     fact("frames", ", ".join(layout.frame_name))
     fact("goal", _goal(scene))
+    for failure in scene.failure:
+        fact("failure", _failure(failure))
     for target in scene.target:
         fact("target", f"{target.name} at {_number(target.position)} m")
     if scene.scalar:
@@ -151,6 +154,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         "rollouts",
         f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
     )
+    if controller.planner.refiner:
+        fact("derivatives", controller.planner.refiner.summary)
     ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
@@ -220,6 +225,18 @@ def _success(scene: Scene) -> str:
     ]
     conditions = [_condition(condition) for condition in scene.success.conditions]
     return f"reached within {', '.join(within + conditions)}"
+
+
+def _failure(failure: Failure) -> str:
+    return " ".join(
+        [
+            f"{failure.name}:",
+            ", ".join(map(_condition, failure.conditions)) or "too long",
+            *([f"for {failure.hold:g} s"] if failure.hold else []),
+            *([f"in phase {failure.phase}"] if failure.phase else []),
+            *([f"after {failure.after:g} s"] if failure.after else []),
+        ]
+    )
 
 
 def _condition(condition: Condition) -> str:

@@ -275,7 +275,7 @@ class Controller:
         """
         self.step(state)
         report, many = self._last[1], np.ndim(state.joint_q) == 2
-        first = np.nan_to_num(self._observed.planned) - report.offset
+        first = self._observed.last - report.offset
         times = first[:, None] + self.planner.knot_time
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
@@ -283,6 +283,7 @@ class Controller:
             spline=self.planner.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
+            feedback=self.planner.feedback,
         )
 
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
@@ -303,7 +304,7 @@ class Controller:
         sample = int(self._last[1].best[e]) if sample is None else sample
         out = self.engine.record([(e * self.shape.samples + sample) * self.shape.domains])
         return Rollout(
-            times=float(np.nan_to_num(self._observed.planned[e])) + self.planner.grid.t,
+            times=float(self._observed.last[e]) + self.planner.grid.t,
             joint_q=out.joint_q[:, 0].copy(),
             joint_qd=out.joint_qd[:, 0].copy(),
             body_q=out.body_q[:, 0].copy(),
@@ -357,7 +358,7 @@ class Controller:
     def _describe(self, report: PlanReport, e: int, fallback: bool, plan_ms: float) -> Info:
         """Row e of the report, in words."""
         return Info(
-            time=float(np.nan_to_num(self._observed.planned[e])),
+            time=float(self._observed.last[e]),
             beta=float(report.beta[e]),
             eta=0.0 if fallback else float(report.eta[e]),
             cost=float("inf") if fallback else float(report.cost[e]),

@@ -84,6 +84,11 @@ class Observation:
             return State(q, qd, time=self.now.copy(), act=act, mocap=mocap)
         return State(q[0], qd[0], time=float(self.now[0]), act=act[0], mocap=mocap[0])
 
+    @property
+    def last(self) -> np.ndarray:
+        """Time of the newest finite observation ``[E]`` [s], zero before the first."""
+        return np.where(np.isnan(self.planned), 0.0, self.planned)
+
     def take(self, state: State) -> None:
         """Take in a state; what it leaves out is as it was.
 

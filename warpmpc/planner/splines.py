@@ -59,10 +59,10 @@ def spline_value(kind: SplineKind, times: np.ndarray, knots: np.ndarray, time: f
         return knots[0]
     if kind is SplineKind.ZERO:
         early = float(kernels.KNOT_TOLERANCE) * (times[1] - times[0])
-        return knots[np.clip(np.searchsorted(times, time + early, side="right") - 1, 0, last)]
-    i = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, last - 1))
-    length = times[i + 1] - times[i]
-    x = float(np.clip((time - times[i]) / length, 0.0, 1.0))
+        return knots[min(max(int(np.searchsorted(times, time + early, side="right")) - 1, 0), last)]
+    i = min(max(int(np.searchsorted(times, time, side="right")) - 1, 0), last - 1)  # np.clip takes long for one number
+    length = float(times[i + 1] - times[i])
+    x = min(max(float(time - times[i]) / length, 0.0), 1.0)
     if kind is SplineKind.LINEAR:
         return (1.0 - x) * knots[i] + x * knots[i + 1]
     if kind is SplineKind.CUBIC:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a plant has reached what the task wants, and which phase of it is on."""
+"""Whether a plant has reached what the task wants or has failed, and which phase of it is on."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ SLACK = 1e-6
 
 
 class Monitor:
-    """Looks at every state of one plant: success, and the conditions on which the task goes on to its next phase.
+    """Looks at every state of one plant: success, failures, and what the task goes on to its next phase on.
 
     A simulated :class:`~warpmpc.Plant` has one. For a robot of your own, hand it what you observe, before the plan:
 
         >>> monitor = warpmpc.Monitor(scene, task=mpc.task)
-        >>> while not monitor.update(state := robot.observe()):
+        >>> while not monitor.update(state := robot.observe()) and monitor.failure is None:
         ...     robot.apply(mpc.step(state))
 
     Args:
         scene: The scene.
         task: The task, whose phase it advances: that of the controller.
         e: Environment of the task.
-        terms: Users' own cost terms that success or phases name.
+        terms: Users' own cost terms that success, failures or phases name.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -48,6 +48,8 @@ class Monitor:
     """How far the goal's object or frame is from the goal; None for a scene without a goal, or before any state."""
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
+    failure: str | None
+    """Name of the failure that came first, None while there is none; what comes later is no success."""
 
     def __init__(
         self,
@@ -66,6 +68,8 @@ class Monitor:
             return Conditions(rows, layout, task, e, scene=scene, key=key)
 
         self._success = conditions(scene.success.conditions, "success.conditions")
+        rows = scene.failure
+        self._fails = [conditions(f.conditions, f"failure.{f.name}.conditions") for f in rows]
         self._until = [conditions(phase.until, f"phase.{phase.name}.until") for phase in scene.phase]
         self._seen: Seen | None = None  # a simulated plant needs none
         self.reset()
@@ -73,7 +77,9 @@ class Monitor:
     @property
     def watched_terms(self) -> set[str]:
         """Cost terms that any condition looks at."""
-        rows = [*self._scene.success.conditions, *(c for phase in self._scene.phase for c in phase.until)]
+        scene = self._scene
+        rows = [*scene.success.conditions, *(c for phase in scene.phase for c in phase.until)]
+        rows += [condition for failure in scene.failure for condition in failure.conditions]
         return {condition.term for condition in rows if condition.term is not None}
 
     def reset(self) -> None:
@@ -82,10 +88,12 @@ class Monitor:
             self._task.reset(self._e)
         self.error = None
         self.phases = []
+        self.failure = None
         self._now: float | None = None  # time of the last state
         self._within: float | None = None  # since when the success test holds
         self._held: float | None = None  # since when the phase's conditions hold
-        self._entered = 0.0  # when the phase began
+        self._entered = self._begun = 0.0  # when the phase began, and the run
+        self._failing: list[float | None] = [None] * len(self._fails)  # since when each failure's conditions hold
         if self._seen:
             self._seen.reset()
 
@@ -111,6 +119,7 @@ class Monitor:
         if look is None:
             self._pass(time)
             self._within = self._held = None
+            self._failing = [None] * len(self._fails)
         else:
             self.look(look, time)
         return self.success
@@ -130,14 +139,25 @@ class Monitor:
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
         reached = last_phase and (self.error is None or self.error.within(scene.success)) and self._success.hold(look)
         self._within = self._since(self._within, reached)
+        self._judge(look)
         if not last_phase:
             self._advance(look)
 
     def _pass(self, time: float) -> None:
         """Move the clock on; the first phase begins with the first state."""
         if self._now is None:
-            self._entered = time
+            self._entered = self._begun = time
         self._now = time
+
+    def _judge(self, look: Look) -> None:
+        """Take note of the first failure that holds long enough, where there is no success."""
+        phase = self._scene.phase[self._task.phase[self._e]].name if self._scene.phase else None
+        for i, (failure, conditions) in enumerate(zip(self._scene.failure, self._fails, strict=True)):
+            begun = self._begun if failure.phase is None else self._entered
+            counts = failure.phase in (None, phase) and self._lasted(begun, failure.after)
+            self._failing[i] = self._since(self._failing[i], counts and conditions.hold(look))
+            if self.failure is None and not self.success and self._lasted(self._failing[i], failure.hold):
+                self.failure = failure.name
 
     def _advance(self, look: Look) -> None:
         """Go on to the next phase when this one has what it waits for."""
@@ -153,7 +173,7 @@ class Monitor:
     @property
     def success(self) -> bool:
         """Whether everything that is wanted holds and did so long enough."""
-        return self._lasted(self._within, self._scene.success.hold)
+        return self.failure is None and self._lasted(self._within, self._scene.success.hold)
 
     def _since(self, since: float | None, holds: bool) -> float | None:
         """Since when something holds without a break [s], which it did since a time, or not."""

@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("warpmpc")
 
+CALM = 0.5
+"""Time for which plans are followed before a fault counts as over [s]: one that hovers about its threshold is one."""
+
 
 @dataclass
 class Fault:
-    """A time in which no plan was followed."""
+    """A time in which no plan was followed, or one again and again for short."""
 
     kind: FaultKind
     """What was wrong first."""
@@ -33,6 +36,8 @@ class Fault:
     """When [s], on the robot's clock."""
     end: float | None = None
     """When plans were followed again [s], None while they are not."""
+    count: int = 1
+    """How often it came to that, with less than :data:`CALM` in between."""
 
 
 class Agent:
@@ -60,6 +65,7 @@ class Agent:
         """Whether the last command came from a plan."""
         self._held: State | None = None  # where the robot was when the fault began
         self._seen = True
+        self._troubled = False  # whether the newest fault is not over for long enough
 
     @property
     def fault(self) -> Fault | None:
@@ -84,7 +90,7 @@ class Agent:
         found = found or self._watchdog.plan_fault(timed, now)
         if found is None:
             self._recover(now)
-            return self._bounds(timed.plan.at(now))
+            return self._bounds(timed.plan.at(now, state))
         self._fail(found, now, waiting=timed is None and self._seen)
         return self._safe(now)
 
@@ -94,15 +100,26 @@ class Agent:
         return None if state is None else self._safe(state.time)
 
     def _recover(self, now: float) -> None:
-        if self.fault is not None:
-            self.fault.end = now
-            lasted = now - self.faults[-1].start
-            logger.warning("t = %.3f s: following the plan again after %.3f s", now, lasted)
         self.following, self._held = True, None
+        if not self._troubled:
+            return
+        last = self.faults[-1]
+        if last.end is None:
+            last.end = now
+        elif now - last.end >= CALM:
+            self._troubled = False
+            lasted, again = last.end - last.start, f", {last.count} times in all" if last.count > 1 else ""
+            logger.warning("t = %.3f s: following the plan again after %.3f s%s", last.end, lasted, again)
 
     def _fail(self, found: Finding, now: float, *, waiting: bool) -> None:
         self.following = False
-        if not waiting and self.fault is None:
+        if waiting or self.fault is not None:
+            return
+        if self._troubled:
+            self.faults[-1].end = None
+            self.faults[-1].count += 1
+        else:
+            self._troubled = True
             self.faults.append(Fault(*found, now))
             logger.warning("t = %.3f s: %s; sending the safe command", now, found[1])
 

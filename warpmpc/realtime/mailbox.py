@@ -38,12 +38,17 @@ class Mailbox:
         letter = np.ascontiguousarray(letter, dtype=float)
         if len(letter) > self.capacity:
             raise ValueError(f"a letter of {len(letter)} numbers does not fit into a mailbox of {self.capacity}")
-        self._sent = max(self._sent, self._newest()[0]) + 1
+        self._sent = self.sent + 1
         place = np.frombuffer(self._places[self._sent % 2])
         place[0] = 0.0  # nobody may take the older letter for whole
         place[3 : 3 + len(letter)] = letter
         place[1], place[2] = _checksum(letter, self._sent), len(letter)
         place[0] = self._sent
+
+    @property
+    def sent(self) -> int:
+        """Letters written so far, by whomever."""
+        return max(self._sent, self._newest()[0])
 
     def read(self) -> np.ndarray | None:
         """The newest letter, None where it has been read already or there is none."""

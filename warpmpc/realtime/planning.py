@@ -32,9 +32,10 @@ class Planning:
         controller: Makes the plans, of one environment.
         speed: The robot's seconds in a second of wall time.
         latency: Time from observation to plan to expect, on the robot's clock [s]; as it is measured if None.
+        number: Number of the first plan.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0, latency: float | None = None):
+    def __init__(self, controller: Controller, *, speed: float = 1.0, latency: float | None = None, number: int = 0):
         if controller.envs != 1:
             raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
         self.controller, self._speed, self._given = controller, speed, latency
@@ -45,7 +46,7 @@ class Planning:
             self._predict = Predictor(scene, controller.compiled, controller.layout, controller.task)
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._timed: TimedPlan | None = None  # the newest that is followed
-        self._made = 0
+        self._number = number  # of the next plan
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -75,8 +76,8 @@ class Planning:
         latency = self._speed * (time.monotonic() - sighting.stamp)
         self._latencies.append(latency)
         info = controller.info
-        timed = TimedPlan(plan, self._made, sighting.state.time, latency, info.plan_ms, not info.fallback)
-        self._made += 1
+        timed = TimedPlan(plan, self._number, sighting.state.time, latency, info.plan_ms, not info.fallback)
+        self._number += 1
         self._timed = timed if timed.survived else self._timed
         return timed
 

@@ -48,13 +48,20 @@ class Predictor:
             self._engine = MujocoEngine(
                 compiled,
                 BatchSize(1, 1, 1, 1),
-                substeps=[2],  # a world that blows up is found by the physics step after
-                timestep=0.5 * self.dt,
+                substeps=[1],
+                timestep=self.dt,
                 threads=1,
                 options=Options.of(scene.engine),
             )
             self._observed = ObservedState.allocate(layout, task, "cpu")
-        self._step = [Replay(partial(self._engine.rollout_part, self._engine.trajectory.control, 0))]
+        engine, out = self._engine, self._engine.trajectory
+        self._clone = Replay(partial(engine.clone, self._observed))
+        self._step = [Replay(partial(engine.rollout_part, out.control, 0))]
+        # the same memory, seen by NumPy
+        self._control, self._diverged = out.control.numpy()[0, 0], out.diverged.numpy()
+        self._reached = [array.numpy()[1, 0] for array in (out.joint_q, out.joint_qd, out.act)]
+        seen = self._observed
+        self._seen = [array.numpy()[0] for array in (seen.joint_q, seen.joint_qd, seen.act, seen.mocap, seen.pose)]
 
     def __call__(self, state: State, control: Callable[[float], np.ndarray], duration: float) -> State:
         """The state after a time, rounded up to whole steps; the state itself where the physics diverges.
@@ -64,33 +71,30 @@ class Predictor:
             control: The control ``[nu]`` at a time [s].
             duration: How far [s].
         """
-        engine, out = self._engine, self._engine.trajectory
+        steps = math.ceil(duration / self.dt - 1e-6)
+        if steps < 1:
+            return state
+        engine, diverged = self._engine, False
         with capturing:
             self._set(state)
-            engine.clone(self._observed)
-            steps = math.ceil(duration / self.dt - 1e-6)
-            diverged = False
+            self._clone()
             for k in range(steps):
-                out.control.numpy()[0, 0] = control(state.time + k * self.dt)
+                self._control[:] = control(state.time + k * self.dt)
                 engine.run(self._step)
                 engine.initial[0] = engine.state[0, -1]
                 engine.initial[0, 0] = 0.0  # steps that take other than their time count as diverged
-                diverged |= bool(out.diverged.numpy()[0])
-        if steps < 1 or diverged:
+                diverged |= bool(self._diverged[0])
+        if diverged:
             return state
-        q, qd, act = (array.numpy()[1, 0].copy() for array in (out.joint_q, out.joint_qd, out.act))
+        q, qd, act = (array.copy() for array in self._reached)
         if not all(np.isfinite(part).all() for part in (q, qd, act)):
             return state
         return replace(state, joint_q=q, joint_qd=qd, act=act, time=state.time + steps * self.dt)
 
     def _set(self, state: State) -> None:
-        seen, start = self._observed, self._start
+        start = self._start
+        act = start.act if state.act is None else state.act
+        mocap = start.mocap if state.mocap is None else state.mocap
         pose = self._task.block[0, : 7 * len(self._task.pose_name)].reshape(-1, 7)
-        for array, values in (
-            (seen.joint_q, state.joint_q),
-            (seen.joint_qd, state.joint_qd),
-            (seen.act, start.act if state.act is None else state.act),
-            (seen.mocap, start.mocap if state.mocap is None else state.mocap),
-            (seen.pose, pose),
-        ):
-            array.numpy()[0] = values
+        for array, values in zip(self._seen, (state.joint_q, state.joint_qd, act, mocap, pose), strict=True):
+            array[:] = values

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planning loop in a process of its own, which is started again when it dies."""
+"""The planning loop in a process of its own, which is started again whenever it dies."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -16,8 +17,11 @@ import warp as wp
 
 from ..compiling import native_output
 from ..model.compiled import CompiledScene, compile_scene
+from ..planner.feedback import StateSpace
 from ..scene.errors import SceneError
+from ..scene.schema import Refinement
 from ..task.task import Task, task_layout
+from .last_words import LastWords
 from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
 from .mailbox import Mailbox
 
@@ -28,6 +32,11 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
 
 logger = logging.getLogger("warpmpc")
+
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 30.0
+"""Wall time before a planner that died young is started again [s]: it doubles from the first to the longest."""
+GROWN_UP = 10.0
+"""Wall time after which a planner did not die young [s]: another is started at once."""
 
 MakeTerms = Callable[[], "Sequence[UserTerm]"]
 """Makes users' cost terms in the planner's process, such as ``functools.partial(warpmpc.load_terms, ["cost.py"])``."""
@@ -49,8 +58,9 @@ class _Order:
 class PlannerProcess:
     """Plans in another process, so that the robot's loop never waits for a plan, nor for Python's lock.
 
-    The processes share memory for observations and plans, nothing else. One that dies is started again. Programs that
-    use it have their entry below ``if __name__ == "__main__":``, as with all processes that are spawned.
+    The processes share memory for observations and plans, nothing else. One that dies is started again, for as long as
+    this is open; why it died is logged. Programs that use it have their entry below ``if __name__ == "__main__":``, as
+    with all processes that are spawned.
 
         >>> with warpmpc.PlannerProcess(scene) as planner:
         ...     warpmpc.RobotLoop(scene, robot, planner).run(until=lambda: robot.done)
@@ -91,11 +101,12 @@ class PlannerProcess:
         self._order = _Order(scene, seed, engine, device, terms, speed, knots)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
         self._sightings = SightingCodec(self.layout, self.task.block.shape[1])
-        self._plans = PlanCodec(self.layout, scene.planner.spline, knots)
+        self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
         self._seen = Mailbox(self._context, self._sightings.capacity)
         self._planned = Mailbox(self._context, self._plans.capacity)
         self._timed: TimedPlan | None = None
         self._closed = threading.Event()
+        self._starting = threading.Lock()  # nothing is started any more once it is closed
 
     def __enter__(self) -> PlannerProcess:
         """Start, and wait until it has planned once.
@@ -111,13 +122,15 @@ class PlannerProcess:
         except BaseException:
             self._process.kill()
             raise
+        self._born = time.monotonic()
         self._keeper = threading.Thread(target=self._keep, daemon=True)
         self._keeper.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._closed.set()
-        self._process.kill()
+        with self._starting:
+            self._closed.set()
+            self._process.kill()
         self._keeper.join()
 
     @property
@@ -138,39 +151,62 @@ class PlannerProcess:
 
     def _start(self) -> None:
         self._ready, theirs = self._context.Pipe(duplex=False)
-        arguments = (self._order, self._seen, self._planned, theirs)
+        self._words = LastWords(self._context)
+        arguments = (self._order, self._seen, self._planned, theirs, self._words.writer)
         self._process = self._context.Process(target=_plan, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
+        self._words.listen()
 
     def _await(self) -> None:
         """Wait until the process plans, or raise what kept it from that."""
         try:
             failed = self._ready.recv()
         except EOFError:
-            raise RuntimeError("the planner's process died before its first plan") from None
+            self._process.join()
+            raise RuntimeError(f"the planner's process died before its first plan ({self._why()})") from None
         if failed is not None:
             raise failed
 
+    def _why(self) -> str:
+        """How the process ended, and what it wrote last."""
+        return "\n  ".join([f"exit code {self._process.exitcode}", *self._words.lines()])
+
     def _keep(self) -> None:
-        """Start the process again whenever it dies."""
+        """Start the process again whenever it dies, after pauses that grow while it dies young."""
+        pause, why = 0.0, None
         while True:
             self._process.join()
             if self._closed.is_set():
                 return
-            logger.warning("the planner's process died (exit code %s); starting another", self._process.exitcode)
-            self._start()
-            try:
-                self._await()
-            except Exception as error:
-                if not self._closed.is_set():
-                    logger.error("the planner does not start again: %s", error)
+            if time.monotonic() - self._born >= GROWN_UP:
+                pause = 0.0
+            when = f" in {pause:g} s" if pause else ""
+            logger.warning("the planner's process died (%s); starting another%s", why or self._why(), when)
+            if self._closed.wait(pause):
                 return
+            pause = min(max(FIRST_PAUSE, 2.0 * pause), LONGEST_PAUSE)
+            with self._starting:
+                if self._closed.is_set():
+                    return
+                self._start()
+            why = self._does_not_start()
+
+    def _does_not_start(self) -> str | None:
+        """Wait until the process plans; what kept it from that, None for nothing."""
+        try:
+            self._await()
+            return None
+        except Exception as error:
+            return f"it does not start: {error}"
+        finally:
+            self._born = time.monotonic()
 
 
-def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection) -> None:
-    """What the process does: it is silent, leaves Ctrl-C to its parent and does not outlive it."""
+def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, words: Connection) -> None:
+    """What the process does: its parent alone hears it, it leaves Ctrl-C to its parent and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(words.fileno(), 2)
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
     logger.setLevel(logging.ERROR)  # what plans come to, the agent says
@@ -187,8 +223,8 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection) -> 
         controller = Controller(scene, engine=order.engine, device=order.device, seed=order.seed, terms=terms)
         task = controller.task.block.shape[1]
         sightings = SightingCodec(controller.layout, task)
-        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots)
-        planning = Planning(controller, speed=order.speed)
+        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
+        planning = Planning(controller, speed=order.speed, number=planned.sent)
         ready.send(None)
     except Exception as error:
         ready.send(error)
@@ -202,3 +238,9 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection) -> 
         planned.write(plans.encode(timed))
 
     planning.run(newest, publish, lambda: not parent.is_alive())
+
+
+def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:
+    """How states are subtracted where a scene's plans have feedback."""
+    refine = scene.planner.refine
+    return StateSpace.of(compiled) if refine and refine.method is Refinement.ILQG else None

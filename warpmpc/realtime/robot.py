@@ -39,7 +39,7 @@ def simulated_robot(
     compiled = compiled or compile_scene(scene)
     timing, tick = scene.timing, 1.0 / scene.agent.rate
     physics = timing.control_dt / compiled.substeps(scene.plant.substeps, timing.control_dt, SUBSTEPS)
-    substeps = max(2, math.ceil(tick / physics - 1e-6))  # a world that blows up is found by the physics step after
+    substeps = max(1, math.ceil(tick / physics - 1e-6))
     faster = scene.model_copy(
         update={
             "timing": timing.model_copy(update={"control_dt": tick}),

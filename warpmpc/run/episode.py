@@ -48,7 +48,7 @@ class EpisodeResult:
     device: str
     success: bool
     reason: str
-    """Why it ended: ``goal reached``, ``timeout``, ``the plant's physics diverged`` or ``interrupted``."""
+    """Its end: ``goal reached``, ``failed: NAME``, ``timeout``, ``the plant's physics diverged``, ``interrupted``."""
     sim_time: float
     """Simulated time [s]."""
     steps: int

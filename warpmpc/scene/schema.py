@@ -25,6 +25,7 @@ from .schema_bodies import (
 )
 from .schema_cloud import Camera, Cloud
 from .schema_motion import Motion, Seen
+from .schema_over import Condition, Failure, Success
 from .schema_planner import (
     EngineName,
     EngineSettings,
@@ -34,6 +35,7 @@ from .schema_planner import (
     NoiseShape,
     NoiseSource,
     Planner,
+    Refinement,
     Renewal,
     Risk,
     SampleCount,
@@ -55,7 +57,6 @@ from .types import (
     OneOrMore,
     Param,
     Positive,
-    Positives,
     Quat,
     Section,
     Vec2or3,
@@ -77,6 +78,7 @@ __all__ = [
     "EngineName",
     "EngineSettings",
     "Execute",
+    "Failure",
     "Frame",
     "Goal",
     "Ground",
@@ -97,6 +99,7 @@ __all__ = [
     "Pose",
     "Randomization",
     "RandomizeTask",
+    "Refinement",
     "Rejection",
     "Renewal",
     "Risk",
@@ -198,40 +201,6 @@ class Cost(Section):
         return dict(self.model_extra or {})
 
 
-class Condition(Section):
-    """Something that must hold: of a frame, a joint or the value of a cost term."""
-
-    frame: str | None = None
-    """Frame (``robot/frame``, ``robot/link``, an object) whose distance from ``to`` or whose height is looked at."""
-    to: str = "goal"
-    """``frame``: what it is compared with, a frame or a target."""
-    distance: Positive | None = None
-    """``frame``: largest distance [m]."""
-    yaw: Positive | None = None
-    """``frame``: largest heading error [rad]."""
-    rotation: Positive | None = None
-    """``frame``: largest angle between the orientations [rad]."""
-    joint: str | None = None
-    """Joint, ``robot/joint`` or its own name, whose position is looked at [m or rad]."""
-    term: str | None = None
-    """Cost term by its name in printouts, whose value without its weight is looked at."""
-    above: Finite | None = None
-    """Least value of the joint or term, least height of the frame [m]."""
-    below: Finite | None = None
-    """Largest value of the joint or term, largest height of the frame [m]."""
-
-    @model_validator(mode="after")
-    def _one_subject(self) -> Condition:
-        if sum(subject is not None for subject in (self.frame, self.joint, self.term)) != 1:
-            raise ValueError("a condition is about one of frame, joint, term")
-        errors = [self.distance, self.yaw, self.rotation]
-        if self.frame is None and any(error is not None for error in errors):
-            raise ValueError("distance, yaw and rotation belong to a condition about a frame")
-        if all(bound is None for bound in (*errors, self.above, self.below)):
-            raise ValueError("a condition needs above or below; one about a frame may have distance, yaw, rotation")
-        return self
-
-
 class Phase(Section):
     """A part of a task with targets, scalars and weights of its own; it ends when what it waits for has come."""
 
@@ -267,34 +236,6 @@ class Phase(Section):
             raise ValueError("count and draw_rotation are about goals: give goal or through")
         if self.draw_rotation and any(pose.yaw is not None for pose in (self.goal, *self.through) if pose is not None):
             raise ValueError("draw_rotation takes the place of yaw")
-        return self
-
-
-class Success(Section):
-    """When the run has reached what it wants."""
-
-    position: Positives | None = None
-    """Largest error along each axis of the world [m]: one number, or one for every axis of the goal."""
-    distance: Positive | None = None
-    """Largest Euclidean error [m]."""
-    yaw: Positive | None = None
-    """Largest heading error [rad]."""
-    rotation: Positive | None = None
-    """Largest rotation angle to the goal orientation [rad]."""
-    conditions: Annotated[tuple[Condition, ...], OneOrMore] = ()
-    """What must hold besides, of frames, joints or cost terms; a scene without a goal has these alone."""
-    hold: NonNegative = 0.0
-    """Time for which all of it must hold [s]."""
-
-    @property
-    def of_goal(self) -> bool:
-        """Whether it compares anything with the goal."""
-        return any(limit is not None for limit in (self.position, self.distance, self.yaw, self.rotation))
-
-    @model_validator(mode="after")
-    def _something(self) -> Success:
-        if not self.of_goal and not self.conditions:
-            raise ValueError("success needs at least one of position, distance, yaw, rotation, conditions")
         return self
 
 
@@ -341,6 +282,8 @@ class Scene(Section):
     """What is drawn anew for every episode."""
     success: Success
     """When the run has reached what it wants."""
+    failure: Annotated[tuple[Failure, ...], OneOrMore] = ()
+    """What ends the run without success, each in a table."""
     path: Path | None = Field(None, exclude=True)
     """File the scene was read from; relative assets are found beside it."""
     variant: str | None = Field(None, exclude=True)
@@ -357,6 +300,16 @@ class Scene(Section):
     @classmethod
     def _one_goal_each(cls, phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
         return one_by_one(phases)
+
+    @field_validator("failure")
+    @classmethod
+    def _in_phases(cls, failures: tuple[Failure, ...], info: ValidationInfo) -> tuple[Failure, ...]:
+        there = [phase.name for phase in info.data.get("phase", ())]
+        for failure in failures:
+            if failure.phase is not None and failure.phase not in there:
+                known = f"the phases are {', '.join(there)}" if there else "the scene has none"
+                raise ValueError(f"'{failure.name}' is of no phase '{failure.phase}': {known}")
+        return failures
 
     @property
     def flat_poses(self) -> set[str]:

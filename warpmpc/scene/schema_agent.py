@@ -12,7 +12,8 @@ class AgentSettings(Section):
     rate: Positive = 500.0
     """How often it observes and commands the robot [Hz]."""
     plan_timeout: Positive = 0.09
-    """Age beyond which the newest plan is not followed any more [s]."""
+    """Age of the observation beyond which a plan made from it is not followed any more [s]; a plan that replaces it is
+    made from one observed a latency later and comes after two, so it is more than that."""
     observation_timeout: Positive = 0.05
     """Age beyond which an observation is not believed any more, or time for which a moving robot may show the same
     joint positions [s]."""
