@@ -51,7 +51,7 @@ def test_the_robot_moves_and_what_there_is_to_see_is_published(session):
     assert np.isfinite([seen.cost, seen.eta, seen.beta, seen.plan_ms]).all()
 
 
-@pytest.mark.parametrize("source", ["cylinder_push", "point_reach", "panda_reach"])
+@pytest.mark.parametrize("source", ["cylinder_push", "point_reach"])
 def test_what_is_ahead_costs_what_the_plan_says(source):
     session = Session(source, overrides=["engine.threads=1", "planner.samples=16"], device="cpu")
     controller, plant = session.controller, session.plant

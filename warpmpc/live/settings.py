@@ -16,6 +16,7 @@ from ..scene.types import Section
 if TYPE_CHECKING:
     import viser
 
+    from ..scene.schema import Scene
     from .session import Session
 
 KEEP = 1.0
@@ -37,7 +38,10 @@ class Settings:
     def __init__(self, gui: viser.GuiApi, session: Session, section: str):
         self._gui, self._session, self._section = gui, session, section
         self._inputs: dict[str, Any] = {}
+        self._texts: set[str] = set()
         self._typed: dict[str, float] = {}
+        self._values: dict[str, Any] = {}
+        self._scene: Scene | None = None
         self._list(getattr(session.scene, section), (section,))
 
     def _list(self, section: Section, at: tuple[str, ...]) -> None:
@@ -47,7 +51,8 @@ class Settings:
             if isinstance(value, Section):
                 tables[name] = value
             elif not _lists_tables(field.annotation):
-                made = self._input(name, field.annotation, value, _plain(field.description))
+                kind = str if type(section)._may_be_absent(name) else field.annotation
+                made = self._input(name, kind, value, _plain(field.description))
                 self._bind(join_key((*at, name)), made)
         for name, value in tables.items():
             with self._gui.add_folder(name, expand_by_default=False):
@@ -57,35 +62,41 @@ class Settings:
         gui, shown = self._gui, _shown(value)
         if isinstance(kind, type) and issubclass(kind, Enum):
             return gui.add_dropdown(name, [choice.value for choice in kind], initial_value=shown, hint=hint)
+        if kind is str or not isinstance(value, bool | int | float):
+            return gui.add_text(name, _text(value), hint=hint)
         if isinstance(value, bool):
             return gui.add_checkbox(name, shown, hint=hint)
         if isinstance(value, int):
             return gui.add_number(name, shown, step=1, hint=hint)
-        if isinstance(value, float):
-            return gui.add_number(name, shown, step=_step(value), hint=hint)
-        return gui.add_text(name, shown, hint=hint)
+        return gui.add_number(name, shown, step=_step(value), hint=hint)
 
     def _bind(self, key: str, made: Any) -> None:
         import viser
 
         self._inputs[key] = made
-        typed_as_toml = isinstance(made, viser.GuiTextHandle)
+        if isinstance(made, viser.GuiTextHandle):
+            self._texts.add(key)
 
         @made.on_update
         def _set(event: viser.GuiEvent) -> None:
             if event.client is not None:  # not shown by update
                 self._typed[key] = perf_counter()
-                text = made.value.strip() or "false" if typed_as_toml else _toml(made.value)
+                text = made.value.strip() or "false" if key in self._texts else _toml(made.value)
                 self._session.set_key(key, text)
 
     def update(self) -> None:
         """Show what the session has, where nobody is typing."""
-        values = dict(_leaves(getattr(self._session.scene, self._section), (self._section,)))
-        waiting = self._session.waiting
-        for key, made in self._inputs.items():
-            if key not in values or key in waiting or perf_counter() - self._typed.get(key, -math.inf) < KEEP:
+        session, now = self._session, perf_counter()
+        stale = set(self._typed)
+        if session.scene is not self._scene:
+            self._scene, stale = session.scene, set(self._inputs)
+            self._values = dict(_leaves(getattr(self._scene, self._section), (self._section,)))
+        for key in stale - session.waiting.keys():
+            if now - self._typed.get(key, -math.inf) < KEEP:
                 continue
-            shown = _shown(values[key])
+            self._typed.pop(key, None)
+            made, value = self._inputs[key], self._values.get(key)
+            shown = _text(value) if key in self._texts else _shown(value)
             if made.value != shown and type(made.value) is type(shown):
                 made.value = shown
 
@@ -107,14 +118,15 @@ def _lists_tables(annotation: object) -> bool:
 
 
 def _shown(value: object) -> Any:
-    """What an input shows of a value."""
+    """What a switch, a choice or a number shows of a value."""
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, bool | int):
-        return value
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    return "" if value is None else _toml(value)
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _text(value: object) -> str:
+    """What a text shows of a value."""
+    return "" if value is None else _toml(value.value if isinstance(value, Enum) else value)
 
 
 def _toml(value: object) -> str:
