@@ -51,6 +51,9 @@ if TYPE_CHECKING:
     from .record.history import History, HistoryRecorder
     from .record.plan_log import PlanLog
     from .record.replay import Replay, replay
+    from .record.switch import RecordingSwitch
+    from .record.tick_log import TickLog
+    from .record.ticks import TickRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -81,6 +84,7 @@ __all__ = [
     "PlannerThread",
     "Plant",
     "RealTimeReport",
+    "RecordingSwitch",
     "Replay",
     "RobotLoop",
     "Rollout",
@@ -89,6 +93,8 @@ __all__ = [
     "State",
     "StepView",
     "Task",
+    "TickLog",
+    "TickRecorder",
     "ancillary",
     "array_cost",
     "centre_of_mass",
@@ -141,6 +147,9 @@ _HOME = {
     "PlanLog": "record.plan_log",
     "Replay": "record.replay",
     "replay": "record.replay",
+    "RecordingSwitch": "record.switch",
+    "TickLog": "record.tick_log",
+    "TickRecorder": "record.ticks",
     "Plant": "plant.simulated",
     "Rollout": "controller.rollout",
     "Scene": "scene.schema",

@@ -206,15 +206,12 @@ def run(
     from ..cli import run as cli_run
     from ..cli.outputs import Outputs
 
+    outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
     if real_time:
         from ..cli.real_time import run_real_time
 
         given = {
             "--envs": envs > 1,
-            "--record": record,
-            "--csv": csv,
-            "--npz": npz,
-            "--out": out,
             "--jobs": jobs,
             "--results": results,
         }
@@ -227,6 +224,7 @@ def run(
                 term_files=terms,
                 engine=engine,
                 device=device,
+                outputs=outputs,
                 refused=[option for option, value in given.items() if value],
                 json_lines=json,
                 quiet=quiet,
@@ -243,7 +241,7 @@ def run(
             term_files=terms,
             engine=engine,
             device=device,
-            outputs=Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1),
+            outputs=outputs,
             jobs=jobs,
             results_file=results,
             json_lines=json,

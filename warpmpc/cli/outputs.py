@@ -6,16 +6,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..record.history import HistoryRecorder, history_file
-from .run_folder import HISTORY, RECORDING, check_folder
+from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ..record.history import History
     from ..run.episode import Episode, Recorder
+    from ..scene.schema import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +63,30 @@ class Outputs:
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
 
+    def recordings(self, seed: int) -> list[Path]:
+        """Files for rerun of an episode."""
+        return [self._path(path, seed) for path in (self.record, self.out and self.out / RECORDING) if path is not None]
+
+    def folder(
+        self, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]
+    ) -> RunFolder | None:
+        """The run's folder, begun, as :class:`RunFolder` has it; None where none is asked for.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        if self.out is None:
+            return None
+        return RunFolder(self.out, scene, seeds=seeds, term_files=term_files, asked=asked)
+
     def recorders(self, episode: Episode) -> Recorders:
         """What takes note of an episode's steps."""
         history = HistoryRecorder(episode.controller, episode.plant) if self.histories else None
         made: list[Recorder] = [history] if history else []
-        for path in (self.record, self.out and self.out / RECORDING):
-            if path is not None:
-                from ..record.recorder import Recorder as Recording  # slow to import
+        for path in self.recordings(episode.seed):
+            from ..record.recorder import Recorder as Recording  # slow to import
 
-                made.append(Recording(self._path(path, episode.seed), episode.controller, episode.plant))
+            made.append(Recording(path, episode.controller, episode.plant))
         return Recorders(made, history)
 
     def save(self, history: History, seed: int) -> None:

@@ -19,7 +19,6 @@ from ..scene.load import load_scene, variants
 from ..scene.schema import EngineName
 from .interrupts import INTERRUPTED, Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
-from .run_folder import RunFolder
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from ..run.kept import KeptResults
     from ..scene.schema import Scene
     from .outputs import Outputs
+    from .run_folder import RunFolder
 
 logger = logging.getLogger("warpmpc")
 
@@ -210,7 +210,8 @@ def run(
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
-                folder = _folder(outputs, setup, seeds, term_files, jobs)
+                asked = {"engine": engine, "device": device, "jobs": jobs}
+                folder = outputs.folder(setup.scene, seeds=seeds, term_files=term_files, asked=asked)
             if jobs is not None:
                 from .spread import run_spread
 
@@ -288,20 +289,6 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     from ..run.kept import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
-
-
-def _folder(
-    outputs: Outputs, setup: Setup, seeds: Sequence[int], term_files: Sequence[Path], jobs: str | None
-) -> RunFolder | None:
-    """The run's folder, begun; None where none is asked for.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    if outputs.out is None:
-        return None
-    asked = {"engine": setup.engine, "device": setup.device, "jobs": jobs}
-    return RunFolder(outputs.out, setup.scene, seeds=seeds, term_files=term_files, asked=asked)
 
 
 def _run_each(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .plan_log import PlanLog, PlanLogger
+from .tick_log import TickLog
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -72,7 +73,9 @@ class History:
     error_names: tuple[str, ...]
     """``position``, and ``yaw`` or ``rotation`` where they count ``[R]``; empty without a goal."""
     log: PlanLog | None = None
-    """What the plans were made from, for :func:`warpmpc.replay`; None in files of older versions."""
+    """What the plans were made from, for :func:`warpmpc.replay`; None in files of older versions and in real time."""
+    ticks: TickLog | None = None
+    """What the agent did in real time, where each row is a tick; None elsewhere."""
 
     def columns(self) -> dict[str, np.ndarray]:
         """Everything as columns of N + 1 numbers by name; plans, which the last state lacks, are NaN there.
@@ -113,7 +116,7 @@ class History:
         if path.suffix == ".npz":
             arrays = {name: np.array(getattr(self, name)) for name in NAMES}
             with open(path, "wb") as file:
-                np.savez_compressed(file, **arrays, **(self.log.to_arrays() if self.log else {}))
+                np.savez_compressed(file, **arrays, **self._logs())
             return
         columns = self.columns()
         with open(path, "w", encoding="utf-8", newline="") as file:
@@ -121,6 +124,12 @@ class History:
             writer.writerow(columns)
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
                 writer.writerow(["" if value != value else f"{value:.9g}" for value in row])
+
+    def _logs(self) -> dict[str, np.ndarray]:
+        """The logs as arrays."""
+        return {
+            name: array for log in (self.log, self.ticks) if log is not None for name, array in log.to_arrays().items()
+        }
 
     @classmethod
     def load(cls, path: str | Path) -> History:
@@ -136,13 +145,13 @@ class History:
                 later = {"beta": np.full(plans, np.nan), "eta": np.full(plans, np.nan)}
                 later |= {"goal_error": np.zeros((states, 0)), "error_names": np.zeros(0, dtype=str)}
                 found = {name: data[name] if name in data or name not in later else later[name] for name in NAMES}
-                log = PlanLog.from_arrays(data)
+                logs = {"log": PlanLog.from_arrays(data), "ticks": TickLog.from_arrays(data)}
         except (KeyError, ValueError, AttributeError, TypeError) as error:
             raise ValueError(f"{path}: is no history of a run: {error}") from None
-        return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()}, log=log)
+        return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()}, **logs)
 
 
-NAMES = tuple(field.name for field in fields(History) if field.name != "log")
+NAMES = tuple(field.name for field in fields(History) if field.name not in ("log", "ticks"))
 """Names of a history's arrays."""
 
 
@@ -209,15 +218,28 @@ class HistoryRecorder:
             beta=np.array(beta, dtype=float),
             eta=np.array(eta, dtype=float),
             goal_error=error,
-            joint_q_names=tuple(_coordinates(layout)),
-            joint_qd_names=tuple(_velocities(layout)),
-            body_names=tuple(layout.body_name),
-            control_names=tuple(layout.control_name),
             term_names=names,
-            pair_names=tuple(f"{pair.first}-{pair.second}" for pair in self._plant.pairs),
-            error_names=() if self._plant.error is None else ("position", *self._turning),
+            **names_of(self._plant, self._turning),
             log=self._log.plans if self._log else None,
         )
+
+
+def names_of(plant: Plant, turns: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """What the numbers of a plant are called, by fields of :class:`History`.
+
+    Args:
+        plant: The plant.
+        turns: Errors besides that of the position.
+    """
+    layout = plant.layout
+    return {
+        "joint_q_names": tuple(_coordinates(layout)),
+        "joint_qd_names": tuple(_velocities(layout)),
+        "body_names": tuple(layout.body_name),
+        "control_names": tuple(layout.control_name),
+        "pair_names": tuple(f"{pair.first}-{pair.second}" for pair in plant.pairs),
+        "error_names": () if plant.error is None else ("position", *turns),
+    }
 
 
 def turning(scene: Scene) -> list[str]:

@@ -61,18 +61,23 @@ def plot_history(
 
 
 def figures(history: History, scene: Scene | None, terms: Sequence[UserTerm] = ()) -> Iterator[tuple[str, Figure]]:
-    """Name and figure of everything that a history has: path, costs, controls, plan times, errors, forces."""
+    """Name and figure of everything that a history has: path, costs, controls, plan times, errors, forces, ticks."""
     figure = Figure(figsize=(7, 7), dpi=DPI)
     draw_run(figure.add_subplot(), history, _plant(history, scene, terms))
     yield "path", figure
-    if len(history.control):
+    if history.term_names and len(history.cost):
         yield "costs", _curves(history, draw_costs)
+    if len(history.control):
         yield "controls", _rows(history, history.control_names, history.control)
         yield "plan_times", _curves(history, draw_plan_times, scene)
     if history.error_names:
         yield "errors", _errors(history, scene)
     if history.pair_names:
         yield "contact_forces", _curves(history, draw_forces)
+    if history.ticks is not None:
+        ticks = history.ticks
+        names = ("follows the plan", "its age [ms]", "tick late [ms]")
+        yield "ticks", _rows(history, names, np.stack([ticks.following, 1e3 * ticks.age, ticks.late_ms], axis=1))
 
 
 def _plant(history: History, scene: Scene | None, terms: Sequence[UserTerm]) -> Plant | None:
