@@ -18,9 +18,9 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from measure import Meter
-from scene_picture import VIEWS, ScenePicture
 
 import warpmpc
+from warpmpc.record.scene_picture import VIEWS, ScenePicture
 from warpmpc.run.episode import Episode
 
 EVERY = 30

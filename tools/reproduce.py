@@ -97,7 +97,7 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
     from jobs import check_engine
     from progress import Bar
 
-    from warpmpc.run.code import code_digest
+    from warpmpc.origin import code_digest
     from warpmpc.run.records import Records
 
     check_jobs(args.jobs)

@@ -24,6 +24,7 @@ FLOORS = (
     ("realtime",),
     ("controller", "plant"),
     ("planner",),
+    ("derivatives",),
     ("engine",),
     ("cost",),
     ("task", "bake"),

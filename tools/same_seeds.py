@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from warpmpc.run.code import code_digest
+from warpmpc.origin import code_digest
 from warpmpc.run.records import Records
 from warpmpc.run.workers import FORMS
 

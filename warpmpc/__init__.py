@@ -49,6 +49,11 @@ if TYPE_CHECKING:
     from .realtime.process import PlannerProcess
     from .realtime.robot import simulated_robot
     from .record.history import History, HistoryRecorder
+    from .record.plan_log import PlanLog
+    from .record.replay import Replay, replay
+    from .record.switch import RecordingSwitch
+    from .record.tick_log import TickLog
+    from .record.ticks import TickRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -74,10 +79,13 @@ __all__ = [
     "MujocoStates",
     "NewtonStates",
     "Plan",
+    "PlanLog",
     "PlannerProcess",
     "PlannerThread",
     "Plant",
     "RealTimeReport",
+    "RecordingSwitch",
+    "Replay",
     "RobotLoop",
     "Rollout",
     "Scene",
@@ -85,6 +93,8 @@ __all__ = [
     "State",
     "StepView",
     "Task",
+    "TickLog",
+    "TickRecorder",
     "ancillary",
     "array_cost",
     "centre_of_mass",
@@ -106,6 +116,7 @@ __all__ = [
     "memory",
     "memory_before",
     "remember",
+    "replay",
     "residual_term",
     "run_batch",
     "run_episode",
@@ -133,6 +144,12 @@ _HOME = {
     "MujocoStates": "model.exchange",
     "NewtonStates": "model.exchange",
     "Plan": "planner.plan",
+    "PlanLog": "record.plan_log",
+    "Replay": "record.replay",
+    "replay": "record.replay",
+    "RecordingSwitch": "record.switch",
+    "TickLog": "record.tick_log",
+    "TickRecorder": "record.ticks",
     "Plant": "plant.simulated",
     "Rollout": "controller.rollout",
     "Scene": "scene.schema",

@@ -21,6 +21,14 @@ TAIL_TOLERANCE = wp.constant(1.0e-4)
 
 
 @wp.func
+def risk_ratio(x: float) -> float:
+    """(e^x - 1)/x."""
+    if wp.abs(x) < 0.1:  # the difference below would cancel
+        return 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0)))
+    return (wp.exp(x) - 1.0) / x
+
+
+@wp.func
 def stage_risk_ratio(stage_cost: wp.array3d[float], t: int, w: int, stage_risk: float) -> float:
     """ρ(l; R)/l of one step, ρ = (e^{R l} - 1)/R, l its cost over all terms (Howell et al. 2022, Eq. 5); 1 where R = 0.
 
@@ -31,9 +39,7 @@ def stage_risk_ratio(stage_cost: wp.array3d[float], t: int, w: int, stage_risk: 
     x = float(0.0)
     for i in range(stage_cost.shape[0]):
         x += stage_risk * stage_cost[i, t, w]
-    if wp.abs(x) < 0.1:  # the difference below would cancel
-        return 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0)))
-    return (wp.exp(x) - 1.0) / x
+    return risk_ratio(x)
 
 
 @wp.kernel

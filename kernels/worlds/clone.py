@@ -304,6 +304,25 @@ def record_mujoco_kernel(
 
 
 @wp.kernel
+def start_mujoco_kernel(
+    # inputs
+    table: JointTable,
+    nq_mujoco: int,
+    state: wp.array3d[wp.float64],  # [W, 1, nstate]
+    first: int,  # world of thread 0
+    # outputs
+    joint_q: wp.array3d[float],  # [T+1, W, nq] slice 0 is written
+    joint_qd: wp.array3d[float],  # [T+1, W, nv]
+    body_q: wp.array3d[wp.transform],  # [T+1, W, nb]
+    body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
+):
+    """One thread: the state that one world starts in, with its body poses."""
+    w = first + wp.tid()
+    read_mujoco_state(table, w, 0, 0, nq_mujoco, state, joint_q, joint_qd)
+    forward_kinematics(table, 0, w, joint_q, joint_qd, body_q, body_qd)
+
+
+@wp.kernel
 def gather_kernel(
     # inputs
     source: wp.array3d[wp.float64],  # [W, N, n]

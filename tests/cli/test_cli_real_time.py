@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """``warpmpc run --real-time``: what it reports, and what it refuses."""
 
+import json
+
+import numpy as np
 import pytest
 from program import SCENE, results, warpmpc
+
+from warpmpc import History
 
 
 @pytest.fixture
@@ -15,7 +20,9 @@ def scene(tmp_path):
 def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
     # slowed down, and with patience: tests share their cores with others
     slow = ["--speed", "0.1", "--set", "timing.timeout=0.4", "--set", "agent.plan_timeout=0.3", "--engine", "mujoco"]
-    done = warpmpc("run", scene, "--real-time", *slow, "--set", "engine.threads=1", "--json")
+    done = warpmpc(
+        "run", scene, "--real-time", *slow, "--set", "engine.threads=1", "--json", "--out", scene.parent / "run"
+    )
     assert done.returncode == 1, done.stderr
     assert done.stderr == ""
     (result,) = results(done)
@@ -27,6 +34,19 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
     assert 0.0 < result["latency_ms"]["p50"] <= result["latency_ms"]["max"]
     assert result["jitter_ms"]["p50"] < 20.0
     assert result["faults"] == []
+
+    folder = scene.parent / "run"
+    about = json.loads((folder / "run.json").read_text())
+    assert about["command"].startswith(f"warpmpc run {scene} --real-time")
+    assert json.loads((folder / "results.jsonl").read_text()) == result
+    assert (folder / "recording.rrd").stat().st_size > 10_000
+    history = History.load(folder / "history.npz")
+    assert history.ticks.following.sum() > 100
+    assert np.nanmin(history.ticks.age) > 0.0
+    assert np.diff(history.time) == pytest.approx(np.full(result["ticks"], 0.002))
+    plotted = warpmpc("plot", folder)
+    assert plotted.returncode == 0, plotted.stderr
+    assert (folder / "plots" / "ticks.png").exists()
 
 
 def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene):
@@ -42,7 +62,7 @@ def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene):
     ("options", "message"),
     [
         (["--real-time", "--envs", "4"], "--envs: not with --real-time"),
-        (["--real-time", "--csv", "run.csv", "--jobs", "2"], "--csv, --jobs: not with --real-time"),
+        (["--real-time", "--results", "run.jsonl", "--jobs", "2"], "--jobs, --results: not with --real-time"),
         (["--speed", "0.5"], "goes with --real-time"),
         (["--real-time", "--speed", "2"], "should be less than or equal to 1"),
     ],

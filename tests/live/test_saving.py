@@ -1,41 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
+from typer.testing import CliRunner
 
-from warpmpc.live.saving import save
+from warpmpc.cli.main import app
+from warpmpc.live.saving import place_of, save, values_of
 from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene
+from warpmpc.scene.load import load_scene, shipped_scenes
+
+
+def changed(before, path):
+    pairs = zip(before.splitlines(), path.read_text().splitlines(), strict=True)
+    return [(a, b) for a, b in pairs if a != b]
 
 
 @pytest.fixture
 def scene(tmp_path):
-    shipped = load_scene("cylinder_push")
+    """A copy of a shipped scene, and its text."""
     path = tmp_path / "mine.toml"
-    assets = (shipped.path.parent / "assets").resolve()
-    path.write_text(shipped.path.read_text().replace('"assets/', f'"{assets}/'))
-    return path
+    path.write_text(text := shipped_scenes()["cylinder_push"].read_text())
+    return path, text
 
 
 def test_values_are_written_and_everything_else_stays(scene):
-    before = scene.read_text().splitlines()
-    keys = {"planner.samples": "32", "planner.noise.sigma": "0.5", "planner.method": '"cem"'}
-    save(scene, load_scene(scene).cost_labels, {"reach": 0.75}, keys)
-    after = scene.read_text().splitlines()
-    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
-    assert changed[0] == ("weight = 0.5", "weight = 0.75")
-    assert {b.split(" =")[0] for _, b in changed} == {"weight", "samples", "noise", "method"}
-    assert next(b for _, b in changed if b.startswith("noise")).endswith("# [m]")
-    saved = load_scene(scene)
+    path, before = scene
+    texts = ["planner.samples=32", "planner.noise.sigma=0.5", 'planner.method="cem"']
+    save(path, None, [*texts, *values_of(load_scene(path).cost_labels, {"reach": 0.75})], to=path)
+    lines = changed(before, path)
+    assert lines[0] == ("weight = 0.5", "weight = 0.75")
+    assert {b.split(" =")[0] for _, b in lines} == {"weight", "samples", "noise", "method"}
+    assert next(b for _, b in lines if b.startswith("noise")).endswith("# [m]")
+    saved = load_scene(path)
     assert (saved.planner.samples, saved.planner.method.value, saved.planner.noise.sigma) == (32, "cem", (0.5,))
 
 
 def test_a_comment_behind_a_value_stays(scene):
-    save(scene, load_scene(scene).cost_labels, {}, {"planner.dt": "0.01"})
-    assert "dt = 0.01                    # [s] rollouts look 1 s ahead" in scene.read_text()
+    path, _ = scene
+    save(path, None, ["planner.dt=0.01"], to=path)
+    assert "dt = 0.01                    # [s] rollouts look 1 s ahead" in path.read_text()
+
+
+def test_what_the_variant_says_is_changed_in_the_variant(scene):
+    path, text = scene
+    text += "\n[variants.far]\ncost.reach.weight = 0.1  # gentle\nplanner.noise.sigma = 0.2\n"
+    path.write_text(text)
+    save(path, "far", ["cost.reach.weight=0.3", "cost.place.weight=7.5", "planner.noise.sigma=0.4"], to=path)
+    weights = {cost.label: cost.weight for cost in load_scene(f"{path}:far").cost}
+    assert (weights["reach"], weights["place"]) == (0.3, 7.5)
+    assert "cost.reach.weight = 0.3  # gentle" in path.read_text()
+    plain, before = load_scene(path), load_scene(shipped_scenes()["cylinder_push"])
+    assert {c.label: c.weight for c in plain.cost}["reach"] == {c.label: c.weight for c in before.cost}["reach"]
+    assert plain.planner.noise.sigma == before.planner.noise.sigma
+    assert load_scene(f"{path}:far").planner.noise.sigma == (0.4,)
+
+
+@pytest.mark.parametrize("source", ["omni_push_box:B", "panda_reach", "push_t"])
+def test_keys_that_a_file_does_not_have_are_added_where_they_belong(source, tmp_path):
+    scene = load_scene(source)
+    to, label = tmp_path / "mine.toml", scene.cost_labels[-1]
+    texts = [f"cost.{label}.weight=0.125", "planner.temperature.initial=0.4", "plant.noise.position=0.001"]
+    texts += ["planner.cvar=0.5", "success.hold=0.1", "cost.*.terminal=2.0"]
+    save(scene.path, scene.variant, texts, to=to)
+    saved = load_scene(f"{to}:{scene.variant}" if scene.variant else to)
+    assert saved.cost[-1].weight == 0.125
+    assert {cost.terminal for cost in saved.cost} == {2.0}
+    assert (saved.planner.temperature.initial, saved.planner.cvar, saved.plant.noise.position) == (0.4, 0.5, 0.001)
 
 
 def test_what_is_not_a_scene_is_refused_and_the_file_stays(scene):
-    before = scene.read_text()
-    with pytest.raises(SceneError):
-        save(scene, load_scene(scene).cost_labels, {}, {"planner.samples": "-3"})
-    assert scene.read_text() == before
-    assert [p.name for p in scene.parent.iterdir()] == ["mine.toml"]
+    path, before = scene
+    for text in ("planner.samples=-3", "robot.none.asset=1", 'robot.pusher.asset="assets/none.urdf"'):
+        with pytest.raises(SceneError):
+            save(path, None, [text], to=path)
+        assert path.read_text() == before
+    assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
+
+
+def test_a_shipped_scene_is_saved_into_the_working_directory_and_checked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = shipped_scenes()["cylinder_push"]
+    before, to = shipped.read_bytes(), place_of(shipped)
+    assert to == tmp_path / "cylinder_push_tuned.toml"
+    save(shipped, None, ["planner.samples=32", "engine.threads=1"], to=to)
+    assert shipped.read_bytes() == before
+    assert place_of(shipped).name == "cylinder_push_tuned2.toml", "what was saved before stays, too"
+    assert place_of(to) == to
+    result = CliRunner().invoke(app, ["check", str(to), "--engine", "fused", "--device", "cpu"])
+    assert result.exit_code == 0, result.output

@@ -26,6 +26,7 @@ from warpmpc.record.recorder import (
     Recorder,
 )
 from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
+from warpmpc.record.switch import RecordingSwitch
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.schema_cloud import Cloud
 
@@ -139,12 +140,45 @@ def test_curves_are_the_infos(run):
         f"/control/{name}": [float(u[k]) for u in loop.controls]
         for k, name in enumerate(("base/x", "base/y", "base/yaw"))
     }
-    expected |= {"/plan_ms/total": [i.plan_ms for i in loop.infos]}
+    expected |= {"/plan_ms/total": [i.plan_ms for i in loop.infos], "/plan_ms/budget": [40.0] * len(loop.infos)}
     expected |= {f"/plan_ms/{stage}": [i.stages_ms[stage] for i in loop.infos] for stage in loop.infos[0].stages_ms}
     expected |= {"/diverged_worlds": [i.diverged_worlds for i in loop.infos]}
     for entity, values in expected.items():
         assert recording.curve(entity) == (decided, values), entity
     assert recording.curve("/goal_error/position") == (list(range(len(loop.infos) + 1)), loop.errors)
+
+
+def test_predicted_controls_are_those_of_the_best_rollout_between_their_limits(run):
+    loop, recording = run
+    steps, _, lanes = recording.over_time("/prediction", "LineStrips2D:strips")
+    assert steps == list(range(len(loop.infos)))
+    rollout = loop.controller.rollout()  # of the last plan
+    lower, upper = loop.controller.limits
+    last = np.array(lanes[-1])  # [nu, T, 2]
+    assert last.shape == (3, len(rollout.control), 2)
+    for i in range(3):
+        share = (2.5 * i - last[i, :, 1] + 1.0) / 2.0  # lanes are below each other
+        np.testing.assert_allclose(lower[i] + share * (upper[i] - lower[i]), rollout.control[:, i], atol=1e-5)
+    assert (np.diff(last[0, :, 0]) > 0.0).all()
+
+
+def test_a_recording_may_be_started_and_stopped_while_the_loop_runs(loop, tmp_path):
+    switch = RecordingSwitch()
+    for step in range(9):
+        if step == 3:
+            switch.start(tmp_path / "a.rrd", loop.controller, loop.plant)
+        if step == 5:
+            assert switch.on
+            assert switch.stop() == tmp_path / "a.rrd"
+        if step == 7:
+            switch.start(tmp_path / "b.rrd", loop.controller, loop.plant)
+        loop.step(switch)
+    switch.start(tmp_path / "c.rrd", loop.controller, loop.plant)  # finishes the one before
+    switch.stop()
+    assert (switch.on, switch.stop()) == (False, None)
+    for name, steps in {"a": [3, 4, 5], "b": [7, 8, 9], "c": [9]}.items():
+        found, _, _ = Recording(tmp_path / f"{name}.rrd").over_time("/scene/box", "Transform3D:translation")
+        assert found == steps
 
 
 def test_shapes_are_logged_once(run):
@@ -191,7 +225,7 @@ def test_the_file_opens_with_views_of_its_own(run):
     _, recording = run
     (stored,) = recording.reader.blueprints()
     names = [chunk.entity_path for chunk in recording.reader.stream(store=stored).to_chunks()]
-    assert sum(name.endswith("/ViewContents") for name in names) == 9
+    assert sum(name.endswith("/ViewContents") for name in names) == 10
     assert any(name.endswith("/EyeControls3D") for name in names)
     (recorded,) = recording.reader.recordings()
     assert recorded.application_id == stored.application_id == "warpmpc_omni_push_box"

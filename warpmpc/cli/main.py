@@ -163,6 +163,14 @@ def run(
     npz: Annotated[
         Path | None, typer.Option(metavar="FILE.npz", help="The same as NumPy arrays, see warpmpc.History.")
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="A new folder that tells all about the run: scene, command, versions, hardware, results, histories, "
+            "and recordings of episodes that run here.",
+        ),
+    ] = None,
     jobs: Annotated[
         str | None,
         typer.Option(
@@ -198,14 +206,12 @@ def run(
     from ..cli import run as cli_run
     from ..cli.outputs import Outputs
 
+    outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
     if real_time:
         from ..cli.real_time import run_real_time
 
         given = {
             "--envs": envs > 1,
-            "--record": record,
-            "--csv": csv,
-            "--npz": npz,
             "--jobs": jobs,
             "--results": results,
         }
@@ -218,6 +224,7 @@ def run(
                 term_files=terms,
                 engine=engine,
                 device=device,
+                outputs=outputs,
                 refused=[option for option, value in given.items() if value],
                 json_lines=json,
                 quiet=quiet,
@@ -234,13 +241,45 @@ def run(
             term_files=terms,
             engine=engine,
             device=device,
-            outputs=Outputs(record=record, csv=csv, npz=npz, several=episodes > 1),
+            outputs=outputs,
             jobs=jobs,
             results_file=results,
             json_lines=json,
             quiet=quiet,
         )
     )
+
+
+@app.command()
+def replay(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="History (.npz) or folder that warpmpc run --npz or --out wrote.")
+    ],
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Plan again what was logged, and verify that the same commands come out, bit for bit.
+
+    Exit code 0 when they do, 1 when one differs, 2 for wrong input.
+    """
+    from .replay import replay as cli_replay
+
+    raise typer.Exit(cli_replay(path, term_files=terms))
+
+
+@app.command()
+def plot(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="History (.npz) or folder that warpmpc run --npz or --out wrote.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
+    ] = None,
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Draw a run: its path, costs, controls, plan times, errors and forces as PNG, all numbers as CSV."""
+    from .plot import plot as cli_plot
+
+    raise typer.Exit(cli_plot(path, out=out, term_files=terms))
 
 
 @app.command()

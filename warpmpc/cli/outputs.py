@@ -6,15 +6,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..record.history import HistoryRecorder, history_file
+from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ..record.history import History
     from ..run.episode import Episode, Recorder
+    from ..scene.schema import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,13 +26,20 @@ class Outputs:
     record: Path | None = None
     csv: Path | None = None
     npz: Path | None = None
+    out: Path | None = None
+    """Folder of the run, which has a history and a recording of every episode."""
     several: bool = False
     """Whether there are several episodes."""
 
     @property
     def histories(self) -> bool:
         """Whether histories are to be written."""
-        return self.csv is not None or self.npz is not None
+        return any((self.csv, self.npz, self.out))
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is to be written."""
+        return self.histories or self.record is not None
 
     def check(self, *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
@@ -38,7 +47,7 @@ class Outputs:
         Raises:
             ValueError: If one cannot.
         """
-        for name in ("record", "csv", "npz"):
+        for name in ("record", "csv", "npz", "out"):
             path = getattr(self, name)
             if path is None:
                 continue
@@ -46,19 +55,38 @@ class Outputs:
                 raise ValueError(f"--{name}: a file shows one environment: leave out --envs or --{name}")
             if name == "record" and jobs is not None:
                 raise ValueError("--record: a recording is made here: leave out --jobs, or take --csv or --npz")
+            if name == "out":
+                check_folder(path)
+                continue
             if name != "record" and history_file(path).suffix != f".{name}":
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
 
+    def recordings(self, seed: int) -> list[Path]:
+        """Files for rerun of an episode."""
+        return [self._path(path, seed) for path in (self.record, self.out and self.out / RECORDING) if path is not None]
+
+    def folder(
+        self, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]
+    ) -> RunFolder | None:
+        """The run's folder, begun, as :class:`RunFolder` has it; None where none is asked for.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        if self.out is None:
+            return None
+        return RunFolder(self.out, scene, seeds=seeds, term_files=term_files, asked=asked)
+
     def recorders(self, episode: Episode) -> Recorders:
         """What takes note of an episode's steps."""
         history = HistoryRecorder(episode.controller, episode.plant) if self.histories else None
         made: list[Recorder] = [history] if history else []
-        if self.record is not None:
+        for path in self.recordings(episode.seed):
             from ..record.recorder import Recorder as Recording  # slow to import
 
-            made.append(Recording(self._path(self.record, episode.seed), episode.controller, episode.plant))
+            made.append(Recording(path, episode.controller, episode.plant))
         return Recorders(made, history)
 
     def save(self, history: History, seed: int) -> None:
@@ -67,7 +95,7 @@ class Outputs:
         Raises:
             OSError: If a file cannot be written.
         """
-        for path in (self.csv, self.npz):
+        for path in (self.csv, self.npz, self.out and self.out / HISTORY):
             if path is not None:
                 history.save(self._path(path, seed))
 

@@ -17,7 +17,10 @@ from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
+    from ..plant.simulated import Plant
+    from ..record.ticks import TickRecorder
     from ..run.real_time import RealTimeResult
+    from .outputs import Outputs
 
 
 def run_real_time(
@@ -29,6 +32,7 @@ def run_real_time(
     term_files: Sequence[Path],
     engine: str,
     device: str,
+    outputs: Outputs,
     refused: Sequence[str],
     json_lines: bool,
     quiet: bool,
@@ -43,6 +47,7 @@ def run_real_time(
         term_files: Python files of cost terms.
         engine: Engine of the roll-outs.
         device: Device of the roll-outs.
+        outputs: Files to write.
         refused: Options that were given and do not go with real time.
         json_lines: Whether to print JSON.
         quiet: Whether to print nothing.
@@ -54,14 +59,22 @@ def run_real_time(
             with user_errors():
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
+                outputs.check(envs=1, jobs=None)
                 scene = load_scene(source, overrides=overrides)
                 start_warp()
+                asked = {"engine": engine, "device": device, "real_time": True, "speed": speed}
+                folder = outputs.folder(scene, seeds=seeds, term_files=term_files, asked=asked)
                 from ..run.real_time import run_real_time
 
                 options = {"engine": engine, "device": device, "speed": speed, "check": interrupts.check}
                 terms = partial(load_terms, [path.absolute() for path in term_files]) if term_files else None
                 for seed in seeds:
-                    results.append(run_real_time(scene, seed=seed, terms=terms, **options))
+                    recorder = TickRecording() if outputs.any else None
+                    results.append(run_real_time(scene, seed=seed, terms=terms, recorder=recorder, **options))
+                    if recorder is not None:
+                        recorder.save(outputs, results[-1])
+                    if folder is not None:
+                        folder.add(results[-1].to_json())
                     if json_lines:
                         line = json.dumps(results[-1].to_json(), ensure_ascii=False, allow_nan=False)
                         print(line, file=out, flush=True)
@@ -72,6 +85,31 @@ def run_real_time(
         except KeyboardInterrupt:
             return INTERRUPTED
     return SUCCESS if all(result.success for result in results) else FAILURE
+
+
+class TickRecording:
+    """Takes note of an episode's ticks and writes the files that are wanted of it; makes its recorder when called."""
+
+    def __call__(self, robot: Plant) -> TickRecorder:
+        """The recorder of the episode of a simulated robot."""
+        from ..record.ticks import TickRecorder
+
+        self._robot, self._recorder = robot, TickRecorder(robot)
+        return self._recorder
+
+    def save(self, outputs: Outputs, result: RealTimeResult) -> None:
+        """Write the files.
+
+        Raises:
+            OSError: If one cannot be written.
+            ValueError: If the name of one is not that of such a file.
+        """
+        history = self._recorder.history(result.report.faults)
+        outputs.save(history, result.seed)
+        for path in outputs.recordings(result.seed):
+            from ..record.tick_recording import record_ticks  # slow to import
+
+            record_ticks(path, history, self._robot)
 
 
 def described(result: RealTimeResult) -> Iterator[str]:

@@ -154,6 +154,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         "rollouts",
         f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
     )
+    if controller.planner.refiner:
+        fact("derivatives", controller.planner.refiner.summary)
     ahead = float(controller.planner.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..run.kept import KeptResults
     from ..scene.schema import Scene
     from .outputs import Outputs
+    from .run_folder import RunFolder
 
 logger = logging.getLogger("warpmpc")
 
@@ -200,6 +201,7 @@ def run(
     """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
     kept: KeptResults | None = None
+    folder: RunFolder | None = None
     interrupted = False
     notices = not quiet and not json_lines
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
@@ -209,6 +211,8 @@ def run(
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
+                asked = {"engine": engine, "device": device, "jobs": jobs}
+                folder = outputs.folder(setup.scene, seeds=seeds, term_files=term_files, asked=asked)
             if jobs is not None:
                 from .spread import run_spread
 
@@ -232,13 +236,16 @@ def run(
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
                     results.append(result)
+                    if folder is not None:
+                        with user_errors():
+                            folder.add(result.to_json())
                     if json_lines:
                         print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
         except KeyboardInterrupt:
             interrupted = True
         if kept is not None and kept.outdated:
             logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
-        if kept is not None and kept.taken and (outputs.csv or outputs.npz or outputs.record):
+        if kept is not None and kept.taken and outputs.any:
             logger.warning(
                 "%s has %d of these episodes: they were not run again, so no files of theirs were written",
                 results_file,

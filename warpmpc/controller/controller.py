@@ -82,7 +82,7 @@ class Controller:
             message = "a controller does not measure: warpmpc.fit_samples(scene) does"
             raise SceneError(message, key="planner.samples", file=scene.path, found="auto")
         name, device = resolve(scene, engine, device)
-        self.scene, self.seed, self.envs = scene, seed, envs
+        self.scene, self.seed, self.envs, self.strategy = scene, seed, envs, strategy
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
         self.task = task or Task(scene, envs=envs)
@@ -140,6 +140,7 @@ class Controller:
         self._observed.forget()
         self._last: tuple[State, PlanReport, np.ndarray, float] | None = None
         self._info = None
+        self._command: np.ndarray | None = None
 
     @property
     def device(self) -> str:
@@ -154,6 +155,26 @@ class Controller:
             infos = tuple(self._describe(report, e, bool(fallback[e]), plan_ms) for e in range(self.envs))
             self._info = infos if np.ndim(state.joint_q) == 2 else infos[0]
         return self._info
+
+    @property
+    def command(self) -> np.ndarray | None:
+        """What the last :meth:`step` returned, a copy; None before the first."""
+        return None if self._command is None else self._command.copy()
+
+    @property
+    def observed(self) -> State:
+        """The newest observation as it was taken in, with what it left out; finite or not."""
+        return self._observed.newest(many=self._last is not None and np.ndim(self._last[0].joint_q) == 2)
+
+    @property
+    def planned_task(self) -> np.ndarray:
+        """Values of the task (rows of ``Task.block``) that the last plan was made for ``[E, n]``, a copy."""
+        return self.graph.task.copy()
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Limits of the controls ``[nu]`` each, copies."""
+        return self._lower.copy(), self._upper.copy()
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``; takes effect at the next plan.
@@ -236,7 +257,8 @@ class Controller:
         if seen.fresh.any():
             self._warn_of_overflow(report)
         self._last, self._info = (state, report, fallback, plan_ms), None
-        return command if np.ndim(state.joint_q) == 2 else command[0]
+        self._command = command if np.ndim(state.joint_q) == 2 else command[0]
+        return self._command.copy()
 
     def plan(self, state: State) -> Plan:
         """Plan from an observed state.
@@ -261,6 +283,7 @@ class Controller:
             spline=self.planner.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
+            feedback=self.planner.feedback,
         )
 
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:

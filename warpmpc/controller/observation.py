@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.state import State
+
 if TYPE_CHECKING:
     from ..model.layout import Layout
-    from ..model.state import State
 
 
 class Observation:
@@ -69,6 +70,19 @@ class Observation:
     def joint_qd(self) -> np.ndarray:
         """Joint velocities ``[E, nv]``."""
         return self.block[:, self._part["joint_qd"]]
+
+    def newest(self, *, many: bool) -> State:
+        """The newest observation with what it left out, copied.
+
+        Args:
+            many: Whether with a leading axis ``[E]``.
+        """
+        row = (self.block if self.fresh.all() else self._newest).copy()
+        act, mocap = (row[:, self._part[name]].reshape(self._envs, *shape) for name, shape in self._shape.items())
+        q, qd = (row[:, self._part[name]] for name in _NAMES[:2])
+        if many:
+            return State(q, qd, time=self.now.copy(), act=act, mocap=mocap)
+        return State(q[0], qd[0], time=float(self.now[0]), act=act[0], mocap=mocap[0])
 
     @property
     def last(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import arm, cloud, collision, learned, numbers, residuals, rolling
+from . import arm, cloud, collision, components, learned, numbers, residuals, rolling
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -257,8 +257,16 @@ def _gripper(keys: dict[str, Any], b: Binding) -> grasping.GripperParams:
 BUILTIN = {
     term.name: term
     for term in (
-        CostTerm("distance", costs.distance, costs.DistanceParams, _distance, Distance, native.distance),
-        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, native.yaw_error),
+        CostTerm(
+            "distance",
+            costs.distance,
+            costs.DistanceParams,
+            _distance,
+            Distance,
+            native.distance,
+            residual=components.DISTANCE,
+        ),
+        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, native.yaw_error, residual=components.YAW),
         CostTerm(
             "push_alignment",
             pushing.push_alignment,
@@ -278,10 +286,32 @@ BUILTIN = {
             ContactForce,
             native.contact_cost,
         ),
-        CostTerm("control_effort", costs.control_effort, costs.ControlParams, _controls, Robots, native.control_effort),
-        CostTerm("control_rate", costs.control_rate, costs.ControlParams, _controls, Robots, native.control_rate),
         CostTerm(
-            "joint_limit", costs.joint_limit, costs.JointLimitParams, _joint_limit, JointLimit, native.joint_limit
+            "control_effort",
+            costs.control_effort,
+            costs.ControlParams,
+            _controls,
+            Robots,
+            native.control_effort,
+            residual=components.CONTROL_EFFORT,
+        ),
+        CostTerm(
+            "control_rate",
+            costs.control_rate,
+            costs.ControlParams,
+            _controls,
+            Robots,
+            native.control_rate,
+            residual=components.CONTROL_RATE,
+        ),
+        CostTerm(
+            "joint_limit",
+            costs.joint_limit,
+            costs.JointLimitParams,
+            _joint_limit,
+            JointLimit,
+            native.joint_limit,
+            residual=components.JOINT_LIMIT,
         ),
         CostTerm(
             "joint_velocity",
@@ -290,8 +320,11 @@ BUILTIN = {
             _joint_velocity,
             Joints,
             native.joint_velocity,
+            residual=components.JOINT_VELOCITY,
         ),
-        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints, native.posture),
+        CostTerm(
+            "posture", costs.posture, costs.PostureParams, _posture, Joints, native.posture, residual=components.POSTURE
+        ),
         CostTerm(
             "obstacle_clearance",
             clearance.obstacle_clearance,
@@ -326,9 +359,17 @@ BUILTIN = {
             native_grasping.finger_alignment,
         ),
         CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper, native_grasping.gripper),
-        CostTerm("height", costs.height, costs.HeightParams, _height, Height, native.height),
         CostTerm(
-            "orientation", costs.orientation, costs.OrientationParams, _orientation, Orientation, native.orientation
+            "height", costs.height, costs.HeightParams, _height, Height, native.height, residual=components.HEIGHT
+        ),
+        CostTerm(
+            "orientation",
+            costs.orientation,
+            costs.OrientationParams,
+            _orientation,
+            Orientation,
+            native.orientation,
+            residual=components.ORIENTATION,
         ),
         *arm.TERMS,
         *collision.TERMS,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -151,7 +152,7 @@ TERMS = (
         _angular_momentum,
         Momentum,
         native.angular_momentum,
-        residual=Residual(costs.angular_momentum_component, lambda p: p.own.axis.shape[0]),
+        residual=Residual(costs.angular_momentum_component, lambda p: p.own.axis.shape[0], norm=attrgetter("own.norm")),
     ),
 )
 """Residual terms in space."""

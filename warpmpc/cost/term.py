@@ -7,12 +7,14 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from pydantic import ValidationError
 
+from ..kernels.terms.norms import Norm
 from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
 from ..task.ancillary import AncillaryController
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Residual:
-    """The numbers that a term is a norm of, for whoever needs their derivatives; the norm is its parameters' ``norm``.
+    """The numbers that a term is a norm of, for whoever needs their derivatives.
 
     ``kernels.terms.norms`` has the norm's value, gradient and Hessian.
     """
@@ -34,7 +36,9 @@ class Residual:
     component: wp.Function
     """``(s: StepView, p: Params, i: int) -> float``: number i."""
     dimension: Callable[[Any], int]
-    """How many they are, given the filled parameter struct."""
+    """How many they are, given the filled parameter struct; none where these parameters make the term no norm."""
+    norm: Callable[[Any], Norm] = attrgetter("norm")
+    """The norm, given the filled parameter struct."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from ..kernels.worlds.clone import (
     mujoco_mocap_kernel,
     mujoco_state_kernel,
     record_mujoco_kernel,
+    start_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+WRENCH = int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 MOCAP = int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
@@ -131,6 +133,7 @@ class MujocoEngine:
         threads: CPU threads, 0 for one per core this process may use.
         options: What the scene says about the physics.
         sensors: Sensors to record, all if None; the others are left out of the model.
+        pushed: Whether there are :meth:`wrenches` on the bodies.
     """
 
     name = "mujoco"
@@ -148,11 +151,12 @@ class MujocoEngine:
         threads: int = 0,
         options: Options | None = None,
         sensors: Collection[str] | None = None,
+        pushed: bool = False,
     ):
         self.shape, self.pairs, self.substeps = shape, pairs, tuple(substeps)
         layout = compiled.layout
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=options, sensors=sensors)
-        self.model, self.joint_qd = world.model, world.joint_qd
+        self.world, self.model, self.joint_qd = world, world.model, world.joint_qd
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
         self.threads = threads or len(os.sched_getaffinity(0))
@@ -162,20 +166,21 @@ class MujocoEngine:
         self._library = mujoco_library()
         self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
         self._native = native_data(self._data)
-        self._crew = Crew(self.threads, len(self.parts))
-        self._thread = wp.array(self._crew.thread, dtype=int, device="cpu", copy=False)
+        self.crew = Crew(self.threads, len(self.parts))
+        self._thread = wp.array(self.crew.thread, dtype=int, device="cpu", copy=False)
         end = np.cumsum(substeps)
         self.steps = int(end[-1])
         self._duration = wp.float64(self.steps * world.model.opt.timestep)
 
         nstate = mujoco.mj_stateSize(world.model, FULL)
         self.initial = np.zeros((shape.worlds, nstate))
-        self._control_spec = CONTROL | (MOCAP if layout.nm or layout.movable else 0)
+        self._control_spec = CONTROL | (WRENCH if pushed else 0) | (MOCAP if layout.nm or layout.movable else 0)
+        self._first_mocap = world.model.nu + (6 * world.model.nbody if pushed else 0)
         self.control = np.tile(self._control_at_rest(world.model), (shape.worlds, self.steps, 1))
         self.state = np.zeros((shape.worlds, self.steps, nstate))
         self.sensor = np.zeros((shape.worlds, self.steps, world.model.nsensordata))
         # the same memory, seen by Warp
-        self._initial, self._control, self._state, self._sensor = (
+        self.initial_array, self._control, self.state_array, self._sensor = (
             wp.array(a, dtype=wp.float64, device="cpu", copy=False)
             for a in (self.initial, self.control, self.state, self.sensor)
         )
@@ -246,14 +251,14 @@ class MujocoEngine:
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         inputs = [self._table, self.model.nq, out.joint_q, out.joint_qd, first]
-        self._launch(mujoco_state_kernel, count, inputs, [self._initial])
+        self._launch(mujoco_state_kernel, count, inputs, [self.initial_array])
         if self._activation.size:
             dim = (count, self._activation.size)
             self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
-            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self._initial])
+            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self.initial_array])
 
     def _write_mocap(self, poses: wp.array, order: wp.array, first: int, count: int) -> None:
-        inputs = [poses, order, self.model.nu, self.model.nmocap, first]
+        inputs = [poses, order, self._first_mocap, self.model.nmocap, first]
         self._launch(mujoco_mocap_kernel, (count, self.steps), inputs, [self._control])
 
     @property
@@ -271,6 +276,21 @@ class MujocoEngine:
         self._obstacle_pose.numpy()[world] = poses
         self._write_mocap(self._obstacle_pose, self._movable, world, 1)
 
+    def record_start(self, first: int, count: int) -> None:
+        """Take the states in :attr:`initial` for slice 0 of the record of some worlds; capture-safe."""
+        out, width = self.trajectory, self.initial.shape[1]
+        starts = self.initial_array.reshape((self.shape.worlds, 1, width))
+        inputs = [self._table, self.model.nq, starts, first]
+        self._launch(start_mujoco_kernel, count, inputs, [out.joint_q, out.joint_qd, out.body_q, out.body_qd])
+
+    def wrenches(self, world: int) -> np.ndarray:
+        """Forces [N] and moments [N m] in the world on the centres of mass of one world's bodies, to be written to.
+
+        They act in rollouts from now on, at every physics step ``[steps, bodies, 6]``; engines that are ``pushed`` have
+        them.
+        """
+        return self.control[world, :, self.model.nu : self._first_mocap].reshape(self.steps, -1, 6)
+
     def show(self, world: int, data: mujoco.MjData) -> None:
         """Put a simulation state of the caller's where a world is at the start of its next step."""
         mujoco.mj_setState(self.model, data, self.initial[world], FULL)
@@ -278,7 +298,7 @@ class MujocoEngine:
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""
-        self._crew.run(replays)
+        self.crew.run(replays)
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
@@ -314,10 +334,10 @@ class MujocoEngine:
                 self.model.nv,
                 FULL,
                 self._control_spec,
-                self._initial,
+                self.initial_array,
                 self._control,
             ],
-            [self._state, self._sensor],
+            [self.state_array, self._sensor],
         )
 
     def _record(self, first: int, count: int) -> None:
@@ -325,17 +345,17 @@ class MujocoEngine:
         self._launch(
             record_mujoco_kernel,
             (1, count),
-            [self._table, self.model.nq, self._end, self._state, first, 1],
+            [self._table, self.model.nq, self._end, self.state_array, first, 1],
             [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
         )
         if self.pairs:
             inputs = [self._sensor, self._pair_start, self._end, first]
             self._launch(mujoco_contact_force_kernel, count, inputs, [out.contact_force])
         if self._activation.size:
-            self._launch(gather_kernel, dim, [self._state, self._activation, self._end, 1, first], [out.act])
+            self._launch(gather_kernel, dim, [self.state_array, self._activation, self._end, 1, first], [out.act])
         if self._senses:
             self._launch(gather_kernel, dim, [self._sensor, self._sensors, self._end, 0, first], [out.sensor])
-        self._launch(divergence_kernel, count, [self._state, self._duration, first], [out.diverged])
+        self._launch(divergence_kernel, count, [self.state_array, self._duration, first], [out.diverged])
 
     def pair_force(self, world: int) -> np.ndarray:
         """Net contact force on the first of each pair of one world at every physics step ``[steps, pairs, 3]`` [N]."""
@@ -351,4 +371,4 @@ class MujocoEngine:
 
     def close(self) -> None:
         """Stop the threads."""
-        self._crew.close()
+        self.crew.close()

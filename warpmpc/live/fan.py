@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ways that rollouts of the last plan take, for drawing."""
+"""What rollouts of the last plan come to: ways to draw, and what the cheapest one costs step by step."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from ..record.recorder import COLORS, acting_frames
 from ..record.shapes import rotate
+from .forecast import Forecast, Forecaster
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -30,23 +31,48 @@ class Ways:
     """Colours of the others by cost ``[n, 3]``, 0 to 255."""
 
 
-def ways_of(controller: Controller) -> Ways | None:
-    """The ways of the last plan; None where no rollout survived."""
-    cost = controller.engine.cost.numpy()[0]
-    ranked = np.argsort(cost)
-    ranked = ranked[np.isfinite(cost[ranked])]
-    if not len(ranked):
-        return None
-    chosen = ranked[np.linspace(0, len(ranked) - 1, min(FAN, len(ranked))).astype(int)]
-    high = cost[ranked[int(0.9 * (len(ranked) - 1))]]
-    cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
-    packed = COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
-    worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
-    body, place = acting_frames(controller)
-    pose = controller.engine.record(worlds).body_q[:, :, body]  # [T+1, 1+n, F, 7]
-    ways = (pose[..., :3] + rotate(pose[..., 3:], place)).transpose(1, 2, 0, 3).astype(np.float32)
-    colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
-    return Ways(ways[0], ways[1:], colors)
+class Fan:
+    """Looks at rollouts of a controller's last plan.
+
+    Args:
+        controller: The controller.
+    """
+
+    ways: Ways | None
+    """What to draw; None where no rollout survived."""
+    forecast: Forecast | None
+    """What the cheapest rollout comes to; None likewise."""
+
+    def __init__(self, controller: Controller):
+        self._controller = controller
+        self._body, self._place = acting_frames(controller)
+        self._forecaster = Forecaster(controller)
+        self.clear()
+
+    def clear(self) -> None:
+        """There is nothing to see."""
+        self.ways = self.forecast = None
+
+    def look(self) -> None:
+        """See what the last plan came to."""
+        controller = self._controller
+        cost = controller.engine.cost.numpy()[0]
+        ranked = np.argsort(cost)
+        ranked = ranked[np.isfinite(cost[ranked])]
+        if not len(ranked):
+            self.clear()
+            return
+        chosen = ranked[np.linspace(0, len(ranked) - 1, min(FAN, len(ranked))).astype(int)]
+        high = cost[ranked[int(0.9 * (len(ranked) - 1))]]
+        cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
+        packed = COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
+        worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
+        seen = controller.engine.record(worlds)
+        pose = seen.body_q[:, :, self._body]  # [T+1, 1+n, F, 7]
+        ways = (pose[..., :3] + rotate(pose[..., 3:], self._place)).transpose(1, 2, 0, 3).astype(np.float32)
+        colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
+        self.ways = Ways(ways[0], ways[1:], colors)
+        self.forecast = self._forecaster(seen)
 
 
 def segments(ways: np.ndarray) -> np.ndarray:

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
+import time
 from typing import TYPE_CHECKING
 
 from .drawing import Drawing
@@ -12,10 +14,12 @@ from .panels import Panels
 from .plots import Plots
 
 if TYPE_CHECKING:
+    import viser
+
     from .session import Session
 
-PERIOD = 0.05
-"""Wall time between two pictures [s]."""
+RATE = 30.0
+"""Pictures per second at most."""
 
 
 def require_port(host: str, port: int) -> None:
@@ -44,22 +48,37 @@ def serve(session: Session, *, host: str, port: int, ending: threading.Event | N
     Raises:
         OSError: If the port is taken.
     """
+    import rich
     import viser
 
     require_port(host, port)
     ending = ending or threading.Event()
+    rich.get_console().quiet = True  # viser greets there
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # whoever connects and says nothing
     server = viser.ViserServer(host=host, port=port, label=session.scene.title or session.scene.name, verbose=False)
     try:
-        server.gui.configure_theme(control_layout="fixed", control_width="medium", show_logo=False)
-        parts = [Drawing(server, session), Panels(server, session), Plots(server, session)]
         session.start()
-        while session.is_alive() and not ending.wait(PERIOD):
-            snapshot = session.snapshot
-            with server.atomic():
-                for part in parts:
-                    part.update(snapshot)
+        _show(server, session, ending)
     finally:
         session.stop()
         if session.ident is not None:
             session.join(10.0)
         server.stop()
+
+
+def _show(server: viser.ViserServer, session: Session, ending: threading.Event) -> None:
+    """Send what changes until the session or somebody ends it."""
+    source, due = None, time.perf_counter()
+    while session.is_alive() and not ending.wait(max(0.0, due - time.perf_counter())):
+        due = max(due + 1.0 / RATE, time.perf_counter())
+        session.watched = bool(server.get_clients())
+        snapshot = session.snapshot
+        with server.atomic():
+            if source != snapshot.source:  # other weights, other curves
+                source = snapshot.source
+                server.gui.reset()
+                server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
+                server.gui.set_panel_label(session.scene.title or session.scene.name)
+                parts = [Drawing(server, session, snapshot), Panels(server, session), Plots(server, session)]
+            for part in parts:
+                part.update(snapshot)

@@ -3,17 +3,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
-from ..scene.errors import SceneError
-from ..scene.schema_planner import Method
-from .saving import save
+from ..scene.load import load_scene, shipped_scenes, variants
+from .saving import place_of, save, values_of
+from .settings import Settings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import viser
 
-    from .session import Session, Snapshot
+    from .session import Session
+    from .snapshot import Snapshot
+
+PACES = (400.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
+"""How fast the plant's time passes [% of real time]."""
+KEEP = 0.5
+"""Wall time for which a slider stays where the browser put it, until the session has the value, too [s]."""
 
 
 class Panels:
@@ -26,32 +34,56 @@ class Panels:
 
     def __init__(self, server: viser.ViserServer, session: Session):
         self._gui, self._session = server.gui, session
+        self._gui.main_panel.dock_right()
         self._status = self._gui.add_markdown("starting")
-        self._running()
-        with self._gui.add_folder("Weights"):
-            for name in session.controller.task.weight_name:
-                self._value(name)
-        if session.controller.task.scalar_name:
-            with self._gui.add_folder("Scalars"):
-                for name in session.controller.task.scalar_name:
-                    self._value(name)
-        with self._gui.add_folder("Planner"):
-            self._planner()
-        with self._gui.add_folder("Save"):
-            self._saving()
+        self._values: dict[str, viser.GuiSliderHandle] = {}
+        self._moved: dict[str, float] = {}
+        tabs = self._gui.add_tab_group()
+        with tabs.add_tab("Run"):
+            self._running()
+        with tabs.add_tab("Cost"):
+            self._costs()
+        with tabs.add_tab("Planner"):
+            self._settings = [Settings(self._gui, session, "planner")]
+        with tabs.add_tab("Plant"):
+            self._settings.append(Settings(self._gui, session, "plant"))
+        with tabs.add_tab("Scene"):
+            self._scenes()
 
     def _running(self) -> None:
         gui, session = self._gui, self._session
         self._pause = gui.add_button("Pause")
         step, reset = gui.add_button("Step"), gui.add_button("Reset")
-        seed = gui.add_number("Seed", session.seed, min=0, max=2**28, step=1)
-        pace = gui.add_slider("Pace", 0.05, 4.0, 0.05, session.pace, hint="simulated seconds per second at most")
-        planning = gui.add_checkbox("Plan", True, hint="off: the robot is sent the control zero")
+        self._record = gui.add_button("Record", hint="for rerun, to a file in the working directory")
+        self._seed = gui.add_number("seed", session.seed, min=0, max=2**28, step=1, hint="of the next reset")
         self._pause.on_click(lambda _: session.pause(not session.snapshot.paused))
+        self._record.on_click(lambda _: session.record(not session.snapshot.recording))
         step.on_click(lambda _: session.single_step())
-        reset.on_click(lambda _: session.reset(int(seed.value)))
-        pace.on_update(lambda _: setattr(session, "pace", float(pace.value)))
-        planning.on_update(lambda _: session.plan_or_not(planning.value))
+        reset.on_click(lambda _: session.reset(int(self._seed.value)))
+        paces = sorted({*PACES, 100.0 * session.pace}, reverse=True)
+        pace = gui.add_dropdown(
+            "speed",
+            [f"{p:g} %" for p in paces],
+            initial_value=f"{100.0 * session.pace:g} %",
+            hint="how fast the plant's time passes, at most",
+        )
+        self._on(pace, lambda: setattr(session, "pace", 0.01 * float(pace.value.split()[0])))
+        self._planning = gui.add_checkbox("plan", True, hint="off: the last plan is followed to its end")
+        self._on(self._planning, lambda: session.plan_or_not(self._planning.value))
+        self._controlling = gui.add_checkbox(
+            "control", True, hint="off: the robot is sent the safe command of its drives, plans are made all the same"
+        )
+        self._on(self._controlling, lambda: session.control_or_not(self._controlling.value))
+        gui.add_markdown("Drag a body to pull at it, with *shift* to turn it; drag the arrows to move what is wanted.")
+
+    def _costs(self) -> None:
+        task = self._session.controller.task
+        for name in task.weight_name:
+            self._value(name)
+        if task.scalar_name:
+            with self._gui.add_folder("scalars"):
+                for name in task.scalar_name:
+                    self._value(name)
 
     def _value(self, name: str) -> None:
         """A slider from zero to four times the value."""
@@ -59,58 +91,65 @@ class Panels:
         value = float(f"{session.controller.task[name]:.6g}")  # of a float32
         low, high = (0.0, 4.0 * value) if value > 0.0 else (4.0 * value, 1.0)
         step = float(f"{(high - low) / 400.0:.6g}")
-        slider = self._gui.add_slider(name, low, high, step, value)
-        slider.on_update(lambda _: session.set_value(name, float(slider.value)))
+        slider = self._values[name] = self._gui.add_slider(name, low, high, step, value)
 
-    def _planner(self) -> None:
-        gui, planner = self._gui, self._session.scene.planner
-        method = gui.add_dropdown("Method", tuple(m.value for m in Method), initial_value=planner.method.value)
-        self._rebuilds(method, "planner.method", lambda: f'"{method.value}"')
-        samples = gui.add_number("Samples", int(planner.samples), min=2, step=1)
-        self._rebuilds(samples, "planner.samples", lambda: str(int(samples.value)))
-        horizon = gui.add_number("Horizon", planner.horizon, min=1, step=1, hint="steps of a rollout")
-        self._rebuilds(horizon, "planner.horizon", lambda: str(int(horizon.value)))
-        sigma = planner.noise.sigma
-        ranged = hasattr(sigma, "range")
-        numbers = sigma.range if ranged else sigma
-        key = "planner.noise.sigma" + (".range" if ranged else "")
-        if numbers is not None:
-            factor = gui.add_slider("Sigma ×", 0.1, 4.0, 0.1, 1.0, hint="factor of the noise's standard deviation")
-            many = isinstance(numbers, list | tuple)
-            self._rebuilds(
-                factor,
-                key,
-                lambda: str([n * factor.value for n in numbers]) if many else str(numbers * factor.value),
-            )
-        start = float(planner.temperature.initial)
-        heat = gui.add_slider("Temperature", 0.02 * start, 5.0 * start, 0.02 * start, start, hint="where it starts")
-        self._rebuilds(heat, "planner.temperature.initial", lambda: str(float(heat.value)))
+        def move() -> None:
+            self._moved[name] = perf_counter()
+            session.set_value(name, float(slider.value))
 
-    def _rebuilds(self, handle: object, key: str, text: Callable[[], str]) -> None:
-        handle.on_update(lambda _: self._session.set_planner(key, text()))
+        self._on(slider, move)
 
-    def _saving(self) -> None:
-        session, path = self._session, self._session.scene.path
-        button = self._gui.add_button("Save to the scene's file", disabled=path is None)
-        said = self._gui.add_markdown("")
+    def _scenes(self) -> None:
+        gui, session = self._gui, self._session
+        names = [f"{name}:{v}" if v else name for name in shipped_scenes() for v in (None, *variants(name))]
+        scene = gui.add_dropdown("scene", list(dict.fromkeys([session.source, *names])), initial_value=session.source)
+        self._on(scene, lambda: session.switch(scene.value))
+        button = gui.add_button(
+            "Save", disabled=session.scene.path is None, hint="what was changed, and values of --set"
+        )
+        self._said, self._file = gui.add_markdown(""), None
+        button.on_click(lambda _: self._save())
 
-        def click(_: object) -> None:
-            try:
-                save(path, session.scene.cost_labels, dict(session.tuned), dict(session.planner_keys))
-                said.content = f"saved to {path.name}"
-            except (SceneError, OSError, KeyError) as error:
-                said.content = f"**not saved:** {error}"
+    def _save(self) -> None:
+        session = self._session
+        texts = [*session.overrides, *(f"{key}={value}" for key, value in session.keys.items())]
+        try:
+            written = load_scene(session.source)
+            texts += values_of(written.cost_labels, dict(session.tuned))
+            self._file = self._file or place_of(written.path)
+            save(written.path, written.variant, texts, to=self._file)
+            self._said.content = f"saved to `{self._file}`: {', '.join(f'`{text}`' for text in texts) or 'no changes'}"
+        except Exception as error:  # a click must not end in the terminal alone
+            self._said.content = f"**not saved:** {error}"
 
-        button.on_click(click)
+    def _on(self, made: Any, change: Callable[[], None]) -> None:
+        """Call a function when somebody changes an input, but not when it is shown anew."""
+        made.on_update(lambda event: None if event.client is None else change())
 
     def update(self, snapshot: Snapshot) -> None:
         """Show how it goes."""
-        state = snapshot.reason or ("paused" if snapshot.paused else "running")
-        text = f"**{state}** · t = {snapshot.time:.2f} s · step {snapshot.steps} · plan {snapshot.plan_ms:.0f} ms"
+        text = f"**{snapshot.state}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
+        if snapshot.plan_ms == snapshot.plan_ms:
+            text += f" · plan {snapshot.plan_ms:.0f} ms"
+        if snapshot.recording:
+            text += f"\n\nrecording to `{snapshot.recording}`"
         if snapshot.message:
             text += f"\n\n**refused:** {snapshot.message}"
-        if text != self._status.content:
-            self._status.content = text
-        label = "Resume" if snapshot.paused else "Pause"
-        if self._pause.label != label:
-            self._pause.label = label
+        _show(self._status, "content", text)
+        _show(self._pause, "label", "Resume" if snapshot.paused else "Pause")
+        _show(self._record, "label", "Stop recording" if snapshot.recording else "Record")
+        _show(self._planning, "value", snapshot.planning)
+        _show(self._controlling, "value", snapshot.controlling)
+        now = perf_counter()
+        for name, slider in self._values.items():
+            value = float(f"{snapshot.values[name]:.6g}")
+            if now - self._moved.get(name, 0.0) > KEEP and slider.value != value:
+                slider.min, slider.max = min(slider.min, value), max(slider.max, value)
+                slider.value = value
+        for settings in self._settings:
+            settings.update()
+
+
+def _show(handle: Any, name: str, value: object) -> None:
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)

@@ -1,66 +1,131 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tuned values into a scene's file; comments and order stay."""
+"""What was changed into a scene's file; comments and order stay."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from ..scene.load import load_scene
-from ..scene.overrides import split_key
+from ..model.compiled import compile_scene
+from ..scene.errors import SceneError, entry_label, join_key
+from ..scene.load import load_scene, shipped_folder
+from ..scene.overrides import Key, expand, leaves, merge, nest, parse_override, select
 
 
-def save(path: Path, labels: Sequence[str], tuned: Mapping[str, float], planner: Mapping[str, str]) -> None:
-    """Write tuned values into a scene's file, once the result is known to be a scene.
+def values_of(labels: Sequence[str], tuned: Mapping[str, float]) -> list[str]:
+    """``KEY=VALUE`` texts of weights and scalars.
+
+    Args:
+        labels: Names of the scene's cost terms.
+        tuned: Weights and scalars by name.
+    """
+    keys = {n: join_key(("cost", n, "weight") if n in labels else ("scalar", n)) for n in tuned}
+    return [f"{keys[name]}={value:.6g}" for name, value in tuned.items()]
+
+
+def place_of(path: Path) -> Path:
+    """The file to save a scene to: its own, but one in the working directory for a scene that comes with warpmpc."""
+    if not path.resolve().is_relative_to(shipped_folder().resolve()):
+        return path
+    names = (f"{path.stem}_tuned{n or ''}.toml" for n in [0, *range(2, 1000)])
+    return next(file for file in map(Path.cwd().joinpath, names) if not file.exists())
+
+
+def save(path: Path, variant: str | None, texts: Sequence[str], *, to: Path) -> None:
+    """Write changes into a copy of a scene's file, or into the file, once the result is known to be what runs.
+
+    What the variant says of a key is changed in the variant, everything else in the scene.
 
     Args:
         path: The scene's file.
-        labels: Names of its cost terms, in order.
-        tuned: Weights and scalars by name.
-        planner: TOML values by dotted key of the scene.
+        variant: Its variant that runs, None for none.
+        texts: Changes ``KEY=VALUE``, in order.
+        to: File to write.
 
     Raises:
-        SceneError: If the result would not be a scene; the file stays as it was.
+        SceneError: If the result would not be the scene that runs, or would not compile; nothing is written.
         OSError: If it cannot be written.
     """
     import tomlkit
 
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
-    for name, value in tuned.items():
-        if name in labels:
-            _put(document["cost"][list(labels).index(name)], "weight", float(f"{value:.6g}"))
-        else:
-            _put(document["scalar"], name, float(f"{value:.6g}"))
-    for key, text in planner.items():
-        *tables, last = split_key(key)
-        table = document
-        for part in tables:
-            if part not in table:
-                table[part] = tomlkit.table() if table is document else tomlkit.inline_table()
-            table = table[part]
-        _put(table, last, tomllib.loads(f"value = {text}")["value"])
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}_", suffix=".toml")  # assets are beside it
-    written = Path(name)
+    document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    data = document.unwrap()
+    patch = data.pop("variants", {}).get(variant, {})
+    varied = {full for leaf in leaves(patch) for full in expand(data, leaf)}
+    data = merge(data, patch)
+    for key, value in _changes(data, texts):
+        inside = any(all(a == b for a, b in zip(key, other, strict=False)) for other in varied)
+        _put(document["variants"][variant] if inside else document, key, value)
+        data = merge(data, nest(key, value))
+    handle, name = tempfile.mkstemp(dir=to.parent, prefix=f".{to.stem}_", suffix=".toml")  # assets are beside it
+    written, ending = Path(name), "" if variant is None else f":{variant}"
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(tomlkit.dumps(document))
-        written.chmod(path.stat().st_mode)
-        load_scene(written)
-        written.replace(path)
+        saved, wanted = load_scene(f"{written}{ending}"), load_scene(f"{path}{ending}", overrides=texts)
+        if saved.model_dump(exclude={"path"}) != wanted.model_dump(exclude={"path"}):
+            raise SceneError("the saved file would not be the scene that runs: change it by hand", file=path)
+        compile_scene(saved)
+        written.chmod((to if to.exists() else path).stat().st_mode | 0o200)
+        written.replace(to)
     finally:
         written.unlink(missing_ok=True)
 
 
-def _put(table: object, key: str, value: object) -> None:
+def _changes(data: dict, texts: Sequence[str]) -> Iterator[tuple[Key, object]]:
+    """Full key and value of everything that is changed, entry by entry."""
+    for text in texts:
+        key, value = parse_override(text)
+        for full in expand(data, key):
+            if isinstance(value, dict):
+                nested = nest(full, value)
+                for leaf in leaves(nested):
+                    yield leaf, _at(nested, leaf)
+            else:
+                yield full, value
+
+
+def _at(data: Any, key: Key) -> object:
+    for part in key:
+        data = data[part]
+    return data
+
+
+def _put(at: Any, key: Key, value: object) -> None:
+    """Set a value below a table or an array of tables of a document; what is not there yet is added."""
+    import tomlkit
+
+    name, *rest = key
+    if isinstance(at, list):
+        entries = at.unwrap()
+        if len(entries) == 1 and name != "0" and entry_label(entries[0], 0) == "0":
+            _put(at[0], key, value)
+        else:
+            _put(at[select(entries, name, ())[0]], tuple(rest), value)
+    elif rest and name in at and isinstance(at[name], dict | list):
+        _put(at[name], tuple(rest), value)
+    elif rest and isinstance(at, tomlkit.TOMLDocument):
+        at[name] = tomlkit.table()  # a dotted key at the end would belong to the last table
+        _put(at[name], tuple(rest), value)
+    elif rest:
+        if name in at:
+            del at[name]
+        at.append(tomlkit.key(list(key)), tomlkit.item(value))
+    else:
+        _replace(at, name, value)
+
+
+def _replace(table: Any, key: str, value: object) -> None:
     """Set a value; the comment behind an earlier one stays."""
     import tomlkit
 
     item = tomlkit.item(value)
-    if key in table and hasattr(table.item(key) if hasattr(table, "item") else table[key], "trivia"):
+    if key in table:
         old = table.item(key) if hasattr(table, "item") else table[key]
-        item.trivia.indent, item.trivia.comment_ws = old.trivia.indent, old.trivia.comment_ws
-        item.trivia.comment, item.trivia.trail = old.trivia.comment, old.trivia.trail
+        if hasattr(old, "trivia"):
+            item.trivia.indent, item.trivia.comment_ws = old.trivia.indent, old.trivia.comment_ws
+            item.trivia.comment, item.trivia.trail = old.trivia.comment, old.trivia.trail
     table[key] = item

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that owns controller and plant: takes changes, observes, plans, applies, publishes what is seen."""
+"""The thread that owns controller and plant: takes what others want changed, steps, keeps the pace."""
 
 from __future__ import annotations
 
@@ -7,99 +7,46 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
-from ..controller.controller import Controller
-from ..model.safe import safe_command
-from ..run.episode import Episode, compile_shared
-from ..scene.load import load_scene
-from .fan import Ways, ways_of
-
-if TYPE_CHECKING:
-    from ..cost.term import UserTerm
+from .closed_loop import ClosedLoop
 
 logger = logging.getLogger("warpmpc")
 
-PUBLISH = 0.05
-"""Shortest wall time between two snapshots with rollouts [s]."""
+SETTLE = 0.3
+"""Wall time without another change of a key after which it is made: texts are typed letter by letter [s]."""
+WAIT = 0.02
+"""Longest sleep between two looks at what others want [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Snapshot:
-    """What there is to see after a step; arrays are copies."""
-
-    episode: int
-    """Counts resets: curves begin anew when it changes."""
-    time: float
-    """Simulated time [s]."""
-    steps: int
-    body_q: np.ndarray
-    """Poses of the bodies ``[nb, 7]``."""
-    poses: dict[str, np.ndarray]
-    """Goal and movable obstacles ``[7]``."""
-    ways: Ways | None
-    """Best rollout and fan; None without a plan."""
-    forces: np.ndarray
-    """Net forces of the plant's pairs ``[pairs, 3]`` [N]."""
-    control: np.ndarray
-    terms: dict[str, float]
-    plan_ms: float
-    done: bool
-    reason: str
-    paused: bool
-    message: str
-    """What became of the last change that could not be made; empty when all is well."""
-
-
-class Session(threading.Thread):
-    """Runs controller and plant in lock step until it is stopped.
+class Session(ClosedLoop, threading.Thread):
+    """Runs controller and plant in lock step until it is stopped, at the goal and after the time-out, too.
 
     Everything that touches either happens in this thread. Other threads hand in changes, which are taken between two
-    plans, and read :attr:`snapshot`.
+    plans, and read :attr:`snapshot`. A change that cannot be made is told there and leaves everything as it was.
 
     Args:
         source: Scene and variant.
-        overrides: ``KEY=VALUE`` texts.
-        seed: Seed of the first episode.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
-        terms: Users' own cost terms.
         pace: Simulated seconds per second of wall time at most.
+        options: As for :class:`~.closed_loop.ClosedLoop`.
 
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown.
     """
 
-    def __init__(
-        self,
-        source: str,
-        *,
-        overrides: Sequence[str] = (),
-        seed: int = 0,
-        engine: str = "auto",
-        device: str = "auto",
-        terms: Sequence[UserTerm] = (),
-        pace: float = 1.0,
-    ):
-        super().__init__(name="warpmpc live", daemon=True)
-        self.source, self.overrides, self.pace = source, list(overrides), pace
-        self.seed, self.paused, self.planning = seed, False, True
-        self.tuned: dict[str, float] = {}
-        """Weights and scalars changed since the start, by name."""
-        self.planner_keys: dict[str, str] = {}
-        """Planner's keys changed since the start, ``planner.samples`` and so on, with TOML values."""
-        self._scene = load_scene(source, overrides=overrides)
-        self._compiled = compile_shared(self._scene)
-        self._options = {"engine": engine, "device": device, "terms": terms}
+    def __init__(self, source: str, *, pace: float = 1.0, **options: object):
+        threading.Thread.__init__(self, name="warpmpc live", daemon=True)
+        self.pace = pace
+        self.waiting: dict[str, str] = {}
+        """Keys about to be changed."""
         self._changes: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
-        self._steps_wanted, self._message, self.episode = 0, "", 0
-        self._build()
+        self._settled = self._from = 0.0
+        self._steps_wanted = 0
+        ClosedLoop.__init__(self, source, **options)
 
     # ---- for other threads
 
@@ -117,17 +64,29 @@ class Session(threading.Thread):
 
         self.do(change)
 
-    def set_planner(self, key: str, value: str) -> None:
-        """Change a key of the planner, a TOML value; the next plan is made by a controller built anew."""
-        self.do(lambda: self._rebuild(key, value))
+    def set_key(self, key: str, value: str) -> None:
+        """Change a key of the scene, a TOML value, once it has not been changed again for :data:`SETTLE`.
+
+        Keys of the planner are those of the next plan, which goes on from the last one; others begin a new episode.
+        """
+
+        def change() -> None:
+            self.waiting[key] = value
+            self._settled = time.perf_counter() + SETTLE
+
+        self.do(change)
 
     def pause(self, paused: bool = True) -> None:
         """Hold the plant, or let it go on."""
         self.do(lambda: setattr(self, "paused", paused))
 
     def plan_or_not(self, planning: bool) -> None:
-        """Plan, or send the safe command of the drives."""
+        """Plan, or follow the last plan to its end and hold then."""
         self.do(lambda: setattr(self, "planning", planning))
+
+    def control_or_not(self, controlling: bool) -> None:
+        """Send what is planned, or the safe command of the drives; plans are made all the same."""
+        self.do(lambda: setattr(self, "controlling", controlling))
 
     def single_step(self) -> None:
         """Make one step while paused."""
@@ -137,122 +96,80 @@ class Session(threading.Thread):
         """Start the episode again, or that of another seed; tuned values stay."""
         self.do(lambda: self._reset(seed))
 
+    def switch(self, source: str) -> None:
+        """Go on with another scene, as its file has it."""
+        self.do(lambda: self._build(source, (), {}, self.seed))
+
+    def record(self, recording: bool = True) -> None:
+        """Record to a new file in the working directory, or stop; other planners, plants and resets stop it, too."""
+        self.do(self._start_recording if recording else self._stop_recording)
+
+    def grab(self, body: str, point: np.ndarray) -> None:
+        """Take hold of a body at a point of the world ``[3]`` [m]."""
+        self.do(lambda: self.plant.hand.grab(body, point))
+
+    def pull(self, point: np.ndarray) -> None:
+        """Pull what is held to a point of the world ``[3]`` [m]."""
+        self.do(lambda: self.plant.hand.body is None or self.plant.hand.pull(point))
+
+    def turn(self, rotation: np.ndarray) -> None:
+        """Turn what is held by a rotation vector in the world ``[3]`` [rad] since the grab."""
+        self.do(lambda: self.plant.hand.body is None or self.plant.hand.turn(rotation))
+
+    def release(self) -> None:
+        """Let go of what is held."""
+        self.do(lambda: self.plant.hand.release())
+
     def stop(self) -> None:
         """End the thread after the step it is at."""
         self._ending.set()
-        self.do(lambda: None)
 
     # ---- in this thread
 
     def run(self) -> None:
-        """Take changes, step, keep the pace."""
-        due = time.perf_counter()
+        """Take changes, step, keep the pace; finish a recording at the end."""
+        try:
+            self._go_on()
+        finally:
+            self._stop_recording()
+
+    def _go_on(self) -> None:
+        self._from = time.perf_counter()
         while not self._ending.is_set():
             self._take_changes()
-            if self.plant.done or (self.paused and not self._steps_wanted):
+            control_dt, now = self.plant.scene.timing.control_dt, time.perf_counter()
+            held = self.plant.diverged or (self.paused and not self._steps_wanted)
+            due = self._from + control_dt / self.pace
+            if held or (now < due and not self._steps_wanted):
+                if held:
+                    self._from = now - control_dt / self.pace
                 self._publish(rollouts=False)
-                self._ending.wait(0.02)
-                due = time.perf_counter()
+                self._ending.wait(WAIT if held else min(WAIT, due - now))
                 continue
+            self._from = min(now, max(due, now - 0.1))
             self._steps_wanted = max(0, self._steps_wanted - 1)
-            self._step()
-            due = max(due + self.plant.scene.timing.control_dt / self.pace, time.perf_counter() - 0.1)
-            while (left := due - time.perf_counter()) > 0 and not self._ending.is_set():
-                time.sleep(min(left, 0.02))
+            self._guarded(self._step)
 
     def _take_changes(self) -> None:
         while True:
             try:
                 change = self._changes.get_nowait()
             except queue.Empty:
-                return
-            try:
-                change()
-                self._message = ""
-            except (ValueError, KeyError) as error:  # a change that cannot be made must not end the loop
-                self._message = " ".join(str(error).split())
-                logger.warning("%s", self._message)
+                break
+            self._guarded(change)
+        if self.waiting and time.perf_counter() >= self._settled:
+            keys, self.waiting = self.waiting, {}
+            self._guarded(lambda: self._set_keys(keys))
 
-    def _step(self) -> None:
-        observation = self.plant.observe()
-        if self.planning:
-            self._control = self.controller.step(observation)
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do something; what goes wrong is told on the page and must not end the loop."""
+        try:
+            work()
+        except Exception as error:
+            self.message = " ".join(str(error).split()) or type(error).__name__
+            logger.warning("%s", self.message)
+            if work == self._step:
+                self.paused = True  # it would go wrong at every step
         else:
-            layout, dt = self.plant.layout, self.plant.scene.timing.control_dt
-            safe = safe_command(layout, observation.joint_q[None], observation.joint_qd[None], dt)[0]
-            self._control = np.clip(safe, *self._limits)
-        self.plant.apply(self._control)
-        now = time.perf_counter()
-        rollouts = now - self._published >= PUBLISH or self.paused
-        if rollouts:
-            self._published = now
-        self._publish(rollouts=rollouts)
-
-    def _build(self) -> None:
-        episode = Episode(self._scene, seed=self.seed, compiled=self._compiled, **self._options)
-        self.scene, self.controller, self.plant = episode.scene, episode.controller, episode.plant
-        layout = self.plant.layout
-        self._limits = (layout.control_lower, layout.control_upper)
-        for key, value in list(self.planner_keys.items()):
-            self._rebuild(key, value)
-        self._begin()
-
-    def _begin(self) -> None:
-        """What is shown belongs to a new episode."""
-        for name, value in self.tuned.items():
-            self.controller.task[name] = value
-        self.episode += 1
-        self._control = np.zeros(self.plant.layout.nu, np.float32)
-        self._ways, self._published = None, 0.0
-        self._publish(rollouts=False)
-
-    def _reset(self, seed: int | None) -> None:
-        self._ways, self._steps_wanted = None, 0
-        if seed is not None and seed != self.seed:
-            self.seed = seed
-            self._build()
-            return
-        self.plant.reset()
-        self.controller.reset()
-        self._begin()
-
-    def _rebuild(self, key: str, value: str) -> None:
-        """A controller of the same task with another planner; nothing changes if the scene refuses it."""
-        keys = {"planner.samples": str(self.scene.planner.samples), **self.planner_keys, key: value}
-        changed = load_scene(self.source, overrides=[*self.overrides, *(f"{k}={v}" for k, v in keys.items())])
-        scene = self.scene.model_copy(update={"planner": changed.planner})
-        old = self.controller
-        self.controller = Controller(
-            scene,
-            engine=old.engine.name,
-            device=old.device,
-            seed=self.seed,
-            terms=self._options["terms"],
-            compiled=old.compiled,
-            task=old.task,
-        )
-        self.scene, self._ways = scene, None
-        self.planner_keys[key] = value
-
-    def _publish(self, *, rollouts: bool) -> None:
-        plant, task = self.plant, self.controller.task
-        info = self.controller.info if self.planning else None
-        if rollouts or info is None:
-            self._ways = None if info is None or info.fallback else ways_of(self.controller)
-        forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
-        self.snapshot = Snapshot(
-            episode=self.episode,
-            time=plant.time,
-            steps=plant.steps,
-            body_q=np.array(plant.body_q).copy(),
-            poses={name: task.pose(name).copy() for name in task.pose_name},
-            ways=self._ways,
-            forces=forces,
-            control=np.array(self._control),
-            terms={} if info is None else {**info.terms, "total": info.cost},
-            plan_ms=float("nan") if info is None else info.plan_ms,
-            done=plant.done,
-            reason=plant.reason if plant.done else "",
-            paused=self.paused,
-            message=self._message,
-        )
+            if work != self._step:
+                self.message = ""

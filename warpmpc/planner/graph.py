@@ -89,6 +89,11 @@ class PlanGraph:
         """Wall time of each stage of the last plan [s]; NaN where a graph runs them all as one."""
         return self.plan.stages if self.captured is None else dict.fromkeys(self.plan.stages, float("nan"))
 
+    @property
+    def task(self) -> np.ndarray:
+        """Values of the task that the last plan was made for ``[E, n]``, overwritten by the next."""
+        return self._packed[:, -self.plan.costs.task.block.shape[1] :]
+
     def __call__(
         self,
         observed: np.ndarray,

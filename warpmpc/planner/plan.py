@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .splines import SplineKind, fitted_knots, spline_value
+
+if TYPE_CHECKING:
+    from ..model.state import State
+    from .feedback import Feedback
 
 
 @dataclass(frozen=True)
@@ -26,23 +31,39 @@ class Plan:
     """Lower limits of the controls ``[nu]``."""
     upper: np.ndarray
     """Upper limits of the controls ``[nu]``."""
+    feedback: Feedback | None = None
+    """How the controls answer states other than the planned ones; only plans of iLQG have it."""
 
     def __post_init__(self):
         for array in (self.knots, self.times, self.lower, self.upper):
             array.setflags(write=False)
 
-    def at(self, time: float | np.ndarray) -> np.ndarray:
+    def at(self, time: float | np.ndarray, state: State | None = None) -> np.ndarray:
         """Control ``[nu]``, or ``[E, nu]``, at a time [s]; before and after the plan its ends are held.
 
         Args:
             time: When; one for all, or one for each environment ``[E]``.
+            state: What is observed then. With :attr:`feedback` the control answers it, u = ū(t) + K(t) (x ⊖ x̄(t))
+                (Howell et al. 2022, Eq. 11); without, or without a state, it is the planned one.
         """
         if self.knots.ndim == 2:
             value = spline_value(self.spline, self.times, self.knots, float(time))
         else:
             rows = zip(self.times, self.knots, np.broadcast_to(time, len(self.knots)), strict=True)
             value = np.stack([spline_value(self.spline, times, knots, float(t)) for times, knots, t in rows])
+        if self.feedback is not None and state is not None:
+            value = value + self._answer(time, state)
         return np.minimum(np.maximum(value, self.lower), self.upper).astype(np.float32)
+
+    def _answer(self, time: float | np.ndarray, state: State) -> np.ndarray:
+        """What feedback adds to the controls ``[nu]``, or ``[E, nu]``."""
+        if self.knots.ndim == 3:
+            return self.feedback.correction(np.broadcast_to(np.asarray(time, dtype=float), len(self.knots)), state)
+        act = None if state.act is None else np.asarray(state.act)[None]
+        alone = replace(
+            state, joint_q=np.asarray(state.joint_q)[None], joint_qd=np.asarray(state.joint_qd)[None], act=act
+        )
+        return self.feedback.correction(np.array([float(time)]), alone)[0]
 
 
 def refitted(plan: Plan, kind: SplineKind, knot_time: np.ndarray) -> np.ndarray:

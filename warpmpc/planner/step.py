@@ -18,6 +18,7 @@ from ..task.observed import ObservedState
 from . import registry
 from .ancillary import Ancillaries
 from .plan import Plan, refitted
+from .refine import refiner_of
 from .splines import SplineKind, spline_table
 from .strategy import Round
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.ancillary import AncillaryController
+    from .feedback import Feedback
 
 STAGES = ("begin", "propose", "evaluate", "update")
 
@@ -85,26 +87,26 @@ class PlanStep:
         """What proposes samples before a plan."""
         proposed = self.ancillaries.columns
         self.state = ObservedState.allocate(layout, costs.task, self.device, proposed=proposed)
-        entry, self.engine = make_engine(
-            engine,
-            EngineRequest(
-                scene=scene,
-                compiled=compiled,
-                shape=shape,
-                grid=self.grid,
-                spline=spline,
-                limits=self.limits,
-                state=self.state,
-                costs=costs,
-                device=self.device,
-                properties=properties,
-            ),
+        request = EngineRequest(
+            scene=scene,
+            compiled=compiled,
+            shape=shape,
+            grid=self.grid,
+            spline=spline,
+            limits=self.limits,
+            state=self.state,
+            costs=costs,
+            device=self.device,
+            properties=properties,
         )
+        entry, self.engine = make_engine(engine, request)
         on_gpu = wp.get_device(self.device).is_cuda
-        self.capturable = entry.capturable and costs.capturable and on_gpu
-        """Whether a CUDA graph can hold a plan."""
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
-        self._spline, self._launch = spline, Launcher(self.device)
+        self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
+        """What improves the samples' plan by derivatives, if anything does."""
+        self.capturable = entry.capturable and costs.capturable and on_gpu and self.refiner is None
+        """Whether a CUDA graph can hold a plan."""
+        self.spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
         self.command = self.state.last_control  # what acts from now on
         self.stages = dict.fromkeys(STAGES, 0.0)
@@ -115,6 +117,8 @@ class PlanStep:
         """Forget every earlier plan; the next one starts from ``plan`` if there is one."""
         knots = [] if plan is None else [refitted(plan, self.kind, self.knot_time)]
         self.strategy.reset(*knots)
+        if self.refiner:
+            self.refiner.reset()
         self.costs.reset()
 
     def __call__(self) -> None:
@@ -127,6 +131,11 @@ class PlanStep:
             self.stages[stage] += end - start
             start = end
 
+    @property
+    def feedback(self) -> Feedback | None:
+        """Gains of the last plan, None without."""
+        return self.refiner.feedback if self.refiner else None
+
     def sequence(self) -> list[tuple[str, Callable[[], None]]]:
         """The plan step in order, each piece with the stage it belongs to."""
         strategy, engine = self.strategy, self.engine
@@ -138,6 +147,8 @@ class PlanStep:
                 ("evaluate", partial(engine.evaluate, proposal)),
                 ("update", self._replayed(partial(strategy.update, i))),
             ]
+        if self.refiner:
+            pieces.append(("update", self.refiner))
         return [*pieces, ("update", self._replayed(self._finish))]
 
     def _replayed(self, piece: Callable[[], None]) -> Callable[[], None]:
@@ -154,7 +165,7 @@ class PlanStep:
         self._launch(
             command_kernel,
             self.command.shape,
-            [self.strategy.mean, self._spline, *self.limits, self.strategy.offset],
+            [self.strategy.mean, self.spline, *self.limits, self.strategy.offset],
             [self.command],
         )
 

@@ -13,7 +13,7 @@ import warp as wp
 from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
+from ..scene.schema import CovarianceForm, Execute, Method, NoiseShape, Renewal, TryMean
 from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian
 from .moments import SampleMoments
@@ -243,6 +243,8 @@ class SamplingStrategy:
 
 def _population(planner: Planner, samples: int, fixed: int) -> tuple[int, ...]:
     """Samples that each iteration tries, S/γ^i, but enough for the elites and for those that are not drawn."""
+    if planner.method in (Method.GRADIENT_DESCENT, Method.ILQG):
+        return ()
     least = max(2 * planner.elites, fixed + 2)
     return tuple(min(samples, max(ceil(samples / planner.decay**i), least)) for i in range(planner.iterations))
 

@@ -147,7 +147,7 @@ def weighting_of(planner: Planner) -> Weighting:
             t = planner.temperature
             adapt = Adaptation.ESS if t.ess else Adaptation.ETA if t.eta else Adaptation.FIXED
             return Mppi(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
-        case Method.PREDICTIVE_SAMPLING:
+        case Method.PREDICTIVE_SAMPLING | Method.ILQS | Method.ILQG | Method.GRADIENT_DESCENT:
             return PredictiveSampling()
         case Method.CEM | Method.ICEM:
             return CrossEntropy(elites=planner.elites)

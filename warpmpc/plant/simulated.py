@@ -28,6 +28,7 @@ from ..task.goal import GOAL, GoalError
 from ..task.observed import ObservedState
 from ..task.task import Task, task_layout
 from .camera import DepthCamera
+from .hand import Hand
 from .monitor import Monitor
 from .motion import Motions
 
@@ -97,6 +98,7 @@ class Worlds:
             properties=_stacked(self.draws) if self.draws else None,
             threads=1 if len(seeds) == 1 else 0,
             options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
+            pushed=True,
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
         for model, start in zip(self.engine.models, self.engine.initial, strict=True):
@@ -195,6 +197,8 @@ class Plant:
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
         """Cameras that show the plant's world, by the clouds that they fill."""
+        self.hand = Hand(self.compiled, self._engine, self._index)
+        """Pulls and turns bodies of the plant's world; the planner knows nothing of it."""
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
         self.reset()
 
@@ -211,6 +215,7 @@ class Plant:
         self.diverged = False
         self.monitor.reset()
         self._motions.reset()
+        self.hand.release()
         self._history: deque[State] = deque(maxlen=self._delay + 1)
         self._check()
 
@@ -294,8 +299,9 @@ class Plant:
         self._engine.move_mocap(self._index, names.index(name), pose)
 
     def begin(self, control: np.ndarray) -> None:
-        """The part of :meth:`apply` before the engine's step: kicks, movable obstacles and the control ``[nu]``."""
+        """The part of :meth:`apply` before the engine's step: kicks, pulls, movable obstacles, the control ``[nu]``."""
         self._disturb()
+        self.hand.act()
         if self.layout.movable:
             poses = [self.pose(name) for name in self.layout.movable]
             self._engine.place_obstacles(self._index, np.array(poses))

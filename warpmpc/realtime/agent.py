@@ -97,7 +97,7 @@ class Agent:
         found = found or self._watchdog.plan_fault(timed, now)
         if found is None:
             self._recover(now)
-            return self._bounds(timed.plan.at(now))
+            return self._bounds(timed.plan.at(now, state))
         self._fail(found, now, waiting=timed is None and self._seen)
         return self._safe(now)
 

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.state import State
+from ..planner.feedback import Feedback
 from ..planner.plan import Plan
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
+    from ..planner.feedback import StateSpace
     from ..scene.schema import SplineKind
 
 
@@ -89,23 +91,38 @@ class PlanCodec:
         layout: State layout, whose limits plans have.
         spline: Their spline.
         knots: Knots at most.
+        space: How states are subtracted, where plans have feedback; they have as many gains as knots then.
     """
 
-    def __init__(self, layout: Layout, spline: SplineKind, knots: int):
-        self.capacity = 6 + knots * (1 + layout.nu)
-        self._layout, self._spline = layout, spline
+    def __init__(self, layout: Layout, spline: SplineKind, knots: int, space: StateSpace | None = None):
+        self._layout, self._spline, self._space = layout, spline, space
+        gains = 1 + space.tangent.width + layout.nu * space.tangent.size if space else 0
+        self.capacity = 6 + knots * (1 + layout.nu + gains)
 
     def encode(self, timed: TimedPlan) -> np.ndarray:
         """Numbers of a plan."""
         plan = timed.plan
         head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, len(plan.times)]
-        return np.concatenate([head, plan.times, plan.knots.ravel()])
+        answer = plan.feedback if self._space else None
+        gains = [a.ravel() for a in (answer.times, answer.state, answer.gain)] if answer else []
+        return np.concatenate([head, plan.times, plan.knots.ravel(), *gains])
 
     def decode(self, letter: np.ndarray) -> TimedPlan:
         """The plan that numbers tell."""
         count, layout = int(letter[5]), self._layout
-        knots = letter[6 + count :].reshape(count, layout.nu).astype(np.float32)
+        times, knots, rest = np.split(letter[6:], np.cumsum([count, count * layout.nu]))
         limits = layout.control_lower.copy(), layout.control_upper.copy()
-        plan = Plan(knots, letter[6 : 6 + count].copy(), self._spline, *limits)
+        knots = knots.reshape(count, layout.nu).astype(np.float32)
+        plan = Plan(knots, times.copy(), self._spline, *limits, self._feedback(rest, count))
         number, observed, latency, plan_ms, survived = letter[:5].tolist()
         return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived))
+
+    def _feedback(self, numbers: np.ndarray, count: int) -> Feedback | None:
+        """The feedback of a plan with so many knots, None without."""
+        if not len(numbers):
+            return None
+        tangent, nu = self._space.tangent, self._layout.nu
+        times, states, gains = np.split(numbers, np.cumsum([count, count * tangent.width]))
+        shapes = (1, count), (1, count, tangent.width), (1, count, nu, tangent.size)
+        arrays = (a.reshape(shape).copy() for a, shape in zip((times, states, gains), shapes, strict=True))
+        return Feedback(*arrays, self._space)

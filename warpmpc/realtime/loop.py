@@ -42,6 +42,13 @@ class Planner(Protocol):
         """The newest plan, None before the first; returns at once."""
 
 
+class TickLogger(Protocol):
+    """What takes note of every tick, such as :class:`warpmpc.TickRecorder`."""
+
+    def log(self, control: np.ndarray | None, timed: TimedPlan | None, *, following: bool, late: float) -> None:
+        """Take note of what was sent, of the newest plan, and of how late the tick was [s]; returns at once."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RealTimeReport:
     """What a run in real time came to."""
@@ -80,6 +87,7 @@ class RobotLoop:
         simulated: Whether the robot moves on by one tick with every command and waits in between, as a simulated one
             does. A real one does not: then ticks that are long past are left out.
         agent: Evaluates plans; the scene's if None.
+        recorder: Takes note of every tick.
     """
 
     def __init__(
@@ -91,7 +99,9 @@ class RobotLoop:
         speed: float = 1.0,
         simulated: bool = False,
         agent: Agent | None = None,
+        recorder: TickLogger | None = None,
     ):
+        self._recorder = recorder
         self.scene, self.robot, self.planner = scene, robot, planner
         self.agent = agent or Agent(scene, compile_scene(scene).layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
@@ -124,6 +134,9 @@ class RobotLoop:
             self._last = control
             self.robot.apply(control)
         self._ticks += 1
+        if self._recorder is not None:
+            late = self.pace.late[-1] if self.pace.late else 0.0
+            self._recorder.log(control, timed, following=self.agent.following, late=late)
         return control
 
     def run(self, until: Callable[[], bool]) -> RealTimeReport:

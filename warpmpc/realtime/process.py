@@ -17,7 +17,9 @@ import warp as wp
 
 from ..compiling import native_output
 from ..model.compiled import CompiledScene, compile_scene
+from ..planner.feedback import StateSpace
 from ..scene.errors import SceneError
+from ..scene.schema import Refinement
 from ..task.task import Task, task_layout
 from .last_words import LastWords
 from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
@@ -99,7 +101,7 @@ class PlannerProcess:
         self._order = _Order(scene, seed, engine, device, terms, speed, knots)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
         self._sightings = SightingCodec(self.layout, self.task.block.shape[1])
-        self._plans = PlanCodec(self.layout, scene.planner.spline, knots)
+        self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
         self._seen = Mailbox(self._context, self._sightings.capacity)
         self._planned = Mailbox(self._context, self._plans.capacity)
         self._timed: TimedPlan | None = None
@@ -221,7 +223,7 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, wor
         controller = Controller(scene, engine=order.engine, device=order.device, seed=order.seed, terms=terms)
         task = controller.task.block.shape[1]
         sightings = SightingCodec(controller.layout, task)
-        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots)
+        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
         planning = Planning(controller, speed=order.speed, number=planned.sent)
         ready.send(None)
     except Exception as error:
@@ -236,3 +238,9 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, wor
         planned.write(plans.encode(timed))
 
     planning.run(newest, publish, lambda: not parent.is_alive())
+
+
+def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:
+    """How states are subtracted where a scene's plans have feedback."""
+    refine = scene.planner.refine
+    return StateSpace.of(compiled) if refine and refine.method is Refinement.ILQG else None

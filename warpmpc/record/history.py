@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from .plan_log import PlanLog, PlanLogger
+from .tick_log import TickLog
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..model.layout import Layout
     from ..plant.simulated import Plant
+    from ..scene.schema import Scene
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -50,6 +54,12 @@ class History:
     """What each term adds to it, with its weight and discounted ``[N, K]``."""
     plan_ms: np.ndarray
     """Wall time of the plan ``[N]`` [ms]."""
+    beta: np.ndarray
+    """Temperature β that weighed the samples next time ``[N]``."""
+    eta: np.ndarray
+    """Effective number of samples η ``[N]``."""
+    goal_error: np.ndarray
+    """How far the goal is, in each of R ways ``[N+1, R]`` [m, rad]."""
     joint_q_names: tuple[str, ...]
     """``[nq]``: ``robot/joint``, and ``.../x`` to ``.../qw`` for bodies that move freely."""
     joint_qd_names: tuple[str, ...]
@@ -60,12 +70,19 @@ class History:
     """Names of the cost terms ``[K]``, as ``info.terms`` has them."""
     pair_names: tuple[str, ...]
     """``first-second`` of each watched pair ``[C]``."""
+    error_names: tuple[str, ...]
+    """``position``, and ``yaw`` or ``rotation`` where they count ``[R]``; empty without a goal."""
+    log: PlanLog | None = None
+    """What the plans were made from, for :func:`warpmpc.replay`; None in files of older versions and in real time."""
+    ticks: TickLog | None = None
+    """What the agent did in real time, where each row is a tick; None elsewhere."""
 
     def columns(self) -> dict[str, np.ndarray]:
         """Everything as columns of N + 1 numbers by name; plans, which the last state lacks, are NaN there.
 
         Names are ``time``, ``joint_q/NAME``, ``joint_qd/NAME``, ``body_q/NAME/x`` to ``/qw``,
-        ``contact_force/NAME/x`` to ``/z``, ``control/NAME``, ``cost``, ``cost/NAME`` of each term, ``plan_ms``.
+        ``contact_force/NAME/x`` to ``/z``, ``control/NAME``, ``cost``, ``cost/NAME`` of each term, ``plan_ms``,
+        ``beta``, ``eta``, ``goal_error/NAME``.
         """
         bodies = [f"body_q/{name}/{axis}" for name in self.body_names for axis in POSE]
         forces = [f"contact_force/{name}/{axis}" for name in self.pair_names for axis in FORCE]
@@ -78,7 +95,8 @@ class History:
             ([f"control/{name}" for name in self.control_names], self.control),
             (["cost"], self.cost[:, None]),
             ([f"cost/{name}" for name in self.term_names], self.cost_terms),
-            (["plan_ms"], self.plan_ms[:, None]),
+            (["plan_ms", "beta", "eta"], np.stack([self.plan_ms, self.beta, self.eta], axis=1)),
+            ([f"goal_error/{name}" for name in self.error_names], self.goal_error),
         ]
         rows = len(self.time)
         return {
@@ -96,8 +114,9 @@ class History:
         """
         path = history_file(path)
         if path.suffix == ".npz":
+            arrays = {name: np.array(getattr(self, name)) for name in NAMES}
             with open(path, "wb") as file:
-                np.savez_compressed(file, **{field.name: np.array(getattr(self, field.name)) for field in fields(self)})
+                np.savez_compressed(file, **arrays, **self._logs())
             return
         columns = self.columns()
         with open(path, "w", encoding="utf-8", newline="") as file:
@@ -106,9 +125,15 @@ class History:
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
                 writer.writerow(["" if value != value else f"{value:.9g}" for value in row])
 
+    def _logs(self) -> dict[str, np.ndarray]:
+        """The logs as arrays."""
+        return {
+            name: array for log in (self.log, self.ticks) if log is not None for name, array in log.to_arrays().items()
+        }
+
     @classmethod
     def load(cls, path: str | Path) -> History:
-        """Read an ``.npz`` file that :meth:`save` wrote.
+        """Read an ``.npz`` file that :meth:`save` wrote; what older versions did not keep is NaN or missing.
 
         Raises:
             ValueError: If it is something else.
@@ -116,10 +141,18 @@ class History:
         """
         try:
             with np.load(path) as data:
-                found = {field.name: data[field.name] for field in fields(cls)}
+                plans, states = len(data["control"]), len(data["time"])
+                later = {"beta": np.full(plans, np.nan), "eta": np.full(plans, np.nan)}
+                later |= {"goal_error": np.zeros((states, 0)), "error_names": np.zeros(0, dtype=str)}
+                found = {name: data[name] if name in data or name not in later else later[name] for name in NAMES}
+                logs = {"log": PlanLog.from_arrays(data), "ticks": TickLog.from_arrays(data)}
         except (KeyError, ValueError, AttributeError, TypeError) as error:
             raise ValueError(f"{path}: is no history of a run: {error}") from None
-        return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()})
+        return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()}, **logs)
+
+
+NAMES = tuple(field.name for field in fields(History) if field.name not in ("log", "ticks"))
+"""Names of a history's arrays."""
 
 
 class HistoryRecorder:
@@ -128,12 +161,15 @@ class HistoryRecorder:
     Args:
         controller: The controller.
         plant: The plant, at the start of its episode.
+        details: More about where the run comes from, plain data, for ``history.log.origin``.
     """
 
-    def __init__(self, controller: Controller, plant: Plant):
+    def __init__(self, controller: Controller, plant: Plant, *, details: Mapping[str, Any] | None = None):
         self._controller, self._plant = controller, plant
-        self._states: list[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
-        self._plans: list[tuple[np.ndarray, float, list[float], float]] = []
+        self._turning = turning(plant.scene)
+        self._log = PlanLogger(controller, details) if controller.envs == 1 else None
+        self._states: list[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[float]]] = []
+        self._plans: list[tuple[np.ndarray, float, list[float], float, float, float]] = []
         self._take_state(np.full((len(plant.pairs), 3), np.nan))
 
     def log(self, control: np.ndarray) -> None:
@@ -148,22 +184,26 @@ class HistoryRecorder:
         info = self._controller.info
         if info is None:
             raise ValueError("log comes after controller.step and plant.apply")
-        self._plans.append((np.array(control, dtype=float), info.cost, list(info.terms.values()), info.plan_ms))
+        numbers = (info.cost, list(info.terms.values()), info.plan_ms, info.beta, info.eta)
+        self._plans.append((np.array(control, dtype=float), *numbers))
+        if self._log is not None:
+            self._log.log()
         self._take_state(self._plant.forces if self._plant.pairs else np.zeros((0, 3)))
 
     def close(self) -> None:
         """Nothing is left to do: all is in memory."""
 
     def _take_state(self, force: np.ndarray) -> None:
-        state = self._plant.state
-        self._states.append((state.time, state.joint_q, state.joint_qd, self._plant.body_q, np.array(force)))
+        state, error = self._plant.state, self._plant.error
+        errors = [] if error is None else [error.position, *(getattr(error, name) for name in self._turning)]
+        self._states.append((state.time, state.joint_q, state.joint_qd, self._plant.body_q, np.array(force), errors))
 
     @property
     def history(self) -> History:
         """The run so far."""
         layout, plans = self._plant.layout, len(self._plans)
-        time, joint_q, joint_qd, body_q, force = (np.array(column) for column in zip(*self._states, strict=True))
-        control, cost, terms, plan_ms = zip(*self._plans, strict=True) if plans else ((), (), (), ())
+        time, joint_q, joint_qd, body_q, force, error = (np.array(c) for c in zip(*self._states, strict=True))
+        control, cost, terms, plan_ms, beta, eta = zip(*self._plans, strict=True) if plans else ((),) * 6
         names = tuple(self._controller.costs.labels)
         return History(
             time=time,
@@ -175,13 +215,37 @@ class HistoryRecorder:
             cost=np.array(cost, dtype=float),
             cost_terms=np.array(terms, dtype=float).reshape(plans, len(names)),
             plan_ms=np.array(plan_ms, dtype=float),
-            joint_q_names=tuple(_coordinates(layout)),
-            joint_qd_names=tuple(_velocities(layout)),
-            body_names=tuple(layout.body_name),
-            control_names=tuple(layout.control_name),
+            beta=np.array(beta, dtype=float),
+            eta=np.array(eta, dtype=float),
+            goal_error=error,
             term_names=names,
-            pair_names=tuple(f"{pair.first}-{pair.second}" for pair in self._plant.pairs),
+            **names_of(self._plant, self._turning),
+            log=self._log.plans if self._log else None,
         )
+
+
+def names_of(plant: Plant, turns: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """What the numbers of a plant are called, by fields of :class:`History`.
+
+    Args:
+        plant: The plant.
+        turns: Errors besides that of the position.
+    """
+    layout = plant.layout
+    return {
+        "joint_q_names": tuple(_coordinates(layout)),
+        "joint_qd_names": tuple(_velocities(layout)),
+        "body_names": tuple(layout.body_name),
+        "control_names": tuple(layout.control_name),
+        "pair_names": tuple(f"{pair.first}-{pair.second}" for pair in plant.pairs),
+        "error_names": () if plant.error is None else ("position", *turns),
+    }
+
+
+def turning(scene: Scene) -> list[str]:
+    """The turns that a scene's goal or success asks for: ``yaw`` or ``rotation``."""
+    wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
+    return [name for name in ("yaw", "rotation") if any(getattr(w, name) is not None for w in wanted)]
 
 
 def history_file(path: str | Path) -> Path:

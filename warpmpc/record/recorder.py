@@ -8,29 +8,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
-from ..model.layout import IDENTITY, WORLD
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
-from .shapes import (
-    GHOST,
-    ContactPoints,
-    body_path,
-    draw_shape,
-    entity_path,
-    resized,
-    rotate,
-    scene_bounds,
-    shown_shapes,
-    thinned,
-)
+from .history import turning
+from .scene_drawing import draw_scene, writable
+from .shapes import ContactPoints, body_path, entity_path, rotate, scene_bounds, thinned
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -49,6 +38,8 @@ FORCE_COLOR = (255, 140, 0)
 CLOUD_COLOR = (120, 190, 220)
 CLOUD_RADIUS = 0.2
 """Half the width of a cloud's points, in voxels."""
+LANE, LANE_LENGTH = 2.5, 10.0
+"""Distance of the lanes of predicted controls, and how long they are."""
 LINE_RADIUS = {"samples": -0.75, "best": -2.5}
 """Half the width of the rollouts' lines; rerun takes negative numbers as points on the screen."""
 
@@ -77,8 +68,10 @@ class Recorder:
 
     Entities: ``/scene/...`` bodies with their shapes, ``/goal``, ``/rollouts/{best,samples}`` the ways of the goal's
     target and of the robots' frames, ``/contact`` forces on the robots, ``/cloud/NAME`` the points of a cloud, when
-    they are new and one of each voxel, and the curves ``/cost``, ``/temperature``, ``/control``, ``/plan_ms``,
-    ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and ``/diverged_worlds``.
+    they are new and one of each voxel, ``/prediction`` the controls of the best rollout over the horizon, each between
+    its limits in a lane of its own, and the curves ``/cost``, ``/temperature``, ``/control``, ``/plan_ms`` (``budget``
+    is one control), ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and
+    ``/diverged_worlds``.
 
     Rows are kept in memory and written every :data:`ROWS` steps, so that a call costs little and a run that is
     killed leaves a file that opens. Such a file has no footer: read it with ``RrdReader(file).stream()``, or give it
@@ -99,7 +92,7 @@ class Recorder:
     def __init__(self, path: str | Path, controller: Controller, plant: Plant, *, fan: int = 24):
         if fan < 0:
             raise ValueError(f"fan is a number of rollouts, not {fan}")
-        self.path = _writable(path)
+        self.path = writable(path)
         self._controller, self._plant, self._fan = controller, plant, fan
         self._layout, scene = plant.layout, plant.scene
         self._dt = scene.timing.control_dt
@@ -107,8 +100,7 @@ class Recorder:
         self._clouds: dict[str, np.ndarray] = {}
         self._frames = acting_frames(controller)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
-        wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
-        self._turning = [n for n in ("yaw", "rotation") if any(getattr(w, n) is not None for w in wanted)]
+        self._turning = turning(scene)
         self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]
         self._curves = self._name_curves()
         self._scalar = rr.Scalars.descriptor_scalars()
@@ -172,29 +164,16 @@ class Recorder:
     # ---- what stays
 
     def _draw_scene(self, reach: float) -> None:
-        recording, layout, properties = self._recording, self._layout, self._plant.properties
-        recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for entity in layout.entities:
-            for shape in shown_shapes(layout, entity):
-                parent = entity_path("scene", entity.name) if shape.body == WORLD else self._bodies[shape.body]
-                if entity.kind != "robot":
-                    shape = resized(shape, properties)
-                if entity.movable:  # the entity is where the task puts it, its shape at its origin
-                    shape = replace(shape, pose=IDENTITY)
-                draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
-        goal = self._plant.scene.goal
-        if goal is not None and goal.object is not None:
-            for shape in shown_shapes(layout, layout.entity(goal.object)):
-                draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)
-        elif goal is not None:
-            length = 0.15 * np.eye(3)
-            colors = [(230, 50, 50), (50, 200, 50), (70, 90, 255)]
-            recording.log("/goal/axes", rr.Arrows3D(vectors=length, colors=colors, radii=0.006), static=True)
+        recording = self._recording
+        draw_scene(recording, self._plant, reach=reach)
         for at, name in self._curves:
             recording.log(at, rr.SeriesLines(names=name, widths=2.5 if at == "/cost/total" else 1.25), static=True)
         for name, radius in LINE_RADIUS.items():
             recording.log(f"/rollouts/{name}", rr.LineStrips3D.from_fields(radii=radius), static=True)
         recording.log("/rollouts/best", rr.LineStrips3D.from_fields(colors=BEST_COLOR), static=True)
+        names, rest = self._layout.control_name, np.array([[0.0, 0.0], [LANE_LENGTH, 0.0]])
+        empty = [rest + [0.0, LANE * i] for i in range(len(names))]
+        recording.log("/prediction/rest", rr.LineStrips2D(empty, labels=names, colors=(128, 128, 128)), static=True)
         for cloud in self._plant.scene.cloud:
             look = rr.Points3D.from_fields(colors=CLOUD_COLOR, radii=CLOUD_RADIUS * cloud.voxel)
             recording.log(entity_path("cloud", cloud.name), look, static=True)
@@ -206,7 +185,7 @@ class Recorder:
         plan = [(entity_path("cost", label), label) for label in (*controller.costs.labels, "total")]
         plan += [(f"/temperature/{name}", symbol) for name, symbol in (("beta", "β"), ("eta", "η"))]
         plan += [(entity_path("control", *name.split("/")), name) for name in layout.control_name]
-        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", *controller.planner.stages)]
+        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", "budget", *controller.planner.stages)]
         plan += [("/diverged_worlds", "diverged worlds")]
         self._plan_curves = len(plan)
         errors = ("position", *self._turning) if self._plant.scene.goal is not None else ()
@@ -262,10 +241,12 @@ class Recorder:
     def _take_plan(self, control: np.ndarray) -> None:
         info = self._controller.info
         worlds, colors = self._choose()
-        poses = self._controller.engine.record(worlds).body_q[:, :, self._frames[0]]
+        rollouts = self._controller.engine.record(worlds)
+        poses = rollouts.body_q[:, :, self._frames[0]]
+        lanes = predicted_lanes(self._controller, rollouts.control[:, 0]) if len(worlds) else None
         values = [*info.terms.values(), info.cost, info.beta, info.eta, *control]
-        values += [info.plan_ms, *info.stages_ms.values(), info.diverged_worlds]
-        self._plans.append((self._plant.steps - 1, values, poses, colors))
+        values += [info.plan_ms, 1e3 * self._dt, *info.stages_ms.values(), info.diverged_worlds]
+        self._plans.append((self._plant.steps - 1, values, poses, colors, lanes))
 
     def _choose(self) -> tuple[np.ndarray, np.ndarray]:
         """Worlds of the best rollout and of the fan ``[1+n]``, and colours of the fan ``[n]``.
@@ -324,7 +305,7 @@ class Recorder:
 
     def _send_plans(self) -> None:
         send = self._recording.send_columns
-        steps, values, poses, colors = zip(*self._plans, strict=True)
+        steps, values, poses, colors, lanes = zip(*self._plans, strict=True)
         indexes, frames = self._indexes(steps), len(self._frames[0])
         self._send_curves(self._curves[: self._plan_curves], steps, values)
         best = np.concatenate([np.arange(p.shape[1]) == 0 for p in poses])  # the first of each row
@@ -339,6 +320,12 @@ class Recorder:
         )
         send("/rollouts/samples", indexes, lines.partition(frames * np.maximum(lengths - 1, 0)))
 
+        shown = [lane for lane in lanes if lane is not None]
+        if shown:
+            at = self._indexes([step for step, lane in zip(steps, lanes, strict=True) if lane is not None])
+            lines = rr.LineStrips2D.columns(strips=np.concatenate(shown))
+            send("/prediction", at, lines.partition([len(lane) for lane in shown]))
+
     def _send_curves(self, curves: list[tuple[str, str]], steps: Sequence[int], values: Sequence[list[float]]) -> None:
         table, indexes, descriptor = np.array(values, dtype=np.float64), self._indexes(steps), self._scalar
         finite = np.isfinite(table)
@@ -351,16 +338,17 @@ class Recorder:
             self._recording.send_columns(at, rows, [column])
 
 
-def _writable(name: str | Path) -> Path:
-    """The file's path, once it is known that it can be written."""
-    file = Path(name)
-    if file.suffix != ".rrd":
-        raise ValueError(f"a recording is a .rrd file, not '{file}'")
-    try:
-        file.open("ab").close()
-    except OSError as error:
-        raise type(error)(error.errno, f"cannot write the recording: {error.strerror}", str(file)) from None
-    return file
+def predicted_lanes(controller: Controller, control: np.ndarray) -> np.ndarray:
+    """Controls over the horizon ``[T, nu]`` as lines ``[nu, T, 2]``, one lane below the other.
+
+    To the right is time, the horizon :data:`LANE_LENGTH` long; a lane is 2 high, from upper limit down to the lower.
+    """
+    lower, upper = controller.limits
+    times = controller.planner.grid.t[: len(control)]
+    share = 2.0 * (control - lower) / (upper - lower) - 1.0
+    right = np.broadcast_to(LANE_LENGTH * times / controller.planner.grid.t[-1], share.T.shape)
+    down = LANE * np.arange(len(lower))[:, None] - share.T
+    return np.stack([right, down], axis=-1).astype(np.float32)
 
 
 def acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:

@@ -42,9 +42,10 @@ def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def shown_shapes(layout: Layout, entity: Entity) -> tuple[ShapeInfo, ...]:
-    """What to draw of an entity: the asset's visuals where it has them, else its collision shapes."""
+    """What to draw of an entity: of each body the asset's visuals where it has them, else its collision shapes."""
     shapes = tuple(layout.shapes[i] for i in entity.shapes)
-    return tuple(s for s in shapes if s.visible) or tuple(s for s in shapes if s.collides)
+    dressed = {shape.body for shape in shapes if shape.visible}
+    return tuple(s for s in shapes if s.visible or (s.collides and s.body not in dressed))
 
 
 def resized(shape: ShapeInfo, properties: Properties | None) -> ShapeInfo:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .code import code_digest, scene_digest
+from ..origin import code_digest
+from .code import scene_digest
 from .episode import EpisodeResult
 from .records import Records
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from .code import code_digest
+from ..origin import code_digest
 from .workers import RAY, TRIES, LostJob, Prepare
 
 CONNECT = 5.0

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..realtime.loop import RealTimeReport, RobotLoop
+from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
 from ..realtime.robot import simulated_robot
 from ..scene.draw import draw_task
@@ -16,6 +16,7 @@ from .episode import compile_shared, plain
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
+    from ..plant.simulated import Plant
     from ..scene.schema import Scene
 
 
@@ -76,6 +77,7 @@ def run_real_time(
     terms: MakeTerms | None = None,
     speed: float = 1.0,
     check: Callable[[], None] = lambda: None,
+    recorder: Callable[[Plant], TickLogger] | None = None,
 ) -> RealTimeResult:
     """Run one episode of a scene in real time, with the planner in a process of its own.
 
@@ -87,6 +89,8 @@ def run_real_time(
         terms: Makes users' cost terms, here and in the planner's process.
         speed: Simulated seconds in a second of wall time.
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
+        recorder: Makes what takes note of every tick, from the simulated robot, such as
+            :class:`~warpmpc.TickRecorder`.
 
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
@@ -102,7 +106,8 @@ def run_real_time(
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
     with PlannerProcess(drawn, speed=speed, **options) as planner:
         robot = simulated_robot(drawn, seed=seed, task=planner.task, terms=made, compiled=planner.compiled)
-        loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True)
+        made_recorder = recorder(robot) if recorder else None
+        loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True, recorder=made_recorder)
 
         def over() -> bool:
             check()

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, model_validator
 
 from .schema_ancillary import Ancillary
 from .schema_sampling import Covariance, Execute, Postures, TryMean
@@ -40,6 +40,9 @@ class Method(StrEnum):
     TSALLIS = "tsallis"
     DIAL = "dial"
     ICEM = "icem"
+    GRADIENT_DESCENT = "gradient_descent"
+    ILQG = "ilqg"
+    ILQS = "ilqs"
 
 
 class NoiseSource(StrEnum):
@@ -215,7 +218,35 @@ Steps = Annotated[
 ]
 
 
+class Refinement(StrEnum):
+    """How a plan is improved by derivatives."""
+
+    GRADIENT = "gradient"
+    ILQG = "ilqg"
+
+
+class Refine(Section):
+    """What derivatives make of the samples' plan.
+
+    They are finite differences of the engine's physics and of the residuals of the costs, along the plan's own rollout.
+    """
+
+    method: Refinement
+    """``gradient``: steepest descent on the knots, or ``ilqg``: a quadratic model solved from the end to the start,
+    with a feedback gain at every step that plans are followed with."""
+    iterations: Count = 1
+    """Expansions, each followed by a line search."""
+    candidates: TwoOrMore = 8
+    """Step sizes of a line search, tried at once: none, and from one down to a thousandth."""
+
+
+DIRECT = frozenset({Method.ILQG, Method.ILQS})
+"""Methods whose plans have a knot at every step, whatever ``planner.knots`` says: iLQG solves for the controls."""
+
 PRESETS = {
+    Method.GRADIENT_DESCENT: {"refine": {"method": "gradient"}},
+    Method.ILQG: {"refine": {"method": "ilqg"}},
+    Method.ILQS: {"refine": {"method": "ilqg"}},
     Method.DIAL: {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}},
     Method.ICEM: {
         "iterations": 3,
@@ -230,7 +261,8 @@ PRESETS = {
     },
 }
 """What methods mean where the scene does not say otherwise: ``dial`` is MPPI whose σ is annealed (2409.15610), ``icem``
-the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it."""
+the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The last three are MuJoCo MPC's planners with
+derivatives (2212.00541)."""
 
 
 class Planner(Section):
@@ -261,7 +293,7 @@ class Planner(Section):
     """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
     [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
     knots: TwoOrMore | None = None
-    """Spline control points P; one per step when left out."""
+    """Spline control points P; one per step when left out, and always for ``ilqg`` and ``ilqs``."""
     spline: SplineKind = SplineKind.ZERO
     """How knots become controls."""
     discount: Share = 0.95
@@ -288,6 +320,9 @@ class Planner(Section):
     """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
     ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
     """What proposes samples for the observed state, at every plan: functions of your own, stored motions, policies."""
+    refine: Refine | None = None
+    """What derivatives make of the samples' plan. ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs``
+    is ``predictive_sampling`` with ``ilqg``."""
     execute: Execute = Execute.MEAN
     """What is carried out: the mean, or the best of the last samples."""
     iterations: Count = 1
@@ -301,17 +336,23 @@ class Planner(Section):
     sigma_min: NonNegatives = (0.01,)
     """Floor of an adapted standard deviation, in control units, one value or one per control."""
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _preset(cls, data: object) -> object:
-        """Fill in what a method by name means by itself; what the scene says comes first."""
+    def _preset(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Fill in what a method means by itself; what the scene says comes first, and it alone counts as set."""
         method = data.get("method") if isinstance(data, dict) else None
         preset = PRESETS.get(method) if isinstance(method, str) else None
         if preset is None:
-            return data
+            return handler(data)
         tables = {key: value for key, value in preset.items() if isinstance(value, dict)}
         merged = {key: {**own, **data[key]} for key, own in tables.items() if isinstance(data.get(key), dict)}
-        return {**preset, **data, **merged}
+        out = {**preset, **data, **merged}
+        if method in DIRECT:
+            smooth = out.get("spline") in (SplineKind.CUBIC, SplineKind.BSPLINE)
+            out |= {"knots": None} | ({"spline": SplineKind.LINEAR} if smooth else {})
+        planner = handler(out)
+        planner.__pydantic_fields_set__.intersection_update(data)
+        return planner
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:

@@ -42,6 +42,7 @@ class Exchange:
         activations: The model's activation behind each of the layout's.
         watched: Watched pairs of geoms.
         pairs: How many pairs of entities are watched.
+        own_start: Whether every world starts in a state of its own, not in the one observed; always without a layout.
     """
 
     layout: Layout | None
@@ -55,6 +56,7 @@ class Exchange:
     activations: Sequence[int] = ()
     watched: Sequence[Watch] = ()
     pairs: int = 0
+    own_start: bool = False
 
     @cached_property
     def rows(self) -> list[int]:
@@ -98,6 +100,7 @@ class Exchange:
         """Macros of the source."""
         return {
             "PLAIN": int(self.layout is None),
+            "OWN_STATE": int(self.own_start or self.layout is None),
             "NCONTROL": max(1, self.matrix.shape[1]),
             "DRIVES": len(self.matrix),
             "MOCAPS": len(self.mocap),

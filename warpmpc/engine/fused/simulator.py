@@ -56,6 +56,7 @@ class FusedSimulator:
         pairs: Pairs of entities whose contact force is watched.
         properties: Draws of physical properties; ``None`` leaves every world nominal.
         device: Warp device.
+        own_start: Whether every world starts in a state of its own, in ``initial`` of :attr:`work`.
 
     Raises:
         SceneError: If the scene's model has what this engine lacks.
@@ -72,6 +73,7 @@ class FusedSimulator:
         pairs: tuple[Pair, ...] = (),
         properties: Properties | None = None,
         device: str = "cpu",
+        own_start: bool = False,
     ):
         self.shape, self.pairs, self.device = shape, pairs, device
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=Options.of(scene.engine), sensors=())
@@ -80,7 +82,8 @@ class FusedSimulator:
         on_gpu = wp.get_device(device).is_cuda
         self.sharing = WARP if on_gpu and shares(world.model, shape.worlds) else 1
         """Threads that share a world."""
-        self._lanes = 1 if on_gpu else native_lanes()
+        self.lanes = 1 if on_gpu else native_lanes()
+        """Worlds that a thread takes at once."""
         self._launch = Launcher(device)
         arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
         self.model = PhysicsModel(world.model, arrays)
@@ -96,6 +99,7 @@ class FusedSimulator:
             activations=world.activation.tolist(),
             watched=watched(self.model, world),
             pairs=len(pairs),
+            own_start=own_start,
         )
         self._substeps, self._name = list(substeps), scene.name
 
@@ -141,6 +145,10 @@ class FusedSimulator:
         share = np.zeros(tap.shape, dtype=np.float32)
         share[:, :, 0] = 1.0
         work.tap, work.share = wp.array(tap, device=device), wp.array(share, device=device)
+        if self.exchange.own_start:
+            m = self.world.model
+            rows = shape.worlds, 1 + m.nq + m.nv + m.na
+            work.initial, work.reached = (wp.zeros(rows, dtype=wp.float64, device=device) for _ in range(2))
         nu = self.layout.nu
         work.lower, work.upper = (wp.full(nu, sign * np.inf, dtype=float, device=device) for sign in (-1.0, 1.0))
         work.domains, work.records = 1, 1
@@ -160,10 +168,18 @@ class FusedSimulator:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
         shape = self.shape
         knots = control.numpy().swapaxes(0, 1).reshape(shape.envs, shape.rollouts, shape.horizon, -1)
+        self.work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
+        self.launch(0, shape.envs * -(-shape.rollouts // self.lanes))
+
+    def launch(self, first: int, groups: int) -> None:
+        """Roll some groups of worlds out, with the knots of :attr:`work`, on this thread; capture-safe.
+
+        Args:
+            first: First group; one has as many worlds of an environment as there are :attr:`lanes`.
+            groups: How many.
+        """
         kernel, work = self._ready
-        work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
-        groups = shape.envs * -(-shape.rollouts // self._lanes)
-        self._launch(kernel, groups * self.sharing, [0], [work], threads=WARP)
+        self._launch(kernel, groups * self.sharing, [first], [work], threads=WARP)
 
 
 def refuse(scene: Scene, world: MujocoWorld) -> None:

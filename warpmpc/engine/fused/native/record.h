@@ -17,10 +17,13 @@
     EACH(i, ACTIVATIONS) PUT(to_act, ACTIVATIONS, i, w.act[act_of[i]])
 #endif
     const int nq = k.record_q.shape[2], nv = k.record_qd.shape[2];
+#if !OWN_STATE
     if (h < 0) {
         EACH(i, nq) PUT(to_q, nq, i, (T)observed_q[i])
         EACH(i, nv) PUT(to_v, nv, i, (T)observed_v[i])
-    } else {
+    } else
+#endif
+    {
         EACH(i, COORDINATES) PUT(to_q, nq, layout_q[i], w.q[model_q[i]])
         EACH(i, SPEEDS) PUT(to_v, nv, layout_v[i], w.v[model_v[i]])
 #if TURNS

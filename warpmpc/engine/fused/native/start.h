@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The state that worlds start in: what was observed of their environment, as the model keeps it.
-#if PLAIN
+// The state that worlds start in: what was observed of their environment, as the model keeps it, or a state of its own.
+#if OWN_STATE
 for (int l = 0; l < lanes; ++l) {  // each world has a start of its own: time, coordinates, velocities
     const double* initial = (const double*)k.initial.data + (size_t)world[l] * k.initial.shape[1] + 1;
     EACH(i, NQ) LANE(w.q[i], l) = (float)initial[i];
@@ -9,7 +9,6 @@ for (int l = 0; l < lanes; ++l) {  // each world has a start of its own: time, c
     EACH(i, ACTS) LANE(w.act[i], l) = (float)initial[NQ + NV + i];
 #endif
 }
-EACH(i, 7 * NMOCAP) w.mocap[i] = (T)mocap_rest[i];
 #else
 const float* observed_q = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
 const float* observed_v = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
@@ -21,7 +20,9 @@ EACH(i, TURNS) Sim::start_joint(w, i, observed_q + turn_q[i], observed_v + turn_
 #if ACTIVATIONS
 EACH(i, ACTIVATIONS) w.act[act_of[i]] = (T)k.act.data[e * ACTIVATIONS + i];
 #endif
+#endif
 EACH(i, 7 * NMOCAP) w.mocap[i] = (T)mocap_rest[i];
+#if !PLAIN
 SYNC
 const float* poses[2] = {(const float*)k.mocap.data + 7 * e * k.mocap.shape[1],
                          (const float*)k.pose.data + 7 * ((e + 1) * k.pose.shape[1] - MOVABLES)};

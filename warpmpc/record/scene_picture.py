@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene's bodies in matplotlib, seen from anywhere: no window, no graphics driver."""
+"""A scene's bodies in matplotlib (extra ``plot``), seen from anywhere: no window, no graphics driver."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from matplotlib.collections import LineCollection, PolyCollection
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from warpmpc.model.layout import IDENTITY, WORLD
-from warpmpc.record.shapes import resized, shown_shapes
+from ..model.layout import IDENTITY, WORLD
+from .shapes import resized, shown_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from warpmpc.model.layout import Entity, Layout, ShapeInfo
-    from warpmpc.plant.simulated import Plant
+    from ..model.layout import Entity, Layout, ShapeInfo
+    from ..plant.simulated import Plant
 
 COLORS = {"robot": (1.0, 0.55, 0.15), "object": (0.2, 0.5, 0.8), "obstacle": (0.6, 0.6, 0.6)}
 FINE = 200

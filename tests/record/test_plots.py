@@ -1,39 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of runs: shapes have their size, the near hides the far, curves have names, any scene and term is drawn."""
 
+from dataclasses import replace
+
 import matplotlib
 
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-import plot_run
 import pytest
-import warp as wp
-from plot_run import draw_curves
-from program import SCENE, TINY
-from scene_picture import VIEWS, ScenePicture, View, natural_view, oblique, triangles_of
 from small_scenes import BOX, DISC, compiled, make_scene
 
 from warpmpc.model.layout import ShapeInfo
 from warpmpc.plant.simulated import Plant
-from warpmpc.record.history import History
-
-TERMS = """
-import numpy as np
-import warpmpc
-
-
-@warpmpc.array_cost("effort")
-def effort(batch):
-    return np.square(batch["control"]).sum(axis=-1)
-"""
-
-
-@pytest.fixture(autouse=True)
-def as_loud_as_before(monkeypatch):
-    """The tool silences Warp."""
-    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+from warpmpc.record.history import History, HistoryRecorder
+from warpmpc.record.plots import draw_run, figures, plot_history
+from warpmpc.record.scene_picture import VIEWS, ScenePicture, View, natural_view, oblique, triangles_of
+from warpmpc.run.episode import Episode
 
 
 @pytest.fixture(scope="module")
@@ -117,42 +101,72 @@ def test_what_stays_level_is_seen_from_above(plant):
     assert natural_view(plant.layout, tilted) == natural_view(plant.layout, risen) == "3d"
 
 
-def test_every_curve_has_a_name_of_its_own():
-    names = {"joint_q": (), "joint_qd": (), "body": (), "control": (), "term": ("near", "far"), "pair": ("a-b", "c-b")}
-    history = History(
-        time=np.arange(4.0),
-        joint_q=np.zeros((4, 0)),
-        joint_qd=np.zeros((4, 0)),
-        body_q=np.zeros((4, 0, 7)),
-        contact_force=np.arange(24.0).reshape(4, 2, 3),
-        control=np.zeros((3, 0)),
-        cost=np.array([3.0, 4.0, 5.0]),
-        cost_terms=np.array([[1.0, 2.0], [1.0, 3.0], [1.0, 4.0]]),
-        plan_ms=np.ones(3),
-        **{f"{name}_names": value for name, value in names.items()},
+@pytest.fixture(scope="module")
+def history() -> History:
+    scene = make_scene(
+        object=[BOX], robot=[DISC], timing={"control_dt": 0.04, "timeout": 0.4}, planner={"samples": 16, "horizon": 4}
     )
-    figure, (costs, forces) = plt.subplots(2)
-    draw_curves(costs, forces, history)
-    curves = {line.get_label(): line.get_ydata() for line in (*costs.lines, *forces.lines)}
+    episode = Episode(scene, engine="mujoco", device="cpu", seed=3, compiled=compiled(scene))
+    recorder = HistoryRecorder(episode.controller, episode.plant)
+    episode.run(recorder=recorder)
+    return recorder.history
+
+
+def lines(figure) -> dict[str, np.ndarray]:
+    """Every line of a figure by its name."""
+    return {line.get_label(): np.asarray(line.get_ydata()) for axes in figure.axes for line in axes.lines}
+
+
+def test_figures_show_the_run(history):
+    scene = make_scene(object=[BOX], robot=[DISC])
+    found = dict(figures(history, scene))
+    assert list(found) == ["path", "costs", "controls", "plan_times", "errors"]
+    costs = lines(found["costs"])
+    np.testing.assert_array_equal(costs["distance"], history.cost_terms[:, 0])
+    np.testing.assert_array_equal(costs["sum"], history.cost)
+    times = lines(found["plan_times"])
+    np.testing.assert_array_equal(times["plan"], history.plan_ms)
+    np.testing.assert_allclose(times["one control"], 40.0)
+    for i, axes in enumerate(found["controls"].axes):
+        np.testing.assert_array_equal(axes.lines[0].get_ydata(), history.control[:, i])
+    error, tolerance = found["errors"].axes[0].lines
+    np.testing.assert_array_equal(error.get_ydata(), history.goal_error[:, 0])
+    np.testing.assert_allclose(tolerance.get_ydata(), 0.1)
+
+
+def test_every_pair_has_a_curve_of_its_own(history):
+    pairs = np.arange(33.0 * 2).reshape(11, 2, 3)
+    found = dict(figures(replace(history, pair_names=("a-b", "c-b"), contact_force=pairs), None))
+    np.testing.assert_allclose(lines(found["contact_forces"])["c-b"], np.linalg.norm(pairs[:, 1], axis=1))
+
+
+@pytest.mark.parametrize("view", [None, "3d"])
+def test_bodies_and_their_ways_are_drawn(history, plant, view):
+    figure, axes = plt.subplots()
+    draw_run(axes, history, plant, view=view)
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255.0
     plt.close(figure)
-    np.testing.assert_array_equal(curves["far"], [2.0, 3.0, 4.0])
-    np.testing.assert_array_equal(curves["sum"], history.cost)
-    np.testing.assert_allclose(curves["c-b"][1], np.linalg.norm([9.0, 10.0, 11.0]))
+    assert pixels.std() > 0.02
+    base = history.body_names.index("base/base_link")
+    ways = [line.get_xydata() for line in axes.lines]
+    expected = VIEWS[view or "top"](history.body_q[:, base, :3].astype(float))
+    assert any(way.shape == expected.shape and np.allclose(way, expected) for way in ways)
 
 
-@pytest.mark.parametrize("view", [[], ["--view", "3d", "--curves"]])
-def test_a_scene_and_terms_of_ones_own_are_drawn(tmp_path, view):
-    (tmp_path / "terms.py").write_text(TERMS)
-    (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", '[[cost]]\nterm = "effort"\n\n[planner]'))
-    out = tmp_path / "new" / "a.png"
-    args = [str(tmp_path / "mine.toml"), "--terms", str(tmp_path / "terms.py"), "--engine", "mujoco", *TINY]
-    assert plot_run.main([*args, *view, "--out", str(out)]) == 0
-    assert plt.imread(out)[..., :3].std() > 0.02
+def test_without_a_scene_the_ways_are_left(history):
+    figure, axes = plt.subplots()
+    draw_run(axes, replace(history, log=None), None)
+    assert {line.get_label() for line in axes.lines} == set(history.body_names)
+    plt.close(figure)
 
 
-def test_a_mistake_is_one_message_and_exit_code_2(tmp_path, capsys):
-    assert plot_run.main(["omni_push_bax", "--out", str(tmp_path / "a.png")]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "Did you mean 'omni_push_box'?" in err
-    assert err.count("\n") == 1
+def test_files_are_written(history, tmp_path):
+    written = plot_history(history, tmp_path / "new", title="a run")
+    assert [path.name for path in written] == [
+        "history.csv",
+        *(f"{name}.png" for name in ("path", "costs", "controls", "plan_times", "errors")),
+    ]
+    for path in written[1:]:
+        assert plt.imread(path)[..., :3].std() > 0.02
+    assert (tmp_path / "new" / "history.csv").read_text().startswith("time,joint_q/")

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``warpmpc run --out`` and ``warpmpc replay``: a folder from which a result can be traced and had again."""
+
+import json
+import platform
+
+import mujoco
+import numpy as np
+import pytest
+from program import SCENE, TINY
+
+import warpmpc
+
+TERMS = """
+import numpy as np
+import warpmpc
+
+
+@warpmpc.array_cost("far")
+def far(batch):
+    return batch["params"]["gain"] * np.square(batch["control"]).sum(axis=-1)
+"""
+
+
+@pytest.fixture
+def folder(command, tmp_path):
+    """A run of two episodes of a changed scene, with a term of a user's own."""
+    (tmp_path / "mine.toml").write_text(
+        SCENE + '\n[[cost]]\nterm = "far"\ngain = 0.5\n\n[variants.turned]\ngoal.yaw = 0.5\n'
+    )
+    (tmp_path / "far.py").write_text(TERMS)
+    options = ["--episodes", "2", "--seed", "4", "--terms", "far.py", "--engine", "mujoco", "--quiet", *TINY]
+    done = command("run", "mine.toml:turned", "--out", "run", *options)
+    assert (done.returncode, done.stderr) == (1, "")  # ten controls lead nowhere
+    return tmp_path / "run"
+
+
+def test_a_folder_tells_all_about_its_run(folder, command):
+    names = {"run.json", "scene.toml", "results.jsonl", "terms"}
+    names |= {
+        f"{kind}-{seed}.{suffix}" for seed in (4, 5) for kind, suffix in (("history", "npz"), ("recording", "rrd"))
+    }
+    assert {path.name for path in folder.iterdir()} == names
+    about = json.loads((folder / "run.json").read_text())
+    assert (about["scene"], about["variant"], about["seeds"]) == ("mine", "turned", [4, 5])
+    assert about["versions"]["warpmpc"] == warpmpc.__version__
+    assert about["versions"]["mujoco"] == mujoco.__version__
+    assert about["versions"]["numpy"] == np.__version__
+    assert about["versions"]["python"] == platform.python_version()
+    assert about["hardware"]["cores"] >= 1
+    assert about["engine"] == "mujoco"
+    results = [json.loads(line) for line in (folder / "results.jsonl").read_text().splitlines()]
+    assert [(r["seed"], r["engine"], r["steps"]) for r in results] == [(4, "mujoco", 10), (5, "mujoco", 10)]
+
+    scene = warpmpc.load_scene(folder / "scene.toml")
+    assert (scene.planner.samples, scene.goal.yaw) == (16, 0.5)  # --set and the variant
+    again = command(
+        "run", "run/scene.toml", "--seed", "4", "--terms", "run/terms/0_far.py", "--engine", "mujoco", "--json"
+    )
+    assert json.loads(again.stdout)["final"] == results[0]["final"]
+
+    done = command("run", "mine.toml", "--out", "run", "--terms", "far.py", *TINY)
+    assert done.returncode == 2
+    assert "--out: 'run' is not empty: give a new folder" in done.stderr
+
+
+def test_a_folder_is_replayed_and_a_changed_log_is_found(folder, command, tmp_path):
+    done = command("replay", "run")
+    assert (done.returncode, done.stderr) == (0, "")
+    for seed in (4, 5):
+        head = f"history-{seed}.npz: mine:turned, seed {seed}, mujoco on cpu, 16 samples: "
+        assert f"{head}10 of 10 commands agree bit for bit" in done.stdout
+    assert "otherwise" not in done.stdout
+
+    history = warpmpc.History.load(folder / "history-5.npz")
+    history.log.command[7, 1] += 1e-3
+    history.log.origin["versions"]["mujoco"] = "1.0"
+    history.save(tmp_path / "other.npz")
+    done = command("replay", "other.npz", "--terms", "far.py")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert f"otherwise than in the log: mujoco: 1.0, now {mujoco.__version__}" in done.stdout
+    assert "9 of 10 commands agree" in done.stdout
+    assert "first that differs: command 7 at t = 0.280 s: base/y was" in done.stdout
+    assert "then bits may differ" in done.stdout
+
+    done = command("replay", "other.npz")
+    assert done.returncode == 2
+    assert "no such cost term" in done.stderr
+
+
+def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.npz").write_text("text")
+    arrays = {"time": np.zeros(1), "control": np.zeros((0, 2))}
+    np.savez(tmp_path / "part.npz", **arrays)
+    wrong = {
+        "empty": "no run's folder",
+        "text.npz": "is no history",
+        "part.npz": "is no history",
+        "no.npz": "No such file",
+    }
+    for name, message in wrong.items():
+        done = command("replay", name)
+        assert done.returncode == 2
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):
+    assert command("run", "omni_push_box", "--npz", "new.npz", "--engine", "mujoco", "--quiet", *TINY).returncode == 1
+    with np.load(tmp_path / "new.npz") as data:
+        np.savez(tmp_path / "old.npz", **{name: data[name] for name in data if not name.startswith("log_")})
+    done = command("replay", "old.npz")
+    assert done.returncode == 2
+    assert "old.npz: has no log of what its plans were made from" in done.stderr
+    assert command("replay", "new.npz").returncode == 0
+
+
+def test_figures_of_a_folder_are_beside_what_they_show(folder, command, tmp_path, monkeypatch):
+    done = command("plot", "run")
+    assert (done.returncode, done.stderr) == (0, "")
+    for seed in (4, 5):
+        files = {path.name for path in (folder / "plots" / f"history-{seed}").iterdir()}
+        assert files >= {"history.csv", "path.png", "costs.png", "controls.png", "plan_times.png", "errors.png"}
+        assert f"run/plots/history-{seed}/path.png" in done.stdout
+
+    done = command("plot", "run/history-4.npz", "--out", "here", "--terms", "far.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "here" / "path.png").exists()
+
+    done = command("plot", "no.npz")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    done = command("plot", "run")
+    assert done.returncode == 2
+    assert 'figures need matplotlib: pip install "warpmpc[plot]"' in done.stderr

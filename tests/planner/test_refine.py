@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planners with derivatives: what they find, closed loops, feedback between plans, and what they refuse."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_scenes import compiled, make_scene
+
+from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
+from warpmpc.planner.feedback import StateSpace
+from warpmpc.realtime.letters import PlanCodec, TimedPlan
+from warpmpc.scene.load import with_values
+
+DISC_PLANNER = {"samples": 16, "horizon": 10, "discount": 1.0, "randomize": False}
+
+
+def disc(method: str = "ilqg", **planner):
+    """The disc that drives to (1, 0.5), by a cost that is quadratic in its place and its controls."""
+    cost = [
+        {"term": "position_residual", "of": "base/centre", "target": [1.0, 0.5], "axes": "xy"},
+        {"term": "control_effort", "weight": 0.01},
+    ]
+    return make_scene(planner={**DISC_PLANNER, "method": method, **planner}, cost=cost, engine={"threads": 1})
+
+
+def planned(scene, *, engine: str = "fused", plans: int = 1, seed: int = 0):
+    """A controller after some plans from the same state, and the costs of its plans."""
+    controller = Controller(scene, engine=engine, device="cpu", seed=seed, compiled=compiled(scene))
+    state, costs = State.start(controller.layout), []
+    for _ in range(plans):
+        controller.step(replace(state, time=0.0))
+        costs.append(controller.info.cost)
+    return controller, costs
+
+
+@pytest.mark.parametrize("engine", ["fused", "mujoco"])
+def test_ilqg_finds_in_one_plan_what_samples_come_near_to_in_many(engine):
+    _, ilqg = planned(disc(), engine=engine, plans=4)
+    _, samples = planned(disc("predictive_sampling", samples=64), engine=engine, plans=30)
+    assert ilqg[0] < 1.001 * min(samples)
+    assert ilqg[-1] < min(samples)
+    assert abs(ilqg[-1] - ilqg[-2]) < 1e-4 * ilqg[-1]
+
+
+def test_gradient_descent_only_ever_improves_the_plan():
+    _, costs = planned(disc("gradient_descent", knots=5, spline="linear"), plans=12)
+    assert all(after <= before * (1.0 + 1e-6) for before, after in pairwise(costs))
+    assert costs[-1] < 0.9 * costs[0]
+    _, ilqg = planned(disc(), plans=4)
+    assert costs[-1] < 1.1 * ilqg[-1]
+
+
+def test_ilqs_is_no_worse_than_the_samples_alone():
+    _, samples = planned(disc("predictive_sampling", knots=None, spline="zero"))
+    controller, refined = planned(disc("ilqs"))
+    assert refined[0] < samples[0]
+    assert controller.info.eta == 1.0
+
+
+def test_refinement_stands_behind_any_method():
+    _, plain = planned(disc("mppi"))
+    _, refined = planned(disc("mppi", refine={"method": "gradient"}))
+    assert refined[0] < plain[0]
+
+
+def test_the_same_seed_gives_the_same_commands():
+    runs = [planned(disc("ilqs"), plans=3, seed=5)[0].planner.strategy.mean.numpy() for _ in range(2)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_controls_stay_within_their_limits_and_no_gain_holds_them_there():
+    scene = with_values(disc(), {"robot.base.drive.limit": [0.2, 0.2, 0.2]})
+    controller, _ = planned(scene, plans=3)
+    plan = controller.plan(replace(State.start(controller.layout), time=0.0))
+    assert np.abs(plan.knots).max() <= 0.2
+    at_limit = np.abs(plan.knots) > 0.2 - 1e-6
+    assert at_limit.any()
+    assert np.abs(plan.feedback.gain[0][~at_limit]).max() > 0.0
+
+
+def test_a_plan_answers_a_state_that_is_not_the_planned_one():
+    controller, _ = planned(disc(), plans=3)
+    near = np.float32([0.9, 0.45, 0.0])  # where no control is at its limit
+    state = replace(State.start(controller.layout), time=0.0, joint_q=near)
+    for _ in range(3):
+        plan = controller.plan(state)
+    later = 0.06
+    wanted, _ = plan.feedback.at(np.array([[later]]))
+    on_plan = replace(state, joint_q=wanted[0, 0, :3].astype(np.float32), joint_qd=wanted[0, 0, 3:6].astype(np.float32))
+    np.testing.assert_allclose(plan.at(later, on_plan), plan.at(later), atol=1e-4)
+    pushed = replace(on_plan, joint_q=on_plan.joint_q + np.float32([0.0, 0.05, 0.0]))
+    answer = plan.at(later, pushed) - plan.at(later)
+    assert answer[1] < -0.01  # it was pushed to the left, and goes back
+    np.testing.assert_array_equal(plan.at(later, pushed), plan.at(later, pushed))
+    assert np.abs(plan.at(later, replace(pushed, joint_q=pushed.joint_q + 100.0))).max() <= 1.0
+    end = float(plan.times[-1]) + 10.0
+    np.testing.assert_array_equal(plan.at(end, pushed), plan.at(end))
+
+
+def test_every_environment_has_its_own_plan():
+    scene = disc()
+    both = Controller(scene, engine="fused", device="cpu", envs=2, compiled=compiled(scene))
+    start = State.start(both.layout)
+    q = np.stack([start.joint_q, start.joint_q + np.float32([0.4, -0.3, 0.2])])
+    command = both.step(State(q, np.zeros_like(q), 0.0))
+    for e in range(2):
+        alone = Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
+        np.testing.assert_array_equal(command[e], alone.step(State(q[e], np.zeros(3, np.float32), 0.0)))
+
+
+@pytest.mark.parametrize("method", ["ilqg", "ilqs", "gradient_descent"])
+def test_a_pole_is_swung_up(method):
+    scene = with_values(load_scene("cartpole_swingup"), {"planner.method": method, "engine.threads": 1})
+    result = run_episode(scene, engine="fused", device="cpu", seed=3)
+    assert result.success
+    assert result.sim_time < 8.0
+
+
+HELD = {
+    "planner.method": "ilqg",
+    "planner.horizon": 60,
+    "planner.dt": [0.02],
+    "engine.threads": 1,
+    "engine.substeps": 2,
+    "plant.substeps": 1,
+    "timing.control_dt": 0.002,
+    "robot.cart.joint_q": [0.0, 0.02],
+    "cost": [
+        {"term": "position_residual", "of": "cart/tip", "target": [0.0, 1.0], "axes": "xz", "weight": 10.0},
+        {"term": "joint_velocity", "weight": 0.05},
+        {"term": "control_effort", "weight": 0.05},
+    ],
+}
+"""A pole that stands, under 500 controls a second."""
+
+
+@pytest.mark.parametrize("push", [-0.4, 0.4])
+def test_gains_hold_between_slow_plans_what_falls_without_them(push):
+    kicks = [{"time": t, "target": "cart", "velocity": [0.0, push]} for t in (0.6, 1.6)]
+    scene = with_values(load_scene("cartpole_swingup"), {**HELD, "plant.kicks": kicks})
+    upright = []
+    for feedback in (True, False):
+        controller, plant = Controller(scene, engine="fused", device="cpu"), Plant(scene)
+        for tick in range(1200):
+            state = plant.observe()
+            if tick % 250 == 0:  # two plans a second
+                plan = controller.plan(state)
+            plant.apply(plan.at(state.time, state if feedback else None))
+        upright.append(bool(np.cos(plant.observe().joint_q[1]) > 0.9))
+    assert upright == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("engine", "values", "says"),
+    [
+        ("kinematic", {}, r"engine\.name: planners with derivatives do not run on the engine kinematic"),
+        ("mujoco", {"planner.dt": [0.04] * 9 + [0.08]}, r"planner\.dt: .* one length"),
+        (
+            "mujoco",
+            {"planner.method": "gradient_descent", "planner.samples": 4},
+            r"planner\.samples: .* 8 candidates",
+        ),
+    ],
+)
+def test_what_cannot_be_differentiated_is_refused_by_name(engine, values, says):
+    scene = with_values(make_scene(planner={**DISC_PLANNER, "method": "ilqg"}), values)
+    with pytest.raises(SceneError, match=says):
+        Controller(scene, engine=engine, device="cpu", compiled=compiled(scene))
+
+
+def test_a_plan_that_derivatives_fail_for_stays_as_the_samples_left_it(caplog):
+    controller, _ = planned(disc("ilqs"))
+    controller.planner.refiner.differences.tangent.add = lambda *_: np.full((1, 10, 1, 6), np.nan)
+    command = controller.step(replace(State.start(controller.layout), time=0.04))
+    assert np.isfinite(command).all()
+    assert "no derivatives" in caplog.text
+    assert controller.planner.feedback is None
+
+
+def test_check_says_which_terms_have_no_residual():
+    cost = [
+        {"term": "distance", "between": ["base/centre", "goal"]},
+        {"term": "contact_force", "between": ["robots", "obstacles"]},
+    ]
+    scene = disc().model_copy(update={"cost": make_scene(cost=cost).cost})
+    controller, _ = planned(scene)
+    worlds = 10 * (1 + 2 * (6 + 3))
+    assert controller.planner.refiner.summary.startswith(f"differences of 3 residuals in {worlds} worlds")
+    assert controller.planner.refiner.summary.endswith("rough Hessian: contact_force")
+
+
+def test_feedback_crosses_processes_as_numbers():
+    scene = disc()
+    controller, _ = planned(scene, plans=2)
+    state = replace(State.start(controller.layout), time=0.0, joint_q=np.float32([0.9, 0.45, 0.0]))
+    plan = controller.plan(state)
+    codec = PlanCodec(controller.layout, plan.spline, len(plan.times), StateSpace.of(controller.compiled))
+    letter = codec.encode(TimedPlan(plan, 3, 0.0, 0.01, 5.0, True))
+    assert len(letter) == codec.capacity
+    told = codec.decode(letter)
+    assert told.number == 3
+    pushed = replace(state, joint_q=state.joint_q + np.float32([0.01, -0.02, 0.1]))
+    assert np.abs(plan.at(0.05, pushed) - plan.at(0.05)).max() > 1e-3
+    np.testing.assert_array_equal(told.plan.at(0.05, pushed), plan.at(0.05, pushed))

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a page costs: plans per second without and with somebody who looks, and the updates that arrive there.
+
+    python tools/page_rate.py                    # omni_push_box
+    python tools/page_rate.py cylinder_push --steps 500 --chromium /usr/bin/chromium
+
+Who looks: nobody; a bare WebSocket client in another process, which reads and draws nothing; Chromium without a window
+(needs Playwright). A browser without a GPU draws on the processor that plans, so it takes what a user's own machine
+would not; the bare client tells what sending costs. Every measurement makes the same plans, from the start of the
+episode, one after the other as fast as they can be made.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+class Arrivals:
+    """Counts messages between two lines on standard input and prints how many came a second."""
+
+    def __init__(self):
+        self.count, self.ended = 0, threading.Event()
+
+    def run(self) -> None:
+        """Answer lines until there are no more."""
+        print("looking", flush=True)
+        for _ in sys.stdin:
+            first, begin = self.count, time.perf_counter()
+            sys.stdin.readline()
+            print((self.count - first) / (time.perf_counter() - begin), flush=True)
+        self.ended.set()
+
+
+def watch_bare(port: int) -> None:
+    """Receive messages and do nothing with them."""
+    from websockets.sync.client import connect
+
+    arrivals = Arrivals()
+    protocol = f"viser-v{version('viser')}"
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], max_size=None, compression=None) as page:
+        page.recv()
+        threading.Thread(target=arrivals.run).start()
+        while not arrivals.ended.is_set():
+            try:
+                page.recv(timeout=0.1)
+                arrivals.count += 1
+            except TimeoutError:
+                pass
+
+
+def watch_chromium(port: int, executable: str) -> None:
+    """Look at the page in Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    arrivals = Arrivals()
+
+    def came(_: object) -> None:
+        arrivals.count += 1
+
+    with sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=executable, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1000, "height": 600})
+        page.on("websocket", lambda socket: socket.on("framereceived", came))
+        page.goto(f"http://127.0.0.1:{port}")
+        page.get_by_role("button", name="Reset").wait_for(timeout=60e3)
+        threading.Thread(target=arrivals.run).start()
+        while not arrivals.ended.is_set():
+            page.wait_for_timeout(100)
+        browser.close()
+
+
+@contextmanager
+def watcher(kind: str, port: int, chromium: str | None) -> Iterator[subprocess.Popen | None]:
+    """A process that looks at the page; None for nobody."""
+    if kind == "nobody":
+        yield None
+        return
+    command = [sys.executable, __file__, "--watch", kind, "--port", str(port), "--chromium", str(chromium)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        process.stdout.readline()
+        yield process
+        process.stdin.close()
+
+
+def measure(session, steps: int, process: subprocess.Popen | None) -> tuple[float, float]:
+    """Plans per second over the first steps of an episode, and messages per second that arrived (NaN for nobody)."""
+    episode = session.snapshot.episode
+    session.reset()
+    while session.snapshot.episode == episode:
+        time.sleep(0.001)
+    if process is not None:
+        process.stdin.write("begin\n")
+    first, begin = session.snapshot.steps, time.perf_counter()
+    while session.snapshot.steps < steps:
+        time.sleep(0.005)
+    rate = (session.snapshot.steps - first) / (time.perf_counter() - begin)
+    if process is None:
+        return rate, float("nan")
+    process.stdin.write("end\n")
+    return rate, float(process.stdout.readline())
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", nargs="?", default="omni_push_box")
+    parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    parser.add_argument("--steps", type=int, default=100, help="plans of every measurement")
+    parser.add_argument("--rounds", type=int, default=5, help="measurements of each, in turn; medians are printed")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--chromium", help="path of Chromium; not measured without")
+    parser.add_argument("--watch", choices=["bare", "chromium"], help=argparse.SUPPRESS)
+    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.watch == "bare":
+        watch_bare(options.port)
+        return
+    if options.watch == "chromium":
+        watch_chromium(options.port, options.chromium)
+        return
+
+    from warpmpc.live.page import serve
+    from warpmpc.live.session import Session
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    session = Session(options.scene, overrides=options.overrides, device=options.device, pace=1e6)
+    ending = threading.Event()
+    page = threading.Thread(target=serve, args=(session,), kwargs={"host": "127.0.0.1", "port": port, "ending": ending})
+    page.start()
+    kinds = ["nobody", "bare", *(["chromium"] if options.chromium else [])]
+    found: dict[str, list[tuple[float, float]]] = {kind: [] for kind in kinds}
+    time.sleep(2.0)
+    for _ in range(options.rounds):
+        for kind in kinds:
+            with watcher(kind, port, options.chromium) as process:
+                found[kind].append(measure(session, options.steps, process))
+    ending.set()
+    page.join()
+    alone = statistics.median(rate for rate, _ in found["nobody"])
+    print(f"{'who looks':10} {'plans/s':>8} {'loss':>7} {'updates/s':>10}")
+    for kind, rows in found.items():
+        rate, arrived = (statistics.median(column) for column in zip(*rows, strict=True))
+        print(f"{kind:10} {rate:8.1f} {1.0 - rate / alone:7.1%} {arrived:10.1f}")
+
+
+if __name__ == "__main__":
+    main()

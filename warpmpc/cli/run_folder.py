@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder that tells all about a run: scene, command, seeds, versions, hardware, results, histories, recordings."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
+
+ABOUT, SCENE, RESULTS = "run.json", "scene.toml", "results.jsonl"
+HISTORY, RECORDING, TERMS = "history.npz", "recording.rrd", "terms"
+
+
+class RunFolder:
+    """Writes the folder of a run.
+
+    Args:
+        path: The folder; made if it is not there, else it must be empty.
+        scene: The scene as it is used, variant and changes applied, its tasks not drawn yet.
+        seeds: Seeds of the episodes.
+        term_files: Python files of cost terms; they are copied.
+        asked: What else was asked for, such as the engine, as plain data.
+
+    Raises:
+        OSError: If something cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]
+    ):
+        from ..origin import origin
+        from ..scene.dump import dump_scene
+
+        self._path = path
+        path.mkdir(parents=True, exist_ok=True)
+        (path / SCENE).write_text(dump_scene(scene), encoding="utf-8")
+        for i, file in enumerate(term_files):
+            (path / TERMS).mkdir(exist_ok=True)
+            shutil.copy(file, path / TERMS / f"{i}_{file.name}")
+        about = {
+            "command": shlex.join(["warpmpc", *sys.argv[1:]]),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "scene": scene.name,
+            "variant": scene.variant,
+            "file": None if scene.path is None else str(scene.path),
+            "seeds": list(seeds),
+            **asked,
+            **origin(),
+        }
+        text = json.dumps(about, indent=2, ensure_ascii=False)
+        (path / ABOUT).write_text(text + "\n", encoding="utf-8")
+
+    def add(self, result: dict[str, Any]) -> None:
+        """Add the result of an episode, as data for JSON; it is in the file when this returns."""
+        with open(self._path / RESULTS, "a", encoding="utf-8") as file:
+            file.write(json.dumps(result, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder that holds something, so that no result is mixed with another.
+
+    Raises:
+        ValueError: If it does, or is a file.
+    """
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"--out: '{path}' is a file: give a folder for the run")
+    if path.is_dir() and any(path.iterdir()):
+        raise ValueError(f"--out: '{path}' is not empty: give a new folder for each run")
+
+
+def histories_in(path: Path) -> list[Path]:
+    """Histories that a path means: those of a run's folder, or the file itself.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    if not path.is_dir():
+        return [path]
+    stem, suffix = HISTORY.split(".")
+    found = [*path.glob(HISTORY), *path.glob(f"{stem}-*.{suffix}")]
+    if not found:
+        raise ValueError(
+            f"{path}: no run's folder: there is no {HISTORY} in it; `warpmpc run SCENE --out DIR` makes one"
+        )
+    return sorted(found, key=lambda file: (len(file.name), file.name))
+
+
+def terms_in(path: Path) -> list[Path]:
+    """Files of users' terms that a run's folder holds; none for a file."""
+    return sorted((path / TERMS).glob("*.py"), key=lambda file: int(file.name.partition("_")[0]))

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What there is to see of a session at one moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .fan import Ways
+    from .forecast import Forecast
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """What there is to see after a step; arrays are copies."""
+
+    source: str
+    """Scene and variant: what is listed begins anew when they change."""
+    build: int
+    """Counts plants built: what is drawn begins anew when it changes."""
+    episode: int
+    """Counts resets: curves begin anew when it changes."""
+    time: float
+    """Simulated time [s]."""
+    steps: int
+    body_q: np.ndarray
+    """Poses of the bodies ``[nb, 7]``."""
+    poses: dict[str, np.ndarray]
+    """Goal, targets and movable obstacles ``[7]``."""
+    values: dict[str, float]
+    """Weights and scalars of the task."""
+    ways: Ways | None
+    """Best rollout and fan; None without a plan."""
+    forecast: Forecast | None
+    """What the best rollout is expected to cost, and its controls; None without a plan."""
+    forces: np.ndarray
+    """Net forces of the plant's pairs ``[pairs, 3]`` [N]."""
+    pull: np.ndarray | None
+    """Ends of the spring that pulls at a body ``[2, 3]`` [m]; None without."""
+    control: np.ndarray
+    cost: float
+    """Cost of the best rollout; NaN without a plan."""
+    eta: float
+    beta: float
+    plan_ms: float
+    state: str
+    """What it is doing, in words."""
+    paused: bool
+    planning: bool
+    controlling: bool
+    recording: str
+    """File that is recorded to; empty without."""
+    message: str
+    """What became of the last change that could not be made; empty when all is well."""

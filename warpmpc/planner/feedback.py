@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Feedback gains of a plan: how its controls answer states that are not the planned ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..derivatives.rollouts import Policy
+from ..derivatives.tangent import Tangent
+from ..model.mujoco_model import make_world
+from ..model.rows import MujocoRows
+
+if TYPE_CHECKING:
+    from ..model.compiled import CompiledScene
+    from ..model.state import State
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """How states of a scene are subtracted."""
+
+    tangent: Tangent
+    """Where MuJoCo's states are."""
+    rows: MujocoRows
+    """Turns a scene's states into MuJoCo's."""
+
+    @classmethod
+    def of(cls, compiled: CompiledScene) -> StateSpace:
+        """That of a compiled scene."""
+        world = make_world(compiled, timestep=1.0)  # nothing is simulated
+        return cls(Tangent(world.model), MujocoRows(compiled.layout, world))
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """Gains K(t) about states x̄(t), of every environment."""
+
+    times: np.ndarray
+    """Absolute times of the states ``[E, T]`` [s]."""
+    state: np.ndarray
+    """x̄, MuJoCo's (qpos, qvel, act) ``[E, T, nx]``."""
+    gain: np.ndarray
+    """K ``[E, T, nu, n]``."""
+    space: StateSpace
+    """How states are subtracted."""
+
+    def correction(self, times: np.ndarray, state: State) -> np.ndarray:
+        """K (x ⊖ x̄), what the controls answer to states at some times ``[E, nu]``.
+
+        Args:
+            times: One for each environment ``[E]`` [s].
+            state: States of all environments, ``joint_q`` ``[E, nq]``.
+        """
+        wanted, gain = self.at(times[:, None])
+        found = self.space.rows(state.joint_q, state.joint_qd, state.act)
+        return np.einsum("eun,en->eu", gain[:, 0], self.space.tangent.subtract(found, wanted[:, 0]))
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """x̄ ``[E, N, nx]`` and K ``[E, N, nu, n]`` at some times ``[E, N]``.
+
+        Between two states lies their geodesic; a gain holds from its state to the next one, the last one as long as
+        that before it, and after that there is none.
+        """
+        last, rows = self.times.shape[1] - 1, np.arange(len(times))[:, None]
+        step = self.times[:, -1:] - self.times[:, -2:-1] if last else np.ones((len(times), 1))
+        place = (times - self.times[:, :1]) / step + 1e-9  # a time that is rounded down is no step too early
+        i = np.clip(np.floor(place).astype(int), 0, last)
+        state, after = self.state[rows, i], self.state[rows, np.minimum(i + 1, last)]
+        part = np.clip(place - i, 0.0, 1.0)[..., None]
+        state = self.space.tangent.add(state, part * self.space.tangent.subtract(after, state))
+        return state, np.where((place < last + 1.0)[..., None, None], self.gain[rows, i], 0.0)
+
+    def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:
+        """The gains at other times ``[E, T]``, about controls ``[E, T, nu]``."""
+        state, gain = self.at(times)
+        return Policy(state, control, np.zeros_like(control), gain)

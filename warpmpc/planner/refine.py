@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plans improved by derivatives, behind the samples or alone: gradient descent and iLQG (Howell et al. 2022)."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..derivatives.expansion import Differences, Quadratic, gauss_newton
+from ..derivatives.residuals import Residuals
+from ..derivatives.rollouts import Outcome, Policy, PolicyRollouts
+from ..engine.registry import physics_steps
+from ..kernels.planning.weights import forget_cost_kernel
+from ..launch import Launcher
+from ..scene.errors import SceneError
+from ..scene.schema import Refinement
+from .feedback import Feedback, StateSpace
+from .riccati import Backward, backward
+from .splines import SplineKind, spline_value
+
+if TYPE_CHECKING:
+    from ..derivatives.expansion import Linear
+    from ..engine.protocol import Engine
+    from ..engine.registry import EngineRequest, PhysicsSteps
+    from .strategy import SamplingStrategy
+
+logger = logging.getLogger("warpmpc")
+
+LEAST_SHARE = 1e-3
+"""Smallest step of a line search, as a share of the whole one: what needs smaller ones is left to the next plan."""
+DAMPING = (1e-6, 1e-3, 1e6)
+"""Least, first and largest damping μ of ∂²Q/∂u², per squared half range of the controls."""
+FACTOR = 10.0
+"""By which the damping grows when a step does not help, and shrinks when it does."""
+
+
+class Tried:
+    """Knots that are there already, as engines take them.
+
+    Args:
+        strategy: Whose knots they are.
+        samples: How many of every environment are tried.
+    """
+
+    def __init__(self, strategy: SamplingStrategy, samples: int):
+        self.knots, self.offset, self.samples = strategy.knots, strategy.offset, samples
+
+    def sample(self, first: int, count: int) -> None:
+        """Nothing: they are there."""
+
+
+class Refiner(ABC):
+    """Improves a strategy's mean by derivatives along its rollout.
+
+    Args:
+        name: Name of the plans' engine.
+        request: What it was built for.
+        steps: Physics steps of the horizon.
+        engine: The engine.
+        strategy: The strategy.
+
+    Raises:
+        SceneError: If the engine, the time grid or a cost term does not allow it.
+    """
+
+    feedback: Feedback | None = None
+    """Gains of the last plan, if there are any."""
+
+    def __init__(
+        self, name: str, request: EngineRequest, steps: PhysicsSteps, engine: Engine, strategy: SamplingStrategy
+    ):
+        scene, layout = request.scene, request.costs.layout
+        self._planner = planner = scene.planner
+        if not request.grid.even:
+            raise SceneError("planners with derivatives take steps of one length", key="planner.dt", file=scene.path)
+        self._request, self._engine, self._strategy = request, engine, strategy
+        self.layout, self.horizon = layout, request.grid.steps
+        self._settings = planner.refine
+        self._launch = Launcher(request.device)
+        self.residuals = Residuals(request.costs)
+        self.rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates)
+        self.tangent = self.rollouts.tangent
+        self.differences = Differences(name, request, steps, self.residuals, self.tangent)
+        self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
+        half = 0.5 * (self._upper - self._lower)
+        self._scale = np.where(np.isfinite(half), half, 1.0)
+        self._discount = request.grid.weight.astype(float)
+        self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), Tried(strategy, 1)
+
+    def __call__(self) -> None:
+        """Improve the plan for the observed state; where that fails it stays as it was, and why is logged."""
+        state, rollouts = self._request.state, self.rollouts
+        start, before = rollouts.worlds.observed(), state.last_control.numpy().astype(float)
+        try:
+            self._improve(start, before)
+        except FloatingPointError as error:
+            self.feedback = None
+            logger.warning("t = %.2f s: no derivatives: %s; the plan stays as it was", state.start.numpy()[0], error)
+        self._conclude()
+
+    @property
+    def summary(self) -> str:
+        """What derivatives are taken of, in a sentence."""
+        worlds = self.differences.worlds.shape.worlds
+        out = f"differences of {self.residuals.width} residuals in {worlds} worlds of one control"
+        rough = self.residuals.without
+        return out + (f"; no residual, hence a rough Hessian: {', '.join(rough)}" if rough else "")
+
+    @abstractmethod
+    def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
+        """Improve the mean.
+
+        Args:
+            start: Observed states ``[E, nx]``.
+            before: Controls that act now ``[E, nu]``.
+        """
+
+    def _expand(self, state: np.ndarray, control: np.ndarray, before: np.ndarray) -> tuple[Linear, Quadratic]:
+        """Derivatives along rollouts ``[E, T, nx]`` under controls ``[E, T, nu]``."""
+        weight = np.repeat(self._request.state.weight.numpy()[:, None].astype(float), state.shape[1], axis=1)
+        weight[:, -1] *= self._request.costs.terminal
+        linear = self.differences(state, control, before)
+        return linear, gauss_newton(linear, self.residuals, weight, self._discount, self._planner.stage_risk)
+
+    def _nominal(self, control: np.ndarray) -> Policy:
+        """A policy that sends controls ``[E, T, nu]`` whatever the state."""
+        envs, steps, nu = control.shape
+        n, nx = self.tangent.size, self.tangent.width
+        gain = np.zeros((envs, steps, nu, n))
+        return Policy(np.ones((envs, steps, nx)), control, np.zeros_like(control), gain)
+
+    def _conclude(self) -> None:
+        """Let the engine have rolled out, judged and recorded the plan, as the only sample."""
+        strategy, cost = self._strategy, self._engine.cost
+        self._knots[:, 0] = strategy.mean.numpy()
+        strategy.knots.assign(self._knots)
+        self._engine.evaluate(self._alone)
+        if cost.shape[1] > 1:
+            self._launch(forget_cost_kernel, (cost.shape[0], cost.shape[1] - 1), [1], [cost])
+        strategy.eta.fill_(1.0)
+
+    def reset(self) -> None:
+        """Forget earlier plans."""
+        self.feedback = None
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self.rollouts.close()
+        self.differences.close()
+
+
+def shares(candidates: int) -> np.ndarray:
+    """Step sizes α of a line search ``[N]``: none, and from the whole step down."""
+    return np.concatenate([[0.0], np.geomspace(1.0, LEAST_SHARE, candidates - 1)])
+
+
+class GradientRefiner(Refiner):
+    """Steepest descent on the knots, θ ← θ - α ∂J/∂θ, by the adjoint recursion (Howell et al. 2022, Eq. 12 to 14).
+
+    The direction is in units of each control's half range, its longest step is :data:`LONGEST` of it.
+    """
+
+    LONGEST = 0.5
+    """Largest change of a knot that a line search tries, as a share of the control's half range: it reaches every point
+    of the range in two plans, whatever the units of the cost."""
+
+    def __init__(self, *args: object):
+        super().__init__(*args)
+        planner, strategy, request = self._planner, self._strategy, self._request
+        count = self._settings.candidates
+        if count > strategy.knots.shape[1]:
+            what = f"the line search tries {count} candidates as samples, and there are fewer of these"
+            raise SceneError(what, key="planner.samples", file=request.scene.path, found=planner.samples)
+        self._candidates = Tried(strategy, count)
+        self._shares = shares(count)
+
+    def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
+        """Improve the mean."""
+        strategy, rows = self._strategy, np.arange(len(start))
+        for _ in range(self._settings.iterations):
+            mean, blend = strategy.mean.numpy().astype(float), self._blend()
+            control = np.clip(np.einsum("etp,epu->etu", blend, mean), self._lower, self._upper)
+            outcome = self.rollouts(start, before, self._nominal(control), np.zeros_like(self._shares), 0.0)
+            state = outcome.state[:, 0, :-1]
+            if not np.isfinite(outcome.state).all():
+                raise FloatingPointError("the physics of the plan's own rollout failed")
+            gradient = self._gradient(*self._expand(state, outcome.control[:, 0], before))
+            step = -np.einsum("etp,etu->epu", blend, gradient) * self._scale**2
+            longest = np.max(np.abs(step) / self._scale, axis=(1, 2), keepdims=True)
+            step *= self.LONGEST / np.maximum(longest, 1e-30)
+            tried = mean[:, None] + self._shares[:, None, None] * step[:, None]
+            tried = np.clip(tried, self._lower, self._upper)
+            self._knots[:, : len(self._shares)] = tried
+            strategy.knots.assign(self._knots)
+            self._engine.evaluate(self._candidates)
+            cost = self._engine.cost.numpy()[:, : len(self._shares)]
+            best = np.argmin(np.where(np.isfinite(cost), cost, np.inf), axis=1)
+            strategy.mean.assign(self._knots[rows, best])
+
+    def _blend(self) -> np.ndarray:
+        """How much of each knot a step's control is ``[E, T, P]``."""
+        times, grid = self._request.spline.time.numpy().astype(float), self._request.grid.t[:-1]
+        kind, unit = SplineKind(self._planner.spline.value), np.eye(len(times))
+        offsets = self._strategy.offset.numpy()
+        return np.stack([[spline_value(kind, times, unit, float(t + offset)) for t in grid] for offset in offsets])
+
+    @staticmethod
+    def _gradient(linear: Linear, cost: Quadratic) -> np.ndarray:
+        """∂J/∂u ``[E, T, nu]`` by λ_t = ∂c/∂x + (∂x'/∂x)ᵀ λ_{t+1}."""
+        out, adjoint = np.empty_like(cost.u), np.zeros_like(cost.x[:, 0])
+        for t in reversed(range(out.shape[1])):
+            out[:, t] = cost.u[:, t] + np.einsum("enu,en->eu", linear.b[:, t], adjoint)
+            adjoint = cost.x[:, t] + np.einsum("enm,en->em", linear.a[:, t], adjoint)
+        return out
+
+
+class IlqgRefiner(Refiner):
+    """iLQG on the controls of all steps, with limits and feedback gains."""
+
+    def __init__(self, *args: object):
+        super().__init__(*args)
+        if self._strategy.mean.shape[1] != self._request.grid.steps:
+            raise SceneError(
+                "iLQG solves for a control at every step: leave planner.knots out",
+                key="planner.knots",
+                file=self._request.scene.path,
+                found=self._planner.knots,
+            )
+        self._shares = shares(self._settings.candidates)
+        self._damping = np.full(self._request.shape.envs, DAMPING[1])
+        self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
+
+    def reset(self) -> None:
+        """Forget earlier plans."""
+        super().reset()
+        self._damping[:] = DAMPING[1]
+
+    def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
+        """Improve the mean."""
+        strategy, times = self._strategy, self._request.grid.t[:-1]
+        control = np.clip(strategy.mean.numpy().astype(float), self._lower, self._upper)
+        outcome, best = self._follow(start, before, control)
+        rows, gains = np.arange(len(start)), None
+        state, control = outcome.state[rows, best], outcome.control[rows, best]
+        cost = outcome.cost[rows, best]
+        if not np.isfinite(cost).all():
+            raise FloatingPointError("the physics of the plan's own rollout failed")
+        for _ in range(self._settings.iterations):
+            solved = self._solve(*self._expand(state[:, :-1], control, before), control)
+            gains = solved.gain
+            policy = Policy(state[:, :-1], control, solved.change, gains)
+            outcome = self.rollouts(start, before, policy, self._shares)
+            best = np.argmin(outcome.cost, axis=1)
+            found = outcome.cost[rows, best]
+            helps = found < cost
+            up = np.where(helps, 1.0 / FACTOR, FACTOR)
+            self._damping = np.clip(self._damping * up, DAMPING[0], DAMPING[2])
+            state, control = outcome.state[rows, best], outcome.control[rows, best]
+            cost = np.minimum(found, cost)
+        strategy.mean.assign(control.astype(np.float32))
+        strategy.offset.zero_()
+        now = self._request.state.start.numpy().astype(float)
+        self.feedback = Feedback(now[:, None] + times, state[:, :-1], gains, self._space)
+
+    def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[Outcome, np.ndarray]:
+        """Roll the plan out with and without the last plan's feedback; tells which is the cheaper one."""
+        policy = self._nominal(control)
+        if self.feedback is not None:
+            policy = self.feedback.policy(
+                self._request.state.start.numpy()[:, None] + self._request.grid.t[:-1], control
+            )
+        with_feedback = np.zeros(self._settings.candidates)
+        with_feedback[1] = 1.0
+        outcome = self.rollouts(start, before, policy, np.zeros_like(with_feedback), with_feedback)
+        return outcome, np.argmin(outcome.cost, axis=1)
+
+    def _solve(self, linear: Linear, cost: Quadratic, control: np.ndarray) -> Backward:
+        """The backward pass of every environment, with as much damping as it needs."""
+        room = self._lower - control, self._upper - control
+        while (solved := backward(linear, cost, room, self._scale, self._damping)).failed.any():
+            if (self._damping[solved.failed] >= DAMPING[2]).any():
+                raise FloatingPointError("the quadratic model of the cost has no minimum, with any damping")
+            more = np.minimum(self._damping * FACTOR, DAMPING[2])
+            self._damping = np.where(solved.failed, more, self._damping)
+        return solved
+
+
+REFINERS = {Refinement.GRADIENT: GradientRefiner, Refinement.ILQG: IlqgRefiner}
+"""What improves plans, by the name in ``planner.refine``."""
+
+
+def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: SamplingStrategy) -> Refiner | None:
+    """What a scene wants plans improved by, None if it does not.
+
+    Args:
+        name: Name of the plans' engine.
+        request: What it was built for.
+        engine: The engine.
+        strategy: The strategy.
+    """
+    settings = request.scene.planner.refine
+    if settings is None:
+        return None
+    steps = physics_steps(name, request.scene, request.compiled, request.grid)
+    return REFINERS[settings.method](name, request, steps, engine, strategy)

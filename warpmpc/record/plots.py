@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a run, from its history; needs matplotlib (extra ``plot``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..plant.simulated import Plant
+from ..task.goal import GOAL
+from .replay import logged_scene
+from .scene_picture import COLORS, VIEWS, ScenePicture, natural_view
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ..cost.term import UserTerm
+    from ..scene.schema import Scene
+    from .history import History
+
+SNAPSHOTS = 9
+"""Moments drawn."""
+DPI = 110
+
+
+def plot_history(
+    history: History, folder: str | Path, *, title: str = "", scene: Scene | None = None, terms: Sequence[UserTerm] = ()
+) -> list[Path]:
+    """Write figures (PNG) of a run, and all its numbers (CSV).
+
+    Args:
+        history: The run.
+        folder: Folder for the files; made if it is not there.
+        title: Title of the figures.
+        scene: The run's scene; that of the history's log if None. Without either nothing is drawn of bodies but their
+            ways.
+        terms: Users' own cost terms that the scene's success or phases name.
+
+    Returns:
+        The files.
+
+    Raises:
+        SceneError: If the scene of the log cannot be built here.
+        OSError: If a file cannot be written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if scene is None and history.log is not None:
+        scene = logged_scene(history.log)
+    history.save(folder / "history.csv")
+    written = [folder / "history.csv"]
+    for name, figure in figures(history, scene, terms):
+        figure.axes[0].set_title(title)
+        figure.savefig(folder / f"{name}.png", bbox_inches="tight")
+        written.append(folder / f"{name}.png")
+    return written
+
+
+def figures(history: History, scene: Scene | None, terms: Sequence[UserTerm] = ()) -> Iterator[tuple[str, Figure]]:
+    """Name and figure of everything that a history has: path, costs, controls, plan times, errors, forces, ticks."""
+    figure = Figure(figsize=(7, 7), dpi=DPI)
+    draw_run(figure.add_subplot(), history, _plant(history, scene, terms))
+    yield "path", figure
+    if history.term_names and len(history.cost):
+        yield "costs", _curves(history, draw_costs)
+    if len(history.control):
+        yield "controls", _rows(history, history.control_names, history.control)
+        yield "plan_times", _curves(history, draw_plan_times, scene)
+    if history.error_names:
+        yield "errors", _errors(history, scene)
+    if history.pair_names:
+        yield "contact_forces", _curves(history, draw_forces)
+    if history.ticks is not None:
+        ticks = history.ticks
+        names = ("follows the plan", "its age [ms]", "tick late [ms]")
+        yield "ticks", _rows(history, names, np.stack([ticks.following, 1e3 * ticks.age, ticks.late_ms], axis=1))
+
+
+def _plant(history: History, scene: Scene | None, terms: Sequence[UserTerm]) -> Plant | None:
+    """The run's plant, its task as it was at the last plan; None without its scene."""
+    if scene is None:
+        return None
+    seed = history.log.origin["seed"] if history.log is not None else 0
+    plant = Plant(scene, seed=seed, terms=terms)
+    if history.log is not None and len(history.log):
+        plant.task.follow(history.log.task[-1])
+    return plant
+
+
+def draw_run(
+    axes: Axes, history: History, plant: Plant | None, *, view: str | None = None, snapshots: int = SNAPSHOTS
+) -> None:
+    """Draw where everything went.
+
+    Moments before the last are outlines, the later the darker; lines are the ways of last links and of objects, the
+    star is the goal. Fine meshes that move are drawn as their convex hulls.
+
+    Args:
+        axes: Where to draw.
+        history: The run.
+        plant: A plant of its scene; without one ways alone are drawn, from above.
+        view: One of :data:`~warpmpc.record.scene_picture.VIEWS`; from above where nothing rises or tilts if None.
+        snapshots: Moments drawn.
+    """
+    if plant is None:
+        for name, way in zip(history.body_names, history.body_q.transpose(1, 0, 2), strict=True):
+            axes.plot(way[:, 0], way[:, 1], lw=1.2, label=name)
+        _legend(axes)
+        labels = VIEWS["top"].labels
+    else:
+        view = view or natural_view(plant.layout, history.body_q)
+        _draw_scene(ScenePicture(axes, plant, VIEWS[view]), history, plant, snapshots)
+        labels = VIEWS[view].labels
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    if labels is None:
+        axes.set_axis_off()
+    else:
+        axes.set_xlabel(labels[0])
+        axes.set_ylabel(labels[1])
+
+
+def _draw_scene(picture: ScenePicture, history: History, plant: Plant, snapshots: int) -> None:
+    picture.ground()
+    picture.solid(history.body_q[-1], ("obstacle",))
+    moments = np.linspace(0, len(history.time) - 1, snapshots).round().astype(int)
+    for n, i in enumerate(moments[:-1]):
+        picture.outlines(history.body_q[i], ("object", "robot"), alpha=0.08 + 0.3 * n / len(moments))
+    picture.solid(history.body_q[-1], ("object", "robot"))
+    for entity in plant.layout.entities:
+        if entity.bodies:
+            color = [0.7 * value for value in COLORS[entity.kind]]
+            picture.path(history.body_q[:, entity.bodies[-1], :3], color=color, lw=1.2)
+    if plant.scene.goal is not None:
+        picture.path(plant.task.pose(GOAL)[None, :3], marker="*", color="tab:green", ms=16, zorder=5)
+
+
+def draw_costs(axes: Axes, history: History) -> None:
+    """Draw what each term cost over time, each curve by its name."""
+    time = history.time[: len(history.cost)]
+    for name, values in zip(history.term_names, history.cost_terms.T, strict=True):
+        axes.plot(time, values, lw=1.0, label=name)
+    axes.plot(time, history.cost, color="k", lw=1.5, label="sum")
+    axes.set_ylabel("cost of the best sample")
+
+
+def draw_forces(axes: Axes, history: History) -> None:
+    """Draw the contact force of each pair over time."""
+    for name, force in zip(history.pair_names, np.linalg.norm(history.contact_force, axis=-1).T, strict=True):
+        axes.plot(history.time, force, lw=1.0, label=name)
+    axes.set_ylabel("contact force [N]")
+
+
+def draw_plan_times(axes: Axes, history: History, scene: Scene | None) -> None:
+    """Draw the wall time of every plan, and what real time allows."""
+    axes.plot(history.time[: len(history.plan_ms)], history.plan_ms, ".", ms=3, color="tab:blue", label="plan")
+    if scene is not None:
+        axes.axhline(1e3 * scene.timing.control_dt, color="tab:red", lw=1.0, ls="--", label="one control")
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("plan time [ms]")
+
+
+def _curves(history: History, draw, *arguments: object) -> Figure:
+    """A figure of curves over time."""
+    figure = Figure(figsize=(8, 4), dpi=DPI)
+    axes = figure.add_subplot()
+    draw(axes, history, *arguments)
+    axes.set_xlim(history.time[0], history.time[-1])
+    axes.set_xlabel("time [s]")
+    _legend(axes)
+    return figure
+
+
+def _rows(history: History, names: Sequence[str], values: np.ndarray) -> Figure:
+    """A figure with a row of its own for every number over time."""
+    figure = Figure(figsize=(8, 1.0 + 1.2 * len(names)), dpi=DPI)
+    rows = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
+    for axes, name, column in zip(rows, names, values.T, strict=True):
+        axes.plot(history.time[: len(column)], column, lw=1.0, drawstyle="steps-post")
+        axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize="small")
+        axes.grid(alpha=0.3)
+    rows[-1].set_xlim(history.time[0], history.time[-1])
+    rows[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _errors(history: History, scene: Scene | None) -> Figure:
+    """A figure of how far the goal is, with what counts as success."""
+    figure = _rows(history, history.error_names, history.goal_error)
+    for axes, name in zip(figure.axes, history.error_names, strict=True):
+        tolerance = None if scene is None else getattr(scene.success, "distance" if name == "position" else name)
+        if tolerance is not None:
+            axes.axhline(tolerance, color="tab:green", lw=1.0, ls="--")
+        axes.set_ylabel(f"{name} [{'m' if name == 'position' else 'rad'}]", rotation=90, ha="center", va="bottom")
+        axes.set_ylim(bottom=0.0)
+    return figure
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stays in a recording for rerun: shapes of bodies and of the goal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from ..model.layout import IDENTITY, WORLD
+from .shapes import GHOST, body_path, draw_shape, entity_path, resized, shown_shapes
+
+if TYPE_CHECKING:
+    from ..plant.simulated import Plant
+
+
+def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> None:
+    """Log the shapes of a plant's bodies and of its goal, once, for all times.
+
+    Args:
+        recording: The recording.
+        plant: The plant.
+        reach: Half the edge of the square that stands for a plane [m].
+    """
+    layout, goal = plant.layout, plant.scene.goal
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for entity in layout.entities:
+        for shape in shown_shapes(layout, entity):
+            parent = entity_path("scene", entity.name) if shape.body == WORLD else body_path(layout, shape.body)
+            if entity.kind != "robot":
+                shape = resized(shape, plant.properties)
+            if entity.movable:  # the entity is where the task puts it, its shape at its origin
+                shape = replace(shape, pose=IDENTITY)
+            draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
+    if goal is not None and goal.object is not None:
+        for shape in shown_shapes(layout, layout.entity(goal.object)):
+            draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)
+    elif goal is not None:
+        length = 0.15 * np.eye(3)
+        colors = [(230, 50, 50), (50, 200, 50), (70, 90, 255)]
+        recording.log("/goal/axes", rr.Arrows3D(vectors=length, colors=colors, radii=0.006), static=True)
+
+
+def writable(name: str | Path) -> Path:
+    """The path of a recording, once it is known that it can be written.
+
+    Raises:
+        ValueError: If its name does not end in ``.rrd``.
+        OSError: If it cannot be written.
+    """
+    file = Path(name)
+    if file.suffix != ".rrd":
+        raise ValueError(f"a recording is a .rrd file, not '{file}'")
+    try:
+        file.open("ab").close()
+    except OSError as error:
+        raise type(error)(error.errno, f"cannot write the recording: {error.strerror}", str(file)) from None
+    return file
