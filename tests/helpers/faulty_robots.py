@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated robot whose observations go wrong on demand, and that notes what it was sent."""
+"""A simulated robot whose observations go wrong on demand and that notes what it was sent, and a planner like it."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from warpmpc import Plant, State
+from warpmpc import PlannerProcess, Plant, State
+from warpmpc.realtime.letters import Sighting, TimedPlan
 
 
 class FaultyRobot:
@@ -44,3 +45,28 @@ class FaultyRobot:
     def forget_numbers(self) -> None:
         """Show joint positions that are not numbers."""
         self.spoil = lambda state: replace(state, joint_q=state.joint_q * np.nan)
+
+
+class FaultyPlanner:
+    """Passes everything on to a planner; the plans that it hands out go through :attr:`spoil`."""
+
+    spoil: Callable[[TimedPlan], TimedPlan] | None = None
+
+    def __init__(self, planner: PlannerProcess):
+        self.planner = planner
+
+    def observe(self, sighting: Sighting) -> None:
+        self.planner.observe(sighting)
+
+    def newest(self) -> TimedPlan | None:
+        timed = self.planner.newest()
+        return self.spoil(timed) if self.spoil and timed else timed
+
+    def exceed(self) -> None:
+        """Hand out controls that are five times what is allowed."""
+
+        def beyond(timed: TimedPlan) -> TimedPlan:
+            plan = timed.plan
+            return replace(timed, plan=replace(plan, knots=np.tile(5.0 * plan.upper, (len(plan.knots), 1))))
+
+        self.spoil = beyond

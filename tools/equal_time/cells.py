@@ -35,8 +35,14 @@ STRATEGIES = {
         *("planner.method=dial", "planner.iterations=4", "planner.execute=mean", "planner.noise.redraw=true"),
         *("planner.noise.shape=identity", "planner.noise.anneal=[0.5, 2.0]"),
     ),
+    "gradient_descent": ("planner.method=gradient_descent", "planner.samples=16", *SINGLE),
+    "ilqg": ("planner.method=ilqg", "planner.samples=16", *SINGLE),
+    "ilqs": ("planner.method=ilqs", *SINGLE),
 }
 """What each strategy changes of a scene."""
+SIZE = {"gradient_descent": "planner.refine.iterations", "ilqg": "planner.refine.iterations"}
+"""What of a plan grows until it takes as long as it may; samples where nothing is said."""
+MOST_ITERATIONS = 8
 FEWEST, MOST = 16, 8192
 """Bounds of the number of samples."""
 TRIAL_SECONDS, TRIAL_SEED = 6.0, 10000
@@ -51,13 +57,15 @@ class Cell:
     strategy: str
     ms: float
     samples: int = FEWEST
+    """Samples, or what else of :data:`SIZE` the strategy has."""
     seed: int = 0
     seconds: float = 0.0
 
     @property
     def scene(self) -> warpmpc.Scene:
         """The task's scene as the strategy plans it, on one thread."""
-        own = (*STRATEGIES[self.strategy], f"planner.samples={self.samples}", "engine.threads=1")
+        size = f"{SIZE.get(self.strategy, 'planner.samples')}={self.samples}"
+        own = (*STRATEGIES[self.strategy], size, "engine.threads=1")
         return warpmpc.load_scene(self.task, overrides=own)
 
     def key(self, what: str) -> str:
@@ -85,7 +93,12 @@ def fit(cell: Cell) -> dict:
         )
         return times[samples]
 
-    samples = count_for(seconds, 1e-3 * cell.ms)
+    if cell.strategy in SIZE:
+        samples = 1  # one round there must be, however long it takes
+        while samples < MOST_ITERATIONS and (samples + 1) / samples * seconds(samples) < 1e-3 * cell.ms:
+            samples += 1
+    else:
+        samples = count_for(seconds, 1e-3 * cell.ms)
     return {"samples": samples, "times_ms": {str(n): 1e3 * taken for n, taken in times.items()}}
 
 

@@ -84,7 +84,11 @@ def tables(rows: list[dict], *, ms: float, seconds: float) -> str:
     lost = [f"{row['task']}, {row['strategy']}: {row['diverged']}" for row in rows if row["diverged"]]
     notes = [f"Fewer seeds: {'; '.join(sorted(few))}."] * bool(few) + [f"Diverged: {'; '.join(lost)}."] * bool(lost)
     parts = [[what, *notes], ["Mean cost of a control step:"], table(cost), ["Seeds that reached the goal:"]]
-    parts += [table(reached), ["Samples, and the median time of a plan in closed loop:"], table(plan)]
+    parts += [
+        table(reached),
+        ["Samples, or iterations without any, and the median time of a plan in closed loop:"],
+        table(plan),
+    ]
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 

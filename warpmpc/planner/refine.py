@@ -77,12 +77,13 @@ class Refiner(ABC):
         if not request.grid.even:
             raise SceneError("planners with derivatives take steps of one length", key="planner.dt", file=scene.path)
         self._request, self._engine, self._strategy = request, engine, strategy
+        self.layout, self.horizon = layout, request.grid.steps
         self._settings = planner.refine
         self._launch = Launcher(request.device)
         self.residuals = Residuals(request.costs)
-        self._rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates)
-        self.tangent = self._rollouts.tangent
-        self._differences = Differences(name, request, steps, self.residuals, self.tangent)
+        self.rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates)
+        self.tangent = self.rollouts.tangent
+        self.differences = Differences(name, request, steps, self.residuals, self.tangent)
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
@@ -91,7 +92,7 @@ class Refiner(ABC):
 
     def __call__(self) -> None:
         """Improve the plan for the observed state; where that fails it stays as it was, and why is logged."""
-        state, rollouts = self._request.state, self._rollouts
+        state, rollouts = self._request.state, self.rollouts
         start, before = rollouts.worlds.observed(), state.last_control.numpy().astype(float)
         try:
             self._improve(start, before)
@@ -103,7 +104,7 @@ class Refiner(ABC):
     @property
     def summary(self) -> str:
         """What derivatives are taken of, in a sentence."""
-        worlds = self._differences.worlds.shape.worlds
+        worlds = self.differences.worlds.shape.worlds
         out = f"differences of {self.residuals.width} residuals in {worlds} worlds of one control"
         rough = self.residuals.without
         return out + (f"; no residual, hence a rough Hessian: {', '.join(rough)}" if rough else "")
@@ -121,7 +122,7 @@ class Refiner(ABC):
         """Derivatives along rollouts ``[E, T, nx]`` under controls ``[E, T, nu]``."""
         weight = np.repeat(self._request.state.weight.numpy()[:, None].astype(float), state.shape[1], axis=1)
         weight[:, -1] *= self._request.costs.terminal
-        linear = self._differences(state, control, before)
+        linear = self.differences(state, control, before)
         return linear, gauss_newton(linear, self.residuals, weight, self._discount, self._planner.stage_risk)
 
     def _nominal(self, control: np.ndarray) -> Policy:
@@ -147,8 +148,8 @@ class Refiner(ABC):
 
     def close(self) -> None:
         """Stop the threads."""
-        self._rollouts.close()
-        self._differences.close()
+        self.rollouts.close()
+        self.differences.close()
 
 
 def shares(candidates: int) -> np.ndarray:
@@ -182,7 +183,7 @@ class GradientRefiner(Refiner):
         for _ in range(self._settings.iterations):
             mean, blend = strategy.mean.numpy().astype(float), self._blend()
             control = np.clip(np.einsum("etp,epu->etu", blend, mean), self._lower, self._upper)
-            outcome = self._rollouts(start, before, self._nominal(control), np.zeros_like(self._shares), 0.0)
+            outcome = self.rollouts(start, before, self._nominal(control), np.zeros_like(self._shares), 0.0)
             state = outcome.state[:, 0, :-1]
             if not np.isfinite(outcome.state).all():
                 raise FloatingPointError("the physics of the plan's own rollout failed")
@@ -230,7 +231,7 @@ class IlqgRefiner(Refiner):
             )
         self._shares = shares(self._settings.candidates)
         self._damping = np.full(self._request.shape.envs, DAMPING[1])
-        self._space = StateSpace(self.tangent, self._rollouts.worlds.rows)
+        self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
 
     def reset(self) -> None:
         """Forget earlier plans."""
@@ -251,7 +252,7 @@ class IlqgRefiner(Refiner):
             solved = self._solve(*self._expand(state[:, :-1], control, before), control)
             gains = solved.gain
             policy = Policy(state[:, :-1], control, solved.change, gains)
-            outcome = self._rollouts(start, before, policy, self._shares)
+            outcome = self.rollouts(start, before, policy, self._shares)
             best = np.argmin(outcome.cost, axis=1)
             found = outcome.cost[rows, best]
             helps = found < cost
@@ -273,7 +274,7 @@ class IlqgRefiner(Refiner):
             )
         with_feedback = np.zeros(self._settings.candidates)
         with_feedback[1] = 1.0
-        outcome = self._rollouts(start, before, policy, np.zeros_like(with_feedback), with_feedback)
+        outcome = self.rollouts(start, before, policy, np.zeros_like(with_feedback), with_feedback)
         return outcome, np.argmin(outcome.cost, axis=1)
 
     def _solve(self, linear: Linear, cost: Quadratic, control: np.ndarray) -> Backward:

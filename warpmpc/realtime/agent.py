@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.compiled import compile_scene
 from ..model.safe import safe_command
 from ..model.state import State
+from ..scene.schema import SafeCommand
+from .gravity import Gravity
 from .watchdog import Bounds, FaultKind, Finding, Watchdog
 
 if TYPE_CHECKING:
@@ -43,15 +46,17 @@ class Fault:
 class Agent:
     """Evaluates the newest plan at the robot's clock, and sends the safe command where it cannot be trusted.
 
-    The safe command is that of the drives: zero velocity, zero effort, a stop, or the position where the robot was
-    when the fault began. Limits of controls and ``agent.slew`` hold for whatever is sent.
+    The safe command is that of the drives: zero velocity, zero effort (or, with ``agent.safe = "gravity"``, what holds
+    the robot where it was last seen), a stop, or the position where the robot was when the fault began. Limits of
+    controls and ``agent.slew`` hold for whatever is sent.
 
     Args:
         scene: The scene.
         layout: State layout (``Controller.layout``).
 
     Raises:
-        SceneError: If ``agent.slew`` has neither one value nor one per control.
+        SceneError: If ``agent.slew`` has neither one value nor one per control, or gravity is to be balanced in a
+            scene without efforts.
     """
 
     faults: list[Fault]
@@ -60,6 +65,8 @@ class Agent:
     def __init__(self, scene: Scene, layout: Layout):
         self.layout, self._dt = layout, scene.timing.control_dt
         self._watchdog, self._bounds = Watchdog(scene, layout), Bounds(scene, layout)
+        balanced = scene.agent.safe is SafeCommand.GRAVITY
+        self._gravity = Gravity(scene, compile_scene(scene)) if balanced else None
         self.faults = []
         self.following = False
         """Whether the last command came from a plan."""
@@ -131,4 +138,5 @@ class Agent:
         if self._held is None:
             self._held = state
         velocity = state.joint_qd if now - state.time < self._dt else np.zeros_like(state.joint_qd)
-        return self._bounds(safe_command(self.layout, self._held.joint_q[None], velocity[None], self._dt)[0])
+        safe = safe_command(self.layout, self._held.joint_q[None], velocity[None], self._dt)[0]
+        return self._bounds(safe if self._gravity is None else self._gravity(state, safe))

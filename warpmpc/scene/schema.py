@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from .schema_agent import AgentSettings
+from .schema_agent import AgentSettings, SafeCommand
 from .schema_ancillary import Ancillary
 from .schema_bodies import (
     Drive,
@@ -104,6 +104,7 @@ __all__ = [
     "Renewal",
     "Risk",
     "Robot",
+    "SafeCommand",
     "SampleCount",
     "Scene",
     "Seen",

@@ -3,7 +3,16 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from .types import Flag, Positive, Positives, Section
+
+
+class SafeCommand(StrEnum):
+    """What drives by effort are sent where nothing can be trusted; other drives stop, or hold where they are."""
+
+    REST = "rest"
+    GRAVITY = "gravity"
 
 
 class AgentSettings(Section):
@@ -20,5 +29,8 @@ class AgentSettings(Section):
     slew: Positives | None = None
     """Largest change of the controls per second, one value or one per control [control unit/s]; any when left out.
     Holds whatever the planner says, for the safe command, too."""
+    safe: SafeCommand = SafeCommand.REST
+    """What the safe command is for drives by effort: none at all, so that an arm falls (``rest``), or what holds the
+    model against gravity where it was last seen (``gravity``)."""
     compensate: Flag = True
     """Whether observations are predicted forward by the time that a plan takes."""

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A planner that is killed in the middle of a run: nothing is lost from what is recorded."""
+
+import os
+import signal
+import time
+
+import numpy as np
+from faulty_robots import FaultyRobot
+from rerun.chunk import RrdReader
+from small_scenes import make_scene
+
+from warpmpc import History, PlannerProcess, RobotLoop, TickRecorder, simulated_robot
+from warpmpc.record.tick_recording import record_ticks
+
+SPEED = 0.1
+"""The robot's seconds in a second: tests share their cores with others."""
+
+
+def logged_text(path, at) -> list[str]:
+    """The log lines of an entity of a recording."""
+    chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == at]
+    return [
+        text for chunk in chunks for text in chunk.to_record_batch().column("TextLog:text").to_pylist() for text in text
+    ]
+
+
+def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
+    scene = make_scene(plant={"randomize": False}, engine={"threads": 1})
+    with PlannerProcess(scene, speed=SPEED, engine="mujoco", device="cpu") as planner:
+        robot = FaultyRobot(simulated_robot(scene, task=planner.task, compiled=planner.compiled))
+        recorder = TickRecorder(robot.plant)
+        loop = RobotLoop(scene, robot, planner, speed=SPEED, simulated=True, recorder=recorder)
+        loop.run(lambda: robot.plant.time >= 0.4)
+        assert loop.agent.following
+        killed = robot.plant.time
+        os.kill(planner.pid, signal.SIGKILL)
+        deadline = time.monotonic() + 60.0
+        loop.run(lambda: robot.plant.time > killed + 0.15)
+        assert not loop.agent.following
+        fault = loop.agent.fault
+        loop.run(lambda: loop.agent.following or time.monotonic() > deadline)
+        loop.run(lambda: robot.plant.done)
+        report = loop.report()
+    assert fault.end is not None
+
+    recorder.history(report.faults).save(tmp_path / "run.npz")
+    history = History.load(tmp_path / "run.npz")
+    ticks = history.ticks
+    assert len(ticks.plan) == report.ticks  # nothing is lost
+    sent = {round(moment, 6): control for moment, control in robot.sent}
+    for reached, control in zip(history.time[1:], history.control, strict=True):
+        np.testing.assert_array_equal(control.astype(np.float32), sent[round(reached - 1.0 / scene.agent.rate, 6)])
+    gap = (history.time[1:] > killed + 0.1) & (history.time[1:] < fault.end)
+    assert not ticks.following[gap].any()
+    assert ticks.following[history.time[1:] > fault.end + 0.01].all()
+    assert ticks.faults == report.faults
+    record_ticks(tmp_path / "run.rrd", history, robot.plant)
+    said = logged_text(tmp_path / "run.rrd", "/faults")
+    assert any("there is no plan for" in line for line in said)
+    assert any("following the plan again" in line for line in said)
