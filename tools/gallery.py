@@ -73,7 +73,8 @@ SHOTS = {
     "cartpole_swingup": Shot(azimuth=90.0, elevation=-8.0),
     "panda_reach": Shot(plain=True),
     "push_t": Shot(at=0.1, closer=0.85),
-    "quadrotor": Shot(follow=True),
+    "quadrotor": Shot(follow=True, closer=1.7),
+    "storm_cloud": Shot(azimuth=35.0, closer=1.15),
     "pendulum": Shot(azimuth=90.0, elevation=-8.0),
     "humanoid_stand": Shot(longest=4.0),
     "humanoid_get_up": Shot(longest=4.0),
@@ -152,7 +153,7 @@ def draw(name: str, folder: Path, *, engine: str, wall: float) -> str:
     whole = framed(
         np.concatenate([corners(plant, moment) for moment in frames[:: 1 + len(frames) * shot.follow]]), shot
     )
-    stage = Stage(plant, floor=floor, thick=0.003 * whole.distance, plain=shot.plain)
+    stage = Stage(plant, floor=floor, look=whole, plain=shot.plain)
 
     def image(moment: Moment, width: int) -> Image.Image:
         look = framed(corners(plant, moment), shot) if shot.follow else whole

@@ -79,14 +79,14 @@ class Stage:
     Args:
         plant: The plant.
         floor: Height of the floor where the scene has no ground [m].
-        thick: Half the width of the best rollout's line [m].
+        look: From where most of it is seen.
         plain: Whether robots have one colour whatever their assets say.
     """
 
-    def __init__(self, plant: Plant, *, floor: float, thick: float, plain: bool = False):
-        self._plant, self._layout, self._thick = plant, plant.layout, thick
+    def __init__(self, plant: Plant, *, floor: float, look: Look, plain: bool = False):
+        self._plant, self._layout, self._thick = plant, plant.layout, 0.003 * look.distance
         spec = mujoco.MjSpec()
-        self._dress(spec, floor)
+        self._dress(spec, floor, look)
         self._moving: list[tuple[str, int | str]] = []  # body of the drawing, and body or pose that it shows
         bodies = [self._add_body(spec, f"body_{b}", b) for b in range(self._layout.nb)]
         for entity in self._layout.entities:
@@ -129,8 +129,9 @@ class Stage:
         self._points()
         return self._renderer.render()
 
-    def _dress(self, spec: mujoco.MjSpec, floor: float) -> None:
-        """Sky, floor, lights."""
+    def _dress(self, spec: mujoco.MjSpec, floor: float, look: Look) -> None:
+        """Sky, floor, lights; shadows are as fine as what is seen is small."""
+        spec.stat.extent = look.distance
         spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE
         spec.visual.global_.fovy = np.degrees(FIELD)
         spec.visual.quality.shadowsize, spec.visual.quality.offsamples = (
@@ -140,7 +141,7 @@ class Stage:
         spec.visual.quality.numslices, spec.visual.quality.numstacks = 20, 12
         spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.30] * 3, [0.30] * 3
         spec.visual.headlight.specular = [0.0] * 3
-        spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.02, 200.0, 4.0
+        spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 100.0, 1.5
         sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
         spec.add_texture(name="sky", **sky, rgb1=[0.93, 0.95, 0.98], rgb2=[0.70, 0.78, 0.88], width=64, height=384)
         squares = {"type": mujoco.mjtTexture.mjTEXTURE_2D, "builtin": mujoco.mjtBuiltin.mjBUILTIN_CHECKER}
@@ -156,7 +157,8 @@ class Stage:
         spec.worldbody.add_geom(type=plane, size=[0, 0, 1], pos=[0, 0, height - BELOW], material="floor")
         for place, shadow, strength in (((3, -4, 8), True, 0.45), ((-5, 3, 6), False, 0.15)):
             direction = -np.array(place) / np.linalg.norm(place)
-            light = spec.worldbody.add_light(pos=place, dir=direction, castshadow=shadow)
+            light = spec.worldbody.add_light(pos=look.centre - look.distance * direction, dir=direction)
+            light.castshadow = shadow
             light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
             light.diffuse, light.specular, light.ambient = [strength] * 3, [0.2] * 3, [0.0] * 3
 
