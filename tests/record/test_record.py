@@ -168,14 +168,14 @@ def test_a_recording_may_be_started_and_stopped_while_the_loop_runs(loop, tmp_pa
         if step == 3:
             switch.start(tmp_path / "a.rrd", loop.controller, loop.plant)
         if step == 5:
-            assert switch.on
+            assert switch.path == tmp_path / "a.rrd"
             assert switch.stop() == tmp_path / "a.rrd"
         if step == 7:
             switch.start(tmp_path / "b.rrd", loop.controller, loop.plant)
         loop.step(switch)
     switch.start(tmp_path / "c.rrd", loop.controller, loop.plant)  # finishes the one before
     switch.stop()
-    assert (switch.on, switch.stop()) == (False, None)
+    assert (switch.path, switch.stop()) == (None, None)
     for name, steps in {"a": [3, 4, 5], "b": [7, 8, 9], "c": [9]}.items():
         found, _, _ = Recording(tmp_path / f"{name}.rrd").over_time("/scene/box", "Transform3D:translation")
         assert found == steps

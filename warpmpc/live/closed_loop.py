@@ -12,7 +12,7 @@ import numpy as np
 
 from ..controller.controller import Controller
 from ..model.safe import safe_command
-from ..record.recorder import Recorder
+from ..record.switch import RecordingSwitch
 from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
 from ..scene.load import load_scene
@@ -68,7 +68,7 @@ class ClosedLoop:
         """What became of the last change that could not be made; empty when all is well."""
         self._options = {"engine": engine, "device": device, "terms": tuple(terms)}
         self.build = self.episode = 0
-        self._recorder: Recorder | None = None
+        self._recording = RecordingSwitch()
         self._build(source, self.overrides, {}, seed)
 
     def _step(self) -> None:
@@ -77,8 +77,8 @@ class ClosedLoop:
             self._plan = self.controller.plan(observation)
         self._control = self._command(observation)
         self.plant.apply(self._control)
-        if self._recorder is not None and self.controller.info is not None:
-            self._recorder.log(self._control)
+        if self.controller.info is not None:
+            self._recording.log(self._control)
         now = time.perf_counter()
         rollouts = self.watched and (now - self._published >= PUBLISH or self.paused)
         if rollouts:
@@ -111,19 +111,14 @@ class ClosedLoop:
         self._begin()
 
     def _start_recording(self) -> None:
-        self._stop_recording()
+        self._recording.stop()
         names = (f"{self.scene.name}{n or ''}.rrd" for n in [0, *range(2, 10000)])
         file = next(file for file in map(Path.cwd().joinpath, names) if not file.exists())
-        self._recorder = Recorder(file, self.controller, self.plant)
-
-    def _stop_recording(self) -> None:
-        if self._recorder is not None:
-            recorder, self._recorder = self._recorder, None
-            recorder.close()
+        self._recording.start(file, self.controller, self.plant)
 
     def _begin(self) -> None:
         """What is shown belongs to a new episode."""
-        self._stop_recording()
+        self._recording.stop()
         for name, value in self.tuned.items():
             self.controller.task[name] = value
         self.episode += 1
@@ -164,7 +159,7 @@ class ClosedLoop:
         )
         controller.step(self.plant.observe())  # what users' functions make of it shows now
         controller.reset(self._plan)
-        self._stop_recording()
+        self._recording.stop()
         self.scene, self.controller, self.keys, self._fan = scene, controller, keys, Fan(controller)
 
     def _publish(self, *, rollouts: bool) -> None:
@@ -199,7 +194,7 @@ class ClosedLoop:
             paused=self.paused,
             planning=self.planning,
             controlling=self.controlling,
-            recording="" if self._recorder is None else str(self._recorder.path),
+            recording=str(self._recording.path or ""),
             message=self.message,
         )
 

@@ -102,7 +102,7 @@ class Session(ClosedLoop, threading.Thread):
 
     def record(self, recording: bool = True) -> None:
         """Record to a new file in the working directory, or stop; other planners, plants and resets stop it, too."""
-        self.do(self._start_recording if recording else self._stop_recording)
+        self.do(self._start_recording if recording else self._recording.stop)
 
     def grab(self, body: str, point: np.ndarray) -> None:
         """Take hold of a body at a point of the world ``[3]`` [m]."""
@@ -131,7 +131,7 @@ class Session(ClosedLoop, threading.Thread):
         try:
             self._go_on()
         finally:
-            self._stop_recording()
+            self._recording.stop()
 
     def _go_on(self) -> None:
         self._from = time.perf_counter()

@@ -59,6 +59,9 @@ class Replay:
 def replay(log: PlanLog, *, terms: Sequence[UserTerm] = ()) -> Replay:
     """Plan again from logged observations, with a fresh controller.
 
+    What cost terms search beside the plans (the paths of ``push_path`` after the goal was moved) is ready when it is
+    ready, which no log can tell: plans in between may differ. So do those after a ``Controller.reset`` in the middle.
+
     Args:
         log: The log (``History.log``).
         terms: Users' own cost terms and ancillary controllers that the scene names.

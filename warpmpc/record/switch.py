@@ -29,9 +29,9 @@ class RecordingSwitch:
         self._recorder: Recorder | None = None
 
     @property
-    def on(self) -> bool:
-        """Whether a recording is being made."""
-        return self._recorder is not None
+    def path(self) -> Path | None:
+        """File of the recording that is being made, None where none is."""
+        return None if self._recorder is None else self._recorder.path
 
     def start(self, path: str | Path, controller: Controller, plant: Plant) -> None:
         """Begin a recording with the present state; one that is being made is finished before.
