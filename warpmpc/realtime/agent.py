@@ -42,6 +42,12 @@ class Fault:
     count: int = 1
     """How often it came to that, with less than :data:`CALM` in between."""
 
+    @property
+    def recovery(self) -> str:
+        """A sentence about its end."""
+        again = f", {self.count} times in all" if self.count > 1 else ""
+        return f"following the plan again after {self.end - self.start:.3f} s{again}"
+
 
 class Agent:
     """Evaluates the newest plan at the robot's clock, and sends the safe command where it cannot be trusted.
@@ -115,8 +121,7 @@ class Agent:
             last.end = now
         elif now - last.end >= CALM:
             self._troubled = False
-            lasted, again = last.end - last.start, f", {last.count} times in all" if last.count > 1 else ""
-            logger.warning("t = %.3f s: following the plan again after %.3f s%s", last.end, lasted, again)
+            logger.warning("t = %.3f s: %s", last.end, last.recovery)
 
     def _fail(self, found: Finding, now: float, *, waiting: bool) -> None:
         self.following = False

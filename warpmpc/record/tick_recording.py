@@ -91,8 +91,7 @@ def _send(recording: rr.RecordingStream, history: History, plant: Plant) -> None
         recording.log("/faults", rr.TextLog(f"{fault.why}; sending the safe command", level="WARN"))
         if fault.end is not None:
             recording.set_time("time", duration=fault.end)
-            lasted = fault.end - fault.start
-            recording.log("/faults", rr.TextLog(f"following the plan again after {lasted:.3f} s", level="INFO"))
+            recording.log("/faults", rr.TextLog(fault.recovery, level="INFO"))
 
 
 def _indexes(time: np.ndarray, steps: np.ndarray | None = None) -> list[rr.TimeColumn]:
