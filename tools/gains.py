@@ -20,6 +20,8 @@ from warpmpc import Controller, Plant, Scene, load_scene
 from warpmpc.scene.load import with_values
 
 SECONDS, TICK = 7.0, 0.002
+ITERATIONS = 10
+"""Of each plan: slow plans have the time for it."""
 COST = [
     {"term": "position_residual", "of": "cart/tip", "target": [0.0, 1.0], "axes": "xz", "weight": 10.0},
     {"term": "joint_velocity", "weight": 0.05},
@@ -37,6 +39,7 @@ def scene(push: float, seed: int) -> Scene:
     ]
     changed = {
         "planner.method": "ilqg",
+        "planner.refine": {"method": "ilqg", "iterations": ITERATIONS},
         "planner.horizon": 60,
         "planner.dt": [0.02],
         "engine.threads": 1,

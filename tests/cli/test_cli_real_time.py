@@ -49,6 +49,15 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
     assert (folder / "plots" / "ticks.png").exists()
 
 
+def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene):
+    slow = ["--speed", "0.5", "--engine", "mujoco", "--set", "planner.samples=1500", "--set", "planner.horizon=20"]
+    failure = ["--set", "failure=[{name='stuck', after=0.3}]", "--set", "engine.threads=1"]
+    done = warpmpc("run", scene, "--real-time", *slow, *failure)
+    assert done.returncode == 1, done.stderr
+    assert done.stdout.startswith("seed 0: failed: stuck at 0.30 s")
+    assert "would need" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

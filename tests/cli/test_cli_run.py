@@ -99,6 +99,22 @@ def test_success_ends_in_exit_code_0(command):
     assert result["time_to_goal_s"] == result["sim_time_s"] == pytest.approx(0.08)
 
 
+FAILURE = ["--set", "failure=[{name='stuck', after=0.2}]"]
+
+
+def test_a_run_that_fails_says_so_and_ends_in_exit_code_1(command):
+    done = command("run", "omni_push_box", "--json", *TINY, *FAILURE)
+    (result,) = results(done)
+    assert done.returncode == 1
+    assert (result["success"], result["reason"], result["steps"]) == (False, "failed: stuck", 5)
+    many = ["--set", "planner.samples=1000", "--set", "planner.horizon=20", "--set", "engine.threads=1"]
+    table = command("run", "omni_push_box", *TINY, *FAILURE, *many, "--engine", "mujoco")
+    assert table.returncode == 1
+    (row,) = [line.split() for line in table.stdout.splitlines() if "failed: stuck" in line]
+    assert row[:4] == ["0", "failed:", "stuck", "0.20"]
+    assert "real time would need a plan every 40 ms of wall time" in table.stdout
+
+
 def test_a_goal_that_is_reached_at_the_start_needs_no_plan(command):
     done = command("run", "omni_push_box", "--json", *TINY, "--set", "success={ position = 5.0 }")
     (result,) = results(done)

@@ -53,7 +53,10 @@ def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
         np.testing.assert_array_equal(control.astype(np.float32), sent[round(reached - 1.0 / scene.agent.rate, 6)])
     gap = (history.time[1:] > killed + 0.1) & (history.time[1:] < fault.end)
     assert not ticks.following[gap].any()
-    assert ticks.following[history.time[1:] > fault.end + 0.01].all()
+    tick = 1.0 / scene.agent.rate
+    told = [(f.start - tick, (np.inf if f.end is None else f.end) + 2.0 * tick) for f in report.faults]
+    for moment in history.time[1:][~ticks.following]:  # a busy machine may bring faults of its own
+        assert moment < 0.4 or any(start <= moment <= end for start, end in told)
     assert ticks.faults == report.faults
     record_ticks(tmp_path / "run.rrd", history, robot.plant)
     said = logged_text(tmp_path / "run.rrd", "/faults")

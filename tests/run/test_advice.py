@@ -40,9 +40,17 @@ def test_what_is_hardly_meant_is_said(sections, says):
 
 
 def test_plans_that_come_too_late_are_told_with_a_cure():
-    scene = make_scene()
-    assert slow_plans(39.0, scene) is None
-    assert slow_plans(float("nan"), scene) is None
-    sentence = slow_plans(55.04, scene)
-    for part in ("55.0 ms", "40 ms", "planner.samples", "timing.control_dt"):
+    assert slow_plans(39.0, 0.04) is None
+    assert slow_plans(float("nan"), 0.04) is None
+    sentence = slow_plans(55.04, 0.04)
+    assert sentence.startswith("real time would need a plan every 40 ms of wall time, a plan takes 55.0 ms: lower")
+    for part in ("planner.samples", "timing.control_dt", "--real-time --speed 0.65"):
         assert part in sentence
+    assert slow_plans(55.04, 0.04, speed=0.65) is None  # the cure cures
+
+
+def test_at_another_speed_controls_last_as_long_as_they_do_there():
+    assert slow_plans(150.0, 0.04, speed=0.25) is None
+    sentence = slow_plans(200.0, 0.04, speed=0.25)
+    assert sentence.startswith("speed 0.25 would need a plan every 160 ms of wall time, a plan takes 200.0 ms: lower")
+    assert sentence.endswith("--speed 0.18")

@@ -133,16 +133,12 @@ def described(result: RealTimeResult) -> Iterator[str]:
 
 def slow_planner(result: RealTimeResult) -> str | None:
     """What to do about a planner that does not keep up with the clock; None where it does."""
-    possible, period = result.needed_speed, 1e3 * result.period
-    if possible is None:
+    from ..run.advice import slow_plans  # slow to import
+
+    rate = result.report.plan_rate
+    if not rate:
         return "no plan came in time: real time would need a faster planner, or a lower --speed"
-    if possible >= result.speed:
-        return None
-    return (
-        f"real time would need a plan every {period / result.speed:.0f} ms of wall time, there is one every "
-        f"{period / possible:.0f} ms: lower planner.samples, planner.horizon or engine.substeps, or run slowed down "
-        f"with --speed {0.9 * possible:.2g}"
-    )
+    return slow_plans(1e3 / rate, result.period, speed=result.speed)
 
 
 def _percentiles(values: dict[str, float]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import sys
 from contextlib import closing, contextmanager
@@ -131,12 +132,12 @@ class Setup:
         """What of the scene is hardly meant, or too slow for its controls.
 
         Args:
-            plan_ms: Wall time of a plan [ms].
+            plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].
             compiled: The scene compiled; None where every episode has bodies of its own.
         """
         from ..run.advice import advise, slow_plans
 
-        late = slow_plans(plan_ms, self.scene)
+        late = slow_plans(plan_ms, self.scene.timing.control_dt)
         return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
 
     def batch(self, seeds: Sequence[int], envs: int) -> Batch:
@@ -255,7 +256,8 @@ def run(
 
             results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
-            for sentence in setup.advice(median(result.plan_ms["p50"] for result in results), setup.compiled):
+            plan_ms = math.nan if envs > 1 else median(result.plan_ms["p50"] for result in results)
+            for sentence in setup.advice(plan_ms, setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
         return INTERRUPTED

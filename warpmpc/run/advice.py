@@ -34,19 +34,22 @@ def advise(scene: Scene, compiled: CompiledScene) -> list[str]:
     return [*_times(scene), *_noise(scene, compiled.layout), *_shapes(compiled.layout), *_masses(compiled)]
 
 
-def slow_plans(plan_ms: float, scene: Scene) -> str | None:
-    """What to do about plans that take longer than a control lasts; None where they do not.
+def slow_plans(plan_ms: float, control_dt: float, *, speed: float = 1.0) -> str | None:
+    """What to do about plans that are slower than the controls they are for; None where they are not.
 
     Args:
-        plan_ms: Wall time of a plan, the median of several [ms].
-        scene: The scene.
+        plan_ms: Wall time from plan to plan, or of a plan, the median of several [ms].
+        control_dt: Length of a control [s].
+        speed: The robot's seconds in a second of wall time that are wanted.
     """
-    period = 1e3 * scene.timing.control_dt
-    if not plan_ms > period:
+    period = 1e3 * control_dt
+    if not plan_ms > period / speed:
         return None
+    wanted = f"speed {speed:g}" if speed != 1.0 else "real time"
     return (
-        f"a plan takes {plan_ms:.1f} ms, longer than a control of {period:g} ms: on a robot it comes too late; lower "
-        "planner.samples, planner.horizon or engine.substeps, or raise timing.control_dt"
+        f"{wanted} would need a plan every {period / speed:.4g} ms of wall time, a plan takes {plan_ms:.1f} ms: lower "
+        "planner.samples, planner.horizon or engine.substeps, raise timing.control_dt, or slow a simulated robot down "
+        f"with --real-time --speed {0.9 * period / plan_ms:.2g}"
     )
 
 

@@ -41,11 +41,6 @@ class RealTimeResult:
     report: RealTimeReport
     """Rates, jitter, latencies, faults."""
 
-    @property
-    def needed_speed(self) -> float | None:
-        """Speed at which a plan would be ready for every control; None without a plan."""
-        return self.report.plan_rate * self.period if self.report.plans else None
-
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys."""
         report = self.report
