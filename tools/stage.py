@@ -35,6 +35,8 @@ GHOST = (0.25, 0.8, 0.4, 0.35)
 """Colour of the goal."""
 COLORS = {"robot": (0.95, 0.62, 0.22), "object": (0.20, 0.50, 0.84), "obstacle": (0.58, 0.42, 0.40)}
 """Colours by kind, of all but robots' own visuals."""
+TERRAIN = (0.62, 0.60, 0.52)
+"""Colour of heightfields."""
 KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -100,6 +102,7 @@ class Stage:
                     shape = resized(shape, plant.properties)
                 at = spec.worldbody if shape.body == WORLD else bodies[shape.body]
                 self._add(spec, parent or at, shape, (*color[:3], 1.0), IDENTITY if entity.movable else shape.pose)
+        self._add_terrain(spec)
         self._add_goal(spec)
         self.model = spec.compile()
         self._data = mujoco.MjData(self.model)
@@ -166,6 +169,23 @@ class Stage:
         """A body that goes where a body or pose of the scene is."""
         self._moving.append((name, shown))
         return spec.worldbody.add_body(name=name, mocap=True)
+
+    def _add_terrain(self, spec: mujoco.MjSpec) -> None:
+        """Heightfields that stand still, which are no shapes of the layout."""
+        model = self._plant.compiled.spec().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD):
+            i = model.geom_dataid[geom]
+            rows, columns, first = model.hfield_nrow[i], model.hfield_ncol[i], model.hfield_adr[i]
+            heights = model.hfield_data[first : first + rows * columns]
+            name = f"heights_{geom}"
+            spec.add_hfield(name=name, size=model.hfield_size[i], nrow=rows, ncol=columns, userdata=heights)
+            turn = np.zeros(4)
+            mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
+            keys = {"pos": data.geom_xpos[geom], "quat": turn, "contype": 0, "conaffinity": 0}
+            field = mujoco.mjtGeom.mjGEOM_HFIELD
+            spec.worldbody.add_geom(type=field, hfieldname=name, rgba=(*TERRAIN, 1.0), **keys)
 
     def _add_goal(self, spec: mujoco.MjSpec) -> None:
         """What shall be at the goal as a ghost where it has a heading, else a ball."""

@@ -204,3 +204,24 @@ def test_feedback_crosses_processes_as_numbers():
     pushed = replace(state, joint_q=state.joint_q + np.float32([0.01, -0.02, 0.1]))
     assert np.abs(plan.at(0.05, pushed) - plan.at(0.05)).max() > 1e-3
     np.testing.assert_array_equal(told.plan.at(0.05, pushed), plan.at(0.05, pushed))
+
+
+def test_limits_that_change_hold_for_derivatives_too():
+    controller, _ = planned(disc(), plans=2)
+    controller.set_limits(np.full(3, -0.3), np.full(3, 0.3))
+    plan = controller.plan(replace(State.start(controller.layout), time=0.0))
+    assert 0.29 < np.abs(plan.knots).max() <= np.float32(0.3)
+
+
+def test_feedback_goes_by_clocks_that_began_long_ago():
+    commands = []
+    for start in (0.0, 1.7e9):
+        controller, _ = planned(disc())
+        controller.reset()
+        near = replace(State.start(controller.layout), joint_q=np.float32([0.9, 0.45, 0.0]))
+        for k in range(3):
+            plan = controller.plan(replace(near, time=start + 0.04 * k))
+        pushed = replace(near, joint_q=np.float32([0.85, 0.5, 0.1]))
+        commands.append(plan.at(start + 0.1, pushed))
+        assert np.abs(commands[-1] - plan.at(start + 0.1)).max() > 1e-2
+    np.testing.assert_allclose(*commands, atol=1e-4)

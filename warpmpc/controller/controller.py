@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ from .rollout import Rollout
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
+    from ..planner.feedback import Feedback
     from ..scene.schema import Scene
 
 logger = logging.getLogger("warpmpc")
@@ -283,8 +285,14 @@ class Controller:
             spline=self.planner.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
-            feedback=self.planner.feedback,
+            feedback=self._feedback(),
         )
+
+    def _feedback(self) -> Feedback | None:
+        """The gains of the last plan, with absolute times."""
+        own = self.planner.feedback
+        start = np.nan_to_num(self._observed.planned)
+        return own and replace(own, times=start[:, None] + own.times)
 
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
         """What one sample of the last plan came to: states, controls and knots over the horizon.

@@ -67,6 +67,10 @@ class Differences:
         self._moves = np.diag(np.repeat([q, v, u], [t.nv, t.nv, t.na]))
         """Steps of the state, one to a row ``[n, n]``."""
 
+    def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Change the limits of the controls ``[nu]``."""
+        self._lower, self._upper = lower, upper
+
     def __call__(self, state: np.ndarray, control: np.ndarray, before: np.ndarray) -> Linear:
         """Differentiate steps from states under controls.
 

@@ -83,6 +83,11 @@ class PolicyRollouts:
         self._judged = [*norms, request.state.weight, terminal, step_weight, request.scene.planner.stage_risk]
         self._replays = [Replay(partial(self._roll, part)) for part in range(len(worlds.parts))]
 
+    def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Change the limits of the controls ``[nu]``."""
+        for array, limit in zip(self._limits, (lower, upper), strict=True):
+            array.assign(limit)
+
     def __call__(
         self,
         start: np.ndarray,

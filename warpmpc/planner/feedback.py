@@ -39,7 +39,7 @@ class Feedback:
     """Gains K(t) about states x̄(t), of every environment."""
 
     times: np.ndarray
-    """Absolute times of the states ``[E, T]`` [s]."""
+    """Times of the states ``[E, T]`` [s]; in a plan they are absolute."""
     state: np.ndarray
     """x̄, MuJoCo's (qpos, qvel, act) ``[E, T, nx]``."""
     gain: np.ndarray

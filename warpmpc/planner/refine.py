@@ -67,7 +67,7 @@ class Refiner(ABC):
     """
 
     feedback: Feedback | None = None
-    """Gains of the last plan, if there are any."""
+    """Gains of the last plan, if there are any, over the time since its start."""
 
     def __init__(
         self, name: str, request: EngineRequest, steps: PhysicsSteps, engine: Engine, strategy: SamplingStrategy
@@ -93,6 +93,9 @@ class Refiner(ABC):
     def __call__(self) -> None:
         """Improve the plan for the observed state; where that fails it stays as it was, and why is logged."""
         state, rollouts = self._request.state, self.rollouts
+        self._lower, self._upper = (limit.numpy().astype(float) for limit in self._request.limits)
+        for user in (rollouts, self.differences):
+            user.set_limits(self._lower, self._upper)
         start, before = rollouts.worlds.observed(), state.last_control.numpy().astype(float)
         try:
             self._improve(start, before)
@@ -262,16 +265,14 @@ class IlqgRefiner(Refiner):
             cost = np.minimum(found, cost)
         strategy.mean.assign(control.astype(np.float32))
         strategy.offset.zero_()
-        now = self._request.state.start.numpy().astype(float)
-        self.feedback = Feedback(now[:, None] + times, state[:, :-1], gains, self._space)
+        self.feedback = Feedback(np.tile(times, (len(start), 1)), state[:, :-1], gains, self._space)
 
     def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[Outcome, np.ndarray]:
         """Roll the plan out with and without the last plan's feedback; tells which is the cheaper one."""
         policy = self._nominal(control)
         if self.feedback is not None:
-            policy = self.feedback.policy(
-                self._request.state.start.numpy()[:, None] + self._request.grid.t[:-1], control
-            )
+            elapsed = self._request.state.elapsed.numpy().astype(float)
+            policy = self.feedback.policy(elapsed[:, None] + self._request.grid.t[:-1], control)
         with_feedback = np.zeros(self._settings.candidates)
         with_feedback[1] = 1.0
         outcome = self.rollouts(start, before, policy, np.zeros_like(with_feedback), with_feedback)
