@@ -110,3 +110,23 @@ def kinematic_rollout_kernel(
         follow(drives, control, t, w, k.dt[t], joint_q, joint_qd)
     for t in range(joint_q.shape[0]):
         forward_kinematics(table, t, w, joint_q, joint_qd, body_q, body_qd)
+
+
+@wp.kernel
+def kinematic_step_kernel(
+    # inputs
+    table: JointTable,
+    drives: Drives,
+    control: wp.array3d[float],  # [T, W, nu] that of step 0 is followed
+    dt: float,  # [s]
+    first: int,  # world of thread 0
+    # outputs
+    joint_q: wp.array3d[float],  # [T+1, W, nq] slice 1 is written
+    joint_qd: wp.array3d[float],  # [T+1, W, nv]
+    body_q: wp.array3d[wp.transform],  # [T+1, W, nb]
+    body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
+):
+    """One thread: one step of one world."""
+    w = first + wp.tid()
+    follow(drives, control, 0, w, dt, joint_q, joint_qd)
+    forward_kinematics(table, 1, w, joint_q, joint_qd, body_q, body_qd)

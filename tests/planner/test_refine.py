@@ -35,7 +35,7 @@ def planned(scene, *, engine: str = "fused", plans: int = 1, seed: int = 0):
     return controller, costs
 
 
-@pytest.mark.parametrize("engine", ["fused", "mujoco"])
+@pytest.mark.parametrize("engine", ["fused", "mujoco", "newton", "kinematic"])
 def test_ilqg_finds_in_one_plan_what_samples_come_near_to_in_many(engine):
     _, ilqg = planned(disc(), engine=engine, plans=4)
     _, samples = planned(disc("predictive_sampling", samples=64), engine=engine, plans=30)
@@ -155,7 +155,6 @@ def test_gains_hold_between_slow_plans_what_falls_without_them(push):
 @pytest.mark.parametrize(
     ("engine", "values", "says"),
     [
-        ("kinematic", {}, r"engine\.name: planners with derivatives do not run on the engine kinematic"),
         ("mujoco", {"planner.dt": [0.04] * 9 + [0.08]}, r"planner\.dt: .* one length"),
         (
             "mujoco",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .worlds import step_worlds
+from .kinds import step_worlds
 
 if TYPE_CHECKING:
     from ..engine.registry import EngineRequest, PhysicsSteps

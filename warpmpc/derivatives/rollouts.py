@@ -12,8 +12,8 @@ import warp as wp
 
 from ..kernels.planning.feedback import TURN, TangentTable, add_cost_kernel, follow_kernel
 from ..launch import Launcher, Replay
+from .kinds import step_worlds
 from .tangent import Tangent
-from .worlds import step_worlds
 
 if TYPE_CHECKING:
     from ..engine.registry import EngineRequest, PhysicsSteps

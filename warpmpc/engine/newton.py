@@ -81,11 +81,20 @@ class NewtonEngine(OnePart):
             self.solver = make_solver(self.model, scene, layout, shape, pairs)
             if properties and (changed := randomize_newton(self.model, layout, shape, properties)):
                 self.solver.solver.notify_model_changed(changed)
-            self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
             self._table = joint_table(layout, self.device)
-            self._states = self._make_states()
+            self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
             self._scratch = [self.model.state() for _ in range(min(max(substeps) - 1, 2))]
             self._make_controls(layout)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The record of all worlds; another one of its size may take its place."""
+        return self._trajectory
+
+    @trajectory.setter
+    def trajectory(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self._states = self._make_states()
 
     def _make_states(self) -> list[newton.State]:
         """One state per slice of the trajectory, in the trajectory's own memory."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
-    from .protocol import Engine
+    from .protocol import Engine, Simulator
     from .timegrid import TimeGrid
 
 logger = logging.getLogger("warpmpc")
@@ -187,7 +187,7 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     return PhysicsSteps(tuple(np.round(count).astype(int).tolist()), (timestep,) * grid.steps)
 
 
-def _recorded(request: EngineRequest, simulator: object) -> RecordedEngine:
+def _recorded(request: EngineRequest, simulator: Simulator) -> RecordedEngine:
     r = request
     return RecordedEngine(simulator, r.costs, r.state, r.shape, r.grid, r.spline, r.limits, r.scene.planner)
 
@@ -210,7 +210,12 @@ def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     return _recorded(request, simulator)
 
 
-def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
+    """What steps the worlds of the engine ``newton``, with the solver that the scene asks for.
+
+    Raises:
+        SceneError: If the solver cannot do what the scene needs.
+    """
     # slow to import, and nothing else needs them
     from .mujoco_warp import MujocoWarpEngine
     from .newton import NewtonEngine
@@ -225,7 +230,7 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     }
     scene_of = (scene, request.compiled, request.shape)
     if scene.engine.solver is Solver.MUJOCO:
-        return _recorded(request, MujocoWarpEngine(*scene_of, sensors=costs.sensors, **common))
+        return MujocoWarpEngine(*scene_of, sensors=costs.sensors, **common)
     if costs.sensors:
         raise SceneError(
             "this solver has no sensors, but cost terms read some",
@@ -234,7 +239,11 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
             found=str(scene.engine.solver),
             allowed=["mujoco"],
         )
-    return _recorded(request, NewtonEngine(*scene_of, **common))
+    return NewtonEngine(*scene_of, **common)
+
+
+def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    return _recorded(request, newton_simulator(request, steps))
 
 
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:

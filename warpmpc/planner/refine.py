@@ -75,7 +75,9 @@ class Refiner(ABC):
         scene, layout = request.scene, request.costs.layout
         self._planner = planner = scene.planner
         if not request.grid.even:
-            raise SceneError("planners with derivatives take steps of one length", key="planner.dt", file=scene.path)
+            raise SceneError(
+                "planners with derivatives take steps of one length: give one number", key="planner.dt", file=scene.path
+            )
         self._request, self._engine, self._strategy = request, engine, strategy
         self.layout, self.horizon = layout, request.grid.steps
         self._settings = planner.refine
