@@ -3,16 +3,19 @@
 
     python tools/page_rate.py                    # omni_push_box
     python tools/page_rate.py cylinder_push --steps 500 --chromium /usr/bin/chromium
+    python tools/page_rate.py --chromium /usr/bin/chromium --apart 1
 
 Who looks: nobody; a bare WebSocket client in another process, which reads and draws nothing; Chromium without a window
 (needs Playwright). A browser without a GPU draws on the processor that plans, so it takes what a user's own machine
-would not; the bare client tells what sending costs. Every measurement makes the same plans, from the start of the
+would not; the bare client tells what sending costs, and so does a browser that has processors of its own (``--apart``,
+Linux alone), as on another machine. Every measurement makes the same plans, from the start of the
 episode, one after the other as fast as they can be made.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import socket
 import statistics
 import subprocess
@@ -81,12 +84,14 @@ def watch_chromium(port: int, executable: str) -> None:
 
 
 @contextmanager
-def watcher(kind: str, port: int, chromium: str | None) -> Iterator[subprocess.Popen | None]:
-    """A process that looks at the page; None for nobody."""
+def watcher(kind: str, port: int, chromium: str | None, apart: set[int]) -> Iterator[subprocess.Popen | None]:
+    """A process that looks at the page, on processors of its own if any are given; None for nobody."""
     if kind == "nobody":
         yield None
         return
     command = [sys.executable, __file__, "--watch", kind, "--port", str(port), "--chromium", str(chromium)]
+    if apart:
+        command = ["taskset", "-c", ",".join(map(str, apart)), *command]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
         process.stdout.readline()
         yield process
@@ -120,6 +125,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5, help="measurements of each, in turn; medians are printed")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--chromium", help="path of Chromium; not measured without")
+    parser.add_argument(
+        "--apart", type=int, default=0, metavar="N", help="processors for who looks, none of the planner's"
+    )
     parser.add_argument("--watch", choices=["bare", "chromium"], help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -129,6 +137,14 @@ def main() -> None:
     if options.watch == "chromium":
         watch_chromium(options.port, options.chromium)
         return
+
+    apart: set[int] = set()
+    if options.apart:
+        all_cpus = sorted(os.sched_getaffinity(0))
+        if options.apart >= len(all_cpus):
+            parser.error(f"--apart {options.apart} leaves the planner none of {len(all_cpus)} processors")
+        apart = set(all_cpus[-options.apart :])
+        os.sched_setaffinity(0, set(all_cpus) - apart)
 
     from warpmpc.live.page import serve
     from warpmpc.live.session import Session
@@ -145,7 +161,7 @@ def main() -> None:
     time.sleep(2.0)
     for _ in range(options.rounds):
         for kind in kinds:
-            with watcher(kind, port, options.chromium) as process:
+            with watcher(kind, port, options.chromium, apart) as process:
                 found[kind].append(measure(session, options.steps, process))
     ending.set()
     page.join()
