@@ -42,6 +42,7 @@ def scene(push: float, seed: int) -> Scene:
         "planner.refine": {"method": "ilqg", "iterations": ITERATIONS},
         "planner.horizon": 60,
         "planner.dt": [0.02],
+        "planner.spline": "linear",
         "engine.threads": 1,
         "engine.substeps": 2,
         "plant.substeps": 1,

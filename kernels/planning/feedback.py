@@ -47,6 +47,7 @@ def follow_kernel(
     t: int,  # step
     first: int,  # world of thread 0
     rollouts: int,  # worlds of an environment
+    hold: int,  # steps that a control is held for
     table: TangentTable,
     end: wp.array3d[wp.float64],  # [W, N, 1+nx] the last slice is the state after the step before
     nominal: wp.array3d[wp.float64],  # [E, T, nx]
@@ -78,6 +79,11 @@ def follow_kernel(
     for j in range(width):
         states[t, w, j] = start[w, 1 + j]
     if t == steps:
+        return
+    if t % hold != 0:
+        for u in range(controls.shape[2]):
+            controls[t, w, u] = controls[t - 1, w, u]
+            applied[0, w, u] = applied[1, w, u]
         return
     for m in range(table.kind.shape[0]):
         at = table.state[m]

@@ -9,6 +9,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
+from warpmpc.derivatives.expansion import Linear, Quadratic, held
 from warpmpc.planner.feedback import StateSpace
 from warpmpc.realtime.letters import PlanCodec, TimedPlan
 from warpmpc.scene.load import with_values
@@ -124,6 +125,7 @@ HELD = {
     "planner.dt": [0.02],
     "engine.threads": 1,
     "engine.substeps": 2,
+    "planner.spline": "linear",
     "plant.substeps": 1,
     "timing.control_dt": 0.002,
     "robot.cart.joint_q": [0.0, 0.02],
@@ -224,3 +226,47 @@ def test_feedback_goes_by_clocks_that_began_long_ago():
         commands.append(plan.at(start + 0.1, pushed))
         assert np.abs(commands[-1] - plan.at(start + 0.1)).max() > 1e-2
     np.testing.assert_allclose(*commands, atol=1e-4)
+
+
+def test_controls_are_held_for_as_long_as_they_are_sent():
+    values = {"planner.horizon": 20, "planner.dt": [0.02], "planner.spline": "zero"}
+    fine = with_values(disc(), values)
+    assert fine.timing.control_dt == pytest.approx(0.04)
+    controller, costs = planned(fine, engine="mujoco", plans=4)
+    assert controller.planner.strategy.mean.shape[1] == 10
+    sent = controller.planner.engine.control.numpy()[:, 0]
+    np.testing.assert_array_equal(sent[::2], sent[1::2])
+    _, free = planned(with_values(fine, {"timing.control_dt": 0.02}), engine="mujoco", plans=4)
+    assert free[-1] <= costs[-1] < 1.05 * free[-1]  # a control for every step can do no worse
+
+
+def test_steps_under_one_control_are_one_step():
+    """Against the chain of single steps in float64, the last control held for one step alone."""
+    rng = np.random.default_rng(0)
+    steps, n, nu = 5, 3, 2
+
+    def draw(*shape):
+        return rng.standard_normal((1, steps, *shape))
+
+    linear = Linear(draw(n, n), draw(n, nu), draw(0), draw(0, n), draw(0, nu))
+    half = draw(n + nu, n + nu)
+    whole = half @ half.swapaxes(-1, -2)
+    cost = Quadratic(draw(n), draw(nu), whole[..., :n, :n], whole[..., n:, :n], whole[..., n:, n:])
+    together, total = held(linear, cost, 2)
+
+    def roll(start, controls, first, count):
+        """What some steps cost from a state, and the state after them."""
+        x, spent = start, 0.0
+        for t in range(first, first + count):
+            z = np.concatenate([x, controls])
+            spent += cost.x[0, t] @ x + cost.u[0, t] @ controls + 0.5 * z @ whole[0, t] @ z
+            x = linear.a[0, t] @ x + linear.b[0, t] @ controls
+        return spent, x
+
+    for block, (first, count) in enumerate([(0, 2), (2, 2), (4, 1)]):
+        x, u = rng.standard_normal(n), rng.standard_normal(nu)
+        spent, end = roll(x, u, first, count)
+        np.testing.assert_allclose(together.a[0, block] @ x + together.b[0, block] @ u, end)
+        xx, ux, uu = (m[0, block] for m in (total.xx, total.ux, total.uu))
+        model = total.x[0, block] @ x + total.u[0, block] @ u + 0.5 * x @ xx @ x + u @ ux @ x + 0.5 * u @ uu @ u
+        np.testing.assert_allclose(model, spent)

@@ -164,6 +164,37 @@ def gauss_newton(
     return Quadratic(*(factor.reshape(envs, steps, *(1,) * (m.ndim - 2)) * m for m in (x, u, xx, ux, uu)))
 
 
+def held(linear: Linear, cost: Quadratic, hold: int) -> tuple[Linear, Quadratic]:
+    """Several steps under one control as one step: what its state and control do to the next one, and all they cost.
+
+    The last of these may have fewer steps than the others. Residuals are left out.
+
+    Args:
+        linear: Derivatives of the steps.
+        cost: Expansion of what they cost.
+        hold: Steps that a control is held for.
+    """
+    if hold == 1:
+        return linear, cost
+    (envs, steps, n, nu), count = linear.b.shape, -(-linear.b.shape[1] // hold)
+    a, b = np.tile(np.eye(n), (envs, count, 1, 1)), np.zeros((envs, count, n, nu))
+    x, u = np.zeros((envs, count, n)), np.zeros((envs, count, nu))
+    xx, ux, uu = (np.zeros((envs, count, *shape)) for shape in ((n, n), (nu, n), (nu, nu)))
+    for j in range(hold):
+        at, some = slice(j, None, hold), slice(0, len(range(j, steps, hold)))
+        moved, driven = a[:, some], b[:, some]  # of the state that this step begins in
+        slope, mixed = cost.x[:, at], cost.ux[:, at]
+        x[:, some] += np.einsum("etji,etj->eti", moved, slope)
+        u[:, some] += cost.u[:, at] + np.einsum("etji,etj->eti", driven, slope)
+        cross = mixed @ driven
+        xx[:, some] += _congruent(moved, cost.xx[:, at], moved)
+        ux[:, some] += _congruent(driven, cost.xx[:, at], moved) + mixed @ moved
+        uu[:, some] += _congruent(driven, cost.xx[:, at], driven) + cross + cross.swapaxes(-1, -2) + cost.uu[:, at]
+        a[:, some], b[:, some] = linear.a[:, at] @ moved, linear.a[:, at] @ driven + linear.b[:, at]
+    none = np.zeros((envs, count, 0))
+    return Linear(a, b, none, none, none), Quadratic(x, u, xx, ux, uu)
+
+
 def _congruent(left: np.ndarray, middle: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Lᵀ M R of every step."""
     return left.swapaxes(-1, -2) @ (middle @ right)

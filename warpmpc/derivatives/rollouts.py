@@ -55,9 +55,19 @@ class PolicyRollouts:
         steps: Physics steps of the horizon.
         residuals: Residuals of the terms.
         candidates: N.
+        hold: Steps that a control is held for; changes and gains of their first one count.
     """
 
-    def __init__(self, name: str, request: EngineRequest, steps: PhysicsSteps, residuals: Residuals, candidates: int):
+    def __init__(
+        self,
+        name: str,
+        request: EngineRequest,
+        steps: PhysicsSteps,
+        residuals: Residuals,
+        candidates: int,
+        hold: int = 1,
+    ):
+        self._hold = hold
         device, layout, costs = request.device, request.costs.layout, request.costs
         self.worlds = worlds = step_worlds(name, request, steps, candidates, residuals)
         self.tangent = tangent = Tangent(worlds.model)
@@ -126,7 +136,7 @@ class PolicyRollouts:
         worlds, (first, count) = self.worlds, self.worlds.parts[part]
         policy = [self._state, self._control, self._change, self._gain, self._share, self._feedback]
         for t in range(self._horizon + 1):
-            inputs = [t, first, self._candidates, self._table, worlds.ends, *policy, *self._limits]
+            inputs = [t, first, self._candidates, self._hold, self._table, worlds.ends, *policy, *self._limits]
             outputs = [worlds.starts, self._difference, self._states, self._controls, worlds.applied]
             self._launch(follow_kernel, count, inputs, outputs)
             if t < self._horizon:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..derivatives.expansion import Differences, Quadratic, gauss_newton
+from ..derivatives.expansion import Differences, Quadratic, gauss_newton, held
 from ..derivatives.residuals import Residuals
 from ..derivatives.rollouts import Outcome, Policy, PolicyRollouts
 from ..engine.registry import physics_steps
+from ..engine.timegrid import TimeGrid
 from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from ..derivatives.expansion import Linear
     from ..engine.protocol import Engine
     from ..engine.registry import EngineRequest, PhysicsSteps
+    from ..scene.schema import Scene
     from .strategy import SamplingStrategy
 
 logger = logging.getLogger("warpmpc")
@@ -83,7 +85,8 @@ class Refiner(ABC):
         self._settings = planner.refine
         self._launch = Launcher(request.device)
         self.residuals = Residuals(request.costs)
-        self.rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates)
+        self.hold = control_hold(scene)
+        self.rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates, self.hold)
         self.tangent = self.rollouts.tangent
         self.differences = Differences(name, request, steps, self.residuals, self.tangent)
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
@@ -157,6 +160,14 @@ class Refiner(ABC):
         self.differences.close()
 
 
+def control_hold(scene: Scene) -> int:
+    """Steps of a rollout that iLQG holds a control for, since it is sent for as long; 1 for other planners."""
+    refine = scene.planner.refine
+    if refine is None or refine.method is not Refinement.ILQG:
+        return 1
+    return max(round(scene.timing.control_dt / TimeGrid.of(scene).dt[0]), 1)
+
+
 def shares(candidates: int) -> np.ndarray:
     """Step sizes α of a line search ``[N]``: none, and from the whole step down."""
     return np.concatenate([[0.0], np.geomspace(1.0, LEAST_SHARE, candidates - 1)])
@@ -223,13 +234,13 @@ class GradientRefiner(Refiner):
 
 
 class IlqgRefiner(Refiner):
-    """iLQG on the controls of all steps, with limits and feedback gains."""
+    """iLQG on all controls, with limits and feedback gains."""
 
     def __init__(self, *args: object):
         super().__init__(*args)
-        if self._strategy.mean.shape[1] != self._request.grid.steps:
+        if self._strategy.mean.shape[1] != -(-self._request.grid.steps // self.hold):
             raise SceneError(
-                "iLQG solves for a control at every step: leave planner.knots out",
+                "iLQG solves for every control: leave planner.knots out",
                 key="planner.knots",
                 file=self._request.scene.path,
                 found=self._planner.knots,
@@ -245,8 +256,9 @@ class IlqgRefiner(Refiner):
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
         """Improve the mean."""
-        strategy, times = self._strategy, self._request.grid.t[:-1]
+        strategy, hold, steps = self._strategy, self.hold, self._request.grid.steps
         control = np.clip(strategy.mean.numpy().astype(float), self._lower, self._upper)
+        control = control.repeat(hold, axis=1)[:, :steps]
         outcome, best = self._follow(start, before, control)
         rows, gains = np.arange(len(start)), None
         state, control = outcome.state[rows, best], outcome.control[rows, best]
@@ -254,9 +266,10 @@ class IlqgRefiner(Refiner):
         if not np.isfinite(cost).all():
             raise FloatingPointError("the physics of the plan's own rollout failed")
         for _ in range(self._settings.iterations):
-            solved = self._solve(*self._expand(state[:, :-1], control, before), control)
+            solved = self._solve(*held(*self._expand(state[:, :-1], control, before), hold), control[:, ::hold])
             gains = solved.gain
-            policy = Policy(state[:, :-1], control, solved.change, gains)
+            change, gain = (x.repeat(hold, axis=1)[:, :steps] for x in (solved.change, gains))
+            policy = Policy(state[:, :-1], control, change, gain)
             outcome = self.rollouts(start, before, policy, self._shares)
             best = np.argmin(outcome.cost, axis=1)
             found = outcome.cost[rows, best]
@@ -265,9 +278,10 @@ class IlqgRefiner(Refiner):
             self._damping = np.clip(self._damping * up, DAMPING[0], DAMPING[2])
             state, control = outcome.state[rows, best], outcome.control[rows, best]
             cost = np.minimum(found, cost)
-        strategy.mean.assign(control.astype(np.float32))
+        strategy.mean.assign(control[:, ::hold].astype(np.float32))
         strategy.offset.zero_()
-        self.feedback = Feedback(np.tile(times, (len(start), 1)), state[:, :-1], gains, self._space)
+        times = np.tile(self._request.grid.t[:-1:hold], (len(start), 1))
+        self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
 
     def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[Outcome, np.ndarray]:
         """Roll the plan out with and without the last plan's feedback; tells which is the cheaper one."""

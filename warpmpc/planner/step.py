@@ -18,7 +18,7 @@ from ..task.observed import ObservedState
 from . import registry
 from .ancillary import Ancillaries
 from .plan import Plan, refitted
-from .refine import refiner_of
+from .refine import control_hold, refiner_of
 from .splines import SplineKind, spline_table
 from .strategy import Round
 
@@ -75,7 +75,7 @@ class PlanStep:
         make_strategy = registry.find(str(scene.planner.method) if strategy == "auto" else strategy)
         self.costs, self.shape, self.device = costs, shape, costs.device
         self.grid, self.kind = TimeGrid.of(scene), SplineKind(scene.planner.spline.value)
-        self.knot_time = knot_times(self.grid, scene.planner.knots)
+        self.knot_time = knot_times(self.grid, scene.planner.knots, control_hold(scene))
         """Times of the knots after the first ``[P]`` [s]."""
         spline = spline_table(self.kind, self.knot_time, float(self.grid.dt[0]), self.device)
 
@@ -170,13 +170,14 @@ class PlanStep:
         )
 
 
-def knot_times(grid: TimeGrid, knots: int | None) -> np.ndarray:
+def knot_times(grid: TimeGrid, knots: int | None, hold: int = 1) -> np.ndarray:
     """Times of P knots after the first ``[P]`` [s]: one at the start of every step, or fewer, from end to end, evenly.
 
     Args:
         grid: Steps of the horizon.
         knots: Number of knots, one per step if None.
+        hold: Steps that a knot is for if there is no number of them.
     """
     if knots is None or knots == grid.steps:
-        return grid.t[:-1]
+        return grid.t[:-1:hold]
     return np.linspace(0.0, grid.t[-2], knots)

@@ -233,7 +233,7 @@ class Refine(Section):
 
     method: Refinement
     """``gradient``: steepest descent on the knots, or ``ilqg``: a quadratic model solved from the end to the start,
-    with a feedback gain at every step that plans are followed with."""
+    with a feedback gain for every control that plans are followed with."""
     iterations: Count = 1
     """Expansions, each followed by a line search."""
     candidates: TwoOrMore = 8
@@ -241,7 +241,8 @@ class Refine(Section):
 
 
 DIRECT = frozenset({Method.ILQG, Method.ILQS})
-"""Methods whose plans have a knot at every step, whatever ``planner.knots`` says: iLQG solves for the controls."""
+"""Methods whose plans are the controls themselves, whatever ``planner.knots`` says: iLQG solves for them. They are held
+where the scene's spline is a smooth one."""
 
 PRESETS = {
     Method.GRADIENT_DESCENT: {"refine": {"method": "gradient"}},
@@ -349,7 +350,7 @@ class Planner(Section):
         out = {**preset, **data, **merged}
         if method in DIRECT:
             smooth = out.get("spline") in (SplineKind.CUBIC, SplineKind.BSPLINE)
-            out |= {"knots": None} | ({"spline": SplineKind.LINEAR} if smooth else {})
+            out |= {"knots": None} | ({"spline": SplineKind.ZERO} if smooth else {})
         planner = handler(out)
         planner.__pydantic_fields_set__.intersection_update(data)
         return planner
