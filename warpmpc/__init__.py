@@ -47,9 +47,11 @@ if TYPE_CHECKING:
     from .realtime.loop import RealTimeReport, RobotLoop
     from .realtime.planning import PlannerThread
     from .realtime.process import PlannerProcess
+    from .realtime.real_time_log import RealTimeLog
     from .realtime.robot import simulated_robot
     from .record.history import History, HistoryRecorder
     from .record.plan_log import PlanLog
+    from .record.real_time_replay import RealTimeReplay, replay_real_time
     from .record.replay import Replay, replay
     from .record.switch import RecordingSwitch
     from .record.tick_log import TickLog
@@ -83,6 +85,8 @@ __all__ = [
     "PlannerProcess",
     "PlannerThread",
     "Plant",
+    "RealTimeLog",
+    "RealTimeReplay",
     "RealTimeReport",
     "RecordingSwitch",
     "Replay",
@@ -117,6 +121,7 @@ __all__ = [
     "memory_before",
     "remember",
     "replay",
+    "replay_real_time",
     "residual_term",
     "run_batch",
     "run_episode",
@@ -147,6 +152,9 @@ _HOME = {
     "PlanLog": "record.plan_log",
     "Replay": "record.replay",
     "replay": "record.replay",
+    "RealTimeLog": "realtime.real_time_log",
+    "RealTimeReplay": "record.real_time_replay",
+    "replay_real_time": "record.real_time_replay",
     "RecordingSwitch": "record.switch",
     "TickLog": "record.tick_log",
     "TickRecorder": "record.ticks",

@@ -44,6 +44,12 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
     assert history.ticks.following.sum() > 100
     assert np.nanmin(history.ticks.age) > 0.0
     assert np.diff(history.time) == pytest.approx(np.full(result["ticks"], 0.002))
+    assert history.term_names == ("distance",)
+    assert np.isfinite(history.cost[history.ticks.plan >= 0]).all()
+    replayed = warpmpc("replay", folder)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    plans = len(history.made)
+    assert f"{plans} of {plans} plans and {result['ticks']} of {result['ticks']} commands agree" in replayed.stdout
     plotted = warpmpc("plot", folder)
     assert plotted.returncode == 0, plotted.stderr
     assert (folder / "plots" / "ticks.png").exists()

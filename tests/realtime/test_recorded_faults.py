@@ -10,7 +10,7 @@ from faulty_robots import FaultyRobot
 from rerun.chunk import RrdReader
 from small_scenes import make_scene
 
-from warpmpc import History, PlannerProcess, RobotLoop, TickRecorder, simulated_robot
+from warpmpc import History, PlannerProcess, RobotLoop, TickRecorder, replay_real_time, simulated_robot
 from warpmpc.record.tick_recording import record_ticks
 
 SPEED = 0.1
@@ -27,7 +27,7 @@ def logged_text(path, at) -> list[str]:
 
 def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
     scene = make_scene(plant={"randomize": False}, engine={"threads": 1})
-    with PlannerProcess(scene, speed=SPEED, engine="mujoco", device="cpu") as planner:
+    with PlannerProcess(scene, speed=SPEED, engine="mujoco", device="cpu", log=True) as planner:
         robot = FaultyRobot(simulated_robot(scene, task=planner.task, compiled=planner.compiled))
         recorder = TickRecorder(robot.plant)
         loop = RobotLoop(scene, robot, planner, speed=SPEED, simulated=True, recorder=recorder)
@@ -44,7 +44,7 @@ def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
         report = loop.report()
     assert fault.end is not None
 
-    recorder.history(report.faults).save(tmp_path / "run.npz")
+    recorder.history(report.faults, planner.log).save(tmp_path / "run.npz")
     history = History.load(tmp_path / "run.npz")
     ticks = history.ticks
     assert len(ticks.plan) == report.ticks  # nothing is lost
@@ -58,6 +58,13 @@ def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
     for moment in history.time[1:][~ticks.following]:  # a busy machine may bring faults of its own
         assert moment < 0.4 or any(start <= moment <= end for start, end in told)
     assert ticks.faults == report.faults
+
+    made = history.made
+    assert set(made.life.tolist()) == {0, 1}
+    assert set(ticks.plan[ticks.plan >= 0].tolist()) <= set(made.number.tolist())  # no plan of the killed one is lost
+    again = replay_real_time(history)
+    assert again.plans.same, again.plans.first
+    assert again.commands.same, again.commands.first
     record_ticks(tmp_path / "run.rrd", history, robot.plant)
     said = logged_text(tmp_path / "run.rrd", "/faults")
     assert any(fault.why in line for line in said)

@@ -70,7 +70,8 @@ def run_real_time(
                 terms = partial(load_terms, [path.absolute() for path in term_files]) if term_files else None
                 for seed in seeds:
                     recorder = TickRecording() if outputs.any else None
-                    results.append(run_real_time(scene, seed=seed, terms=terms, recorder=recorder, **options))
+                    options |= {"recorder": recorder, "log": outputs.any}
+                    results.append(run_real_time(scene, seed=seed, terms=terms, **options))
                     if recorder is not None:
                         recorder.save(outputs, results[-1])
                     if folder is not None:
@@ -104,7 +105,7 @@ class TickRecording:
             OSError: If one cannot be written.
             ValueError: If the name of one is not that of such a file.
         """
-        history = self._recorder.history(result.report.faults)
+        history = self._recorder.history(result.report.faults, result.made)
         outputs.save(history, result.seed)
         for path in outputs.recordings(result.seed):
             from ..record.tick_recording import record_ticks  # slow to import

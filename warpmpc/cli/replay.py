@@ -44,28 +44,37 @@ def _replay_one(file: Path, terms: Sequence, said: set[str], out: TextIO) -> boo
         ValueError: If the file is no history that can be replayed.
     """
     from ..record.history import History
-    from ..record.replay import replay as replay_log
 
-    log = History.load(file).log
-    if log is None:
+    history = History.load(file)
+    if history.log is not None:
+        from ..record.replay import replay as replay_log
+
+        about, parts, unknown = history.log.origin, [replay_log(history.log, terms=terms)], 0
+    elif history.made is not None:
+        from ..record.real_time_replay import replay_real_time
+
+        whole = replay_real_time(history, terms=terms)
+        about, parts, unknown = history.made.origin, [whole.plans, whole.commands], whole.unknown
+    else:
         raise ValueError(
-            f"{file}: has no log of what its plans were made from (an older warpmpc, or a run in real time): run it "
-            "again with --npz or --out"
+            f"{file}: has no log of what its plans were made from (an older warpmpc): run it again with --npz or --out"
         )
-    found = replay_log(log, terms=terms)
-    for difference in found.differences:
+    for difference in parts[0].differences:
         if difference not in said:
             print(f"otherwise than in the log: {difference}", file=out)
             said.add(difference)
-    about = log.origin
+    agreed = " and ".join(f"{part.agree.sum()} of {len(part.agree)} {part.what}s" for part in parts)
     print(
         f"{file.name}: {about['scene']}{':' + about['variant'] if about['variant'] else ''}, seed {about['seed']}, "
-        f"{about['engine']} on {about['device']}, {about['samples']} samples: "
-        f"{found.agree.sum()} of {len(log)} commands agree bit for bit",
+        f"{about['engine']} on {about['device']}, {about['samples']} samples: {agreed} agree bit for bit",
         file=out,
     )
-    if not found.same:
-        print(f"  first that differs: {found.first}", file=out)
-        if found.differences:
-            print("  versions, source or hardware are not those of the log: then bits may differ", file=out)
-    return found.same
+    for part in parts:
+        if not part.same:
+            print(f"  first that differs: {part.first}", file=out)
+    if unknown:
+        print(f"  the log lacks the plans of {unknown} commands", file=out)
+    same = all(part.same for part in parts)
+    if not same and parts[0].differences:
+        print("  versions, source or hardware are not those of the log: then bits may differ", file=out)
+    return same

@@ -45,8 +45,26 @@ class Planner(Protocol):
 class TickLogger(Protocol):
     """What takes note of every tick, such as :class:`warpmpc.TickRecorder`."""
 
-    def log(self, control: np.ndarray | None, timed: TimedPlan | None, *, following: bool, late: float) -> None:
-        """Take note of what was sent, of the newest plan, and of how late the tick was [s]; returns at once."""
+    def log(
+        self,
+        control: np.ndarray | None,
+        timed: TimedPlan | None,
+        *,
+        seen: State,
+        now: float,
+        following: bool,
+        late: float,
+    ) -> None:
+        """Take note of a tick; returns at once.
+
+        Args:
+            control: What was sent ``[nu]``, None where nothing was.
+            timed: The newest plan, None before the first.
+            seen: What was observed.
+            now: The robot's clock [s].
+            following: Whether the control came from the plan.
+            late: How late the tick was, in wall time [s].
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +145,8 @@ class RobotLoop:
             self._number = timed.number
             self._plans += 1
             self._latencies.append((1e3 * timed.latency, timed.plan_ms))
-        control = self.agent.command(state, timed, self.now)
+        now = self.now
+        control = self.agent.command(state, timed, now)
         if self.agent.trusts_observation:
             self.planner.observe(Sighting(state, self._last, self.agent.following))
         if control is not None:
@@ -136,7 +155,8 @@ class RobotLoop:
         self._ticks += 1
         if self._recorder is not None:
             late = self.pace.late[-1] if self.pace.late else 0.0
-            self._recorder.log(control, timed, following=self.agent.following, late=late)
+            following = self.agent.following
+            self._recorder.log(control, timed, seen=state, now=now, following=following, late=late)
         return control
 
     def run(self, until: Callable[[], bool]) -> RealTimeReport:

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.state import State
+from .journal import Journal
 from .letters import Sighting, TimedPlan
 from .predictor import Predictor
+from .real_time_log import RealTimeLog
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -33,9 +35,18 @@ class Planning:
         speed: The robot's seconds in a second of wall time.
         latency: Time from observation to plan to expect, on the robot's clock [s]; as it is measured if None.
         number: Number of the first plan.
+        journal: Takes note of every plan.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0, latency: float | None = None, number: int = 0):
+    def __init__(
+        self,
+        controller: Controller,
+        *,
+        speed: float = 1.0,
+        latency: float | None = None,
+        number: int = 0,
+        journal: Journal | None = None,
+    ):
         if controller.envs != 1:
             raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
         self.controller, self._speed, self._given = controller, speed, latency
@@ -47,6 +58,7 @@ class Planning:
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._timed: TimedPlan | None = None  # the newest that is followed
         self._number = number  # of the next plan
+        self._journal = journal
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -63,15 +75,21 @@ class Planning:
             return self._given
         return float(np.median(self._latencies)) if self._latencies else 0.0
 
-    def plan(self, sighting: Sighting) -> TimedPlan | None:
-        """The plan from an observation; None for one that is not finite."""
+    def plan(self, sighting: Sighting, *, reach: float | None = None) -> TimedPlan | None:
+        """The plan from an observation; None for one that is not finite.
+
+        Args:
+            sighting: The observation.
+            reach: How far to predict it forward [s]; by :attr:`latency` if None.
+        """
         controller, state = self.controller, sighting.state
         if not all(np.isfinite(part).all() for part in (state.joint_q, state.joint_qd, state.time)):
             return None
         if sighting.task is not None:
             controller.task.follow(sighting.task)
+        reach = min(self.latency, self._longest) if reach is None else reach
         if self._predict is not None:
-            state = self._predict(state, self._acting(sighting), min(self.latency, self._longest))
+            state = self._predict(state, self._acting(sighting), reach)
         plan = controller.plan(state)
         latency = self._speed * (time.monotonic() - sighting.stamp)
         self._latencies.append(latency)
@@ -79,6 +97,8 @@ class Planning:
         timed = TimedPlan(plan, self._number, sighting.state.time, latency, info.plan_ms, not info.fallback)
         self._number += 1
         self._timed = timed if timed.survived else self._timed
+        if self._journal is not None:
+            self._journal.note(sighting, reach, timed)  # before anybody can follow it
         return timed
 
     def _acting(self, sighting: Sighting) -> Callable[[float], np.ndarray]:
@@ -116,10 +136,13 @@ class PlannerThread:
     Args:
         controller: Makes the plans.
         speed: The robot's seconds in a second of wall time.
+        log: Whether to keep what every plan was made from, for :attr:`log`.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0):
-        self.controller, self._planning = controller, Planning(controller, speed=speed)
+    def __init__(self, controller: Controller, *, speed: float = 1.0, log: bool = False):
+        self._rows: list[np.ndarray] = []
+        self._journal = Journal(controller, self._rows.append) if log else None
+        self.controller, self._planning = controller, Planning(controller, speed=speed, journal=self._journal)
         self._stop = threading.Event()
         self._sighting: Sighting | None = None
         self._taken: Sighting | None = None
@@ -130,6 +153,14 @@ class PlannerThread:
     def task(self) -> Task:
         """The task, shared with the controller."""
         return self.controller.task
+
+    @property
+    def log(self) -> RealTimeLog | None:
+        """What the plans so far were made from, for :func:`warpmpc.replay_real_time`; None where it is not kept."""
+        if self._journal is None:
+            return None
+        width = sum(int(np.prod(shape)) for shape in self._journal.about["shapes"].values())
+        return RealTimeLog.of(self._journal.about, [np.reshape(self._rows, (-1, width))])
 
     def __enter__(self) -> PlannerThread:
         self._thread.start()

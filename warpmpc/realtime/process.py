@@ -7,10 +7,12 @@ import logging
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -21,6 +23,7 @@ from ..planner.feedback import StateSpace
 from ..scene.errors import SceneError
 from ..scene.schema import Refinement
 from ..task.task import Task, task_layout
+from .journal import FileJournal, read_journals
 from .last_words import LastWords
 from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
 from .mailbox import Mailbox
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
     from ..cost.term import UserTerm
     from ..scene.schema import Scene
+    from .real_time_log import RealTimeLog
 
 logger = logging.getLogger("warpmpc")
 
@@ -53,6 +57,8 @@ class _Order:
     terms: MakeTerms | None
     speed: float
     knots: int
+    journals: str | None
+    """Folder for what is noted of plans."""
 
 
 class PlannerProcess:
@@ -74,6 +80,8 @@ class PlannerProcess:
         task: What the run wants: what is changed there takes effect at the next plan; one of its own if None.
         compiled: The scene compiled earlier, to save doing it again.
         speed: The robot's seconds in a second of wall time.
+        log: Whether to keep what every plan was made from, for :attr:`log`. The planner notes it in a temporary file,
+            which what becomes of the planner takes nothing from, and which costs the robot's loop nothing.
 
     Raises:
         SceneError: If the scene has point clouds: they do not travel between processes yet.
@@ -90,6 +98,7 @@ class PlannerProcess:
         task: Task | None = None,
         compiled: CompiledScene | None = None,
         speed: float = 1.0,
+        log: bool = False,
     ):
         if scene.cloud:
             message = "point clouds do not travel between processes yet: run the scene without --real-time"
@@ -98,7 +107,10 @@ class PlannerProcess:
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
         knots = max(scene.planner.knots or 0, scene.planner.horizon)
-        self._order = _Order(scene, seed, engine, device, terms, speed, knots)
+        self._folder = tempfile.TemporaryDirectory(prefix="warpmpc_plans_") if log else None
+        journals = self._folder and self._folder.name
+        self._log: RealTimeLog | None = None
+        self._order = _Order(scene, seed, engine, device, terms, speed, knots, journals)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
         self._sightings = SightingCodec(self.layout, self.task.block.shape[1])
         self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
@@ -121,6 +133,8 @@ class PlannerProcess:
             self._await()
         except BaseException:
             self._process.kill()
+            if self._folder is not None:
+                self._folder.cleanup()
             raise
         self._born = time.monotonic()
         self._keeper = threading.Thread(target=self._keep, daemon=True)
@@ -132,6 +146,18 @@ class PlannerProcess:
             self._closed.set()
             self._process.kill()
         self._keeper.join()
+        if self._folder is not None:
+            self._log = self.log
+            self._folder.cleanup()
+            self._folder = None
+            last = -1 if self._log is None or not len(self._log) else int(self._log.number[-1])
+            if self._timed is not None and last < self._timed.number:
+                logger.error("plans after number %d could not be logged: is the disk full?", last)
+
+    @property
+    def log(self) -> RealTimeLog | None:
+        """What the plans so far were made from, for :func:`warpmpc.replay_real_time`; None where it is not kept."""
+        return self._log if self._folder is None else read_journals(Path(self._folder.name))
 
     @property
     def pid(self) -> int:
@@ -224,7 +250,11 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, wor
         task = controller.task.block.shape[1]
         sightings = SightingCodec(controller.layout, task)
         plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
-        planning = Planning(controller, speed=order.speed, number=planned.sent)
+        journal = None
+        if order.journals is not None:
+            folder = Path(order.journals)
+            journal = FileJournal(controller, folder / f"{len(list(folder.iterdir())):04d}")
+        planning = Planning(controller, speed=order.speed, number=planned.sent, journal=journal)
         ready.send(None)
     except Exception as error:
         ready.send(error)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..realtime.real_time_log import RealTimeLog
 from .plan_log import PlanLog, PlanLogger
 from .tick_log import TickLog
 
@@ -76,6 +77,8 @@ class History:
     """What the plans were made from, for :func:`warpmpc.replay`; None in files of older versions and in real time."""
     ticks: TickLog | None = None
     """What the agent did in real time, where each row is a tick; None elsewhere."""
+    made: RealTimeLog | None = None
+    """What the plans in real time were made from, for :func:`warpmpc.replay_real_time`; None where it was not kept."""
 
     def columns(self) -> dict[str, np.ndarray]:
         """Everything as columns of N + 1 numbers by name; plans, which the last state lacks, are NaN there.
@@ -127,9 +130,8 @@ class History:
 
     def _logs(self) -> dict[str, np.ndarray]:
         """The logs as arrays."""
-        return {
-            name: array for log in (self.log, self.ticks) if log is not None for name, array in log.to_arrays().items()
-        }
+        logs = [log for log in (self.log, self.ticks, self.made) if log is not None]
+        return {name: array for log in logs for name, array in log.to_arrays().items()}
 
     @classmethod
     def load(cls, path: str | Path) -> History:
@@ -145,13 +147,15 @@ class History:
                 later = {"beta": np.full(plans, np.nan), "eta": np.full(plans, np.nan)}
                 later |= {"goal_error": np.zeros((states, 0)), "error_names": np.zeros(0, dtype=str)}
                 found = {name: data[name] if name in data or name not in later else later[name] for name in NAMES}
-                logs = {"log": PlanLog.from_arrays(data), "ticks": TickLog.from_arrays(data)}
+                logs = {name: kind.from_arrays(data) for name, kind in LOGS.items()}
         except (KeyError, ValueError, AttributeError, TypeError) as error:
             raise ValueError(f"{path}: is no history of a run: {error}") from None
         return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()}, **logs)
 
 
-NAMES = tuple(field.name for field in fields(History) if field.name not in ("log", "ticks"))
+LOGS = {"log": PlanLog, "ticks": TickLog, "made": RealTimeLog}
+"""Kinds of a history's logs."""
+NAMES = tuple(field.name for field in fields(History) if field.name not in LOGS)
 """Names of a history's arrays."""
 
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..controller.provenance import provenance
 from ..model.state import State
-from ..origin import origin
-from ..scene.dump import dump_scene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -130,24 +129,8 @@ class PlanLogger:
             name: np.array(column, dtype=dtype).reshape(count, *shape)
             for name, column, shape, dtype in zip(PARTS, columns, widths, dtypes, strict=True)
         }
-        return PlanLog(origin=self._origin(), clouds=self._clouds, **parts)
-
-    def _origin(self) -> dict[str, Any]:
-        controller = self._controller
-        scene = controller.scene
-        about = {
-            "scene": scene.name,
-            "variant": scene.variant,
-            "file": None if scene.path is None else str(scene.path),
-            "text": dump_scene(scene),
-            "seed": controller.seed,
-            "engine": controller.engine.name,
-            "device": controller.device,
-            "strategy": controller.strategy,
-            "samples": controller.shape.samples,
-            "from_start": not self._late,
-        }
-        return {**about, **origin(), **self._details}
+        about = {**provenance(controller), "from_start": not self._late, **self._details}
+        return PlanLog(origin=about, clouds=self._clouds, **parts)
 
 
 def _shapes(layout: Layout, task: int) -> list[tuple[int, ...]]:

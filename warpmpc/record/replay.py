@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,19 +25,28 @@ class Replay:
     """What planning again came to."""
 
     logged: np.ndarray
-    """Commands of the log ``[N, nu]``."""
+    """Commands of the log ``[N, nu]``, or numbers of plans."""
     found: np.ndarray
-    """Commands now ``[N, nu]``."""
+    """The same now ``[N, nu]``."""
     time: np.ndarray
     """Times of their observations ``[N]`` [s]."""
     control_names: tuple[str, ...]
+    """Names of the numbers ``[nu]``."""
     differences: tuple[str, ...]
     """What is not as it was: versions, source, hardware. Then the bits may differ."""
+    what: str = "command"
+    """What a row is."""
 
     @property
     def agree(self) -> np.ndarray:
-        """Whether each command is the logged one, bit for bit ``[N]``."""
-        return (self.logged.view(np.uint32) == self.found.view(np.uint32)).all(axis=1)
+        """Whether each row is the logged one, bit for bit ``[N]``."""
+        return ~self._differs.any(axis=1)
+
+    @property
+    def _differs(self) -> np.ndarray:
+        """Whether bits of each number differ ``[N, nu]``."""
+        kind = np.dtype(f"u{self.logged.itemsize}")
+        return self.logged.view(kind) != self.found.view(kind)
 
     @property
     def same(self) -> bool:
@@ -50,10 +59,10 @@ class Replay:
         if self.same:
             return None
         n = int(np.argmin(self.agree))
-        i = int(np.argmax(self.logged[n].view(np.uint32) != self.found[n].view(np.uint32)))
+        i = int(np.argmax(self._differs[n]))
         logged, found = self.logged[n, i], self.found[n, i]
         name = self.control_names[i]
-        return f"command {n} at t = {self.time[n]:.3f} s: {name} was {logged:.9g}, now it is {found:.9g}"
+        return f"{self.what} {n} at t = {self.time[n]:.3f} s: {name} was {logged:.9g}, now it is {found:.9g}"
 
 
 def replay(log: PlanLog, *, terms: Sequence[UserTerm] = ()) -> Replay:
@@ -105,7 +114,15 @@ def logged_scene(log: PlanLog) -> Scene:
     Raises:
         SceneError: If it is none of this warpmpc.
     """
-    about = log.origin
+    return scene_of(log.origin)
+
+
+def scene_of(about: Mapping[str, Any]) -> Scene:
+    """The scene of a log's origin.
+
+    Raises:
+        SceneError: If it is none of this warpmpc.
+    """
     path = about["file"] and Path(about["file"])
     return parse_scene(about["text"], path=path, variant=about["variant"])
 

@@ -25,8 +25,9 @@ def record_ticks(path: str | Path, history: History, plant: Plant) -> None:
 
     Entities: ``/scene/...`` bodies, ``/goal`` where it was at the end, ``/control`` what was sent at each tick,
     ``/plan`` the number of the newest plan, its age and wall time, ``/following`` 1 where the command came from it,
-    ``/late_ms`` of each tick, ``/faults`` of the watchdog as log lines, ``/goal_error`` and ``/contact_force``.
-    Timelines: ``time`` (the plant's) and ``step``, the tick.
+    ``/late_ms`` of each tick, ``/faults`` of the watchdog as log lines, ``/goal_error`` and ``/contact_force``. Where
+    plans were logged ``/cost`` of every term and ``/temperature``, of all plans, at the times of what they were made
+    from. Timelines: ``time`` (the plant's) and ``step``, the tick.
 
     Args:
         path: File to write, ``*.rrd``; an existing file is replaced.
@@ -46,7 +47,7 @@ def record_ticks(path: str | Path, history: History, plant: Plant) -> None:
     recording.set_log_tick_enabled(False)
     recording.set_log_time_enabled(False)
     try:
-        recording.save(path, default_blueprint=_blueprint(plant, centre, radius))
+        recording.save(path, default_blueprint=_blueprint(plant, centre, radius, costs=history.made is not None))
         draw_scene(recording, plant, reach=2.0 * radius)
         recording.log("/goal", rr.Transform3D(translation=goal[:3], quaternion=goal[3:]), static=True)
         for name in layout.movable:
@@ -86,6 +87,8 @@ def _send(recording: rr.RecordingStream, history: History, plant: Plant) -> None
             scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float)[keep])
             steps = np.flatnonzero(keep)
             recording.send_columns(at, _indexes(history.time[:-1][keep], steps), scalars)
+    if history.made is not None:
+        _send_costs(recording, history)
     for fault in ticks.faults:
         recording.set_time("time", duration=fault.start)
         recording.log("/faults", rr.TextLog(f"{fault.why}; sending the safe command", level="WARN"))
@@ -94,16 +97,30 @@ def _send(recording: rr.RecordingStream, history: History, plant: Plant) -> None
             recording.log("/faults", rr.TextLog(fault.recovery, level="INFO"))
 
 
+def _send_costs(recording: rr.RecordingStream, history: History) -> None:
+    """What all plans came to, those that no tick saw among them."""
+    made = history.made
+    curves = {entity_path("cost", name): cost for name, cost in zip(made.term_names, made.terms.T, strict=True)}
+    curves |= {"/cost/total": made.cost, "/temperature/beta": made.beta, "/temperature/eta": made.eta}
+    steps = np.clip(np.searchsorted(history.time, made.time), 0, len(history.time) - 1)
+    for at, values in curves.items():
+        keep = np.isfinite(values)
+        if keep.any():
+            indexes = _indexes(made.time[keep], steps[keep])
+            recording.send_columns(at, indexes, rr.Scalars.columns(scalars=values[keep]))
+
+
 def _indexes(time: np.ndarray, steps: np.ndarray | None = None) -> list[rr.TimeColumn]:
     steps = np.arange(len(time)) if steps is None else steps
     nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
     return [rr.TimeColumn("time", duration=nanoseconds), rr.TimeColumn("step", sequence=steps)]
 
 
-def _blueprint(plant: Plant, centre: np.ndarray, radius: float) -> rrb.Blueprint:
-    """The scene on the left; what was sent, from which plan, and what went wrong on the right."""
+def _blueprint(plant: Plant, centre: np.ndarray, radius: float, *, costs: bool) -> rrb.Blueprint:
+    """The scene on the left; what plans cost, what was sent, from which plan, and what went wrong on the right."""
     ground = None if plant.scene.ground is None else plant.scene.ground.height
     right = rrb.Vertical(
+        *([series("cost of the best rollout", "cost")] if costs else []),
         series("control", "control"),
         series("1: follows the plan, 0: safe command", "following"),
         series("age of the plan [ms]", "plan/age_ms"),

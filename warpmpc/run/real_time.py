@@ -17,6 +17,7 @@ from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
     from ..plant.simulated import Plant
+    from ..realtime.real_time_log import RealTimeLog
     from ..scene.schema import Scene
 
 
@@ -40,6 +41,8 @@ class RealTimeResult:
     """Length of a planned control [s]."""
     report: RealTimeReport
     """Rates, jitter, latencies, faults."""
+    made: RealTimeLog | None = None
+    """What the plans were made from, where it was to be logged."""
 
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys."""
@@ -78,6 +81,7 @@ def run_real_time(
     speed: float = 1.0,
     check: Callable[[], None] = lambda: None,
     recorder: Callable[[Plant], TickLogger] | None = None,
+    log: bool = False,
 ) -> RealTimeResult:
     """Run one episode of a scene in real time, with the planner in a process of its own.
 
@@ -91,6 +95,7 @@ def run_real_time(
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
         recorder: Makes what takes note of every tick, from the simulated robot, such as
             :class:`~warpmpc.TickRecorder`.
+        log: Whether to keep what every plan was made from.
 
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
@@ -104,7 +109,7 @@ def run_real_time(
     fitted = fit_samples(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], fitted.planner.samples)
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
-    with PlannerProcess(drawn, speed=speed, **options) as planner:
+    with PlannerProcess(drawn, speed=speed, log=log, **options) as planner:
         robot = simulated_robot(drawn, seed=seed, task=planner.task, terms=made, compiled=planner.compiled)
         made_recorder = recorder(robot) if recorder else None
         loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True, recorder=made_recorder)
@@ -130,4 +135,5 @@ def run_real_time(
         wall_time=loop.wall,
         period=scene.timing.control_dt,
         report=report,
+        made=planner.log,
     )
