@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.heightfields import heightfields
 from ..model.layout import IDENTITY, WORLD
 from ..record.recorder import BEST_COLOR, FORCE_COLOR, FORCE_LENGTH, FORCE_LENGTH_MAX
 from ..record.shapes import (
@@ -82,6 +83,10 @@ class Drawing:
                 mesh = self._add(f"{parent}/{entity.name}_{i}", shape, layout, shape.pose)
                 if mesh is not None and shape.body != WORLD:
                     pulls(self._session, mesh, layout.body_name[shape.body], self._radius)
+        for surface in heightfields(plant.model):
+            ground = tuple(int(255 * c) for c in GROUND_COLOR)
+            at = f"/world/{surface.name}"
+            scene.add_mesh_simple(at, surface.points, surface.triangles, color=ground, side="double")
         self._mark_poses(layout)
         self._points = [ContactPoints(layout, pair.first, pair.second) for pair in plant.pairs]
         self._lines: dict[str, viser.LineSegmentsHandle | viser.ArrowHandle] = {}

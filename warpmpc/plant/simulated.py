@@ -33,6 +33,8 @@ from .monitor import Monitor
 from .motion import Motions
 
 if TYPE_CHECKING:
+    import mujoco
+
     from ..cost.term import UserTerm
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
@@ -257,11 +259,16 @@ class Plant:
         qd = state.joint_qd + self._rng.normal(0.0, noise.velocity, state.joint_qd.shape)
         return replace(state, joint_q=q.astype(np.float32), joint_qd=qd.astype(np.float32))
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The MuJoCo model that is stepped, with the plant's own properties; not to be changed."""
+        return self._engine.models[self._index]
+
     def _camera(self, camera: Camera, seed: int) -> DepthCamera:
         """A camera in this plant's world."""
         robots = {entity.name for entity in self.layout.entities if entity.kind == "robot"}
         shapes = zip(self.layout.shapes, self.compiled.geom_name, strict=True)
-        model = self._engine.models[self._index]
+        model = self.model
         own = [model.geom(name).id for shape, name in shapes if name and shape.entity in robots]
         return DepthCamera(camera, model, own, seed=seed)
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from ..model.heightfields import heightfields
 from ..model.layout import IDENTITY, WORLD
-from .shapes import GHOST, body_path, draw_shape, entity_path, resized, shown_shapes
+from .shapes import GHOST, body_path, draw_shape, entity_path, resized, shown_shapes, terrain
 
 if TYPE_CHECKING:
     from ..plant.simulated import Plant
@@ -35,6 +36,8 @@ def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> 
             if entity.movable:  # the entity is where the task puts it, its shape at its origin
                 shape = replace(shape, pose=IDENTITY)
             draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
+    for surface in heightfields(plant.model):
+        recording.log(entity_path("scene", *surface.name.split("/")), terrain(surface), static=True)
     if goal is not None and goal.object is not None:
         for shape in shown_shapes(layout, layout.entity(goal.object)):
             draw_shape(recording, "/goal" + entity_path(shape.name), shape, layout, reach=reach, opacity=GHOST)

@@ -12,6 +12,7 @@ import rerun as rr
 from ..model.layout import WORLD
 
 if TYPE_CHECKING:
+    from ..model.heightfields import Surface
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..model.properties import Properties
     from ..scene.schema_cloud import Cloud
@@ -152,6 +153,16 @@ def _geometry(shape: ShapeInfo, layout: Layout, reach: float, opacity: float) ->
         triangle_indices=triangles,
         vertex_normals=_normals(points, triangles),
         albedo_factor=color,
+    )
+
+
+def terrain(surface: Surface) -> rr.Mesh3D:
+    """A heightfield as rerun draws it, in the world."""
+    return rr.Mesh3D(
+        vertex_positions=surface.points,
+        triangle_indices=surface.triangles,
+        vertex_normals=_normals(surface.points, surface.triangles),
+        albedo_factor=[*GROUND_COLOR, 1.0],
     )
 
 
