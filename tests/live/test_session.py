@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,17 @@ def test_what_is_ahead_costs_what_the_plan_says(source):
     np.testing.assert_allclose(summed, list(controller.info.terms.values()), rtol=1e-3, atol=1e-4)
     assert ahead.times[0] == controller.info.time
     assert ahead.control.shape == (controller.shape.horizon, plant.layout.nu)
+
+
+def test_a_plan_that_fell_back_has_no_rollouts_to_look_at():
+    session = Session("cylinder_push", overrides=FAST, device="cpu")
+    seen, fan = session.plant.observe(), session._fan
+    session.controller.step(seen)
+    fan.look()
+    assert fan.ways.fan.shape[0] == len(fan.ways.colors) == 16
+    session.controller.step(replace(seen, joint_q=seen.joint_q * np.nan))
+    fan.look()  # costs of the plan before are still there
+    assert (fan.ways, fan.forecast) == (None, None)
 
 
 def test_pause_holds_and_a_single_step_is_one_step(session):

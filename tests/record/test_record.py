@@ -19,14 +19,11 @@ from warpmpc.model.compiled import compile_scene
 from warpmpc.model.layout import ShapeInfo
 from warpmpc.model.state import State
 from warpmpc.plant.simulated import Plant
-from warpmpc.record.recorder import (
-    COLORS,
-    FORCE_LENGTH,
-    ROWS,
-    Recorder,
-)
+from warpmpc.record.forces import FORCE_LENGTH
+from warpmpc.record.recorder import ROWS, Recorder
 from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
 from warpmpc.record.switch import RecordingSwitch
+from warpmpc.record.ways import COLORS
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.schema_cloud import Cloud
 

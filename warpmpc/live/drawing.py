@@ -9,7 +9,7 @@ import numpy as np
 
 from ..model.heightfields import heightfields
 from ..model.layout import IDENTITY, WORLD
-from ..record.recorder import BEST_COLOR, FORCE_COLOR, FORCE_LENGTH, FORCE_LENGTH_MAX
+from ..record.forces import FORCE_COLOR, arrows
 from ..record.shapes import (
     DEFAULT_COLOR,
     GHOST,
@@ -19,6 +19,7 @@ from ..record.shapes import (
     scene_bounds,
     shown_shapes,
 )
+from ..record.ways import BEST_COLOR
 from ..task.goal import GOAL
 from .fan import segments
 from .gizmos import Gizmo, place, pulls, split
@@ -185,21 +186,18 @@ class Drawing:
             line.colors = colors
 
     def _draw_forces(self, snapshot: Snapshot) -> None:
-        size = np.linalg.norm(snapshot.forces, axis=1)
-        touching = np.flatnonzero(size > SMALLEST_FORCE)
+        touching, start, vectors = arrows(snapshot.forces, self._points, snapshot.body_q, smallest=SMALLEST_FORCE)
+        at = "/contact"
         if not len(touching):
-            self._hide("/contact")
+            self._hide(at)
             return
-        start = np.array([self._points[i](snapshot.body_q) for i in touching])
-        length = np.minimum(FORCE_LENGTH * size[touching], FORCE_LENGTH_MAX)
-        end = start + snapshot.forces[touching] * (length / size[touching])[:, None]
-        points, thin, arrows = np.stack([start, end], axis=1).astype(np.float32), 0.01 * self._radius, "/contact"
-        line = self._lines.get(arrows)
+        points, thin = np.stack([start, start + vectors], axis=1).astype(np.float32), 0.01 * self._radius
+        line = self._lines.get(at)
         if line is not None and line.points.shape == points.shape:
             line.points, line.visible = points, True
             return
-        self._lines[arrows] = self._scene.add_arrows(
-            arrows, points, FORCE_COLOR, shaft_radius=thin, head_radius=2.0 * thin, head_length=4.0 * thin
+        self._lines[at] = self._scene.add_arrows(
+            at, points, FORCE_COLOR, shaft_radius=thin, head_radius=2.0 * thin, head_length=4.0 * thin
         )
 
     def _hide(self, *names: str) -> None:

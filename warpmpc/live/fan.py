@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..record.recorder import COLORS, acting_frames
-from ..record.shapes import rotate
+from ..record.ways import acting_frames, choose_rollouts, ways_of
 from .forecast import Forecast, Forecaster
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
-
-FAN = 24
-"""Sampled rollouts to draw, spread evenly over the costs' ranking."""
 
 
 @dataclass(frozen=True)
@@ -56,20 +52,12 @@ class Fan:
     def look(self) -> None:
         """See what the last plan came to."""
         controller = self._controller
-        cost = controller.engine.cost.numpy()[0]
-        ranked = np.argsort(cost)
-        ranked = ranked[np.isfinite(cost[ranked])]
-        if not len(ranked):
+        worlds, packed = choose_rollouts(controller)
+        if not len(worlds):
             self.clear()
             return
-        chosen = ranked[np.linspace(0, len(ranked) - 1, min(FAN, len(ranked))).astype(int)]
-        high = cost[ranked[int(0.9 * (len(ranked) - 1))]]
-        cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
-        packed = COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
-        worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
         seen = controller.engine.record(worlds)
-        pose = seen.body_q[:, :, self._body]  # [T+1, 1+n, F, 7]
-        ways = (pose[..., :3] + rotate(pose[..., 3:], self._place)).transpose(1, 2, 0, 3).astype(np.float32)
+        ways = ways_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
         colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
         self.ways = Ways(ways[0], ways[1:], colors)
         self.forecast = self._forecaster(seen)

@@ -17,9 +17,11 @@ import rerun as rr
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
+from .forces import FORCE_COLOR, arrows
 from .history import turning
 from .scene_drawing import draw_scene, writable
-from .shapes import ContactPoints, body_path, entity_path, rotate, scene_bounds, thinned
+from .shapes import ContactPoints, body_path, entity_path, scene_bounds, thinned
+from .ways import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, predicted_lanes, ways_of
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -29,34 +31,11 @@ logger = logging.getLogger("warpmpc")
 
 ROWS = 20
 """Steps that are written to the file together: as much as a killed run can lose."""
-FORCE_LENGTH = 0.005
-"""Length of a force's arrow [m/N]."""
-FORCE_LENGTH_MAX = 1.0
-"""Longest arrow [m]; its label tells the force."""
-BEST_COLOR = (255, 60, 60)
-FORCE_COLOR = (255, 140, 0)
 CLOUD_COLOR = (120, 190, 220)
 CLOUD_RADIUS = 0.2
 """Half the width of a cloud's points, in voxels."""
-LANE, LANE_LENGTH = 2.5, 10.0
-"""Distance of the lanes of predicted controls, and how long they are."""
 LINE_RADIUS = {"samples": -0.75, "best": -2.5}
 """Half the width of the rollouts' lines; rerun takes negative numbers as points on the screen."""
-
-_VIRIDIS = (0x440154, 0x472C7A, 0x3B518B, 0x2C718E, 0x21908D, 0x27AD81, 0x5CC863, 0xAADC32, 0xFDE725)
-"""The colour map viridis (matplotlib, CC0) at nine equal steps, from costly to cheap."""
-
-
-def _color_table(size: int = 256) -> np.ndarray:
-    """Packed colours ``[size]`` (red, green, blue, alpha from the highest byte)."""
-    anchors = np.array(_VIRIDIS)
-    at = np.linspace(0.0, len(anchors) - 1.0, size)
-    channel = [np.interp(at, np.arange(len(anchors)), (anchors >> shift) & 0xFF) for shift in (16, 8, 0)]
-    red, green, blue = (c.astype(np.uint32) for c in channel)
-    return (red << 24) | (green << 16) | (blue << 8) | 0xFF
-
-
-COLORS = _color_table()
 
 
 class Recorder:
@@ -89,7 +68,7 @@ class Recorder:
         ValueError: If the file's name does not end in ``.rrd``, or ``fan`` is negative.
     """
 
-    def __init__(self, path: str | Path, controller: Controller, plant: Plant, *, fan: int = 24):
+    def __init__(self, path: str | Path, controller: Controller, plant: Plant, *, fan: int = FAN):
         if fan < 0:
             raise ValueError(f"fan is a number of rollouts, not {fan}")
         self.path = writable(path)
@@ -229,10 +208,7 @@ class Recorder:
         if plant.pairs and plant.steps:
             force[:] = plant.forces
         size = np.linalg.norm(force, axis=1)
-        touching = np.flatnonzero(size > CONTACT_FORCE)
-        origins = np.array([self._points[i](body_q) for i in touching]).reshape(-1, 3)
-        length = np.minimum(FORCE_LENGTH * size[touching], FORCE_LENGTH_MAX)
-        vectors = force[touching] * (length / size[touching])[:, None]
+        touching, origins, vectors = arrows(force, self._points, body_q, smallest=CONTACT_FORCE)
         labels = [f"{size[i]:.1f} N" for i in touching]
         errors = [] if error is None else [error.position, *(getattr(error, name) for name in self._turning)]
         values = [*errors, *size]
@@ -240,30 +216,13 @@ class Recorder:
 
     def _take_plan(self, control: np.ndarray) -> None:
         info = self._controller.info
-        worlds, colors = self._choose()
+        worlds, colors = choose_rollouts(self._controller, self._fan)
         rollouts = self._controller.engine.record(worlds)
         poses = rollouts.body_q[:, :, self._frames[0]]
         lanes = predicted_lanes(self._controller, rollouts.control[:, 0]) if len(worlds) else None
         values = [*info.terms.values(), info.cost, info.beta, info.eta, *control]
         values += [info.plan_ms, 1e3 * self._dt, *info.stages_ms.values(), info.diverged_worlds]
         self._plans.append((self._plant.steps - 1, values, poses, colors, lanes))
-
-    def _choose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Worlds of the best rollout and of the fan ``[1+n]``, and colours of the fan ``[n]``.
-
-        None when the plan fell back to the safe command: then there is no rollout worth looking at.
-        """
-        controller = self._controller
-        cost = controller.engine.cost.numpy()[0]
-        ranked = np.argsort(cost)
-        ranked = ranked[np.isfinite(cost[ranked])]
-        if controller.info.fallback or not len(ranked):
-            return np.zeros(0, dtype=int), np.zeros(0, dtype=np.uint32)
-        rows = np.linspace(0, len(ranked) - 1, min(self._fan, len(ranked))).astype(int)
-        chosen, high = ranked[rows], cost[ranked[int(0.9 * (len(ranked) - 1))]]
-        cheap = np.clip((high - cost[chosen]) / max(high - cost[ranked[0]], 1e-9), 0.0, 1.0)
-        worlds = np.concatenate([[controller.info.best], chosen * controller.shape.domains])
-        return worlds, COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
 
     # ---- to the file
 
@@ -310,8 +269,7 @@ class Recorder:
         self._send_curves(self._curves[: self._plan_curves], steps, values)
         best = np.concatenate([np.arange(p.shape[1]) == 0 for p in poses])  # the first of each row
         pose = np.concatenate(poses, axis=1)  # [T+1, rollouts of all rows, F, 7]
-        ways = pose[..., :3] + rotate(pose[..., 3:], self._frames[1])
-        ways = ways.transpose(1, 2, 0, 3).astype(np.float32)  # [rollouts, F, T+1, 3]
+        ways = ways_of(pose, self._frames[1])  # [rollouts, F, T+1, 3]
         lengths = np.array([p.shape[1] for p in poses])
         lines = rr.LineStrips3D.columns(strips=ways[best].reshape(-1, *ways.shape[2:]))
         send("/rollouts/best", indexes, lines.partition(frames * np.minimum(lengths, 1)))
@@ -336,28 +294,3 @@ class Recorder:
             rows = indexes if keep.all() else self._indexes(np.array(steps)[keep])
             column = rr.ComponentColumn(descriptor, rr.components.ScalarBatch(table[keep, i]))
             self._recording.send_columns(at, rows, [column])
-
-
-def predicted_lanes(controller: Controller, control: np.ndarray) -> np.ndarray:
-    """Controls over the horizon ``[T, nu]`` as lines ``[nu, T, 2]``, one lane below the other.
-
-    To the right is time, the horizon :data:`LANE_LENGTH` long; a lane is 2 high, from upper limit down to the lower.
-    """
-    lower, upper = controller.limits
-    times = controller.planner.grid.t[: len(control)]
-    share = 2.0 * (control - lower) / (upper - lower) - 1.0
-    right = np.broadcast_to(LANE_LENGTH * times / controller.planner.grid.t[-1], share.T.shape)
-    down = LANE * np.arange(len(lower))[:, None] - share.T
-    return np.stack([right, down], axis=-1).astype(np.float32)
-
-
-def acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
-    """Body ``[F]`` and place in it ``[F, 3]`` of the goal's target and of what the robots act with."""
-    layout, scene = controller.layout, controller.scene
-    names = [] if scene.goal is None else [scene.goal.target]
-    for robot in scene.robot:
-        last = layout.body_name[layout.entity(robot.name).bodies[-1]]
-        names += [f"{robot.name}/{frame}" for frame in robot.frames] or [last]
-    frames = [layout.frame(name) for name in dict.fromkeys(names)]
-    frames = [frame for frame in frames if layout.frame_body[frame] >= 0]
-    return layout.frame_body[frames], layout.frame_pose[frames, :3]
