@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 viser = pytest.importorskip("viser", reason="needs viser")
@@ -20,10 +21,55 @@ playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.page import require_port, serve  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
+from warpmpc.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
 
 CHROMIUM = Path("/usr/bin/chromium")
-FAST = ["engine.threads=1", "planner.samples=32", "planner.horizon=30"]
+FAST = ["engine.name=fused", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
+POST = """
+[timing]
+control_dt = 0.04
+
+[engine]
+name = "mujoco"
+threads = 1
+
+[[robot]]
+name = "base"
+asset = "point_robot.urdf"
+ground_contact = false
+frames.centre = { link = "base_link" }
+drive = { damping = 300.0, effort_limit = 200.0, limit = 1.0 }
+
+[[obstacle]]
+name = "post"
+shape = "cylinder"
+size = [0.3, 0.3]
+position = [1.0, 0.0, 0.15]
+movable = true
+
+[goal]
+frame = "base/centre"
+position = [1.0, 0.0]
+
+[[cost]]
+term = "distance"
+between = ["base/centre", "goal"]
+planar = true
+
+[[cost]]
+term = "contact_force"
+between = ["base", "obstacles"]
+weight = 10.0
+
+[planner]
+samples = 32
+horizon = 10
+
+[success]
+distance = 0.05
+"""
+"""The goal is in the middle of a post that can be moved; touching it costs."""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT = 60e3
 """Longest wait for a part of the page [ms]; it is drawn without a GPU."""
@@ -53,7 +99,7 @@ def served(tmp_path_factory):
         patch.chdir(tmp_path_factory.mktemp("live"))
         make = viser.ViserServer
         patch.setattr(viser, "ViserServer", lambda **keys: servers.append(make(**keys)) or servers[0])
-        session = Session("cylinder_push", overrides=FAST, engine="fused", device="cpu")
+        session = Session("cylinder_push", overrides=FAST, device="cpu")
         ending = threading.Event()
         where = {"host": "127.0.0.1", "port": port, "ending": ending}
         thread = threading.Thread(target=serve, args=(session,), kwargs=where)
@@ -102,6 +148,17 @@ def session(served, page):
 
 def click(page, name, role="button"):
     page.get_by_role(role, name=name, exact=True).click(force=True, timeout=WAIT)
+
+
+def press(slider, key, *, until):
+    """Press a key on a slider, again where the page did not take it: it may be drawn anew just then."""
+    end = time.monotonic() + 40.0
+    while not until():
+        assert time.monotonic() < end, "the slider does not move"
+        slider.press(key, timeout=WAIT)
+        pause = time.monotonic() + 1.0
+        while not until() and time.monotonic() < pause:
+            time.sleep(0.02)
 
 
 def pixel(served, page, point):
@@ -175,10 +232,7 @@ def test_an_object_that_is_dragged_away_is_brought_back(served, page, session):
 
 def test_a_slider_changes_the_cost_and_is_saved(page, session):
     click(page, "Cost", "tab")
-    slider = page.get_by_role("slider").nth(1)
-    slider.focus(timeout=WAIT)
-    slider.press("ArrowRight")
-    until(lambda: session.controller.task["reach"] > 0.5)
+    press(page.get_by_role("slider").nth(1), "ArrowRight", until=lambda: session.controller.task["reach"] > 0.5)
     click(page, "Scene", "tab")
     click(page, "Save")
     saved = Path.cwd() / "cylinder_push_tuned.toml"
@@ -200,8 +254,26 @@ def test_another_strategy_plans(page, session):
     assert not session.snapshot.message
 
 
+def test_a_recording_is_started_and_stopped(page, session):
+    click(page, "Run", "tab")
+    click(page, "Record")
+    until(lambda: session.snapshot.recording)
+    file, steps = Path(session.snapshot.recording), session.snapshot.steps
+    page.get_by_text(file.name).wait_for(timeout=WAIT)
+    until(lambda: session.snapshot.steps > steps + 3)
+    click(page, "Stop recording")
+    until(lambda: not session.snapshot.recording)
+    recorded = {chunk.entity_path for chunk in RrdReader(file).stream().to_chunks()}
+    assert {"/cost/total", "/rollouts/best", "/scene/discs/cart"} <= recorded
+    page.get_by_role("button", name="Record", exact=True).wait_for(timeout=WAIT)
+
+
 def test_tabs_come_and_go(served, page, browser, session):
+    session.pause()  # what moves is drawn without a GPU, and a page that loads has to wait for it
+    until(lambda: session.snapshot.paused)
     second = opened(browser, served[2])
+    click(second, "Resume")
+    until(lambda: not session.snapshot.paused)
     click(second, "Pause")
     until(lambda: session.snapshot.paused)
     page.get_by_role("tab", name="Run", exact=True).click(force=True, timeout=WAIT)
@@ -211,6 +283,72 @@ def test_tabs_come_and_go(served, page, browser, session):
     second.close()
     steps = session.snapshot.steps
     until(lambda: session.snapshot.steps > steps + 3)
+
+
+def open_costs(page, session):
+    """Open the tab of the costs once the page is that of the session's scene, and wait for all weights."""
+    labels = session.scene.cost_labels
+    page.get_by_text(labels[-1], exact=True).first.wait_for(timeout=WAIT)  # the curves have it, too
+    click(page, "Cost", "tab")
+    page.get_by_role("slider").nth(len(labels) - 1).wait_for(timeout=WAIT)
+
+
+def test_another_scene_is_chosen(page, session):
+    click(page, "Scene", "tab")
+    click(page, "scene", "combobox")
+    click(page, "pendulum", "option")
+    until(lambda: session.snapshot.source == "pendulum" and session.snapshot.steps > 3)
+    assert session.scene.name == "pendulum"
+    assert not session.snapshot.message
+    open_costs(page, session)
+    assert not page.get_by_text("reach", exact=True).count()  # of the other scene
+
+
+@pytest.fixture(scope="module")
+def post(served, page):
+    """A session of a robot beside a post, shown, and a place on the arrows to move the post by."""
+    session = served[0]
+    Path("post.toml").write_text(POST)
+    session.pause()
+    session.switch("post.toml")
+    until(lambda: session.snapshot.source == "post.toml")
+    seen = session.snapshot
+    open_costs(page, session)
+    session.pace = 4.0
+    session.pause(False)
+    return session, 0.85 * 0.3 * scene_bounds(session.plant.layout, seen.body_q, seen.poses["goal"])[1]
+
+
+def place(session):
+    return session.snapshot.body_q[-1, :2]
+
+
+def test_a_post_is_touched_once_the_slider_says_that_it_costs_nothing(page, post):
+    session, _ = post
+    until(lambda: session.snapshot.time > 4.0)
+    assert session.plant.contact.max_force < 1.0
+    slider = page.get_by_role("slider").nth(1)
+    press(slider, "Home", until=lambda: session.controller.task["contact_force"] == 0.0)
+    until(lambda: session.plant.contact.max_force > 100.0)  # it presses on towards the goal
+
+
+def test_a_post_that_is_dragged_away_lets_the_robot_through(served, page, post):
+    session, arrow = post
+    session.set_value("goal", (-1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0))  # no arrows where those of the post are
+    until(lambda: np.linalg.norm(place(session) - (-1.0, -1.0)) < 0.1)
+    session.set_value("contact_force", 10.0)
+    until(lambda: session.controller.task["contact_force"] == 10.0)
+    start = session.snapshot.poses["post"][:3]
+    tip = np.array([arrow, 0.0, 0.0])
+    drag(served, page, start + tip, start + tip + (1.0, 0.0, 0.0))
+    page.mouse.up()
+    until(lambda: session.snapshot.poses["post"][0] > start[0] + 0.8)
+    np.testing.assert_allclose(session.snapshot.poses["post"][1:3], start[1:], atol=0.02)
+    session.reset()
+    session.set_value("goal", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    until(lambda: np.linalg.norm(place(session) - (1.0, 0.0)) < 0.1)
+    assert session.plant.contact.max_force < 1.0
+    np.testing.assert_allclose(session.plant.pose("post"), session.snapshot.poses["post"], atol=1e-6)
 
 
 def test_a_taken_port_is_refused():
