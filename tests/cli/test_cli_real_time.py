@@ -17,7 +17,7 @@ def scene(tmp_path):
     return path
 
 
-def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
+def test_an_episode_in_real_time_is_reported_with_its_rates(scene, command):
     # slowed down, and with patience: tests share their cores with others
     slow = ["--speed", "0.1", "--set", "timing.timeout=0.4", "--set", "agent.plan_timeout=0.3", "--engine", "mujoco"]
     done = warpmpc(
@@ -46,19 +46,19 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene):
     assert np.diff(history.time) == pytest.approx(np.full(result["ticks"], 0.002))
     assert history.term_names == ("distance",)
     assert np.isfinite(history.cost[history.ticks.plan >= 0]).all()
-    replayed = warpmpc("replay", folder)
+    replayed = command("replay", str(folder))
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
     plans = len(history.made)
     assert f"{plans} of {plans} plans and {result['ticks']} of {result['ticks']} commands agree" in replayed.stdout
-    plotted = warpmpc("plot", folder)
+    plotted = command("plot", str(folder))
     assert plotted.returncode == 0, plotted.stderr
     assert (folder / "plots" / "ticks.png").exists()
 
 
-def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene):
+def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene, command):
     slow = ["--speed", "0.5", "--engine", "mujoco", "--set", "planner.samples=1500", "--set", "planner.horizon=20"]
     failure = ["--set", "failure=[{name='stuck', after=0.3}]", "--set", "engine.threads=1"]
-    done = warpmpc("run", scene, "--real-time", *slow, *failure)
+    done = command("run", str(scene), "--real-time", *slow, *failure)
     assert done.returncode == 1, done.stderr
     assert done.stdout.startswith("seed 0: failed: stuck at 0.30 s")
     assert "would need" in done.stdout
@@ -73,14 +73,14 @@ def test_a_run_that_fails_in_real_time_says_so_and_what_it_would_need(scene):
         (["--real-time", "--speed", "2"], "should be less than or equal to 1"),
     ],
 )
-def test_what_does_not_go_with_real_time_is_refused(scene, options, message):
-    done = warpmpc("run", scene, *options)
+def test_what_does_not_go_with_real_time_is_refused(scene, command, options, message):
+    done = command("run", str(scene), *options)
     assert done.returncode == 2
     assert message in " ".join(done.stderr.split())
 
 
-def test_point_clouds_are_refused_by_their_key(tmp_path):
-    done = warpmpc("run", "storm_cloud", "--real-time", folder=tmp_path)
+def test_point_clouds_are_refused_by_their_key(command):
+    done = command("run", "storm_cloud", "--real-time")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("error: ")
     assert "cloud: point clouds do not travel between processes yet" in done.stderr

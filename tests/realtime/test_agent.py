@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fault drill: whatever goes wrong, the safe command within 100 ms, a log line, and back by itself."""
 
+import gc
 import logging
 from dataclasses import replace
 
@@ -245,3 +246,14 @@ def test_a_robot_that_rests_is_not_taken_for_frozen():
         agent.command(state, planner.newest(), 0.002 * k)
         planner.observe(type("Seen", (), {"state": state}))
     assert not agent.faults
+
+
+def test_a_loop_that_goes_on_begins_at_once(monkeypatch):
+    loop, robot, _ = drill()
+    calls = []
+    monkeypatch.setattr(gc, "collect", lambda: calls.append(1))
+    fresh = RobotLoop(loop.scene, robot, Scripted(), simulated=True, agent=Agent(loop.scene, loop.agent.layout))
+    for _ in range(3):
+        fresh.run(lambda: True)
+    assert len(calls) == 1  # before the first tick, never between two
+    assert gc.get_freeze_count() == 0

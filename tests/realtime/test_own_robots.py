@@ -51,7 +51,7 @@ def test_a_robot_behind_sockets_is_steered_by_valid_messages_alone(program):
     port = free_port()
     control = program("control.py", port, 0.15)
     cartpole = load_scene("cartpole_swingup").path.parent / "assets" / "cartpole.xml"
-    robot = program("robot.py", cartpole, port, 3.0, 0.15)
+    robot = program("robot.py", cartpole, port, 2.0, 0.15)
     out, errors = robot.communicate(timeout=250)
     told, warned = control.communicate(timeout=60)
     came = json.loads(out.splitlines()[-1])

@@ -165,7 +165,8 @@ class RobotLoop:
         Args:
             until: Whether to stop, asked after every tick.
         """
-        gc.collect()
+        if not self._ticks:  # a loop that goes on has no time for it
+            gc.collect()
         gc.freeze()  # collecting what was built before takes longer than a tick
         start = time.monotonic()
         self.pace.start()
