@@ -4,13 +4,16 @@
 import os
 import signal
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from faulty_robots import FaultyRobot
 from rerun.chunk import RrdReader
 from small_scenes import make_scene
 
-from warpmpc import History, PlannerProcess, RobotLoop, TickRecorder, replay_real_time, simulated_robot
+from warpmpc import History, PlannerProcess, RobotLoop, State, TickRecorder, replay_real_time, simulated_robot
+from warpmpc.realtime.letters import Sighting
 from warpmpc.record.tick_recording import record_ticks
 
 SPEED = 0.1
@@ -23,6 +26,23 @@ def logged_text(path, at) -> list[str]:
     return [
         text for chunk in chunks for text in chunk.to_record_batch().column("TextLog:text").to_pylist() for text in text
     ]
+
+
+def test_a_planner_that_cannot_note_its_plans_plans_all_the_same(caplog):
+    scene = make_scene(plant={"randomize": False}, engine={"threads": 1})
+    planner = PlannerProcess(scene, engine="mujoco", device="cpu", log=True)
+    folder = Path(planner._folder.name)
+    (folder / "0001").mkdir()  # where it would write: a file of that name cannot be made
+    with planner:
+        start = State.start(planner.layout)
+        planner.observe(Sighting(replace(start, time=0.0), np.zeros(3), False))
+        deadline = time.monotonic() + 60.0
+        while planner.newest() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        (folder / "0001").rmdir()
+    assert planner.newest().number == 0
+    assert planner.log is None
+    assert caplog.messages == ["of plans 0 to 0 those after -1 could not be logged"]
 
 
 def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):

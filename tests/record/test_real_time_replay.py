@@ -40,7 +40,7 @@ class InStep:
 
     def _start(self):
         controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu", seed=5)
-        journal = FileJournal(controller, self.folder / f"{len(list(self.folder.iterdir())):04d}")
+        journal = FileJournal(controller, self.folder)
         number = 0 if self._timed is None else self._timed.number + 1
         self._planning = Planning(controller, latency=0.02, number=number, journal=journal)
 
@@ -146,7 +146,7 @@ def test_a_row_that_was_half_written_is_left_out_and_the_next_planner_writes_on(
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
     start = run[0].made.sighting(0)
     for life in range(2):
-        planning = Planning(controller, number=5 * life, journal=FileJournal(controller, tmp_path / f"{life:04d}"))
+        planning = Planning(controller, number=5 * life, journal=FileJournal(controller, tmp_path))
         for _ in range(3):
             planning.plan(start)
         planning._journal._file.close()
@@ -165,12 +165,12 @@ def test_plans_go_on_where_nothing_can_be_written(run, tmp_path):
             raise OSError(errno.ENOSPC, "No space left on device")
 
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
-    planning = Planning(controller, journal=FileJournal(controller, tmp_path / "0000"))
+    planning = Planning(controller, journal=FileJournal(controller, tmp_path))
     planning._journal._file.close()
     planning._journal._file = Full()
     assert [planning.plan(run[0].made.sighting(0)).number for _ in range(2)] == [0, 1]
     assert len(read_journals(tmp_path)) == 0
-    nowhere = Planning(controller, journal=FileJournal(controller, tmp_path / "none" / "0000"))
+    nowhere = Planning(controller, journal=FileJournal(controller, tmp_path / "none"))
     assert nowhere.plan(run[0].made.sighting(0)) is not None
 
 

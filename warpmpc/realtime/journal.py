@@ -86,14 +86,14 @@ class FileJournal(Journal):
 
     Args:
         controller: Makes the plans.
-        path: The file, a new one: a line of JSON, then rows of doubles.
+        folder: Where planners that follow one another have a file each: a line of JSON, then rows of doubles.
     """
 
-    def __init__(self, controller: Controller, path: Path):
+    def __init__(self, controller: Controller, folder: Path):
         super().__init__(controller, self._append)
         self._file = None
         try:
-            self._file = path.open("wb", buffering=0)
+            self._file = (folder / f"{len(list(folder.iterdir())):04d}").open("wb", buffering=0)
             self._file.write(json.dumps(self.about, ensure_ascii=False).encode() + b"\n")
         except OSError:
             self._file = None

@@ -147,12 +147,7 @@ class PlannerProcess:
             self._process.kill()
         self._keeper.join()
         if self._folder is not None:
-            self._log = self.log
-            self._folder.cleanup()
-            self._folder = None
-            last = -1 if self._log is None or not len(self._log) else int(self._log.number[-1])
-            if self._timed is not None and last < self._timed.number:
-                logger.error("plans after number %d could not be logged: is the disk full?", last)
+            self._close_log()
 
     @property
     def log(self) -> RealTimeLog | None:
@@ -174,6 +169,19 @@ class PlannerProcess:
         if letter is not None:
             self._timed = self._plans.decode(letter)
         return self._timed
+
+    def _close_log(self) -> None:
+        """Read what planners noted, and tell where something is missing; that the robot ran is worth more."""
+        try:
+            self._log = self.log
+        except OSError as error:
+            logger.error("what plans were made from cannot be read: %s", error)
+        else:
+            last = self._log.number[-1] if self._log is not None and len(self._log) else -1
+            if self._timed is not None and last < self._timed.number:
+                logger.error("of plans 0 to %d those after %d could not be logged", self._timed.number, last)
+        self._folder.cleanup()
+        self._folder = None
 
     def _start(self) -> None:
         self._ready, theirs = self._context.Pipe(duplex=False)
@@ -250,10 +258,7 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, wor
         task = controller.task.block.shape[1]
         sightings = SightingCodec(controller.layout, task)
         plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
-        journal = None
-        if order.journals is not None:
-            folder = Path(order.journals)
-            journal = FileJournal(controller, folder / f"{len(list(folder.iterdir())):04d}")
+        journal = None if order.journals is None else FileJournal(controller, Path(order.journals))
         planning = Planning(controller, speed=order.speed, number=planned.sent, journal=journal)
         ready.send(None)
     except Exception as error:
