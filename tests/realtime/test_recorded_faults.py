@@ -46,7 +46,8 @@ def test_a_planner_that_cannot_note_its_plans_plans_all_the_same(caplog):
 
 
 def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
-    scene = make_scene(plant={"randomize": False}, engine={"threads": 1})
+    near = {"frame": "base/centre", "position": (0.7, 0.35)}  # half of the way is left when the planner is killed
+    scene = make_scene(plant={"randomize": False}, engine={"threads": 1}, goal=near)
     with PlannerProcess(scene, speed=SPEED, engine="mujoco", device="cpu", log=True) as planner:
         robot = FaultyRobot(simulated_robot(scene, task=planner.task, compiled=planner.compiled))
         recorder = TickRecorder(robot.plant)
