@@ -287,10 +287,10 @@ def test_tabs_come_and_go(served, page, browser, session):
 
 def open_costs(page, session):
     """Open the tab of the costs once the page is that of the session's scene, and wait for all weights."""
-    labels = session.scene.cost_labels
-    page.get_by_text(labels[-1], exact=True).first.wait_for(timeout=WAIT)  # the curves have it, too
+    scene = session.scene
+    page.get_by_text(scene.title or scene.name, exact=True).first.wait_for(timeout=WAIT)
     click(page, "Cost", "tab")
-    page.get_by_role("slider").nth(len(labels) - 1).wait_for(timeout=WAIT)
+    page.get_by_role("slider").nth(len(scene.cost_labels) - 1).wait_for(timeout=WAIT)
 
 
 def test_another_scene_is_chosen(page, session):
