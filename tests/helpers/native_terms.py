@@ -133,6 +133,7 @@ def write(judging: Judging, lanes: int) -> str:
 const int e = group / groups, steps = k.cost.shape[2];
 const float* weight = k.weight.data + e * k.weight.shape[1];
 for (int t = 0; t < steps; ++t) {{
+const int at = t;
 {newline.join(now)}
 const float* u_was = {was};
 {controls}

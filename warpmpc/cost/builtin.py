@@ -18,7 +18,7 @@ from ..kernels.terms import (
     general as costs,
 )
 from ..scene.errors import SceneError
-from . import arm, cloud, collision, components, learned, numbers, residuals, rolling
+from . import arm, cloud, collision, components, gait, learned, numbers, residuals, rolling
 from .binding import PRIMITIVES
 from .joints import dof_names, joint_dofs, named_dofs, robot_range
 from .keys import (
@@ -378,6 +378,7 @@ BUILTIN = {
         *learned.TERMS,
         *residuals.TERMS,
         *numbers.TERMS,
+        *gait.TERMS,
     )
 }
 """Built-in terms by name."""
