@@ -81,6 +81,7 @@ SPACE = [
     {"term": "control_residual", "controls": ["base/yaw"], "target": "b"},
     {"term": "contact_residual", "between": ["box", "obstacles"], "least": 1.5, "target": 1.0},
     {"term": "contact_force_residual", "between": ["base", "box"], "axes": "yz", "target": [0.5, "a"]},
+    {"term": "gait_residual", "feet": ["base/tip", "box"], "phases": [0.1, 0.6], "cadence": 7.0, "height": [0.9, "a"]},
     *(
         {"term": "position_residual", "of": "base/tip", "axes": "yz", "target": ["b", 0.0], "norm": norm}
         for norm in (

@@ -9,7 +9,7 @@ from test_arm import CASES as ARM_CASES
 from test_outline_clearance import RING, outline_clearance
 
 from warpmpc import SceneError
-from warpmpc.cost import cloud, collision, learned, numbers, residuals, rolling
+from warpmpc.cost import cloud, collision, gait, learned, numbers, residuals, rolling
 from warpmpc.cost.builtin import BUILTIN
 from warpmpc.cost.resources.push_path import ANGLES
 from warpmpc.cost.stack import CostStack
@@ -270,7 +270,7 @@ def test_every_built_in_term_is_covered():
     covered = {keys.get("term", name) for name, (keys, _) in CASES.items()}
     covered |= {keys.get("term", name) for name, (_, keys, _) in ARM_CASES.items()}
     elsewhere = (*collision.TERMS, *learned.TERMS, *cloud.TERMS, *rolling.TERMS)  # test_collision.py and so on
-    elsewhere += (*residuals.TERMS, *numbers.TERMS)  # test_residuals.py
+    elsewhere += (*residuals.TERMS, *numbers.TERMS, *gait.TERMS)  # test_residuals.py, test_gait.py
     covered |= {term.name for term in elsewhere}
     assert covered == set(BUILTIN)
 
