@@ -76,10 +76,13 @@ SHOTS = {
     "quadrotor": Shot(follow=True, closer=1.7),
     "storm_cloud": Shot(azimuth=35.0, closer=1.15),
     "pendulum": Shot(azimuth=90.0, elevation=-8.0),
+    "go2_jump": Shot(azimuth=150.0, elevation=-14.0, longest=1.2, at=0.38),
+    "go2_walk": Shot(azimuth=110.0, elevation=-14.0, follow=True, longest=3.0),
     "humanoid_stand": Shot(longest=4.0),
     "humanoid_get_up": Shot(longest=4.0),
     "quadruped_walk": Shot(follow=True, longest=6.0),
     "quadruped_terrain": Shot(follow=True, longest=6.0),
+    "walker": Shot(azimuth=90.0, elevation=-6.0, follow=True, longest=3.0),
 }
 
 
