@@ -27,6 +27,8 @@ COSTS = [
     {"term": "posture_residual", "joints": ["arm_1", "hand_x"], "target": ["height", 0.2]},
     {"term": "joint_velocity_residual", "joints": ["arm_1", "hand_2"], "norm": {"kind": "power", "p": 1.5}},
     {"term": "control_residual", "norm": {"kind": "rectify", "p": 0.3}, "terminal": 0.0},
+    {"term": "gait_residual", "feet": ["chain/hand", "chain/head"], "phases": [0.0, 0.5], "cadence": 9.0,
+     "height": ["height", 0.5], "swing": 0.6},
 ]  # fmt: skip
 
 

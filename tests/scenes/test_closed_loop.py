@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import warpmpc
+from warpmpc.model.assets import package_dirs
 
 GRAZE = 5.0  # [N] net force below which a touched obstacle counts as grazed
 
+ROBOTS = any((folder / "example-robot-data").is_dir() for folder in package_dirs())
+"""Whether the package is installed that strangers' robots come from."""
 
 pytestmark = pytest.mark.usefixtures("preferred")
 
@@ -175,6 +178,28 @@ def test_a_quadruped_walks_round_its_waypoints():
     assert result.success, result
     assert result.sim_time <= 10.0
     assert [name for name, _ in result.phases] == ["second", "third", "home"]  # when later ones were entered
+
+
+def test_a_biped_walks_at_its_speed():
+    (result,) = episodes("walker", (310,))
+    assert result.success, result
+    assert 8.8 <= result.sim_time <= 11.5, result  # 10 m less the tolerance, at 1 m/s from standing
+
+
+@pytest.mark.skipif(not ROBOTS, reason="needs example-robot-data")
+def test_a_quadruped_leaps_and_lands_on_its_feet():
+    (result,) = episodes("go2_jump", (310,))
+    assert result.success, result
+    assert [name for name, _ in result.phases] == ["leap", "land"]  # the second when its trunk was at 0.55 m
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not ROBOTS, reason="needs example-robot-data")
+@pytest.mark.parametrize("name", ["go2_walk", "go2_walk:shoved"])
+def test_a_quadruped_walks_at_its_speed_shoved_or_not(name):
+    results = episodes(name, range(310, 313))
+    assert all(r.success for r in results), results
+    assert max(r.sim_time for r in results) <= 12.0, results  # 5 m at 0.5 m/s
 
 
 @pytest.mark.slow
