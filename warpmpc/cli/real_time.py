@@ -136,10 +136,9 @@ def slow_planner(result: RealTimeResult) -> str | None:
     """What to do about a planner that does not keep up with the clock; None where it does."""
     from ..run.advice import slow_plans  # slow to import
 
-    rate = result.report.plan_rate
-    if not rate:
+    if not result.report.plan_rate:
         return "no plan came in time: real time would need a faster planner, or a lower --speed"
-    return slow_plans(1e3 / rate, result.period, speed=result.speed)
+    return slow_plans(result.report.plan_ms["p50"], result.period, speed=result.speed)
 
 
 def _percentiles(values: dict[str, float]) -> str:

@@ -38,7 +38,7 @@ def slow_plans(plan_ms: float, control_dt: float, *, speed: float = 1.0) -> str 
     """What to do about plans that are slower than the controls they are for; None where they are not.
 
     Args:
-        plan_ms: Wall time from plan to plan, or of a plan, the median of several [ms].
+        plan_ms: Wall time of a plan, the median of several [ms].
         control_dt: Length of a control [s].
         speed: The robot's seconds in a second of wall time that are wanted.
     """
