@@ -138,8 +138,8 @@ class Planning:
         """Wall time from plan to plan, at least [s]: a control's, as where the robot waits for plans.
 
         More rounds of sampling at what is nearly the same state carry a plan into the nearest minimum: at four plans a
-        control half of the runs of ``omni_push_box`` ended at a corner of the box. Two plans there are in the time that
-        one is followed for, whatever a control's.
+        control five of twelve runs of ``omni_push_box`` were held up at a corner of the box. Two plans there are in the
+        time that one is followed for, whatever a control's.
         """
         scene = self.controller.scene
         return min(scene.timing.control_dt, 0.5 * scene.agent.plan_timeout) / self._speed
