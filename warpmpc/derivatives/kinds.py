@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from abc import abstractmethod
 from dataclasses import replace
 
 import warp as wp
@@ -166,9 +167,9 @@ class ConvertedWorlds(StepWorlds):
         ends = self._reached.reshape((count, 1, self._reached.shape[1]))
         self._bind(self._initial, ends, parts, Crew(threads, len(parts)) if threads else None)
 
+    @abstractmethod
     def _advance(self, first: int, count: int) -> None:
         """Take the step from slice 0 of the record to slice 1, in some worlds."""
-        raise NotImplementedError
 
 
 class NewtonWorlds(ConvertedWorlds):
