@@ -4,6 +4,7 @@ r"""How long the derivatives of a whole horizon take, beside MuJoCo's own on the
 
     python tools/derivative_times.py
     python tools/derivative_times.py --scenes humanoid_stand:40 --threads 1
+    python tools/derivative_times.py --gpu
 
 MuJoCo's are ``mjd_transitionFD``, centred, at every physics step of the horizon, shared among as many threads; ours are
 of whole control steps, of one physics step each here, with the residuals' derivatives. Medians over --times.
@@ -20,6 +21,7 @@ from functools import partial
 
 import mujoco
 import numpy as np
+import warp as wp
 from bench import machine
 
 from warpmpc import Controller, Scene, load_scene
@@ -30,9 +32,9 @@ from warpmpc.scene.load import with_values
 SCENES = ("cartpole_swingup:75", "panda_reach:64", "humanoid_stand:40", "quadruped_walk:40")
 
 
-def refiner(scene: Scene, engine: str) -> Refiner:
+def refiner(scene: Scene, engine: str, device: str = "cpu") -> Refiner:
     """What takes derivatives of a scene's plans."""
-    return Controller(scene, device="cpu", engine=engine).planner.refiner
+    return Controller(scene, device=device, engine=engine).planner.refiner
 
 
 def horizon(found: Refiner) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +86,16 @@ def main() -> int:
     parser.add_argument("--scenes", nargs="+", default=list(SCENES), metavar="SCENE:STEPS")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--times", type=int, default=15)
+    parser.add_argument("--gpu", action="store_true", help="also with fused on the first GPU")
     args = parser.parse_args()
-    print(f"{args.threads} threads of {machine()['cpu']}\n")
-    print("| scene, steps | worlds | mjd_transitionFD | mujoco | fused |\n|---|---|---|---|---|")
+    ours = [("mujoco", "cpu"), ("fused", "cpu"), *([("fused", "cuda:0")] if args.gpu else [])]
+    print(
+        f"{args.threads} threads of {machine()['cpu']}"
+        + (f"; {wp.get_device('cuda:0').name}" if args.gpu else "")
+        + "\n"
+    )
+    columns = ["scene, steps", "worlds", "mjd_transitionFD", *(f"{engine}, {device}" for engine, device in ours)]
+    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
     for given in args.scenes:
         name, steps = given.rsplit(":", 1)
         sizes = {"planner.horizon": int(steps), "engine.substeps": 1, "engine.threads": args.threads}
@@ -95,8 +104,8 @@ def main() -> int:
         states, control = horizon(exact)
         own = median(mujocos(exact, states, control, args.threads), args.times)
         row = [f"`{name}`, {steps}", str(exact.differences.worlds.shape.worlds), f"{own:.1f} ms"]
-        for engine in ("mujoco", "fused"):
-            found = exact if engine == "mujoco" else refiner(scene, engine)
+        for engine, device in ours:
+            found = exact if engine == "mujoco" else refiner(scene, engine, device)
             taken = median(partial(found.differences, states, control, control[:, 0]), args.times)
             row.append(f"{taken:.1f} ms ({taken / own:.2f}×)")
         print(f"| {' | '.join(row)} |", flush=True)

@@ -82,7 +82,7 @@ def replay_address() -> int:
 
 
 class Replay:
-    """A fixed sequence of launches on the CPU that costs no Python when it is repeated.
+    """A fixed sequence of launches that costs no Python when it is repeated.
 
     The first call runs the sequence as it is, which loads its kernels. The second records it as a graph, and from then
     on it is replayed: a launch from Python takes 30 to 50 µs, one in a replayed graph less than 1. Threads may replay
@@ -92,11 +92,12 @@ class Replay:
         sequence: Launches with the same arguments at every call; nothing else may happen in it.
         blocks: Whether it launches kernels that work in blocks. On the CPU Warp keeps one storage for the blocks of a
             module, so that no two threads may run such kernels at once.
+        device: Warp device of all of them.
     """
 
-    def __init__(self, sequence: Callable[[], None], *, blocks: bool = False):
+    def __init__(self, sequence: Callable[[], None], *, blocks: bool = False, device: wp.DeviceLike = "cpu"):
         self.sequence: Callable[[], None] | None = sequence
-        self._blocks = blocks
+        self._blocks, self._device = blocks, wp.get_device(device)
         self._graph: wp.Graph | None = None
         self._ran = False
 
@@ -120,7 +121,7 @@ class Replay:
                 self._ran = True
                 return False
             if self._graph is None:
-                with wp.ScopedCapture(device="cpu") as capture:
+                with wp.ScopedCapture(device=self._device) as capture:
                     self.sequence()
                 self._graph = capture.graph
                 self.sequence = None  # it may hold whoever holds this

@@ -139,6 +139,17 @@ def test_a_control_at_its_limit_is_moved_inwards_alone():
     np.testing.assert_allclose(at_limit.b, inside.b, rtol=1e-3)
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "fused"])
+def test_physics_that_fails_has_no_derivatives(engine):
+    s = stepping(scene_of("cartpole_swingup"), engine)
+    start, control = wild_rollout(s)
+    states = rolled(s, start, control)
+    s.differences(states, control, control[:, 0])
+    states[0, 2, s.tangent.nq] = 1e30
+    with pytest.raises(FloatingPointError, match="perturbed step failed"):
+        s.differences(states, control, control[:, 0])
+
+
 def test_environments_have_their_own_derivatives():
     one, two = stepping(scene_of("cartpole_swingup")), stepping(scene_of("cartpole_swingup"), envs=2)
     start, control = wild_rollout(one)

@@ -42,9 +42,11 @@ class Stepping:
         return world.actuator_matrix @ control + world.actuator_offset, world.actuator_matrix
 
 
-def stepping(scene: Scene, engine: str = "mujoco", *, candidates: int = 3, envs: int = 1) -> Stepping:
+def stepping(
+    scene: Scene, engine: str = "mujoco", *, candidates: int = 3, envs: int = 1, device: str = "cpu"
+) -> Stepping:
     """Everything that derivatives of a scene take."""
-    controller = Controller(scene, engine=engine, device="cpu", envs=envs)
+    controller = Controller(scene, engine=engine, device=device, envs=envs)
     plan = controller.planner
     request = EngineRequest(
         scene=scene,
@@ -55,7 +57,7 @@ def stepping(scene: Scene, engine: str = "mujoco", *, candidates: int = 3, envs:
         limits=plan.limits,
         state=plan.state,
         costs=controller.costs,
-        device="cpu",
+        device=controller.planner.device,
     )
     steps = physics_steps(engine, scene, controller.compiled, plan.grid)
     residuals = Residuals(controller.costs)

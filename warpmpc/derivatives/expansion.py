@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
+from ..kernels.planning.derivatives import Moves, difference_kernel, move_kernel
+from ..launch import Launcher
 from .kinds import step_worlds
 
 if TYPE_CHECKING:
@@ -54,22 +58,37 @@ class Differences:
     """
 
     def __init__(self, name: str, request: EngineRequest, steps: PhysicsSteps, residuals: Residuals, tangent: Tangent):
-        layout, self.tangent = request.costs.layout, tangent
+        layout, device = request.costs.layout, request.device
         self._n, nu = tangent.size, layout.nu
-        shape = request.shape.envs, request.shape.horizon, 1 + 2 * (self._n + nu)
-        self.worlds = step_worlds(name, request, steps, shape[1] * shape[2], residuals)
-        self._shape = shape
-        self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
+        envs, horizon, rows = request.shape.envs, request.shape.horizon, 1 + self._n + nu
+        self.worlds = worlds = step_worlds(name, request, steps, horizon * (2 * rows - 1), residuals)
+        self._launch, self._table = Launcher(device), tangent.table(device)
+
+        def doubles(values: np.ndarray) -> wp.array:
+            return wp.array(values, dtype=wp.float64, device=device)
+
         q, v, u = STEPS
-        half = 0.5 * (self._upper - self._lower)
-        self._control_step = u * np.where(np.isfinite(half), half, 1.0)
-        t = tangent
-        self._moves = np.diag(np.repeat([q, v, u], [t.nv, t.nv, t.na]))
-        """Steps of the state, one to a row ``[n, n]``."""
+        half = 0.5 * (layout.control_upper.astype(float) - layout.control_lower)
+        self._moves = moves = Moves()
+        place, axis = zip(*tangent.coordinates, strict=True)
+        moves.place, moves.axis = (wp.array(column, dtype=int, device=device) for column in (place, axis))
+        moves.state = doubles(np.repeat([q, v, u], [tangent.nv, tangent.nv, tangent.na]))
+        moves.control = doubles(u * np.where(np.isfinite(half), half, 1.0))
+        moves.lower, moves.upper = doubles(layout.control_lower), doubles(layout.control_upper)
+        shapes = (envs, horizon, tangent.width), (envs, horizon, nu), (envs, nu)
+        self._nominal = [wp.zeros(shape, dtype=wp.float64, device=device) for shape in shapes]
+        shape = envs * horizon, rows, self._n + residuals.width
+        self._out = wp.zeros(shape, dtype=wp.float64, device=device)
+        self._host = wp.zeros(shape, dtype=wp.float64, device="cpu", pinned=wp.get_device(device).is_cuda)
+        count = envs * horizon * rows
+        cuts = [count * part // len(worlds.parts) for part in range(len(worlds.parts) + 1)]
+        self._rows = [(a, b - a) for a, b in pairwise(cuts)]
+        self._forth, self._back = worlds.replays(self._move), worlds.replays(self._compare)
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``."""
-        self._lower, self._upper = lower, upper
+        self._moves.lower.assign(lower)
+        self._moves.upper.assign(upper)
 
     def __call__(self, state: np.ndarray, control: np.ndarray, before: np.ndarray) -> Linear:
         """Differentiate steps from states under controls.
@@ -82,37 +101,36 @@ class Differences:
         Raises:
             FloatingPointError: If the physics of a world failed, or a residual is not finite.
         """
-        worlds, tangent, n, nu = self.worlds, self.tangent, self._n, control.shape[-1]
+        worlds, n = self.worlds, self._n
         worlds.follow()  # before the states are written: what is observed would overwrite them
-        start = worlds.start.reshape(*self._shape, -1)
-        controls = worlds.control.reshape(*self._shape, nu)
-        start[:] = state[:, :, None]
-        start[:, :, 1 : 1 + n] = tangent.add(state[:, :, None], self._moves)
-        start[:, :, 1 + n : 1 + 2 * n] = tangent.add(state[:, :, None], -self._moves)
-        controls[:] = control[:, :, None]
-        # at a limit the difference is taken on its inside; engines take controls in single precision
-        up = np.minimum(control + self._control_step, self._upper).astype(np.float32).astype(float)
-        down = np.maximum(control - self._control_step, self._lower).astype(np.float32).astype(float)
-        each = np.arange(nu)
-        controls[:, :, 1 + 2 * n + each, each] = up
-        controls[:, :, 1 + 2 * n + nu + each, each] = down
-        earlier = np.concatenate([before[:, None], control[:, :-1]], axis=1)
-        worlds.before.reshape(controls.shape)[:] = earlier[:, :, None]
-        worlds.step()
-        end, residual = worlds.end.reshape(*self._shape, -1), worlds.residual.reshape(*self._shape, -1).astype(float)
-        if not (np.isfinite(end).all() and np.isfinite(residual).all()):
+        for array, values in zip(self._nominal, (state, control, before), strict=True):
+            array.assign(values)
+        worlds.run(self._forth)
+        worlds.run(self._back)
+        wp.copy(self._host, self._out)
+        wp.synchronize_device(worlds.device)
+        out = self._host.numpy().copy()
+        if not np.isfinite(out).all():
             raise FloatingPointError("the physics of a perturbed step failed, or a residual of it is not finite")
-        spread = 2.0 * np.diag(self._moves)
-        wide = (up - down)[..., None]
-        states, controlled = slice(1, 1 + n), slice(1 + 2 * n, 1 + 2 * n + nu)
-        back, other = slice(1 + n, 1 + 2 * n), slice(1 + 2 * n + nu, None)
-        a = tangent.subtract(end[:, :, states], end[:, :, back]) / spread[:, None]
-        b = tangent.subtract(end[:, :, controlled], end[:, :, other]) / wide
-        c = (residual[:, :, states] - residual[:, :, back]) / spread[:, None]
-        d = (residual[:, :, controlled] - residual[:, :, other]) / wide
+        out = out.reshape(*control.shape[:2], *out.shape[1:]).swapaxes(2, 3)
+        ends, residuals = out[:, :, :n], out[:, :, n:]
+        moved, steered = slice(1, 1 + n), slice(1 + n, None)
         return Linear(
-            *(x.swapaxes(2, 3) for x in (a, b)), residual[:, :, 0].copy(), *(x.swapaxes(2, 3) for x in (c, d))
+            ends[..., moved], ends[..., steered], residuals[..., 0], residuals[..., moved], residuals[..., steered]
         )
+
+    def _move(self, part: int) -> None:
+        """Move the states and controls of a part of the worlds and let them take their step."""
+        first, count = self.worlds.parts[part]
+        outputs = [self.worlds.starts, self.worlds.applied]
+        self._launch(move_kernel, count, [first, self._moves, *self._nominal], outputs)
+        self.worlds.take(part)
+
+    def _compare(self, part: int) -> None:
+        """Subtract what became of a part of the pairs."""
+        worlds, (first, count) = self.worlds, self._rows[part]
+        after = [worlds.ends, worlds.residuals, worlds.diverged, worlds.applied]
+        self._launch(difference_kernel, count, [first, self._table, self._moves, *after], [self._out])
 
     def close(self) -> None:
         """Stop the threads."""

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.feedback import TURN, TangentTable, add_cost_kernel, follow_kernel
-from ..launch import Launcher, Replay
+from ..kernels.planning.feedback import add_cost_kernel, follow_kernel
+from ..launch import Launcher
 from .kinds import step_worlds
 from .tangent import Tangent
 
@@ -71,7 +70,7 @@ class PolicyRollouts:
         device, layout, costs = request.device, request.costs.layout, request.costs
         self.worlds = worlds = step_worlds(name, request, steps, candidates, residuals)
         self.tangent = tangent = Tangent(worlds.model)
-        self._launch, self._candidates, self._on_gpu = Launcher(device), candidates, wp.get_device(device).is_cuda
+        self._launch, self._candidates = Launcher(device), candidates
         self._envs, self._horizon, self._residuals = request.shape.envs, request.shape.horizon, residuals
         envs, steps_, nx, n, nu = self._envs, self._horizon, tangent.width, tangent.size, layout.nu
         count = worlds.shape.worlds
@@ -83,7 +82,7 @@ class PolicyRollouts:
         self._gain, self._share, self._feedback = zeros(envs, steps_, nu, n), zeros(candidates), zeros(candidates)
         self._states, self._controls, self._cost = zeros(steps_ + 1, count, nx), zeros(steps_, count, nu), zeros(count)
         self._difference = zeros(count, n)
-        self._table = _table(tangent, device)
+        self._table = tangent.table(device)
         self._limits = [
             wp.array(limit, dtype=wp.float64, device=device) for limit in (layout.control_lower, layout.control_upper)
         ]
@@ -91,7 +90,7 @@ class PolicyRollouts:
         terminal = wp.array(costs.terminal, dtype=float, device=device)
         step_weight = wp.array(request.grid.weight, dtype=float, device=device)
         self._judged = [*norms, request.state.weight, terminal, step_weight, request.scene.planner.stage_risk]
-        self._replays = [Replay(partial(self._roll, part)) for part in range(len(worlds.parts))]
+        self._replays = worlds.replays(self._roll)
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``."""
@@ -148,14 +147,3 @@ class PolicyRollouts:
     def close(self) -> None:
         """Stop the threads."""
         self.worlds.close()
-
-
-def _table(tangent: Tangent, device: str) -> TangentTable:
-    """The tangent space as kernels take it."""
-    rows = tangent.rows
-    table = TangentTable()
-    table.kind, table.state, table.tangent = (
-        wp.array(column, dtype=int, device=device)
-        for column in ([int(turn) * int(TURN) for turn, _, _ in rows], *zip(*[row[1:] for row in rows], strict=True))
-    )
-    return table

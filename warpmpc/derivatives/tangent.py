@@ -5,6 +5,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import warp as wp
+
+from ..kernels.planning.derivatives import STRAIGHT
+from ..kernels.planning.feedback import TURN, TangentTable
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
@@ -70,6 +74,24 @@ class Tangent:
         rest = [(False, self.nq + i, self.nv + i) for i in range(self.nv + self.na)]
         turns = zip(self._quaternion[:, 0], self._turn[:, 0], strict=True)
         return [*plain, *((True, int(i), int(j)) for i, j in turns), *rest]
+
+    @property
+    def coordinates(self) -> list[tuple[int, int]]:
+        """Place in a state of each number of a difference ``[n]``, and the axis that it turns a quaternion about."""
+        out = [(0, 0)] * self.size
+        for turns, place, first in self.rows:
+            for axis in range(3) if turns else [int(STRAIGHT)]:
+                out[first + max(axis, 0)] = place, axis
+        return out
+
+    def table(self, device: wp.DeviceLike) -> TangentTable:
+        """The rows as kernels take them."""
+        out = TangentTable()
+        out.kind, out.state, out.tangent = (
+            wp.array(column, dtype=int, device=device)
+            for column in ([turn * int(TURN) for turn, _, _ in self.rows], *list(zip(*self.rows, strict=True))[1:])
+        )
+        return out
 
     def add(self, state: np.ndarray, difference: np.ndarray) -> np.ndarray:
         """States ``[..., nq + nv + na]`` moved by differences ``[..., n]``."""

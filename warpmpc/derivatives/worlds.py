@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -31,8 +31,8 @@ LEAD = 1
 class StepWorlds(ABC):
     """N worlds of every environment that take one control step, and the residuals after it.
 
-    A state is MuJoCo's (qpos, qvel, act). Set :attr:`start`, :attr:`control` and :attr:`before`, call :meth:`step`, and
-    read :attr:`end` and :attr:`residual`; the arrays stay the same ones.
+    A state is MuJoCo's (qpos, qvel, act). Write :attr:`starts` and :attr:`applied`, :meth:`take` the step, and read
+    :attr:`ends`, :attr:`diverged` and :attr:`residuals`; the arrays stay the same ones.
 
     Args:
         request: What the plans' engine was built for.
@@ -41,22 +41,12 @@ class StepWorlds(ABC):
         world: MuJoCo's model of the scene, and how it maps to the layout.
     """
 
-    start: np.ndarray
-    """States before the step ``[W, nx]``, W = E·N."""
-    end: np.ndarray
-    """States after it ``[W, nx]``; infinite where the physics failed."""
-    control: np.ndarray
-    """Controls ``[W, nu]``."""
-    before: np.ndarray
-    """Controls that acted before them ``[W, nu]``."""
-    residual: np.ndarray
-    """Residuals of all terms after the step ``[W, R]``."""
     starts: wp.array2d[wp.float64]
-    """:attr:`start` on the device, a time before each ``[W, 1+nx]``."""
+    """States before the step, a time before each ``[W, 1+nx]``, W = E·N."""
     ends: wp.array3d[wp.float64]
-    """:attr:`end` on the device, the last of the slices ``[W, N, 1+nx]``."""
+    """States after the step: the last slice ``[W, N, 1+nx]``."""
     residuals: wp.array2d[float]
-    """:attr:`residual` on the device."""
+    """Residuals of all terms after the step ``[W, R]``."""
     parts: Sequence[tuple[int, int]]
     """First world and number of worlds of each part that a thread takes."""
 
@@ -77,13 +67,10 @@ class StepWorlds(ABC):
     def _bind(self, starts: wp.array, ends: wp.array, parts: Sequence[tuple[int, int]], crew: Crew | None) -> None:
         """Say where states are on the device, and who takes which worlds; a GPU takes all at once."""
         self.starts, self.ends, self.parts, self._crew = starts, ends, parts, crew
-        self._here = here = [self.applied, starts, ends, self.residuals, self.diverged]
-        if self._on_gpu:
-            here = [wp.zeros(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in here]
-        self._host = here
-        (self.before, self.control), start, end, self.residual, self._failed = (a.numpy() for a in here)
-        self.start, self.end = start[:, 1:], end[:, -1, 1:]
-        self._replays = [Replay(partial(self.take, part)) for part in range(len(parts))]
+
+    def replays(self, sequence: Callable[[int], None]) -> list[Replay]:
+        """Launches for each of :attr:`parts`, as :meth:`run` takes them."""
+        return [Replay(partial(sequence, part), device=self.device) for part in range(len(self.parts))]
 
     @property
     def _recorded(self) -> Trajectory:
@@ -123,25 +110,16 @@ class StepWorlds(ABC):
         """Take the step in a part of the worlds; capture-safe."""
 
     def run(self, replays: Sequence[Replay]) -> None:
-        """Run one sequence of launches for each of :attr:`parts`, on all threads."""
+        """Run one sequence of launches for each of :attr:`parts`, on all threads or on the GPU."""
         if self._crew:
             self._crew.run(replays)
             return
         with capturing:
             for replay in replays:
-                replay.sequence()
-
-    def step(self) -> None:
-        """Take the step in all worlds."""
-        if self._on_gpu:
-            for array, host in zip(self._here[:2], self._host[:2], strict=True):
-                wp.copy(array, host)
-        self.run(self._replays)
-        if self._on_gpu:
-            for array, host in zip(self._here[2:], self._host[2:], strict=True):
-                wp.copy(host, array)
-            wp.synchronize_device(self.device)
-        self.end[self._failed != 0] = np.inf
+                if self._on_gpu:
+                    replay()
+                else:  # Newton's solvers copy arrays, which no recording on the CPU holds
+                    replay.sequence()
 
     def close(self) -> None:
         """Stop the threads."""
