@@ -218,20 +218,22 @@ class MujocoWarpEngine(OnePart):
         self.trajectory.contact_force.zero_()
         self.trajectory.overflow.zero_()
         self._load()
-        for t, substeps in enumerate(self.substeps):
-            self._drive(t)
-            for _ in range(substeps):
-                mujoco_warp.step(self.model, self.data)
-                self._add_forces(t, 1.0 / substeps)
-            self._store(t)
+        with default_device(self.device):  # MuJoCo Warp's steps launch and allocate on the default device
+            for t, substeps in enumerate(self.substeps):
+                self._drive(t)
+                for _ in range(substeps):
+                    mujoco_warp.step(self.model, self.data)
+                    self._add_forces(t, 1.0 / substeps)
+                self._store(t)
         self._record()
 
     def step_physics(self) -> None:
         """The physics alone: the same steps with the last controls, nothing recorded."""
-        for t, substeps in enumerate(self.substeps):
-            self._drive(t)
-            for _ in range(substeps):
-                mujoco_warp.step(self.model, self.data)
+        with default_device(self.device):
+            for t, substeps in enumerate(self.substeps):
+                self._drive(t)
+                for _ in range(substeps):
+                    mujoco_warp.step(self.model, self.data)
 
     def _load(self) -> None:
         """Start the worlds from slice 0 of the trajectory; nothing of an earlier rollout remains."""
