@@ -13,6 +13,8 @@ from ..kernels.worlds.randomize import normal_offset_kernel, uniform_scale_kerne
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from ..scene.schema import Scene
     from .batch_size import BatchSize
     from .layout import Layout
@@ -58,14 +60,7 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
         SceneError: If the table names an entity that does not exist.
     """
     names = tuple(scene.randomize)
-    for name in names:
-        try:
-            layout.entity(name)
-        except SceneError:
-            allowed = [e.name for e in layout.entities]
-            raise SceneError(
-                "no such robot, object or obstacle", key="randomize", file=scene.path, found=name, allowed=allowed
-            ) from None
+    _require(names, "randomize", scene, layout)
     rules = [scene.randomize[name] for name in names]
     mass = _uniform([r.mass.uniform if r.mass else 0.0 for r in rules], draws, 3 * seed)
     friction = _uniform([r.friction.uniform if r.friction else 0.0 for r in rules], draws, 3 * seed + 1)
@@ -75,6 +70,56 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
         inputs = [sigma, 3 * seed + 2, 0, 0]
         wp.launch(normal_offset_kernel, dim=(draws, len(names)), inputs=inputs, outputs=[size], device="cpu")
     return Properties(names, mass, friction, size.numpy().astype(np.float64))
+
+
+def with_factors(drawn: Properties | None, scene: Scene, layout: Layout) -> Properties | None:
+    """What a plant's things are like: what was drawn, times what ``plant.factor`` says of them.
+
+    Args:
+        drawn: One draw, None without any.
+        scene: The scene.
+        layout: Its layout.
+
+    Returns:
+        One draw; None where nothing was drawn and the plant has no factors.
+
+    Raises:
+        SceneError: If the table names an entity that does not exist, or scales one that has no size of its own.
+    """
+    factors = scene.plant.factor
+    if not factors:
+        return drawn
+    _require(factors, "plant.factor", scene, layout)
+    names = drawn.names if drawn else ()
+    names += tuple(name for name in factors if name not in names)
+    mass, friction, size = np.ones((1, len(names))), np.ones((1, len(names))), np.zeros((1, len(names), 3))
+    if drawn:
+        known = len(drawn.names)
+        mass[:, :known], friction[:, :known], size[:, :known] = drawn.mass, drawn.friction, drawn.size
+    sized = {item.name: item.size for item in (*scene.object, *scene.obstacle) if item.size is not None}
+    for name, factor in factors.items():
+        i = names.index(name)
+        mass[0, i] *= factor.mass
+        friction[0, i] *= factor.friction
+        if factor.size == 1.0:
+            continue
+        if name not in sized:
+            raise SceneError(
+                "it has no size to scale", key=f"plant.factor.{name}.size", file=scene.path, allowed=sorted(sized)
+            )
+        extents = np.asarray(sized[name])
+        size[0, i, : len(extents)] += (factor.size - 1.0) * (extents + size[0, i, : len(extents)])
+    return Properties(names, mass, friction, size)
+
+
+def _require(names: Iterable[str], key: str, scene: Scene, layout: Layout) -> None:
+    """Refuse names that are no entity's."""
+    allowed = [e.name for e in layout.entities]
+    for name in names:
+        if name not in allowed:
+            raise SceneError(
+                "no such robot, object or obstacle", key=key, file=scene.path, found=name, allowed=allowed
+            )
 
 
 def _uniform(spread: list[float], draws: int, seed: int) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..model.compiled import CompiledScene, compile_scene
 from ..model.mujoco_model import Options
 from ..model.overlaps import refuse_overlap
 from ..model.pairs import collision_pairs, touching_pairs
-from ..model.properties import Properties, draw_properties
+from ..model.properties import Properties, draw_properties, with_factors
 from ..model.state import Contact, State
 from ..scene.errors import SceneError
 from ..task.conditions import Look
@@ -79,8 +79,12 @@ class Worlds:
         self.task = task
         self.layout = task_layout(compiled.layout, scene)
         self.draws = None
-        if scene.plant.randomize:
-            self.draws = [draw_properties(scene, self.layout, 1, seed=2 * seed + 1) for seed in seeds]
+        if scene.plant.randomize or scene.plant.factor:
+            drawn = [
+                draw_properties(scene, self.layout, 1, seed=2 * seed + 1) if scene.plant.randomize else None
+                for seed in seeds
+            ]
+            self.draws = [with_factors(draw, scene, self.layout) for draw in drawn]
         self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
         watched = self.monitors[0].watched_terms.union(watch)
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None

@@ -45,7 +45,7 @@ from .schema_planner import (
     StepCount,
     Temperature,
 )
-from .schema_plant import Kick, PlantNoise, PlantSettings
+from .schema_plant import Kick, PlantFactors, PlantNoise, PlantSettings
 from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
 from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
 from .types import (
@@ -94,6 +94,7 @@ __all__ = [
     "Obstacle",
     "Phase",
     "Planner",
+    "PlantFactors",
     "PlantNoise",
     "PlantSettings",
     "Pose",

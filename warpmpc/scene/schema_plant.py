@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from .types import Count, Flag, Floats, NonNegative, Section
+from pydantic import Field
+
+from .types import Count, Flag, Floats, NonNegative, Positive, Section
 
 
 class Kick(Section):
@@ -27,6 +29,17 @@ class PlantNoise(Section):
     """Velocities [m/s or rad/s]."""
 
 
+class PlantFactors(Section):
+    """How far a thing in the plant is from what the planner takes it to be."""
+
+    mass: Positive = 1.0
+    """Factor on every mass."""
+    friction: NonNegative = 1.0
+    """Factor on every coefficient of friction."""
+    size: Positive = 1.0
+    """Factor on the dimensions of an object or obstacle; its mass stays."""
+
+
 class PlantSettings(Section):
     """How the simulated plant differs from the planner's worlds."""
 
@@ -35,6 +48,9 @@ class PlantSettings(Section):
     for, else 8."""
     randomize: Flag = True
     """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
+    factor: dict[str, PlantFactors] = Field(default_factory=dict)
+    """Robot, object or obstacle → factors on its properties in the plant alone, besides what is drawn: what the
+    planner has wrong."""
     noise: PlantNoise = PlantNoise()
     """Noise of what is observed."""
     delay: NonNegative = 0.0
