@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 from bench import machine
@@ -130,8 +131,28 @@ def run(cell: Cell) -> dict:
     return {"cost": cost if math.isfinite(cost) else None, "reached": reached, "plan_ms": float(np.median(taken))}
 
 
-def drive(cell: Cell) -> tuple[list[float], list[float], float | None]:
+class Drive(Protocol):
+    """An episode to drive: a strategy's on a task, or any other."""
+
+    @property
+    def scene(self) -> warpmpc.Scene:
+        """The scene as it is planned."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the episode."""
+
+    @property
+    def seconds(self) -> float:
+        """How long it may take [s]."""
+
+
+def drive(cell: Drive, *, to_the_end: bool = True) -> tuple[list[float], list[float], float | None]:
     """One episode in closed loop.
+
+    Args:
+        cell: What is driven, from which seed, how long at most.
+        to_the_end: Whether it goes on although its goal was reached or it failed.
 
     Returns:
         The cost of every control step, infinite once the plant diverged; the wall time of every plan [ms]; and when
@@ -157,6 +178,8 @@ def drive(cell: Cell) -> tuple[list[float], list[float], float | None]:
         costs.append(sum(float(task[label]) * value for label, value in plant.terms.items()))
         if reached is None and plant.success:
             reached = plant.time
+        if plant.done and not to_the_end:
+            break
         observation = plant.observe()
     controller.engine.close()
     return [*costs, math.inf] if plant.diverged else costs, taken, reached
