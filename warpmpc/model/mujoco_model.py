@@ -260,5 +260,8 @@ def _entities(model: mujoco.MjModel, compiled: CompiledScene) -> tuple[dict, dic
     for entity in compiled.layout.entities:
         bodies[entity.name] = tuple(model.body(compiled.body_name[b]).id for b in entity.bodies)
         names = [compiled.geom_name[s] for s in entity.shapes]
+        # heightfields are no shapes, but of the file whose floors are
+        fields = [model.geom(g).name for g in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)]
+        names += [name for name in fields if entity.kind == "robot" and name.startswith(f"{entity.name}/")]
         geoms[entity.name] = tuple(model.geom(name).id for name in names if name)
     return bodies, geoms
