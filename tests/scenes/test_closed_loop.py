@@ -166,6 +166,20 @@ def test_a_cube_that_is_knocked_away_is_picked_up_again():
     assert sum(r.success for r in results) >= 2, results
 
 
+def test_two_arms_carry_a_box_over_a_wall():
+    (result,) = episodes("box_carry", (310,))
+    assert result.success, result
+    assert [name for name, _ in result.phases] == ["squeeze", "lift", "cross", "lower"]
+    assert result.sim_time <= 12.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["heavier", "lighter", "slippery"])
+def test_two_arms_carry_a_box_that_is_not_what_they_take_it_to_be(variant):
+    results = episodes(f"box_carry:{variant}", range(310, 313))
+    assert sum(r.success for r in results) >= 2, results
+
+
 @pytest.mark.parametrize("name", ["pendulum", "cartpole_swingup"])
 def test_what_hangs_swings_up_and_stays(name):
     results = episodes(name, (310, 311))
