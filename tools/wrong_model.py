@@ -12,9 +12,6 @@ as well. Nothing else is drawn in the plant. Delays that are no whole number of 
 
 A line has the seeds that reached the goal, the median time of these, and what the scene's terms cost in the plant: the
 mean over the control steps until the episode ended, then over the seeds. What is done is kept in
-OUT/wrong_model.jsonl, so that the same command goes on after an interruption or --limit, whose table has what is done by
-then.
-"""
 
 from __future__ import annotations
 

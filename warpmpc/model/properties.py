@@ -117,9 +117,7 @@ def _require(names: Iterable[str], key: str, scene: Scene, layout: Layout) -> No
     allowed = [e.name for e in layout.entities]
     for name in names:
         if name not in allowed:
-            raise SceneError(
-                "no such robot, object or obstacle", key=key, file=scene.path, found=name, allowed=allowed
-            )
+            raise SceneError("no such robot, object or obstacle", key=key, file=scene.path, found=name, allowed=allowed)
 
 
 def _uniform(spread: list[float], draws: int, seed: int) -> np.ndarray:
