@@ -11,7 +11,9 @@ are 30 % off, the dimensions of objects 10 % (``plant.factor``), or what is obse
 as well. Nothing else is drawn in the plant. Delays that are no whole number of a scene's controls are left out.
 
 A line has the seeds that reached the goal, the median time of these, and what the scene's terms cost in the plant: the
-mean over the control steps until the episode ended, then over the seeds. What is done is kept in
+mean over the control steps until the episode ended, then over the seeds. What is done is kept in OUT/wrong_model.jsonl,
+so that the same command goes on after an interruption or --limit, whose table has what is done by then.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ from pathlib import Path
 import numpy as np
 from bench import machine
 from equal_time.cells import drive
-from planners import gather
+from planners import DAY, gather
 
 import warpmpc
 from warpmpc.cli.run import start_warp
@@ -39,7 +41,6 @@ SCENES = ("humanoid_get_up", "humanoid_stand", "quadruped_walk", "quadruped_terr
 FACTORS = {"mass": (1.3, 0.7), "friction": (1.3, 0.7), "size": (1.1, 0.9)}
 DELAYS = (0.02, 0.04, 0.08)
 NOMINAL = "nominal"
-DAY = 86400.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,8 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         parser.error(str(error))
     here = machine()
-    print(f"{here['cpu']}, {here['cores']} cores, seeds {args.seed} to {args.seed + args.runs - 1}\n")
-    print("\n".join(lines(episodes, records)))
+    print(f"{here['cpu']}, {here['cores']} cores, seeds from {args.seed} on", "", *lines(episodes, records), sep="\n")
     return 0 if whole else 1
 
 
