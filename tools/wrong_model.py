@@ -19,11 +19,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,7 @@ import warpmpc
 from warpmpc.cli.run import start_warp
 from warpmpc.run.code import scene_digest
 from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, check_jobs, open_workers
+from warpmpc.run.workers import FORMS, open_workers
 
 SCENES = ("humanoid_get_up", "humanoid_stand", "quadruped_walk", "quadruped_terrain", "omni_push_box")
 FACTORS = {"mass": (1.3, 0.7), "friction": (1.3, 0.7), "size": (1.1, 0.9)}
@@ -53,10 +52,10 @@ class Episode:
     overrides: tuple[str, ...]
     seed: int
 
-    @property
+    @cached_property
     def scene(self) -> warpmpc.Scene:
         """The scene with its plant, planned on one thread."""
-        return _scene(self.task, self.overrides)
+        return warpmpc.load_scene(self.task, overrides=("plant.randomize=false", "engine.threads=1", *self.overrides))
 
     @property
     def seconds(self) -> float:
@@ -66,11 +65,6 @@ class Episode:
     def key(self, what: str) -> str:
         """What tells its record from others'."""
         return json.dumps([what, *asdict(self).values(), scene_digest(self.scene)])
-
-
-@cache
-def _scene(task: str, overrides: tuple[str, ...]) -> warpmpc.Scene:
-    return warpmpc.load_scene(task, overrides=("plant.randomize=false", "engine.threads=1", *overrides))
 
 
 def settings(task: str) -> dict[str, tuple[str, ...]]:
@@ -103,7 +97,7 @@ def run(episode: Episode) -> dict:
     """
     costs, _, reached = drive(episode, to_the_end=False)
     cost = float(np.mean(costs))
-    return {"reached": reached, "cost": cost if math.isfinite(cost) else None}
+    return {"reached": reached, "cost": cost if np.isfinite(cost) else None}
 
 
 def lines(episodes: list[Episode], records: Records) -> list[str]:
@@ -135,7 +129,6 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     until = time.monotonic() + args.limit
     try:
-        check_jobs(args.jobs)
         episodes = [
             Episode(task=task, strategy=wrong, overrides=(*overrides, *args.overrides), seed=args.seed + i)
             for i in range(args.runs)
