@@ -23,6 +23,7 @@ import sys
 import time
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class Episode:
 
     @property
     def seconds(self) -> float:
-        """The scene's own time-out [s]."""
+        """Time-out of the scene [s]."""
         return self.scene.timing.timeout
 
     def key(self, what: str) -> str:
@@ -74,13 +75,18 @@ def settings(task: str) -> dict[str, tuple[str, ...]]:
         SceneError: If there is no such scene.
     """
     scene = warpmpc.load_scene(task)
-    things = [item.name for item in scene.object] or [robot.name for robot in scene.robot]
+    sized = [item for item in scene.object if item.size is not None]
+    things = [item.name for item in scene.object or scene.robot]
     touched = things if scene.object or scene.ground is None else [*things, "ground"]
-    of = {"mass": things, "friction": touched, "size": [item.name for item in scene.object if item.size is not None]}
+    of = {"mass": things, "friction": touched, "size": [item.name for item in sized]}
     found = {NOMINAL: ()}
     for what, factors in FACTORS.items():
         for factor in factors if of[what] else ():
-            found[f"{what} {100 * (factor - 1):+.0f} %"] = tuple(f"plant.factor.{n}.{what}={factor}" for n in of[what])
+            changes = [f"plant.factor.{name}.{what}={factor}" for name in of[what]]
+            for item in sized if what == "size" else ():  # stands where it stood, and not in the floor
+                lift = (factor - 1.0) * item.size[-1] * (1.0 if len(item.size) == 1 else 0.5)
+                changes.append(f"object.{item.name}.position={[*item.position[:2], item.position[2] + lift]}")
+            found[f"{what} {100 * (factor - 1):+.0f} %"] = tuple(changes)
     for delay in DELAYS:
         controls = delay / scene.timing.control_dt
         if abs(controls - round(controls)) < 1e-6:
@@ -92,25 +98,21 @@ def run(episode: Episode) -> dict:
     """Drive one episode until it is over.
 
     Returns:
-        ``reached``, when the goal was, None where it was not [s]; ``cost``, the mean of its control steps, None where
-        the plant diverged.
+        ``reached``, when the goal was [s], else None; ``cost``, the mean of the controls, None if the plant diverged.
     """
     costs, _, reached = drive(episode, to_the_end=False)
-    cost = float(np.mean(costs))
-    return {"reached": reached, "cost": cost if np.isfinite(cost) else None}
+    return {"reached": reached, "cost": float(np.mean(costs)) if np.isfinite(costs).all() else None}
 
 
 def lines(episodes: list[Episode], records: Records) -> list[str]:
     """The table in Markdown, a line for each scene and setting with the episodes that are done."""
-    cells: dict[tuple[str, str], list[dict]] = {}
+    cells: dict[tuple[str, str], list[dict | None]] = {}
     for episode in episodes:
-        done = cells.setdefault((episode.task, episode.strategy), [])
-        if record := records.by_key.get(episode.key(run.__name__)):
-            done.append(record)
+        cells.setdefault((episode.task, episode.strategy), []).append(records.by_key.get(episode.key(run.__name__)))
     out = ["| scene | the plant beside the model | reached | time [s] | cost |", "|---|---|---|---|---|"]
-    for (task, wrong), done in cells.items():
-        times = [record["reached"] for record in done if record["reached"] is not None]
-        costs = [record["cost"] for record in done if record["cost"] is not None]
+    for (task, wrong), found in cells.items():
+        done = [record for record in found if record]
+        times, costs = ([record[key] for record in done if record[key] is not None] for key in ("reached", "cost"))
         figures = [f"{np.median(times):.2f}" if times else "-", f"{np.mean(costs):.3g}" if costs else "-"]
         out.append(f"| `{task}` | {wrong} | {len(times)} of {len(done)} | {' | '.join(figures)} |")
     return out
@@ -126,19 +128,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--limit", type=float, default=DAY, help="stop after so many seconds")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
-    args = parser.parse_args(arguments)
-    until = time.monotonic() + args.limit
+    args, now = parser.parse_args(arguments), time.monotonic()
     try:
         episodes = [
             Episode(task=task, strategy=wrong, overrides=(*overrides, *args.overrides), seed=args.seed + i)
-            for i in range(args.runs)
-            for task in args.scenes
+            for i, task in product(range(args.runs), args.scenes)
             for wrong, overrides in settings(task).items()
         ]
         records = Records(args.out / "wrong_model.jsonl")
         workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
         with workers:
-            whole = gather(run, episodes, records, workers, until=until)
+            whole = gather(run, episodes, records, workers, until=now + args.limit)
     except (ValueError, OSError) as error:
         parser.error(str(error))
     here = machine()

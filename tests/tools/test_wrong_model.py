@@ -18,19 +18,30 @@ def test_every_setting_changes_the_plant_and_nothing_else():
         for wrong, overrides in settings(task).items():
             scene = warpmpc.load_scene(task, overrides=("plant.randomize=false", "engine.threads=1", *overrides))
             assert (scene.plant != nominal.plant) == (wrong != NOMINAL), (task, wrong)
-            assert scene.model_copy(update={"plant": nominal.plant}) == nominal, (task, wrong)
+            others = {"plant": nominal.plant, **({"object": nominal.object} if "size" in wrong else {})}
+            assert scene.model_copy(update=others) == nominal, (task, wrong)
 
 
 def test_objects_are_wrong_where_there_are_any_else_robots_and_the_ground():
     box = settings("omni_push_box")
     assert box["mass +30 %"] == ("plant.factor.box.mass=1.3",)
-    assert box["size -10 %"] == ("plant.factor.box.size=0.9",)
+    assert box["size -10 %"][0] == "plant.factor.box.size=0.9"
     assert "delay 20 ms" not in box  # half a control
     assert box["delay 80 ms"] == ("plant.delay=0.08",)
     dog = settings("quadruped_walk")
     assert dog["mass -30 %"] == ("plant.factor.dog.mass=0.7",)
     assert dog["friction -30 %"] == ("plant.factor.dog.friction=0.7", "plant.factor.ground.friction=0.7")
     assert not [wrong for wrong in dog if wrong.startswith("size")]
+
+
+@pytest.mark.parametrize("wrong", ["size +10 %", "size -10 %"])
+def test_objects_of_another_size_start_on_the_floor(wrong):
+    task = "omni_push_box"
+    plant = warpmpc.Plant(Episode(task=task, strategy=wrong, overrides=settings(task)[wrong], seed=0).scene)
+    box = plant.model.body("box")
+    half = plant.model.geom_size[int(box.geomadr[0]), 2]
+    assert half == pytest.approx(0.15 * (1.1 if "+" in wrong else 0.9))
+    assert plant.state.joint_q[5] == pytest.approx(half, abs=1e-6)
 
 
 @pytest.mark.parametrize("task", wrong_model.SCENES)
