@@ -70,7 +70,7 @@ class Shot:
 
 SHOTS = {
     "acrobot": Shot(azimuth=90.0, elevation=-8.0),
-    "box_carry": Shot(azimuth=150.0, elevation=-22.0, at=0.55),
+    "box_carry": Shot(azimuth=130.0, elevation=-16.0, at=0.3, plain=True, closer=1.15),
     "cartpole_swingup": Shot(azimuth=90.0, elevation=-8.0),
     "panda_reach": Shot(plain=True),
     "push_t": Shot(at=0.1, closer=0.85),
