@@ -27,7 +27,8 @@ class Settings:
     """Inputs of one section of the scene; what they say is the scene's once the session has taken it.
 
     Numbers, switches and choices have inputs of their own kind, everything else is a text as in a scene file; an
-    empty one stands for a key that is left out. Lists of tables (kicks, ancillary controllers) have none.
+    empty one stands for a key that is left out. Lists of tables (kicks, ancillary controllers) and tables by name
+    (factors) have none.
 
     Args:
         gui: The page's inputs.
@@ -111,9 +112,9 @@ def _leaves(section: Section, at: tuple[str, ...]) -> Iterator[tuple[str, object
 
 
 def _lists_tables(annotation: object) -> bool:
-    """Whether something is a list of tables."""
+    """Whether something is a list of tables, or has them by name."""
     parts = get_args(annotation)
-    own = get_origin(annotation) is tuple and any(isinstance(p, type) and issubclass(p, Section) for p in parts)
+    own = get_origin(annotation) in (tuple, dict) and any(isinstance(p, type) and issubclass(p, Section) for p in parts)
     return own or any(_lists_tables(part) for part in parts)
 
 
