@@ -49,7 +49,9 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
 
 def test_a_result_survives_json():
     assert result_from_json(a_result().to_json()) == a_result()
-    plain = a_result(success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), reached=None, drawn={})
+    plain = a_result(
+        success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), reached=None, drawn={}
+    )
     assert result_from_json(plain.to_json()) == plain
     unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
     assert math.isnan(unknown.cost)
