@@ -79,6 +79,7 @@ SHOTS = {
     "pendulum": Shot(azimuth=90.0, elevation=-8.0),
     "go2_jump": Shot(azimuth=150.0, elevation=-14.0, longest=1.2, at=0.38),
     "go2_walk": Shot(azimuth=110.0, elevation=-14.0, follow=True, longest=3.0),
+    "hand_cube": Shot(azimuth=75.0, elevation=-50.0, closer=1.15, longest=4.0),
     "humanoid_stand": Shot(longest=4.0),
     "humanoid_get_up": Shot(longest=4.0),
     "quadruped_walk": Shot(follow=True, longest=6.0),

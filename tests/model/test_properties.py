@@ -176,3 +176,14 @@ def test_newtons_model_is_drawn_like_mujocos(kind):
     count = {"box": 3, "sphere": 1}.get(kind, 2)
     sizes = model.shape_scale.numpy().reshape(3, -1, 3)[:, mine, :count]
     np.testing.assert_allclose(sizes, expected["geom_size"][:, geom, :count], rtol=1e-6)
+
+
+def test_what_is_off_by_all_of_its_range_is_so_up_and_down():
+    scene = make_scene(object=[BOX], randomize={"box": {"mass": {"uniform": 0.3, "ends": True}}})
+    drawn = draw_properties(scene, compiled(scene).layout, 64, seed=5)
+    np.testing.assert_allclose(np.unique(drawn.mass.round(6)), [0.7, 1.3])
+    assert 0.3 < np.mean(drawn.mass > 1.0) < 0.7
+    np.testing.assert_array_equal(drawn.friction, 1.0)
+    full = make_scene(object=[BOX], randomize={"box": {"mass": {"uniform": 0.3}}})
+    inner = draw_properties(full, compiled(full).layout, 64, seed=5)
+    np.testing.assert_array_equal(drawn.mass > 1.0, inner.mass > 1.0)

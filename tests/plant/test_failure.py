@@ -86,6 +86,32 @@ def test_a_phase_may_take_too_long_and_have_failures_of_its_own():
     assert monitor.failure == "slow"
 
 
+def test_each_of_several_goals_may_take_too_long_and_those_that_were_reached_are_counted():
+    goals = [{"position": (x, 0.0)} for x in (0.5, 1.0, 1.5)]
+    course = {"name": "course", "through": goals, "until": {"frame": "base/centre", "distance": 0.1}}
+    scene = make_scene(phase=[course], failure=[{"name": "slow", "phase": "course", "after": 0.5}])
+    monitor = Monitor(scene, task=Task(scene), compiled=compiled(scene))
+    for time, x, reached in ((0.0, 0.0, 0), (0.4, 0.5, 1), (0.8, 1.0, 2), (1.2, 1.0, 2)):
+        monitor.update(at(x, time))
+        assert (monitor.reached, monitor.failure) == (reached, None)
+    monitor.update(at(1.0, 1.3))  # the last one, too
+    assert (monitor.reached, monitor.failure) == (2, "slow")
+    monitor.reset()
+    for time, x in ((0.0, 0.5), (0.1, 1.0), (0.2, 1.5)):
+        monitor.update(at(x, time))
+    assert (monitor.success, monitor.reached) == (True, 3)
+    monitor.reset()
+    assert monitor.reached == 0
+
+
+def test_a_phase_that_ends_by_its_time_was_not_reached():
+    scene = make_scene(phase=[{"name": "wait", "after": 0.2}, {"name": "go"}])
+    monitor = Monitor(scene, task=Task(scene), compiled=compiled(scene))
+    for time in (0.0, 0.1, 0.3):
+        monitor.update(at(0.0, time))
+    assert ([name for name, _ in monitor.phases], monitor.reached) == (["go"], 0)
+
+
 def test_a_time_after_which_conditions_count_lets_a_run_begin_where_they_hold():
     row = {"name": "stuck", "conditions": {"joint": "base/x", "below": 0.1}, "after": 0.4}
     plant = plant_of(failure=[row])

@@ -40,6 +40,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
         "fallbacks": 1,
         "envs": 2,
         "phases": (("home", 0.5),),
+        "reached": 1,
         "drawn": {"goal.position": [1.0, 2.0]},
     }
     assert set(values) == {field.name for field in dataclasses.fields(EpisodeResult)}
@@ -48,7 +49,9 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
 
 def test_a_result_survives_json():
     assert result_from_json(a_result().to_json()) == a_result()
-    plain = a_result(success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), drawn={})
+    plain = a_result(
+        success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), reached=None, drawn={}
+    )
     assert result_from_json(plain.to_json()) == plain
     unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
     assert math.isnan(unknown.cost)

@@ -10,6 +10,7 @@ from small_scenes import make_scene
 from warpmpc.run.batch import Batch
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.errors import SceneError
+from warpmpc.scene.waypoints import is_of, runs_of
 from warpmpc.task.task import Task
 
 NEAR = {"frame": "base/centre", "distance": 0.15}
@@ -83,3 +84,16 @@ def test_a_phase_has_one_kind_of_goal(keys, message):
 def test_drawn_orientations_are_no_batch():
     with pytest.raises(SceneError, match=r"phase\.turn_1\.goal\.rotation.*without --envs"):
         Batch(turning(), [0, 1], envs=2)
+
+
+def test_goals_of_a_phase_are_of_its_name():
+    assert all(is_of(name, "turn") for name in ("turn", "turn_1", "turn_50"))
+    assert not any(is_of(name, "turn") for name in ("turn_around", "return_1", "turn_", "turn_1_2"))
+
+
+def test_goals_that_follow_one_another_are_told_in_one():
+    names = [
+        phase.name for phase in make_scene(phase=[COURSE, {"name": "home", "goal": {"position": (0.0, 0.0)}}]).phase
+    ]
+    assert runs_of(names) == [("course_1", "course_3"), ("home", "home")]
+    assert runs_of(["a_1", "a_3", "b"]) == [("a_1", "a_1"), ("a_3", "a_3"), ("b", "b")]

@@ -4,6 +4,8 @@
 With the engine that ``auto`` takes on the CPU; tests that take ``device`` also on a GPU: pytest -m gpu tests/scenes.
 """
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 
@@ -205,6 +207,14 @@ def test_a_quadruped_leaps_and_lands_on_its_feet():
     (result,) = episodes("go2_jump", (310,))
     assert result.success, result
     assert [name for name, _ in result.phases] == ["leap", "land"]  # the second when its trunk was at 0.55 m
+
+
+@pytest.mark.skipif(find_spec("gymnasium_robotics") is None, reason="needs the assets of gymnasium-robotics")
+def test_a_hand_turns_a_cube_to_one_orientation_after_the_other():
+    (result,) = episodes("hand_cube:exact", (310,), ["timing.timeout=8.0"])
+    assert result.reason == "timeout", result
+    assert result.reached >= 6, result
+    assert len(result.phases) == result.reached
 
 
 @pytest.mark.slow

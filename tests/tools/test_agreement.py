@@ -43,6 +43,7 @@ UNMEASURED = {
     "cartpole_swingup",
     "go2_jump",
     "go2_walk",
+    "hand_cube",
     "humanoid_get_up",
     "pendulum",
     "quadrotor",

@@ -16,6 +16,7 @@ from rich.text import Text
 from ..scene.describe import default, takes
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method, ShareOfRange
+from ..scene.waypoints import runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,8 +143,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         fact("target", f"{target.name} at {_number(target.position)} m")
     if scene.scalar:
         fact("scalars", ", ".join(f"{name} = {_number(value)}" for name, value in scene.scalar.items()))
-    for phase in scene.phase:
-        fact("phase", phase.name)
+    for name, last in runs_of(phase.name for phase in scene.phase):
+        fact("phase", name if last == name else f"{name} to {last}")
     fact("planner", _planner(scene))
     shape = controller.shape
     substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.planner.grid).count
@@ -285,18 +286,21 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     numbers = ["seed", "time\n[s]", _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
+    phased = ["reached"] if results[0].reached is not None else []
     table = _table(
         "seed",
         "result",
+        *phased,
         *numbers[1:],
         *safe,
-        right=[*numbers, *safe],
+        right=[*numbers, *phased, *safe],
         title=_title(results[0]),
     )
     for r in results:
         table.add_row(
             str(r.seed),
             Text(r.reason, style="green" if r.success else "red"),
+            *([str(r.reached)] if phased else []),
             f"{r.sim_time:.2f}",
             _metres(_position(r)),
             "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
@@ -378,8 +382,16 @@ def _some(names: Sequence[str], *, most: int = 12) -> str:
 def summary(results: Sequence[EpisodeResult]) -> str:
     """How many episodes reached the goal, and the mean ± standard deviation of their times."""
     times = [result.time_to_goal for result in results if result.time_to_goal is not None]
-    text = f"{len(times)} of {len(results)} reached the goal"
+    text = f"{len(times)} of {len(results)} reached the goal" + _in_a_row(results)
     if not times:
         return text
     spread = f" ± {statistics.stdev(times):.2f}" if len(times) > 1 else ""
     return f"{text}; time to goal {statistics.mean(times):.2f}{spread} s"
+
+
+def _in_a_row(results: Sequence[EpisodeResult]) -> str:
+    """How many phases of a task in parts came to their end."""
+    reached = [result.reached for result in results if result.reached is not None]
+    if not reached:
+        return ""
+    return f"; phases reached: median {statistics.median(reached):g}, {min(reached)} to {max(reached)}"

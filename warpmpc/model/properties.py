@@ -15,7 +15,7 @@ from ..scene.errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..scene.schema import Scene
+    from ..scene.schema import Scene, Uniform
     from .batch_size import BatchSize
     from .layout import Layout
 
@@ -62,8 +62,8 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
     names = tuple(scene.randomize)
     _require(names, "randomize", scene, layout)
     rules = [scene.randomize[name] for name in names]
-    mass = _uniform([r.mass.uniform if r.mass else 0.0 for r in rules], draws, 3 * seed)
-    friction = _uniform([r.friction.uniform if r.friction else 0.0 for r in rules], draws, 3 * seed + 1)
+    mass = _uniform([r.mass for r in rules], draws, 3 * seed)
+    friction = _uniform([r.friction for r in rules], draws, 3 * seed + 1)
     sigma = wp.array([r.size.normal if r.size else 0.0 for r in rules], dtype=float, device="cpu")
     size = wp.zeros((draws, len(names), 3), dtype=float, device="cpu")
     if names:
@@ -120,9 +120,12 @@ def _require(names: Iterable[str], key: str, scene: Scene, layout: Layout) -> No
             raise SceneError("no such robot, object or obstacle", key=key, file=scene.path, found=name, allowed=allowed)
 
 
-def _uniform(spread: list[float], draws: int, seed: int) -> np.ndarray:
-    scale = wp.zeros((draws, len(spread)), dtype=float, device="cpu")
-    if spread:
+def _uniform(rules: list[Uniform | None], draws: int, seed: int) -> np.ndarray:
+    spread = np.array([rule.uniform if rule else 0.0 for rule in rules], dtype=np.float32)
+    scale = wp.zeros((draws, len(rules)), dtype=float, device="cpu")
+    if rules:
         inputs = [wp.array(spread, dtype=float, device="cpu"), seed, 0, 0]
         wp.launch(uniform_scale_kernel, dim=scale.shape, inputs=inputs, outputs=[scale], device="cpu")
-    return scale.numpy().astype(np.float64)
+    factor = scale.numpy().astype(np.float64)
+    ends = [rule is not None and rule.ends for rule in rules]
+    return np.where(ends, 1.0 + np.copysign(spread, factor - 1.0), factor)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.compiled import CompiledScene, compile_scene
+from ..scene.waypoints import is_of
 from ..task.conditions import Conditions, Look
 from ..task.goal import GOAL, GoalError, goal_error
 from ..task.task import task_layout
@@ -88,6 +89,7 @@ class Monitor:
             self._task.reset(self._e)
         self.error = None
         self.phases = []
+        self._reached = 0
         self.failure = None
         self._now: float | None = None  # time of the last state
         self._within: float | None = None  # since when the success test holds
@@ -154,7 +156,7 @@ class Monitor:
         phase = self._scene.phase[self._task.phase[self._e]].name if self._scene.phase else None
         for i, (failure, conditions) in enumerate(zip(self._scene.failure, self._fails, strict=True)):
             begun = self._begun if failure.phase is None else self._entered
-            counts = failure.phase in (None, phase) and self._lasted(begun, failure.after)
+            counts = (failure.phase is None or is_of(phase, failure.phase)) and self._lasted(begun, failure.after)
             self._failing[i] = self._since(self._failing[i], counts and conditions.hold(look))
             if self.failure is None and not self.success and self._lasted(self._failing[i], failure.hold):
                 self.failure = failure.name
@@ -165,7 +167,9 @@ class Monitor:
         phase, until = task.phase_of(e), self._until[task.phase[e]]
         self._held = self._since(self._held, bool(phase.until) and until.hold(look))
         over = phase.after is not None and self._lasted(self._entered, phase.after)
-        if over or self._lasted(self._held, phase.hold):
+        come = self._lasted(self._held, phase.hold)
+        if over or come:
+            self._reached += come
             task.enter_phase(int(task.phase[e]) + 1, e)
             self._held, self._entered = None, self._now
             self.phases.append((task.phase_of(e).name, self._now))
@@ -174,6 +178,11 @@ class Monitor:
     def success(self) -> bool:
         """Whether everything that is wanted holds and did so long enough."""
         return self.failure is None and self._lasted(self._within, self._scene.success.hold)
+
+    @property
+    def reached(self) -> int:
+        """Phases that ended because what they wait for had come, not by ``after``; the last one with the success."""
+        return self._reached + (self.success and bool(self._scene.phase))
 
     def _since(self, since: float | None, holds: bool) -> float | None:
         """Since when something holds without a break [s], which it did since a time, or not."""

@@ -79,6 +79,8 @@ class EpisodeResult:
     """Final error along the axis that is farthest from its tolerance [m], None without tolerances along axes."""
     phases: tuple[tuple[str, float], ...] = ()
     """Phases of the task that were entered after the first, and when [s]."""
+    reached: int | None = None
+    """Phases that ended because what they wait for had come, the last one with the success; None without phases."""
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
@@ -114,6 +116,8 @@ class EpisodeResult:
             data["final"]["axis_error_m"] = self.axis_error
         if self.phases:
             data["phases"] = [{"phase": name, "time_s": time} for name, time in self.phases]
+        if self.reached is not None:
+            data["reached"] = self.reached
         if self.drawn:
             data["drawn"] = self.drawn
         return plain(data)
@@ -186,6 +190,7 @@ class Tally:
             envs=controller.envs,
             axis_error=None if error is None else error.worst_axis(scene.success),
             phases=tuple(plant.monitor.phases),
+            reached=plant.monitor.reached if scene.phase else None,
             drawn=self.drawn,
         )
 

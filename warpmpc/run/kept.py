@@ -81,6 +81,7 @@ def result_from_json(data: dict[str, Any]) -> EpisodeResult:
         plan_ms={name: _number(value) for name, value in data["plan_ms"].items()},
         stages_ms={name: _number(value) for name, value in data["stages_ms"].items()},
         phases=tuple((entry["phase"], entry["time_s"]) for entry in data.get("phases", ())),
+        reached=data.get("reached"),
         drawn=data.get("drawn", {}),
     )
 

@@ -61,7 +61,7 @@ from .types import (
     Section,
     Vec2or3,
 )
-from .waypoints import one_by_one
+from .waypoints import is_of, one_by_one
 
 __all__ = [
     "AgentSettings",
@@ -308,7 +308,7 @@ class Scene(Section):
     def _in_phases(cls, failures: tuple[Failure, ...], info: ValidationInfo) -> tuple[Failure, ...]:
         there = [phase.name for phase in info.data.get("phase", ())]
         for failure in failures:
-            if failure.phase is not None and failure.phase not in there:
+            if failure.phase is not None and not any(is_of(name, failure.phase) for name in there):
                 known = f"the phases are {', '.join(there)}" if there else "the scene has none"
                 raise ValueError(f"'{failure.name}' is of no phase '{failure.phase}': {known}")
         return failures

@@ -82,7 +82,8 @@ class Failure(Section):
     hold: NonNegative = 0.0
     """... for this time [s]."""
     phase: str | None = None
-    """The phase in which it counts, of several goals one by its number (``NAME_1``); the whole run when left out."""
+    """The phase in which it counts, of several goals each, or one by its number (``NAME_1``); the whole run when left
+    out."""
     after: NonNegative = 0.0
     """It counts from this time after the beginning of the phase, or of the run, on [s]."""
 

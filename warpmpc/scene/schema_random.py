@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from .types import Floats, Fraction, NonNegative, Section, Vec3
+from .types import Flag, Floats, Fraction, NonNegative, Section, Vec3
 
 
 class Uniform(Section):
@@ -13,6 +13,8 @@ class Uniform(Section):
 
     uniform: Fraction
     """Largest deviation, as a fraction of the nominal value."""
+    ends: Flag = False
+    """Whether it is off by the whole of it always, up or down."""
 
 
 class Normal(Section):

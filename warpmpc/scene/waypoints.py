@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from .schema import Phase
 
@@ -28,3 +29,20 @@ def one_by_one(phases: Sequence[Phase]) -> tuple[Phase, ...]:
         if phase is phases[-1]:
             out[-1] = out[-1].model_copy(update={"until": (), "hold": 0.0, "after": None})
     return tuple(out)
+
+
+def is_of(phase: str, name: str) -> bool:
+    """Whether a phase is called this, or is one of several goals of a phase that is: ``NAME_1``, ``NAME_2``, ..."""
+    return re.fullmatch(rf"{re.escape(name)}(_\d+)?", phase) is not None
+
+
+def runs_of(phases: Iterable[str]) -> list[tuple[str, str]]:
+    """First and last of the names that follow one another as ``NAME_1``, ``NAME_2``, ..., in their order."""
+    out: list[tuple[str, str]] = []
+    for phase in phases:
+        base, _, number = phase.rpartition("_")
+        if out and number.isdecimal() and out[-1][1] == f"{base}_{int(number) - 1}":
+            out[-1] = (out[-1][0], phase)
+        else:
+            out.append((phase, phase))
+    return out
