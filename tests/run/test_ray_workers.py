@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip("ray", reason="needs Ray: pip install ray")
 
+from concurrent.futures import wait
+
 import ray
 import reproduce
 import warp as wp
@@ -107,6 +109,7 @@ def test_a_session_of_the_users_own_goes_on_without_the_calls(cluster, tmp_path)
         while not all(calls.gone(int(mark.read_text())) for mark in marks):
             assert time.monotonic() < end
             time.sleep(0.05)
+        wait((*futures, queued), timeout=60.0)  # Ray tells of its end in a thread of its own
         assert all(future.cancelled() for future in (*futures, queued))
         with RayWorkers() as workers:  # whose cores are free again
             assert workers.submit(calls.where).result(timeout=90.0)[1] == 0
