@@ -77,6 +77,7 @@ SHOTS = {
     "quadrotor": Shot(follow=True, closer=1.7),
     "storm_cloud": Shot(azimuth=35.0, closer=1.15),
     "pendulum": Shot(azimuth=90.0, elevation=-8.0),
+    "g1_walk": Shot(azimuth=110.0, elevation=-10.0, follow=True, longest=5.0, at=0.8),
     "go2_jump": Shot(azimuth=150.0, elevation=-14.0, longest=1.2, at=0.38),
     "go2_walk": Shot(azimuth=110.0, elevation=-14.0, follow=True, longest=3.0),
     "hand_cube": Shot(azimuth=75.0, elevation=-50.0, closer=1.15, longest=4.0),

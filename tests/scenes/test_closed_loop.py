@@ -17,6 +17,9 @@ GRAZE = 5.0  # [N] net force below which a touched obstacle counts as grazed
 ROBOTS = any((folder / "example-robot-data").is_dir() for folder in package_dirs())
 """Whether the package is installed that strangers' robots come from."""
 
+G1 = any((folder / "mjlab").is_dir() for folder in package_dirs())
+"""Whether the package of the G1 is installed."""
+
 pytestmark = pytest.mark.usefixtures("preferred")
 
 
@@ -224,6 +227,16 @@ def test_a_quadruped_walks_at_its_speed_shoved_or_not(name):
     results = episodes(name, range(310, 313))
     assert all(r.success for r in results), results
     assert max(r.sim_time for r in results) <= 12.0, results  # 5 m at 0.5 m/s
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not G1, reason="needs mjlab")
+def test_a_humanoid_walks_at_its_speed():
+    results = episodes("g1_walk", range(310, 313))
+    walked = [r for r in results if r.success]
+    assert len(walked) >= 2, results
+    assert max(r.sim_time for r in walked) <= 26.0, results  # 10 m at 0.5 m/s, after two seconds that begin
 
 
 @pytest.mark.slow

@@ -41,6 +41,7 @@ UNMEASURED = {
     "acrobot",
     "box_carry",
     "cartpole_swingup",
+    "g1_walk",
     "go2_jump",
     "go2_walk",
     "hand_cube",
