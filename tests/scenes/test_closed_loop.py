@@ -236,7 +236,7 @@ def test_a_humanoid_walks_at_its_speed():
     results = episodes("g1_walk", range(310, 313))
     walked = [r for r in results if r.success]
     assert len(walked) >= 2, results
-    assert max(r.sim_time for r in walked) <= 26.0, results  # 10 m at 0.5 m/s, after two seconds that begin
+    assert max(r.sim_time for r in walked) <= 28.0, results  # 10 m at 0.4 m/s or more, after two seconds that begin
 
 
 @pytest.mark.slow
