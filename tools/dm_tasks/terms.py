@@ -39,6 +39,30 @@ def low(s: warpmpc.StepView, p: LowParams) -> float:
 
 
 @wp.struct
+class StrainParams:
+    """Parameters of ``strain``."""
+
+    frame: int
+    over: int  # frame that the height is measured from, or -1: the ground
+    height: float  # wanted [m]
+    motors: int
+
+
+@warpmpc.cost_term("strain")
+def strain(s: warpmpc.StepView, p: StrainParams) -> float:
+    """Squared controls of what stands high enough; who still has to get up may strain as it likes."""
+    z = warpmpc.frame_position(s, p.frame)[2]
+    if p.over >= 0:
+        z = z - warpmpc.frame_position(s, p.over)[2]
+    total = float(0.0)
+    for i in range(p.motors):
+        u = warpmpc.control(s, i)
+        total += u * u
+    lack = wp.clamp(1.0 - z / p.height, 0.0, 0.5)
+    return total * (1.0 - 2.0 * lack)
+
+
+@wp.struct
 class SlowParams:
     """Parameters of ``slow``."""
 
