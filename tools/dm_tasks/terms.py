@@ -4,6 +4,7 @@
 import warp as wp
 
 import warpmpc
+from warpmpc.kernels.terms.gait import swing_height
 
 Vec2 = wp.types.vector(length=2, dtype=float)
 
@@ -104,24 +105,40 @@ class WalkParams:
     lead: float  # [s] ``footing`` looks so far ahead
 
 
+@wp.struct
+class TreadParams:
+    """Parameters of ``tread``."""
+
+    head: int  # frame
+    left: int  # frames of the feet
+    right: int
+    low: float  # [m] of the head above the feet: who is down gets up first
+    high: float  # [m]
+    cadence: float  # [1/s] cycles
+    swing: float  # share of the cycle that a foot is in the air
+    stand: float  # [m] height of the frames of feet that stand
+    lift: float  # [m]
+
+
 @wp.func
-def feet(s: warpmpc.StepView, p: WalkParams) -> wp.vec3:
+def feet(s: warpmpc.StepView, left: int, right: int) -> wp.vec3:
     """The middle of the feet [m]."""
-    return 0.5 * (warpmpc.frame_position(s, p.left) + warpmpc.frame_position(s, p.right))
+    return 0.5 * (warpmpc.frame_position(s, left) + warpmpc.frame_position(s, right))
 
 
 @wp.func
-def upright(s: warpmpc.StepView, p: WalkParams) -> float:
+def upright(s: warpmpc.StepView, head: int, left: int, right: int, low: float, high: float) -> float:
     """From 0, down, to 1, up: by how high the head is above the feet."""
-    height = warpmpc.frame_position(s, p.head)[2] - feet(s, p)[2]
-    return wp.clamp((height - p.low) / (p.high - p.low), 0.0, 1.0)
+    height = warpmpc.frame_position(s, head)[2] - feet(s, left, right)[2]
+    return wp.clamp((height - low) / (high - low), 0.0, 1.0)
 
 
 @wp.func
 def excess(s: warpmpc.StepView, p: WalkParams) -> Vec2:
     """How much faster the centre of mass is than wanted [m/s]; who is down is not to go anywhere."""
     ahead = wp.quat_rotate(warpmpc.frame_rotation(s, p.torso), wp.vec3(1.0, 0.0, 0.0))
-    speed = upright(s, p) * p.speed / wp.max(wp.sqrt(ahead[0] * ahead[0] + ahead[1] * ahead[1]), 1.0e-6)
+    up = upright(s, p.head, p.left, p.right, p.low, p.high)
+    speed = up * p.speed / wp.max(wp.sqrt(ahead[0] * ahead[0] + ahead[1] * ahead[1]), 1.0e-6)
     v = warpmpc.centre_of_mass_velocity(s, p.robot)
     return Vec2(v[0] - speed * ahead[0], v[1] - speed * ahead[1])
 
@@ -129,11 +146,21 @@ def excess(s: warpmpc.StepView, p: WalkParams) -> Vec2:
 @warpmpc.residual_term("stride")
 def stride(s: warpmpc.StepView, p: WalkParams) -> Vec2:
     """Horizontal velocity of the centre of mass, less the wanted one [m/s]; nothing as long as it is down."""
-    return upright(s, p) * excess(s, p)
+    return upright(s, p.head, p.left, p.right, p.low, p.high) * excess(s, p)
 
 
 @warpmpc.residual_term("footing")
 def footing(s: warpmpc.StepView, p: WalkParams) -> Vec2:
     """Where the centre of mass would fall to, were it not for the wanted speed, less the middle of the feet [m]."""
-    r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p)
+    r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p.left, p.right)
     return Vec2(r[0], r[1]) + p.lead * excess(s, p)
+
+
+@warpmpc.residual_term("tread")
+def tread(s: warpmpc.StepView, p: TreadParams) -> Vec2:
+    """Heights of the feet, less those of a walk that lifts one after the other [m]; nothing as long as it is down."""
+    cycles = p.cadence * warpmpc.step_time(s)
+    up = upright(s, p.head, p.left, p.right, p.low, p.high)
+    left = warpmpc.frame_position(s, p.left)[2] - p.stand - p.lift * swing_height(cycles, 0.0, p.swing)
+    right = warpmpc.frame_position(s, p.right)[2] - p.stand - p.lift * swing_height(cycles, 0.5, p.swing)
+    return Vec2(up * left, up * right)
