@@ -4,7 +4,6 @@
 import warp as wp
 
 import warpmpc
-from warpmpc.kernels.terms.gait import swing_height
 
 Vec2 = wp.types.vector(length=2, dtype=float)
 
@@ -105,21 +104,6 @@ class WalkParams:
     lead: float  # [s] ``footing`` looks so far ahead
 
 
-@wp.struct
-class TreadParams:
-    """Parameters of ``tread``."""
-
-    head: int  # frame
-    left: int  # frames of the feet
-    right: int
-    low: float  # [m] of the head above the feet: who is down gets up first
-    high: float  # [m]
-    cadence: float  # [1/s] cycles
-    swing: float  # share of the cycle that a foot is in the air
-    stand: float  # [m] height of the frames of feet that stand
-    lift: float  # [m]
-
-
 @wp.func
 def feet(s: warpmpc.StepView, left: int, right: int) -> wp.vec3:
     """The middle of the feet [m]."""
@@ -154,13 +138,3 @@ def footing(s: warpmpc.StepView, p: WalkParams) -> Vec2:
     """Where the centre of mass would fall to, were it not for the wanted speed, less the middle of the feet [m]."""
     r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p.left, p.right)
     return Vec2(r[0], r[1]) + p.lead * excess(s, p)
-
-
-@warpmpc.residual_term("tread")
-def tread(s: warpmpc.StepView, p: TreadParams) -> Vec2:
-    """Heights of the feet, less those of a walk that lifts one after the other [m]; nothing as long as it is down."""
-    cycles = p.cadence * warpmpc.step_time(s)
-    up = upright(s, p.head, p.left, p.right, p.low, p.high)
-    left = warpmpc.frame_position(s, p.left)[2] - p.stand - p.lift * swing_height(cycles, 0.0, p.swing)
-    right = warpmpc.frame_position(s, p.right)[2] - p.stand - p.lift * swing_height(cycles, 0.5, p.swing)
-    return Vec2(up * left, up * right)
