@@ -5,6 +5,8 @@ import warp as wp
 
 import warpmpc
 
+Vec2 = wp.types.vector(length=2, dtype=float)
+
 
 @wp.struct
 class TiltParams:
@@ -109,3 +111,54 @@ def away(s: warpmpc.StepView, p: AwayParams) -> float:
     """One minus the cosine between an axis of a frame and the way to another one."""
     way = wp.normalize(warpmpc.frame_position(s, p.to) - warpmpc.frame_position(s, p.frame))
     return 1.0 - wp.dot(wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), p.axis), way)
+
+
+@wp.struct
+class WalkParams:
+    """Parameters of ``stride`` and ``footing``."""
+
+    robot: int
+    torso: int  # frame whose x axis is ahead
+    head: int  # frame
+    left: int  # frames of the feet
+    right: int
+    low: float  # [m] of the head above the feet: who is down gets up first
+    high: float  # [m] from here on it walks at full speed
+    speed: float  # wanted [m/s]
+    lead: float  # [s] ``footing`` looks so far ahead
+
+
+@wp.func
+def feet(s: warpmpc.StepView, left: int, right: int) -> wp.vec3:
+    """The middle of the feet [m]."""
+    return 0.5 * (warpmpc.frame_position(s, left) + warpmpc.frame_position(s, right))
+
+
+@wp.func
+def upright(s: warpmpc.StepView, head: int, left: int, right: int, low: float, high: float) -> float:
+    """From 0, down, to 1, up: by how high the head is above the feet."""
+    height = warpmpc.frame_position(s, head)[2] - feet(s, left, right)[2]
+    return wp.clamp((height - low) / (high - low), 0.0, 1.0)
+
+
+@wp.func
+def excess(s: warpmpc.StepView, p: WalkParams) -> Vec2:
+    """How much faster the centre of mass is than wanted [m/s]; who is down is not to go anywhere."""
+    ahead = wp.quat_rotate(warpmpc.frame_rotation(s, p.torso), wp.vec3(1.0, 0.0, 0.0))
+    up = upright(s, p.head, p.left, p.right, p.low, p.high)
+    speed = up * p.speed / wp.max(wp.sqrt(ahead[0] * ahead[0] + ahead[1] * ahead[1]), 1.0e-6)
+    v = warpmpc.centre_of_mass_velocity(s, p.robot)
+    return Vec2(v[0] - speed * ahead[0], v[1] - speed * ahead[1])
+
+
+@warpmpc.residual_term("stride")
+def stride(s: warpmpc.StepView, p: WalkParams) -> Vec2:
+    """Horizontal velocity of the centre of mass, less the wanted one [m/s]; nothing as long as it is down."""
+    return upright(s, p.head, p.left, p.right, p.low, p.high) * excess(s, p)
+
+
+@warpmpc.residual_term("footing")
+def footing(s: warpmpc.StepView, p: WalkParams) -> Vec2:
+    """Where the centre of mass would fall to, were it not for the wanted speed, less the middle of the feet [m]."""
+    r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p.left, p.right)
+    return Vec2(r[0], r[1]) + p.lead * excess(s, p)
