@@ -85,3 +85,22 @@ def away(s: warpmpc.StepView, p: AwayParams) -> float:
     """One minus the cosine between an axis of a frame and the way to another one."""
     way = wp.normalize(warpmpc.frame_position(s, p.to) - warpmpc.frame_position(s, p.frame))
     return 1.0 - wp.dot(wp.quat_rotate(warpmpc.frame_rotation(s, p.frame), p.axis), way)
+
+
+@wp.struct
+class RhythmParams:
+    """Parameters of ``rhythm``."""
+
+    joint: int
+    phase: float  # when the joint is at its highest, as a share of the cycle
+    cadence: float  # [1/s] cycles
+    low: float  # lowest position [rad]
+    high: float  # highest position [rad]
+
+
+@warpmpc.cost_term("rhythm")
+def rhythm(s: warpmpc.StepView, p: RhythmParams) -> float:
+    """Squared distance [rad²] of a joint from a swing between two positions that follows a clock."""
+    turn = 2.0 * wp.pi * (p.cadence * warpmpc.step_time(s) - p.phase)
+    off = warpmpc.joint_position(s, p.joint) - 0.5 * (p.high + p.low) - 0.5 * (p.high - p.low) * wp.cos(turn)
+    return off * off
