@@ -162,3 +162,22 @@ def footing(s: warpmpc.StepView, p: WalkParams) -> Vec2:
     """Where the centre of mass would fall to, were it not for the wanted speed, less the middle of the feet [m]."""
     r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p.left, p.right)
     return Vec2(r[0], r[1]) + p.lead * excess(s, p)
+
+
+@wp.struct
+class RhythmParams:
+    """Parameters of ``rhythm``."""
+
+    joint: int
+    phase: float  # when the joint is at its highest, as a share of the cycle
+    cadence: float  # [1/s] cycles
+    low: float  # lowest position [rad]
+    high: float  # highest position [rad]
+
+
+@warpmpc.cost_term("rhythm")
+def rhythm(s: warpmpc.StepView, p: RhythmParams) -> float:
+    """Squared distance [rad²] of a joint from a swing between two positions that follows a clock."""
+    turn = 2.0 * wp.pi * (p.cadence * warpmpc.step_time(s) - p.phase)
+    off = warpmpc.joint_position(s, p.joint) - 0.5 * (p.high + p.low) - 0.5 * (p.high - p.low) * wp.cos(turn)
+    return off * off
