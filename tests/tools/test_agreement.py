@@ -34,28 +34,25 @@ TOLERANCE = {
     "point_reach": ROUNDING,
     "push_t": ROUNDING,
     "humanoid_stand": ROUNDING,
+    **dict.fromkeys(("acrobot", "cartpole_swingup", "pendulum", "quadrotor", "walker"), ROUNDING),
+    **dict.fromkeys(("g1_walk", "go2_jump", "go2_walk"), ROUNDING),
+    # a foot that touches in one engine and just misses in the other: measured 4e-7 and 1e-4
+    "quadruped_walk": (2e-5, 2e-3),
+    # the same with hands along a box's edges: measured 2e-7 and 3e-3
+    "box_carry": (2e-5, 2e-2),
+    # it rolls over its arms and legs: measured 6e-7 and 5e-3
+    "humanoid_get_up": (2e-5, 5e-2),
+    # every foot stands on a heightfield, whose prisms the engines meet at other points: measured 1e-2 and 6e-2
+    "quadruped_terrain": (5e-2, 0.3),
+    # a cube's edges between capsules, half a dozen touches at a time: measured 8e-4 and 2e-2
+    "hand_cube": (5e-3, 0.15),
 }
 """Scene → largest difference at the end of the horizon of half and of nine tenths of the worlds [m, rad]."""
 
-UNMEASURED = {
-    "acrobot",
-    "box_carry",
-    "cartpole_swingup",
-    "g1_walk",
-    "go2_jump",
-    "go2_walk",
-    "hand_cube",
-    "humanoid_get_up",
-    "pendulum",
-    "quadrotor",
-    "quadruped_terrain",
-    "quadruped_walk",
-    "walker",
-}
-"""Scenes whose tolerance is still to be measured between these two engines (`fused` is compared elsewhere)."""
-
-FORCE = 0.5
-"""Largest difference of a contact force in nine tenths of the worlds [N]: measured up to 0.024 N, on either device."""
+FORCE = {"box_carry": 5.0}
+"""Scene → largest difference of a contact force in nine tenths of the worlds [N]; two hands press a box: 0.8."""
+FORCE_ELSEWHERE = 0.5
+"""The same of other scenes: measured up to 0.024 N, on either device."""
 
 
 @pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda:0", marks=pytest.mark.gpu)])
@@ -68,8 +65,7 @@ def where(request) -> str:
 
 def test_every_shipped_scene_has_its_tolerance():
     physics = {name for name in shipped_scenes() if load_scene(name).engine.name is not EngineName.KINEMATIC}
-    assert set(TOLERANCE) | UNMEASURED == physics
-    assert not UNMEASURED & set(TOLERANCE)
+    assert set(TOLERANCE) == physics
 
 
 @pytest.mark.timeout(900)
@@ -80,4 +76,4 @@ def test_both_engines_roll_a_scene_out_alike(scene, where):
     for quantity in ("joint_q", "position"):
         assert found[quantity]["p50"][-1] <= half, found
         assert found[quantity]["p90"][-1] <= most, found
-    assert found["force"]["p90"][-1] <= FORCE, found
+    assert found["force"]["p90"][-1] <= FORCE.get(scene, FORCE_ELSEWHERE), found
