@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
     from ..task.ancillary import AncillaryController
     from ..task.task import Task
+    from .graph import PlanReport
+    from .recall import Recall
 
 KEY = "planner.ancillary"
 
@@ -114,14 +116,19 @@ class Ancillaries:
         knot_time: np.ndarray,
         controllers: Sequence[AncillaryController] = (),
     ):
-        from .motions import motions  # these two know this module
+        from .motions import motions  # these know this module
         from .policy import policy
+        from .recall import Recall
 
-        self._task, horizon = task, Horizon(scene, knot_time, layout.nu)
-        self._asked: list[tuple[int, Ask]] = []
+        self._recalls, self._task, horizon = Recall, task, Horizon(scene, knot_time, layout.nu)
+        self._asked: list[tuple[int, Ask | Recall]] = []
         start = State.start(layout)
         for i, wanted in enumerate(scene.planner.ancillary):
             key = f"{KEY}[{i}]"
+            if wanted.recall is not None:
+                recall = Recall(scene, layout, key, wanted, horizon, task.envs)
+                self._asked.append((recall.count, recall))
+                continue
             if wanted.function is not None:
                 made = _function(scene, f"{key}.function", wanted.function, controllers, horizon)
             elif wanted.motions is not None:
@@ -143,13 +150,20 @@ class Ancillaries:
         """Numbers of all knots that are proposed for one environment, n·P·nu."""
         return self._knots[0].size
 
-    def __call__(self, observed: np.ndarray, time: np.ndarray, block: np.ndarray) -> np.ndarray:
+    def reset(self) -> None:
+        """Forget what is remembered of a run."""
+        for _, ask in self._asked:
+            if isinstance(ask, self._recalls):
+                ask.reset()
+
+    def __call__(self, observed: np.ndarray, time: np.ndarray, block: np.ndarray, last: PlanReport) -> np.ndarray:
         """Ask them all for every environment that is observed.
 
         Args:
             observed: Whether there is an observation to plan from ``[E]``.
             time: Its time ``[E]`` [s].
             block: Joint coordinates, joint velocities, activations, mocap poses ``[E, nq + nv + na + 7 nm]``.
+            last: What came of the plan before, if there was one since the last reset.
 
         Returns:
             Knots ``[E, n·P·nu]``, not finite where there is nothing to propose.
@@ -160,9 +174,9 @@ class Ancillaries:
             state, task = State(q, qd, float(time[e]), act, mocap.reshape(-1, 7)), self._task.values(e)
             first = 0
             for count, ask in self._asked:
-                proposed = ask(state, task)
+                proposed = ask(e, state, last) if isinstance(ask, self._recalls) else ask(state, task)
                 if proposed is not None and np.isfinite(proposed).all():
-                    self._knots[e, first : first + count] = proposed
+                    self._knots[e, first : first + len(proposed)] = proposed
                 first += count
         return self._knots.reshape(len(self._knots), -1)
 

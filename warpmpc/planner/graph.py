@@ -113,7 +113,7 @@ class PlanGraph:
         packed[:, 0], packed[:, 1], packed[:, 2] = observed, elapsed, start
         seen = self._observed_columns
         packed[:, seen] = state
-        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state)
+        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state, self._learned)
         packed[:, -task.shape[1] :] = task
         self.plan.costs.refresh()
         if self.captured is not None:

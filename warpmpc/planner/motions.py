@@ -12,7 +12,7 @@ from ..model.assets import resolve_asset
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from ..model.layout import Layout
     from ..model.state import State
@@ -48,7 +48,7 @@ def motions(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: 
         nearest = key.replace("motions", "nearest")
         message = f"the file has {len(states)} motions"
         raise SceneError(message, key=nearest, file=scene.path, found=wanted.nearest)
-    near = Nearness(layout, states, _columns(layout, key.replace("motions", "joints"), wanted))
+    near = Nearness(layout, states, near_columns(layout, key.replace("motions", "joints"), wanted.joints))
     knots = horizon.knots(controls)
 
     def ask(state: State, task: Mapping[str, np.ndarray | float]) -> np.ndarray:
@@ -123,19 +123,28 @@ def _motions(arrays: dict[str, np.ndarray], layout: Layout, horizon: Horizon) ->
     states = np.concatenate([arrays["joint_q"], arrays["joint_qd"]], axis=1)[:count]
     if recorded:
         at = time[:count, None] + horizon.time
-        return states, control[_holding(time[:count], at)]
-    return states, control[:, _holding(time, horizon.time)]
+        return states, control[holding(time[:count], at)]
+    return states, control[:, holding(time, horizon.time)]
 
 
-def _holding(time: np.ndarray, at: np.ndarray) -> np.ndarray:
+def holding(time: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Which of the controls that begin at ascending times acts at other times; the ends are held."""
     early = 1e-6  # a step that begins with a control has it, however the two times were rounded
     return np.clip(np.searchsorted(time, at + early, side="right") - 1, 0, len(time) - 1)
 
 
-def _columns(layout: Layout, key: str, wanted: Ancillary) -> np.ndarray:
-    """Which of the numbers of a state count."""
-    if wanted.joints is None:
+def near_columns(layout: Layout, key: str, joints: Sequence[str] | None) -> np.ndarray:
+    """Which of the numbers of a state ``[nq + nv]`` say what is near.
+
+    Args:
+        layout: State layout.
+        key: Key of the joints, for messages.
+        joints: Their names, all of them if None.
+
+    Raises:
+        SceneError: If there is no such joint.
+    """
+    if joints is None:
         return np.arange(layout.nq + layout.nv)
-    coords = [layout.joint(name, key=key) for name in wanted.joints]
+    coords = [layout.joint(name, key=key) for name in joints]
     return np.concatenate([coords, layout.nq + np.flatnonzero(np.isin(layout.dof_coord, coords))])

@@ -119,6 +119,7 @@ class PlanStep:
         self.strategy.reset(*knots)
         if self.refiner:
             self.refiner.reset()
+        self.ancillaries.reset()
         self.costs.reset()
 
     def __call__(self) -> None:

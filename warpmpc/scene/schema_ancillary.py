@@ -5,14 +5,20 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
-from .types import Count, Names, Section
+from .types import Count, Fractions, Names, Positive, Section
 
-KINDS = {"function": (), "motions": ("nearest", "joints"), "policy": ("observation",)}
+KINDS = {
+    "function": (),
+    "motions": ("nearest", "joints"),
+    "recall": ("nearest", "joints", "splice"),
+    "policy": ("observation",),
+}
 """What may propose, and the keys that each of them has for itself."""
 
 
 class Ancillary(Section):
-    """Samples that something else proposes for the observed state: a function, stored motions or a policy."""
+    """Samples that something else proposes for the observed state: a function, stored motions, what the run did before
+    or a policy."""
 
     function: str | None = None
     """Name of an ancillary controller of your own (``@warpmpc.ancillary``), from a file of ``--terms`` or given to the
@@ -20,11 +26,19 @@ class Ancillary(Section):
     motions: str | None = None
     """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]``, ``time [K]`` after
     each of these states [s]; or a run that ``--npz`` wrote, from any of its states on."""
+    recall: Positive | None = None
+    """How long a run remembers what it was sent and in which states [s]: what followed the states most like the observed
+    one is tried again. Whoever walks has been where it is one stride ago."""
     nearest: Count = 1
-    """``motions``: how many are tried, those whose states are nearest to the observed one."""
+    """``motions`` and ``recall``: how many are tried, those whose states are nearest to the observed one; recalled ones
+    a tenth of the horizon apart at least."""
     joints: Names | None = None
-    """``motions``: joints whose positions and velocities say what is near; all when left out. Each number counts by
-    its spread over the file."""
+    """``motions`` and ``recall``: joints whose positions and velocities say what is near; all when left out, without
+    the places of floating bodies and of joints that slide without end for ``recall``. Each number counts by its
+    spread over what is stored."""
+    splice: Fractions = (0.0, 0.3, 0.6)
+    """``recall``: shares of the horizon for which the plan goes on as it was before the recalled controls take over;
+    each is a sample of its own for every one of the ``nearest``."""
     policy: str | None = None
     """``.onnx`` file of a policy, run by onnxruntime (``pip install "warpmpc[onnx]"``)."""
     observation: Names = ("joint_q", "joint_qd")
@@ -36,10 +50,10 @@ class Ancillary(Section):
         given = [kind for kind in KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             found = ", ".join(given) if given else "none of them"
-            raise ValueError(f"needs one of function, motions and policy; found {found}")
+            raise ValueError(f"needs one of function, motions, recall and policy; found {found}")
         for kind, keys in KINDS.items():
             for key in keys:
-                if kind != given[0] and getattr(self, key) != type(self).model_fields[key].default:
+                if key not in KINDS[given[0]] and getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"'{key}' is a key of {kind}, not of {given[0]}")
         return self
 

@@ -84,6 +84,7 @@ Quat = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit)]
 Floats = Annotated[tuple[Finite, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 Positives = Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 NonNegatives = Annotated[tuple[NonNegative, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
+Fractions = Annotated[tuple[Fraction, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 FloatsByName = Annotated[
     Annotated[Floats, Tag("list")] | Annotated[dict[str, Finite], Tag("table")], Discriminator(_list_or_table)
 ]

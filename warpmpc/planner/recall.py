@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run did before in states near the observed one, tried again: the memory of whoever walks, swims or swings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..kernels.geometry.kinematics import FREE
+from .motions import Nearness, holding, near_columns
+from .splines import spline_value
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..model.state import State
+    from ..scene.schema import Ancillary, Scene
+    from .ancillary import Horizon
+    from .graph import PlanReport
+
+APART = 0.1
+"""Recalled moments are at least so far apart, as a share of the horizon: neighbours say the same."""
+
+
+class Recall:
+    """Controls that followed the moments of a run that were most like the present one, for as long as a plan lasts.
+
+    Args:
+        scene: The scene.
+        layout: Its layout.
+        key: Key of the table, for messages.
+        wanted: What the scene says.
+        horizon: Turns controls into knots.
+        envs: Number of environments E, each with a memory of its own.
+
+    Raises:
+        SceneError: If there is no such joint.
+    """
+
+    count: int
+    """How many samples are proposed at most: every moment once for each splice."""
+
+    def __init__(self, scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon, envs: int):
+        self._layout, self._horizon, self._nearest = layout, horizon, wanted.nearest
+        self.count = wanted.nearest * len(wanted.splice)
+        self._splices = [np.searchsorted(horizon.time, share * horizon.time[-1]) for share in wanted.splice]
+        self._columns = near_columns(layout, f"{key}.joints", wanted.joints)
+        if wanted.joints is None:
+            self._columns = np.setdiff1d(self._columns, _gone_for_good(layout))
+        plans = max(int(np.ceil(wanted.recall / scene.timing.control_dt)), 1)
+        self._memories = [_Memory(plans, layout) for _ in range(envs)]
+
+    def reset(self) -> None:
+        """Forget everything."""
+        for memory in self._memories:
+            memory.forget()
+
+    def __call__(self, e: int, state: State, last: PlanReport) -> np.ndarray | None:
+        """What to try from a state on, which is remembered.
+
+        Args:
+            e: Environment.
+            state: Its observed state.
+            last: What came of the plan before this one.
+
+        Returns:
+            Knots ``[n, P, nu]``, n at most :attr:`count`; None as long as nothing is remembered.
+        """
+        memory, horizon = self._memories[e], self._horizon
+        began = memory.began
+        memory.see(state, last.command[e] if np.isfinite(last.cost[e]) else None)
+        known = int(np.searchsorted(memory.time, state.time - horizon.time[-1], side="right"))
+        if not known:
+            return None
+        near = Nearness(self._layout, memory.state[:known], self._columns)
+        at = self._moments(near(np.concatenate([state.joint_q, state.joint_qd])), memory.time[:known])
+        held = holding(memory.time, memory.time[at, None] + horizon.time)
+        recalled = memory.control[held]
+        plan = None
+        rows = []
+        for steps in self._splices:
+            controls = recalled
+            if steps:
+                plan = self._rest(last, e, state.time - began) if plan is None else plan
+                controls = recalled.copy()
+                controls[:, :steps] = plan[:steps]
+            rows.append(controls)
+        return horizon.knots(np.concatenate(rows))
+
+    def _moments(self, distance: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """The nearest moments, none of them close to another in time."""
+        apart, found = APART * self._horizon.time[-1], []
+        while len(found) < self._nearest and np.isfinite(distance.min()):
+            found.append(int(distance.argmin()))
+            distance[np.abs(time - time[found[-1]]) <= apart] = np.inf
+        return np.array(found)
+
+    def _rest(self, last: PlanReport, e: int, elapsed: float) -> np.ndarray:
+        """The controls ``[T, nu]`` of the last plan from now on."""
+        horizon, now = self._horizon, elapsed + float(last.offset[e])
+        knots = last.knots[e]
+        return np.stack([spline_value(horizon.kind, horizon.knot_time, knots, now + t) for t in horizon.time])
+
+
+class _Memory:
+    """The last observed states of a run, and the controls that were sent in them.
+
+    Args:
+        count: How many are kept.
+        layout: State layout.
+    """
+
+    def __init__(self, count: int, layout: Layout):
+        self._count, self._states = count, layout.nq + layout.nv
+        self._rows = np.empty((2 * count, 1 + self._states + layout.nu))  # moved to the front when it is full
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._end = 0
+        self._seen: tuple[float, np.ndarray] | None = None
+
+    @property
+    def _kept(self) -> np.ndarray:
+        return self._rows[max(self._end - self._count, 0) : self._end]
+
+    @property
+    def time(self) -> np.ndarray:
+        """When ``[N]`` [s], ascending."""
+        return self._kept[:, 0]
+
+    @property
+    def state(self) -> np.ndarray:
+        """Joint coordinates and velocities ``[N, nq + nv]``."""
+        return self._kept[:, 1 : 1 + self._states]
+
+    @property
+    def control(self) -> np.ndarray:
+        """What was sent from then on, to the next one ``[N, nu]``."""
+        return self._kept[:, 1 + self._states :]
+
+    @property
+    def began(self) -> float:
+        """Time of the last observation [s], NaN before the first."""
+        return np.nan if self._seen is None else self._seen[0]
+
+    def see(self, state: State, sent: np.ndarray | None) -> None:
+        """Take in a state.
+
+        Args:
+            state: Observed now; one from before the last one begins a run anew.
+            sent: Control since the state before ``[nu]``, None where it was not the plan's.
+        """
+        if self._seen is not None and state.time < self._seen[0]:
+            self.forget()
+        if self._seen is not None and sent is not None and state.time > self._seen[0]:
+            if self._end == len(self._rows):
+                self._rows[: self._count] = self._rows[self._count :]
+                self._end = self._count
+            self._rows[self._end] = [self._seen[0], *self._seen[1], *sent]
+            self._end += 1
+        self._seen = (state.time, np.concatenate([state.joint_q, state.joint_qd]))
+
+
+def _gone_for_good(layout: Layout) -> np.ndarray:
+    """Coordinates that need not come back: places of floating bodies, of joints that slide without end."""
+    first = [int(at) for kind, at in zip(layout.joint_type, layout.joint_q_start, strict=False) if kind == int(FREE)]
+    free = [at + i for at in first for i in range(3)]
+    linear, angular = layout.joint_dof_dim.T
+    sliding = np.concatenate([np.arange(n) < k for k, n in zip(linear, linear + angular, strict=True)])
+    endless = sliding & (layout.dof_upper - layout.dof_lower > 1e3) & (layout.dof_coord >= 0)
+    return np.concatenate([free, layout.dof_coord[endless]]).astype(int)
