@@ -139,7 +139,7 @@ def test_an_unknown_function_is_told_with_those_that_there_are():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, "needs one of function, motions and policy; found none of them"),
+        ({}, "needs one of function, motions, recall and policy; found none of them"),
         ({"function": "a", "policy": "b.onnx"}, "found function, policy"),
         ({"function": "a", "nearest": 2}, "'nearest' is a key of motions, not of function"),
         ({"motions": "a.npz", "observation": "joint_q"}, "'observation' is a key of policy, not of motions"),

@@ -22,6 +22,10 @@ APART = 0.1
 """Recalled moments are at least so far apart, as a share of the horizon: neighbours say the same."""
 
 
+EARLY = 1e-6
+"""Two times that are the same may differ by so much, however they were rounded [s]."""
+
+
 class Recall:
     """Controls that followed the moments of a run that were most like the present one, for as long as a plan lasts.
 
@@ -69,23 +73,19 @@ class Recall:
         memory, horizon = self._memories[e], self._horizon
         began = memory.began
         memory.see(state, last.command[e] if np.isfinite(last.cost[e]) else None)
-        known = int(np.searchsorted(memory.time, state.time - horizon.time[-1], side="right"))
+        known = int(np.searchsorted(memory.time, state.time - horizon.time[-1] - EARLY))  # and all that followed
         if not known:
             return None
         near = Nearness(self._layout, memory.state[:known], self._columns)
         at = self._moments(near(np.concatenate([state.joint_q, state.joint_qd])), memory.time[:known])
         held = holding(memory.time, memory.time[at, None] + horizon.time)
         recalled = memory.control[held]
-        plan = None
-        rows = []
-        for steps in self._splices:
-            controls = recalled
-            if steps:
-                plan = self._rest(last, e, state.time - began) if plan is None else plan
-                controls = recalled.copy()
-                controls[:, :steps] = plan[:steps]
-            rows.append(controls)
-        return horizon.knots(np.concatenate(rows))
+        samples = np.tile(recalled, (len(self._splices), 1, 1))
+        if any(self._splices):
+            plan = self._rest(last, e, state.time - began)
+            for i, steps in enumerate(self._splices):
+                samples[i * len(at) : (i + 1) * len(at), :steps] = plan[:steps]
+        return horizon.knots(samples)
 
     def _moments(self, distance: np.ndarray, time: np.ndarray) -> np.ndarray:
         """The nearest moments, none of them close to another in time."""
