@@ -120,14 +120,14 @@ class Ancillaries:
         from .policy import policy
         from .recall import Recall
 
-        self._recalls, self._task, horizon = Recall, task, Horizon(scene, knot_time, layout.nu)
-        self._asked: list[tuple[int, Ask | Recall]] = []
+        self._task, horizon = task, Horizon(scene, knot_time, layout.nu)
+        self._asked: list[tuple[int, Ask]] = []
+        self._recalls: list[Recall] = []
         start = State.start(layout)
         for i, wanted in enumerate(scene.planner.ancillary):
             key = f"{KEY}[{i}]"
             if wanted.recall is not None:
-                recall = Recall(scene, layout, key, wanted, horizon, task.envs)
-                self._asked.append((recall.count, recall))
+                self._recalls.append(Recall(scene, layout, key, wanted, horizon, task.envs))
                 continue
             if wanted.function is not None:
                 made = _function(scene, f"{key}.function", wanted.function, controllers, horizon)
@@ -141,7 +141,7 @@ class Ancillaries:
                 found, message = getattr(wanted, kind), "proposes numbers that are not finite from the start state"
                 raise SceneError(message, key=f"{key}.{kind}", file=scene.path, found=found)
             self._asked.append(made)
-        self.count = sum(count for count, _ in self._asked)
+        self.count = sum(count for count, _ in self._asked) + sum(recall.count for recall in self._recalls)
         self._widths = np.cumsum([layout.nq, layout.nv, layout.na])
         self._knots = np.full((task.envs, self.count, len(knot_time), layout.nu), np.nan, dtype=np.float32)
 
@@ -152,9 +152,8 @@ class Ancillaries:
 
     def reset(self) -> None:
         """Forget what is remembered of a run."""
-        for _, ask in self._asked:
-            if isinstance(ask, self._recalls):
-                ask.reset()
+        for recall in self._recalls:
+            recall.reset()
 
     def __call__(self, observed: np.ndarray, time: np.ndarray, block: np.ndarray, last: PlanReport) -> np.ndarray:
         """Ask them all for every environment that is observed.
@@ -169,15 +168,21 @@ class Ancillaries:
             Knots ``[E, n·P·nu]``, not finite where there is nothing to propose.
         """
         self._knots[:] = np.nan
+        for recall in self._recalls:
+            recall.miss(~observed)
         for e in np.flatnonzero(observed) if self.count else ():
             q, qd, act, mocap = np.split(block[e].copy(), self._widths)
             state, task = State(q, qd, float(time[e]), act, mocap.reshape(-1, 7)), self._task.values(e)
             first = 0
             for count, ask in self._asked:
-                proposed = ask(e, state, last) if isinstance(ask, self._recalls) else ask(state, task)
+                proposed = ask(state, task)
                 if proposed is not None and np.isfinite(proposed).all():
-                    self._knots[e, first : first + len(proposed)] = proposed
+                    self._knots[e, first : first + count] = proposed
                 first += count
+            for recall in self._recalls:
+                proposed = recall(e, state, last)
+                self._knots[e, first : first + len(proposed)] = proposed
+                first += recall.count
         return self._knots.reshape(len(self._knots), -1)
 
 

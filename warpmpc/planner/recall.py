@@ -59,7 +59,16 @@ class Recall:
         for memory in self._memories:
             memory.forget()
 
-    def __call__(self, e: int, state: State, last: PlanReport) -> np.ndarray | None:
+    def miss(self, unseen: np.ndarray) -> None:
+        """Environments that are not observed now: what they were sent since they were is not known.
+
+        Args:
+            unseen: Which ones ``[E]``.
+        """
+        for e in np.flatnonzero(unseen):
+            self._memories[e].sure = False
+
+    def __call__(self, e: int, state: State, last: PlanReport) -> np.ndarray:
         """What to try from a state on, which is remembered.
 
         Args:
@@ -68,14 +77,14 @@ class Recall:
             last: What came of the plan before this one.
 
         Returns:
-            Knots ``[n, P, nu]``, n at most :attr:`count`; None as long as nothing is remembered.
+            Knots ``[n, P, nu]``, n at most :attr:`count`; none as long as no whole horizon is remembered.
         """
         memory, horizon = self._memories[e], self._horizon
         began = memory.began
         memory.see(state, last.command[e] if np.isfinite(last.cost[e]) else None)
         known = int(np.searchsorted(memory.time, state.time - horizon.time[-1] - EARLY))  # and all that followed
         if not known:
-            return None
+            return np.zeros((0, *last.knots.shape[1:]))
         near = Nearness(self._layout, memory.state[:known], self._columns)
         at = self._moments(near(np.concatenate([state.joint_q, state.joint_qd])), memory.time[:known])
         held = holding(memory.time, memory.time[at, None] + horizon.time)
@@ -118,6 +127,8 @@ class _Memory:
     def forget(self) -> None:
         """Begin anew."""
         self._end = 0
+        self.sure = True
+        """Whether what was sent in the last state is what the last plan says."""
         self._seen: tuple[float, np.ndarray] | None = None
 
     @property
@@ -153,13 +164,13 @@ class _Memory:
         """
         if self._seen is not None and state.time < self._seen[0]:
             self.forget()
-        if self._seen is not None and sent is not None and state.time > self._seen[0]:
+        if self._seen is not None and sent is not None and self.sure and state.time > self._seen[0]:
             if self._end == len(self._rows):
                 self._rows[: self._count] = self._rows[self._count :]
                 self._end = self._count
             self._rows[self._end] = [self._seen[0], *self._seen[1], *sent]
             self._end += 1
-        self._seen = (state.time, np.concatenate([state.joint_q, state.joint_qd]))
+        self._seen, self.sure = (state.time, np.concatenate([state.joint_q, state.joint_qd])), True
 
 
 def _gone_for_good(layout: Layout) -> np.ndarray:
