@@ -151,14 +151,25 @@ def test_every_environment_has_its_own_memory():
     assert np.abs(sent[:STEPS, 0] - sent[:STEPS, 1]).max() > 0.01
 
 
-def test_a_state_that_is_not_finite_and_what_was_sent_before_it_are_left_out():
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_state_that_is_not_finite_is_left_out(envs):
+    """What was sent before it is held until there is a state again, whoever else is observed."""
+    controller, sent = controller_with(envs=envs, joints=["base/y", "base/yaw"]), []
+    for i in range(LAP + 3):
+        q, v = (np.tile(part, (envs, 1)) for part in place(i))
+        if i == 3:
+            q[0] = np.nan
+        sent.append(controller.step(State(q, v, DT * i))[0])
+    known = [sent[i] for i in (2, 2, 4, 5, 6, 7, 8, 9)]
+    np.testing.assert_allclose(tried(controller), known, atol=1e-6)
+
+
+def test_a_state_that_is_planned_for_twice_is_remembered_once():
     controller = controller_with(joints=["base/y", "base/yaw"])
     sent = go(controller, 3)
-    controller.step(State(np.full(3, np.nan), np.zeros(3), DT * 3))
-    sent += [None, *go(controller, LAP - 2, first=4, start=DT * 4)]
+    sent[2:] = go(controller, LAP, first=2, start=DT * 2)
     controller.step(State(*place(LAP + 2), DT * (LAP + 2)))
-    known = [sent[i] for i in (1, 1, 1, 4, 5, 6, 7, 8)]  # plan 2 is not remembered: 1 is nearest, and held
-    np.testing.assert_allclose(tried(controller), known, atol=1e-6)
+    np.testing.assert_allclose(tried(controller), sent[2 : 2 + STEPS], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ class Ancillaries:
         """
         self._knots[:] = np.nan
         for recall in self._recalls:
-            recall.miss(~observed)
+            recall.miss(~observed, last)
         for e in np.flatnonzero(observed) if self.count else ():
             q, qd, act, mocap = np.split(block[e].copy(), self._widths)
             state, task = State(q, qd, float(time[e]), act, mocap.reshape(-1, 7)), self._task.values(e)

@@ -59,14 +59,15 @@ class Recall:
         for memory in self._memories:
             memory.forget()
 
-    def miss(self, unseen: np.ndarray) -> None:
-        """Environments that are not observed now: what they were sent since they were is not known.
+    def miss(self, unseen: np.ndarray, last: PlanReport) -> None:
+        """Some environments are not observed now; what they do before they are again is not remembered.
 
         Args:
             unseen: Which ones ``[E]``.
+            last: What came of the plan before this one.
         """
         for e in np.flatnonzero(unseen):
-            self._memories[e].sure = False
+            self._memories[e].keep(_sent(last, e))
 
     def __call__(self, e: int, state: State, last: PlanReport) -> np.ndarray:
         """What to try from a state on, which is remembered.
@@ -81,7 +82,8 @@ class Recall:
         """
         memory, horizon = self._memories[e], self._horizon
         began = memory.began
-        memory.see(state, last.command[e] if np.isfinite(last.cost[e]) else None)
+        memory.keep(_sent(last, e))
+        memory.see(state)
         known = int(np.searchsorted(memory.time, state.time - horizon.time[-1] - EARLY))  # and all that followed
         if not known:
             return np.zeros((0, *last.knots.shape[1:]))
@@ -127,9 +129,9 @@ class _Memory:
     def forget(self) -> None:
         """Begin anew."""
         self._end = 0
-        self.sure = True
-        """Whether what was sent in the last state is what the last plan says."""
-        self._seen: tuple[float, np.ndarray] | None = None
+        self._open = False  # whether there is a state whose control is not known yet
+        self.began = np.nan
+        """Time of the state that was seen last [s], NaN before the first."""
 
     @property
     def _kept(self) -> np.ndarray:
@@ -150,27 +152,36 @@ class _Memory:
         """What was sent from then on, to the next one ``[N, nu]``."""
         return self._kept[:, 1 + self._states :]
 
-    @property
-    def began(self) -> float:
-        """Time of the last observation [s], NaN before the first."""
-        return np.nan if self._seen is None else self._seen[0]
-
-    def see(self, state: State, sent: np.ndarray | None) -> None:
-        """Take in a state.
+    def keep(self, sent: np.ndarray | None) -> None:
+        """Remember what was sent in the state that was seen last, once.
 
         Args:
-            state: Observed now; one from before the last one begins a run anew.
-            sent: Control since the state before ``[nu]``, None where it was not the plan's.
+            sent: Control ``[nu]``, None where it was not the plan's.
         """
-        if self._seen is not None and state.time < self._seen[0]:
-            self.forget()
-        if self._seen is not None and sent is not None and self.sure and state.time > self._seen[0]:
+        if self._open and sent is not None:
             if self._end == len(self._rows):
                 self._rows[: self._count] = self._rows[self._count :]
                 self._end = self._count
-            self._rows[self._end] = [self._seen[0], *self._seen[1], *sent]
+            self._rows[self._end] = [self.began, *self._state, *sent]
             self._end += 1
-        self._seen, self.sure = (state.time, np.concatenate([state.joint_q, state.joint_qd])), True
+        self._open = False
+
+    def see(self, state: State) -> None:
+        """Take in the state that is observed now; one from before the last one begins a run anew.
+
+        Args:
+            state: The state.
+        """
+        if state.time < self.began:
+            self.forget()
+        elif state.time == self.began and self._end and self.time[-1] == state.time:
+            self._end -= 1  # planned for again
+        self.began, self._state, self._open = state.time, np.concatenate([state.joint_q, state.joint_qd]), True
+
+
+def _sent(last: PlanReport, e: int) -> np.ndarray | None:
+    """What an environment was sent, None where no sample survived."""
+    return last.command[e] if np.isfinite(last.cost[e]) else None
 
 
 def _gone_for_good(layout: Layout) -> np.ndarray:
