@@ -154,6 +154,17 @@ def test_gains_hold_between_slow_plans_what_falls_without_them(push):
     assert upright == [True, False]
 
 
+def test_samples_do_not_replace_a_plan_that_holds_what_is_unstable():
+    values = {**HELD, "planner.method": "ilqs", "planner.samples": 16, "planner.horizon": 120}
+    controller = Controller(with_values(load_scene("cartpole_swingup"), values), engine="fused", device="cpu")
+    costs = []
+    for lean in [0.0] * 3 + [0.005] * 12:  # [rad] in 2.4 s it falls from there, unless the old plan's gains are asked
+        joint_q = np.float32([0.0, lean])
+        controller.plan(replace(State.start(controller.layout), time=0.0, joint_q=joint_q))
+        costs.append(controller.info.cost)
+    assert costs[3] < 1.2 * costs[-1]
+
+
 @pytest.mark.parametrize(
     ("engine", "values", "says"),
     [

@@ -181,3 +181,41 @@ def rhythm(s: warpmpc.StepView, p: RhythmParams) -> float:
     turn = 2.0 * wp.pi * (p.cadence * warpmpc.step_time(s) - p.phase)
     off = warpmpc.joint_position(s, p.joint) - 0.5 * (p.high + p.low) - 0.5 * (p.high - p.low) * wp.cos(turn)
     return off * off
+
+
+@wp.struct
+class SwingParams:
+    """Parameters of ``swing``."""
+
+    root: int  # frames at the ends of two rods of one mass
+    middle: int
+    tip: int
+
+
+@warpmpc.residual_term("swing")
+def swing(s: warpmpc.StepView, p: SwingParams) -> float:
+    """Energy that two like rods, root to middle and on to the tip, lack to stand up at rest: 1 where they hang.
+
+    A rod's kinetic energy is m/6 (v₁² + v₁·v₂ + v₂²), v₁ and v₂ being the velocities of its ends.
+    """
+    a, b, c = warpmpc.frame_position(s, p.root), warpmpc.frame_position(s, p.middle), warpmpc.frame_position(s, p.tip)
+    v, w = warpmpc.frame_velocity(s, p.middle), warpmpc.frame_velocity(s, p.tip)
+    kinetic = (2.0 * wp.dot(v, v) + wp.dot(v, w) + wp.dot(w, w)) / 6.0
+    top = 1.5 * wp.length(b - a) + 0.5 * wp.length(c - b)  # of both middles above the root, standing
+    return (top + 1.5 * a[2] - b[2] - 0.5 * c[2] - kinetic / 9.81) / (2.0 * top)
+
+
+@wp.struct
+class PullParams:
+    """Parameters of ``pull``."""
+
+    frame: int
+    to: int  # frame it is to come to
+    near: float  # [m]
+
+
+@warpmpc.residual_term("pull")
+def pull(s: warpmpc.StepView, p: PullParams) -> wp.vec3:
+    """The way from a frame to another one, shortened to ``near`` [m] at most: what is far off does not matter much."""
+    way = warpmpc.frame_position(s, p.to) - warpmpc.frame_position(s, p.frame)
+    return way / wp.sqrt(1.0 + wp.dot(way, way) / (p.near * p.near))

@@ -64,14 +64,22 @@ class Feedback:
         Between two states lies their geodesic; a gain holds from its state to the next one, the last one as long as
         that before it, and after that there is none.
         """
-        last, rows = self.times.shape[1] - 1, np.arange(len(times))[:, None]
-        step = self.times[:, -1:] - self.times[:, -2:-1] if last else np.ones((len(times), 1))
-        place = (times - self.times[:, :1]) / step + 1e-9  # a time that is rounded down is no step too early
+        last, rows, place = self.times.shape[1] - 1, np.arange(len(times))[:, None], self._place(times)
         i = np.clip(np.floor(place).astype(int), 0, last)
         state, after = self.state[rows, i], self.state[rows, np.minimum(i + 1, last)]
         part = np.clip(place - i, 0.0, 1.0)[..., None]
         state = self.space.tangent.add(state, part * self.space.tangent.subtract(after, state))
         return state, np.where((place < last + 1.0)[..., None, None], self.gain[rows, i], 0.0)
+
+    def planned(self, times: np.ndarray, control: np.ndarray) -> np.ndarray:
+        """What controls ``[E, T, nu]`` at its times are at others ``[E, N]``, the last for good: ``[E, N, nu]``."""
+        i = np.clip(np.floor(self._place(times)).astype(int), 0, self.times.shape[1] - 1)
+        return control[np.arange(len(times))[:, None], i]
+
+    def _place(self, times: np.ndarray) -> np.ndarray:
+        """Times in its steps, ``[E, N]``."""
+        step = self.times[:, -1:] - self.times[:, -2:-1] if self.times.shape[1] > 1 else np.ones((len(times), 1))
+        return (times - self.times[:, :1]) / step + 1e-9  # a time that is rounded down is no step too early
 
     def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:
         """The gains at other times ``[E, T]``, about controls ``[E, T, nu]``."""

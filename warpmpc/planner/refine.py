@@ -11,13 +11,13 @@ import numpy as np
 
 from ..derivatives.expansion import Differences, Quadratic, gauss_newton, held
 from ..derivatives.residuals import Residuals
-from ..derivatives.rollouts import Outcome, Policy, PolicyRollouts
+from ..derivatives.rollouts import Policy, PolicyRollouts
 from ..engine.registry import physics_steps
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import Refinement
+from ..scene.schema import Method, Refinement
 from .feedback import Feedback, StateSpace
 from .riccati import Backward, backward
 from .splines import SplineKind, spline_value
@@ -248,6 +248,7 @@ class IlqgRefiner(Refiner):
         self._shares = shares(self._settings.candidates)
         self._damping = np.full(self._request.shape.envs, DAMPING[1])
         self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
+        self._control = None
 
     def reset(self) -> None:
         """Forget earlier plans."""
@@ -259,10 +260,8 @@ class IlqgRefiner(Refiner):
         strategy, hold, steps = self._strategy, self.hold, self._request.grid.steps
         control = np.clip(strategy.mean.numpy().astype(float), self._lower, self._upper)
         control = control.repeat(hold, axis=1)[:, :steps]
-        outcome, best = self._follow(start, before, control)
+        state, control, cost = self._follow(start, before, control)
         rows, gains = np.arange(len(start)), None
-        state, control = outcome.state[rows, best], outcome.control[rows, best]
-        cost = outcome.cost[rows, best]
         if not np.isfinite(cost).all():
             raise FloatingPointError("the physics of the plan's own rollout failed")
         for _ in range(self._settings.iterations):
@@ -282,17 +281,30 @@ class IlqgRefiner(Refiner):
         strategy.offset.zero_()
         times = np.tile(self._request.grid.t[:-1:hold], (len(start), 1))
         self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
+        self._control = control[:, ::hold]
 
-    def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[Outcome, np.ndarray]:
-        """Roll the plan out with and without the last plan's feedback; tells which is the cheaper one."""
-        policy = self._nominal(control)
+    def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Roll the plan out with and without the last plan's feedback, behind samples the last plan with it, too.
+
+        What is unstable follows no controls for long without feedback: samples would replace a plan that holds it.
+
+        Returns:
+            States ``[E, T+1, nx]``, controls ``[E, T, nu]`` and cost ``[E]`` of the cheapest.
+        """
+        policies = [self._nominal(control)]
         if self.feedback is not None:
-            elapsed = self._request.state.elapsed.numpy().astype(float)
-            policy = self.feedback.policy(elapsed[:, None] + self._request.grid.t[:-1], control)
+            times = self._request.state.elapsed.numpy().astype(float)[:, None] + self._request.grid.t[:-1]
+            policies = [self.feedback.policy(times, control)]
+            if self._planner.method is not Method.ILQG:
+                policies.append(self.feedback.policy(times, self.feedback.planned(times, self._control)))
         with_feedback = np.zeros(self._settings.candidates)
         with_feedback[1] = 1.0
-        outcome = self.rollouts(start, before, policy, np.zeros_like(with_feedback), with_feedback)
-        return outcome, np.argmin(outcome.cost, axis=1)
+        found = [self.rollouts(start, before, x, np.zeros_like(with_feedback), with_feedback) for x in policies]
+        state, control, cost = (
+            np.concatenate([getattr(x, name) for x in found], axis=1) for name in ("state", "control", "cost")
+        )
+        rows, best = np.arange(len(start)), np.argmin(cost, axis=1)
+        return state[rows, best], control[rows, best], cost[rows, best]
 
     def _solve(self, linear: Linear, cost: Quadratic, control: np.ndarray) -> Backward:
         """The backward pass of every environment, with as much damping as it needs."""
