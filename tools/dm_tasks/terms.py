@@ -219,3 +219,74 @@ def pull(s: warpmpc.StepView, p: PullParams) -> wp.vec3:
     """The way from a frame to another one, shortened to ``near`` [m] at most: what is far off does not matter much."""
     way = warpmpc.frame_position(s, p.to) - warpmpc.frame_position(s, p.frame)
     return way / wp.sqrt(1.0 + wp.dot(way, way) / (p.near * p.near))
+
+
+@wp.func
+def raised(s: warpmpc.StepView, frame: int, over: int, low: float, high: float) -> float:
+    """From 0 to 1: how high a frame is, above another one or, where that is -1, above the ground."""
+    z = warpmpc.frame_position(s, frame)[2]
+    if over >= 0:
+        z = z - warpmpc.frame_position(s, over)[2]
+    return wp.clamp((z - low) / (high - low), 0.0, 1.0)
+
+
+@wp.func
+def ahead_of(s: warpmpc.StepView, frame: int) -> wp.vec3:
+    """Where the x axis of a frame points to on the map, or the world's where the frame is -1; a unit vector."""
+    x = wp.vec3(1.0, 0.0, 0.0)
+    if frame >= 0:
+        x = wp.quat_rotate(warpmpc.frame_rotation(s, frame), x)
+    return wp.normalize(wp.vec3(x[0], x[1], 0.0))
+
+
+@wp.struct
+class PaceParams:
+    """Parameters of ``pace``."""
+
+    robot: int
+    frame: int  # that is to be high
+    over: int  # frame that the height is measured from, or -1: the ground
+    ahead: int  # frame whose x axis is ahead, or -1: the world's is
+    low: float  # [m] from here down speed is worth nothing
+    high: float  # [m] from here up it is worth all
+    speed: float  # [m/s] from here on more is worth nothing
+
+
+@warpmpc.cost_term("pace")
+def pace(s: warpmpc.StepView, p: PaceParams) -> float:
+    """How much speed ahead is lacking, as a share of what is wanted; only what is up has any.
+
+    A product: where height and speed are terms of their own, a fall forwards is fast, and where speed is not asked of
+    who is down, a fall saves it.
+    """
+    share = wp.min(wp.dot(warpmpc.centre_of_mass_velocity(s, p.robot), ahead_of(s, p.ahead)) / p.speed, 1.0)
+    return 1.0 - raised(s, p.frame, p.over, p.low, p.high) * share
+
+
+@wp.struct
+class TreadParams:
+    """Parameters of ``tread``."""
+
+    robot: int
+    torso: int  # frame whose x axis is ahead
+    head: int  # frame
+    left: int  # frames of the feet
+    right: int
+    low: float  # [m] of the head above the ground: who is down is to go nowhere
+    high: float  # [m] from here on it runs
+    speed: float  # [m/s] wanted
+    more: float  # [m/s] faster than now, until it is as fast as wanted
+    lead: float  # [s] it looks so far ahead
+
+
+@warpmpc.residual_term("tread")
+def tread(s: warpmpc.StepView, p: TreadParams) -> Vec2:
+    """Where the centre of mass would fall to, were it to run a little faster, less the middle of the feet [m].
+
+    As ``footing``, for who is far from the wanted speed: it leans by ``lead`` times ``more``, not by all that lacks.
+    """
+    ahead = ahead_of(s, p.torso)
+    v = warpmpc.centre_of_mass_velocity(s, p.robot)
+    wanted = raised(s, p.head, -1, p.low, p.high) * wp.min(p.speed, wp.dot(v, ahead) + p.more)
+    r = warpmpc.centre_of_mass(s, p.robot) - feet(s, p.left, p.right) + p.lead * (v - wanted * ahead)
+    return Vec2(r[0], r[1])
