@@ -177,6 +177,7 @@ def test_a_state_that_is_planned_for_twice_is_remembered_once():
     [
         ({"joints": "base/w"}, r"ancillary\[0\]\.joints: no such joint; found 'base/w'"),
         ({"nearest": 30}, r"planner\.samples: the mean and 31 fixed samples \(.*ancillary\)"),
+        ({"recall": 0.05}, r"ancillary\[0\]\.recall: is shorter than what a plan of .* needs.*; found 0\.05"),
         ({"splice": 1.0}, "splice"),
         ({"splice": []}, "splice"),
         ({"observation": "goal"}, "'observation' is a key of policy, not of recall"),

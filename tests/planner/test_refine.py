@@ -10,7 +10,7 @@ from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
 from warpmpc.derivatives.expansion import Linear, Quadratic, held
-from warpmpc.planner.feedback import StateSpace
+from warpmpc.planner.feedback import Feedback, StateSpace
 from warpmpc.realtime.letters import PlanCodec, TimedPlan
 from warpmpc.scene.load import with_values
 
@@ -152,6 +152,17 @@ def test_gains_hold_between_slow_plans_what_falls_without_them(push):
             plant.apply(plan.at(state.time, state if feedback else None))
         upright.append(bool(np.cos(plant.observe().joint_q[1]) > 0.9))
     assert upright == [True, False]
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.02, 0.025, 0.04])
+def test_a_plan_is_followed_from_the_step_that_time_has_come_to(dt):
+    steps = np.arange(8)
+    gain = steps.reshape(1, 8, 1, 1) * np.ones((1, 8, 1, 2))
+    space = StateSpace.of(compiled(load_scene("cartpole_swingup")))
+    feedback = Feedback(dt * steps[None], np.zeros((1, 8, 4)), gain, space)
+    times = np.float32(dt).astype(float) + dt * steps[None]  # what has passed is known in single precision
+    np.testing.assert_array_equal(feedback.planned(times, steps.reshape(1, 8, 1))[0, :, 0], [1, 2, 3, 4, 5, 6, 7, 7])
+    np.testing.assert_array_equal(feedback.at(times)[1][0, :7, 0, 0], [1, 2, 3, 4, 5, 6, 7])
 
 
 def test_samples_do_not_replace_a_plan_that_holds_what_is_unstable():

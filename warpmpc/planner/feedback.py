@@ -10,6 +10,7 @@ import numpy as np
 
 from ..derivatives.rollouts import Policy
 from ..derivatives.tangent import Tangent
+from ..kernels.planning.splines import KNOT_TOLERANCE
 from ..model.mujoco_model import make_world
 from ..model.rows import MujocoRows
 
@@ -79,7 +80,8 @@ class Feedback:
     def _place(self, times: np.ndarray) -> np.ndarray:
         """Times in its steps, ``[E, N]``."""
         step = self.times[:, -1:] - self.times[:, -2:-1] if self.times.shape[1] > 1 else np.ones((len(times), 1))
-        return (times - self.times[:, :1]) / step + 1e-9  # a time that is rounded down is no step too early
+        # a time that was rounded down, to single precision, is no step too early
+        return (times - self.times[:, :1]) / step + float(KNOT_TOLERANCE)
 
     def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:
         """The gains at other times ``[E, T]``, about controls ``[E, T, nu]``."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..kernels.geometry.kinematics import FREE
+from ..scene.errors import SceneError
 from .motions import Nearness, holding, near_columns
 from .splines import spline_value
 
@@ -21,13 +22,15 @@ if TYPE_CHECKING:
 APART = 0.1
 """Recalled moments are at least so far apart, as a share of the horizon: neighbours say the same."""
 
-
 EARLY = 1e-6
 """Two times that are the same may differ by so much, however they were rounded [s]."""
 
 
 class Recall:
     """Controls that followed the moments of a run that were most like the present one, for as long as a plan lasts.
+
+    One control is remembered for each plan: where plans are further apart than controls, the first one sent stands for
+    all that were sent until the next plan.
 
     Args:
         scene: The scene.
@@ -38,7 +41,7 @@ class Recall:
         envs: Number of environments E, each with a memory of its own.
 
     Raises:
-        SceneError: If there is no such joint.
+        SceneError: If there is no such joint, or the memory is shorter than a plan.
     """
 
     count: int
@@ -51,8 +54,12 @@ class Recall:
         self._columns = near_columns(layout, f"{key}.joints", wanted.joints)
         if wanted.joints is None:
             self._columns = np.setdiff1d(self._columns, _gone_for_good(layout))
-        plans = max(int(np.ceil(wanted.recall / scene.timing.control_dt)), 1)
-        self._memories = [_Memory(plans, layout) for _ in range(envs)]
+        least = float(horizon.time[-1]) + scene.timing.control_dt
+        if wanted.recall < least:
+            message = f"is shorter than what a plan of {least:g} s needs, so that nothing is ever known; give more"
+            raise SceneError(message, key=f"{key}.recall", file=scene.path, found=wanted.recall)
+        plans = int(np.ceil(wanted.recall / scene.timing.control_dt))
+        self._memories = [_Memory(plans, scene.timing.control_dt, layout) for _ in range(envs)]
 
     def reset(self) -> None:
         """Forget everything."""
@@ -118,11 +125,12 @@ class _Memory:
 
     Args:
         count: How many are kept.
+        control_dt: Time of a control [s]: a clock that is set back by less is read unevenly, and starts no run.
         layout: State layout.
     """
 
-    def __init__(self, count: int, layout: Layout):
-        self._count, self._states = count, layout.nq + layout.nv
+    def __init__(self, count: int, control_dt: float, layout: Layout):
+        self._control_dt, self._count, self._states = control_dt, count, layout.nq + layout.nv
         self._rows = np.empty((2 * count, 1 + self._states + layout.nu))  # moved to the front when it is full
         self.forget()
 
@@ -167,14 +175,14 @@ class _Memory:
         self._open = False
 
     def see(self, state: State) -> None:
-        """Take in the state that is observed now; one from before the last one begins a run anew.
+        """Take in the state that is observed now; one from more than a control before the last begins a run anew.
 
         Args:
             state: The state.
         """
-        if state.time < self.began:
+        if state.time < self.began - self._control_dt:
             self.forget()
-        elif state.time == self.began and self._end and self.time[-1] == state.time:
+        while self._end and self._rows[self._end - 1, 0] >= state.time:
             self._end -= 1  # planned for again
         self.began, self._state, self._open = state.time, np.concatenate([state.joint_q, state.joint_qd]), True
 

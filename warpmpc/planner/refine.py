@@ -152,7 +152,7 @@ class Refiner(ABC):
 
     def reset(self) -> None:
         """Forget earlier plans."""
-        self.feedback = None
+        self.feedback = self._control = None
 
     def close(self) -> None:
         """Stop the threads."""

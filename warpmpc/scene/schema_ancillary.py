@@ -26,8 +26,8 @@ class Ancillary(Section):
     """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]``, ``time [K]`` after
     each of these states [s]; or a run that ``--npz`` wrote, from any of its states on."""
     recall: Positive | None = None
-    """How long a run remembers what it was sent and in which states [s]: what followed the states most like the
-    observed one is tried again. Whoever walks has been where it is one stride ago."""
+    """How long a run remembers what it was sent and in which states, with a plan for every control [s]: what followed
+    the states most like the observed one is tried again. Whoever walks has been where it is one stride ago."""
     nearest: Count = 1
     """``motions`` and ``recall``: how many are tried, those whose states are nearest to the observed one; recalled ones
     a tenth of the horizon apart at least."""
