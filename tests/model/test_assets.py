@@ -109,6 +109,13 @@ def test_a_missing_file_of_a_package_suggests_its_neighbours():
         resolve(PANDA.replace("panda.urdf", "pnda.urdf"))
 
 
+def test_a_package_that_is_not_installed_is_named_with_its_cure():
+    with pytest.raises(
+        SceneError, match=r"There is no package no_such_robot here; .* pip install --no-deps no-such-robot"
+    ):
+        resolve("package://no_such_robot/robot.xml")
+
+
 def test_a_folder_is_no_asset(tmp_path):
     for uri in (str(tmp_path), ".", "file:" + str(tmp_path)):
         with pytest.raises(SceneError, match="no such file"):

@@ -199,6 +199,11 @@ def _missing(uri: str, candidates: list[Path], *, key: str, file: Path | str | N
     """The error for a file that is nowhere: the places searched, and what lies there under a similar name."""
     near = [name for candidate in candidates for name in _near(candidate)]
     hint = f". Similar files: {', '.join(dict.fromkeys(near))}" if near else ""
+    if uri.startswith("package://"):
+        name = uri.removeprefix("package://").split("/")[0]
+        if not any(folder.name == name and folder.is_dir() for path in candidates for folder in path.parents):
+            wanted = name.replace("_", "-")
+            hint = f". There is no package {name} here; if it is one of PyPI: pip install --no-deps {wanted}"
     places = ", ".join(str(candidate.parent) for candidate in candidates) or "no folder: no robot package is installed"
     return SceneError(f"no such file (searched {places}){hint}", key=key, file=file, found=uri)
 
