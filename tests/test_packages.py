@@ -18,5 +18,5 @@ def test_every_package_and_every_file_that_is_read_is_installed():
     }
     assert found <= listed
     headers = {path.parent for path in (ROOT / "warpmpc").rglob("*.h")}
-    assert headers == {ROOT / "warpmpc/engine/fused/native"}
-    assert settings["package-data"]["warpmpc.engine.fused"] == ["native/*.h"]
+    assert headers == {ROOT / "warpmpc/physics/native"}
+    assert settings["package-data"]["warpmpc.physics"] == ["native/*.h"]

@@ -31,9 +31,9 @@ from rich.console import Console
 from rich.table import Table
 
 from warpmpc.cli.run import start_warp
-from warpmpc.engine.fused.plain import PlainRollout
-from warpmpc.engine.fused.simulator import shares
+from warpmpc.engine.fused_simulator import shares
 from warpmpc.engine.mujoco import silence_mujoco
+from warpmpc.physics.rollout import PlainRollout
 
 STATES = 512
 """States that the worlds of a GPU start from, each in as many worlds as it takes."""

@@ -56,8 +56,7 @@ def start(source: str, engine: str, device: str) -> dict:
         import warpmpc
         from warpmpc.cli.run import start_warp
         from warpmpc.compiling import compile_kernel
-        from warpmpc.engine import kinematic
-        from warpmpc.engine.fused import engine as fused
+        from warpmpc.engine import fused, kinematic
         from warpmpc.model.compiled import compile_scene
 
         start_warp()

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which room of the package imports which, read from the source.
+"""Imports between the rooms of the package and inside them, read from the source.
 
     python tools/rooms.py
 
-Prints every import between two rooms that goes upwards or sideways, and the picture of ``docs/architecture.md``.
-Imports for type checkers alone count like the others. Exit code 1 where there is one.
+Prints every import between two rooms that goes upwards or sideways, every circle of modules inside a room, and the
+picture of ``docs/architecture.md``. Imports for type checkers alone count like the others. Exit code 1 where there is
+such an import or circle.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 ROOT = Path(__file__).parents[1]
 FLOORS = (
@@ -27,9 +31,10 @@ FLOORS = (
     ("derivatives",),
     ("engine",),
     ("cost",),
-    ("task", "bake"),
+    ("task",),
     ("model",),
-    ("scene", "launch"),
+    ("scene", "physics"),
+    ("launch", "bake"),
     ("kernels",),
 )
 """Rooms from the top floor to the bottom; rooms of one floor do not know each other."""
@@ -99,6 +104,25 @@ def imports() -> list[Import]:
     return sorted(found, key=lambda i: (str(i.file), i.line))
 
 
+def circles() -> list[list[str]]:
+    """Modules of a room that import each other in a circle, each circle sorted."""
+    modules = {parts[:-1] if parts[-1] == "__init__" else parts: file for file, parts in sources()}
+    names = list(modules)
+    graph = np.zeros((len(names), len(names)), dtype=bool)
+    for row, (parts, file) in enumerate(modules.items()):
+        package = parts if file.name == "__init__.py" else parts[:-1]
+        for node, _, _ in walk(ast.parse(file.read_text(encoding="utf-8")).body):
+            if not isinstance(node, ast.ImportFrom) or not node.level:
+                continue
+            lead = (*package[: len(package) - node.level + 1], *filter(None, (node.module or "").split(".")))
+            for target in {(*lead, alias.name) for alias in node.names} | {lead}:
+                if target in modules and target != parts and target[:1] == parts[:1]:
+                    graph[row, names.index(target)] = True
+    count, label = connected_components(graph, directed=True, connection="strong")
+    groups = [[".".join(names[i]) for i in np.flatnonzero(label == n)] for n in range(count)]
+    return sorted(sorted(group) for group in groups if len(group) > 1)
+
+
 def mermaid(found: list[Import]) -> str:
     """The rooms as a diagram: arrows go from a room to what it imports, but for what a room below imports already."""
     edges = {(i.room, i.target) for i in found if not i.typing}
@@ -121,8 +145,11 @@ def main() -> int:
     for i in wrong:
         kind = "for type checkers" if i.typing else "in a function" if i.late else "at the top"
         print(f"{i.file}:{i.line}: {i.room} imports {i.target}, which is not below it ({kind})")
+    rings = circles()
+    for ring in rings:
+        print(f"in a circle: {', '.join(ring)}")
     print(mermaid([i for i in found if i not in wrong]))
-    return int(bool(wrong))
+    return int(bool(wrong or rings))
 
 
 if __name__ == "__main__":

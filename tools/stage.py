@@ -24,7 +24,7 @@ from warpmpc.record.ways import BEST_COLOR
 if TYPE_CHECKING:
     from warpmpc.live.fan import Ways
     from warpmpc.model.layout import ShapeInfo
-    from warpmpc.plant.simulated import Plant
+    from warpmpc.plant.plant import Plant
 
 SIZE = (1120, 700)
 """Width and height of what is drawn [pixels]; files have half of it, for smooth edges."""

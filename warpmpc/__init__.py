@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from .model.state import Info, State
     from .planner.plan import Plan
     from .plant.monitor import Monitor
-    from .plant.simulated import Plant
+    from .plant.plant import Plant
     from .realtime.loop import RealTimeReport, RobotLoop
     from .realtime.planning import PlannerThread
     from .realtime.process import PlannerProcess
@@ -158,7 +158,7 @@ _HOME = {
     "RecordingSwitch": "record.switch",
     "TickLog": "record.tick_log",
     "TickRecorder": "record.ticks",
-    "Plant": "plant.simulated",
+    "Plant": "plant.plant",
     "Rollout": "controller.rollout",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",

@@ -16,6 +16,16 @@ TAPS = wp.constant(4)
 """Most knots that a control depends on."""
 
 
+@wp.struct
+class TermSums:
+    """Sums of cost terms over the steps of rollouts, and what they are weighed by, for terms inside a launch."""
+
+    dt: wp.array[float]  # [T] [s]
+    step_weight: wp.array[float]  # [T]
+    weight: wp.array2d[float]  # [E, term]
+    total: wp.array2d[float]  # [term, W] cost of each term over the horizon
+
+
 @wp.kernel
 def taps_kernel(
     # inputs

@@ -35,10 +35,6 @@ class KinematicWork:
     joint_q: wp.array2d[float]  # [E, nq] observed
     joint_qd: wp.array2d[float]  # [E, nv] observed
     mocap: wp.array2d[wp.transform]  # [E, nm] observed
-    dt: wp.array[float]  # [T] [s]
-    step_weight: wp.array[float]  # [T]
-    weight: wp.array2d[float]  # [E, term]
-    total: wp.array2d[float]  # [term, W] cost of each term over the horizon
     control: wp.array3d[float]  # [T, W, nu], of rollouts that are recorded
     record_q: wp.array3d[float]  # [T+1, W, nq]
     record_qd: wp.array3d[float]  # [T+1, W, nv]
@@ -82,6 +78,7 @@ def kinematic_rollout_kernel(
     table: JointTable,
     drives: Drives,
     k: KinematicWork,
+    dt: wp.array[float],  # [T] [s]
     samples: int,
     world: wp.array[int],  # [n] worlds to record
     # outputs
@@ -107,7 +104,7 @@ def kinematic_rollout_kernel(
             for tap in range(TAPS):
                 value += k.share[e, t, tap] * k.knots[e, sample, k.tap[e, t, tap], u]
             control[t, w, u] = wp.clamp(value, k.lower[u], k.upper[u])
-        follow(drives, control, t, w, k.dt[t], joint_q, joint_qd)
+        follow(drives, control, t, w, dt[t], joint_q, joint_qd)
     for t in range(joint_q.shape[0]):
         forward_kinematics(table, t, w, joint_q, joint_qd, body_q, body_qd)
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 import warpmpc
-from warpmpc.engine.fused.simulator import FusedSimulator
+from warpmpc.engine.fused_simulator import FusedSimulator
 from warpmpc.engine.mujoco import MujocoEngine
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene

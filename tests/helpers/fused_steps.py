@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from warpmpc.engine.fused.plain import PlainRollout
 from warpmpc.engine.mujoco import silence_mujoco
+from warpmpc.physics.rollout import PlainRollout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

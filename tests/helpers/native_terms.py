@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
 from warpmpc.bake.number import WIDE, header, native_lanes
-from warpmpc.bake.state import FrameCode, StateCode, TermCode
+from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
 from warpmpc.cost.term import CostTerm
 from warpmpc.kernels.terms.view import TASK_BODY, StepView
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from warpmpc.engine.fused.kernel import FusedWork
-from warpmpc.engine.fused.plain import PlainRollout
+from warpmpc.physics.kernel import RolloutWork
+from warpmpc.physics.rollout import PlainRollout
 
 COMPILER = shutil.which("g++")
 _TYPES = {wp.float32: "float", wp.float64: "double", wp.int32: "int", float: "float", int: "int"}
@@ -59,15 +59,15 @@ template <class E> struct Array { E* data; int shape[4]; };
 struct Number { int value, none; operator int() const { return value; } };
 """
 _MAIN = """
-void rollout(FusedWork k, int group) {
+void rollout(RolloutWork k, int group) {
 BODY
 }
-FusedWork* work;
+RolloutWork* work;
 int group;
 void begin() { rollout(*work, group); ended[threadIdx.x] = true; }
 }
 // All lanes of one world after the other, in an order that turns with `order`; nonzero if they do not end together
-extern "C" int run(FusedWork* k, int worlds, int order) {
+extern "C" int run(RolloutWork* k, int worlds, int order) {
     static char* stacks = (char*)malloc(32u << 20);
     work = k;
     for (int world = 0; world < worlds; ++world) {
@@ -105,10 +105,10 @@ class Lanes:
 
     def __init__(self, source: str, folder: Path):
         fields = []
-        for name, var in FusedWork.vars.items():
+        for name, var in RolloutWork.vars.items():
             kind = f"Array<{_c_type(var.type.dtype)}>" if hasattr(var.type, "dtype") else "Number"
             fields.append(f"{kind} {name};")
-        text = "\n".join((_LANES, "struct FusedWork {", *fields, "};", _MAIN.replace("BODY", source)))
+        text = "\n".join((_LANES, "struct RolloutWork {", *fields, "};", _MAIN.replace("BODY", source)))
         stem = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
         library = stem.with_suffix(".so")
         if not library.exists():
@@ -117,10 +117,10 @@ class Lanes:
             subprocess.run([COMPILER, *flags, "-o", library, stem.with_suffix(".cpp")], check=True)
         self._run = ctypes.CDLL(str(library)).run
 
-    def __call__(self, work: FusedWork, worlds: int, order: int = 0) -> None:
+    def __call__(self, work: RolloutWork, worlds: int, order: int = 0) -> None:
         """Roll worlds out; ``order`` says which lane comes first between two synchronizations, and which world."""
         numbers = []
-        for name in FusedWork.vars:
+        for name in RolloutWork.vars:
             array = getattr(work, name)
             if isinstance(array, int):
                 numbers.append(np.array([array, 0], dtype=np.int32).tobytes())

@@ -21,9 +21,9 @@ from native_robots import (
 )
 
 from warpmpc import SceneError
-from warpmpc.model.collisions import colliding_pairs
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.pairs import Pair
+from warpmpc.physics.collisions import colliding_pairs
 
 STEPS = 50
 

@@ -13,7 +13,7 @@ import pytest
 from small_scenes import BOX, DISC, compiled, make_scene
 
 from warpmpc.model.layout import ShapeInfo
-from warpmpc.plant.simulated import Plant
+from warpmpc.plant.plant import Plant
 from warpmpc.record.history import History, HistoryRecorder
 from warpmpc.record.plots import draw_run, figures, plot_history
 from warpmpc.record.scene_picture import VIEWS, ScenePicture, View, natural_view, oblique, triangles_of

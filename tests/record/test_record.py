@@ -18,7 +18,7 @@ from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.layout import ShapeInfo
 from warpmpc.model.state import State
-from warpmpc.plant.simulated import Plant
+from warpmpc.plant.plant import Plant
 from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
 from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
@@ -354,7 +354,7 @@ KILLED = f"""
 import sys
 from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
-from warpmpc.plant.simulated import Plant
+from warpmpc.plant.plant import Plant
 from warpmpc.record.recorder import Recorder
 from warpmpc.scene.load import load_scene
 

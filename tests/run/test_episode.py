@@ -9,7 +9,7 @@ import pytest
 
 from warpmpc.controller.controller import Controller
 from warpmpc.model.compiled import compile_scene
-from warpmpc.plant.simulated import Plant
+from warpmpc.plant.plant import Plant
 from warpmpc.run.episode import (
     Episode,
     EpisodeInterrupted,

@@ -14,6 +14,12 @@ def test_rooms_import_downwards_only():
     assert [f"{i.file}:{i.line}" for i in found if FLOOR[i.target] >= FLOOR[i.room]] == []
 
 
+def test_physics_knows_numbers_alone():
+    """MuJoCo's models and source: no scene, no cost, no layout."""
+    assert {i.target for i in imports() if i.room == "physics"} <= {"bake", "kernels", "launch"}
+    assert {i.target for i in imports() if i.room == "bake"} <= {"kernels"}
+
+
 def test_the_picture_in_the_docs_is_that_of_the_source():
     below = [i for i in imports() if FLOOR[i.target] < FLOOR[i.room]]
     assert f"```mermaid\n{mermaid(below)}\n```" in ARCHITECTURE.read_text(encoding="utf-8")

@@ -79,7 +79,7 @@ def _root(
 @app.command()
 def scenes() -> None:
     """List the scenes that come with warpmpc."""
-    from ..cli import report
+    from . import report
     from .run import user_errors
 
     with user_errors():
@@ -89,7 +89,7 @@ def scenes() -> None:
 @app.command()
 def terms() -> None:
     """List the built-in cost terms and their keys."""
-    from ..cli import report
+    from . import report
     from .run import start_warp
 
     start_warp()
@@ -132,7 +132,7 @@ def check(
     device: DeviceOption = "auto",
 ) -> None:
     """Build everything a run would, make one plan, and show what was built."""
-    from ..cli import run as cli_run
+    from . import run as cli_run
 
     raise typer.Exit(
         cli_run.check(scene, overrides=overrides, term_files=terms, seed=seed, engine=engine, device=device)
@@ -203,12 +203,12 @@ def run(
 
     Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C.
     """
-    from ..cli import run as cli_run
-    from ..cli.outputs import Outputs
+    from . import run as cli_run
+    from .outputs import Outputs
 
     outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
     if real_time:
-        from ..cli.real_time import run_real_time
+        from .real_time import run_real_time
 
         given = {
             "--envs": envs > 1,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ..controller.controller import Controller
     from ..plant.batch import PlantBatch
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..run.episode import EpisodeResult
 
 PERIOD = 0.1

@@ -17,7 +17,7 @@ from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..record.ticks import TickRecorder
     from ..run.real_time import RealTimeResult
     from .outputs import Outputs

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.stack import CostStack
+from ..cost.trial import try_terms
 from ..engine.registry import ENGINES, resolve
 from ..launch import capturing
 from ..model.batch_size import BatchSize
@@ -20,8 +21,9 @@ from ..model.memory import require_memory
 from ..model.properties import draw_properties
 from ..model.safe import safe_command
 from ..model.state import Info, State
-from ..planner.graph import PlanGraph, PlanReport
+from ..planner.graph import PlanGraph
 from ..planner.plan import Plan
+from ..planner.report import PlanReport
 from ..planner.step import PlanStep
 from ..scene.errors import SceneError
 from ..scene.schema import SampleCount
@@ -108,6 +110,7 @@ class Controller:
         self.shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
         self._require_memory(device)
         self.costs = CostStack(scene, self.layout, self.task, terms=terms, device=device)
+        try_terms(self.costs, scene)
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
         self.planner = PlanStep(

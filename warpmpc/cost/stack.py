@@ -22,7 +22,6 @@ from .builtin import BUILTIN
 from .deadline import deadline
 from .kernel import JudgeCode, judge_code
 from .term import ArrayCost, CostTerm, UserTerm
-from .trial import try_terms
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -98,9 +97,8 @@ class CostStack:
             setattr(self.params, f"p{i}", bound)
         task.on_change(self._on_task_change)
         self._on_task_change(frozenset(task))
-        users = [i for i, (term, _) in enumerate(self.terms) if term.name not in BUILTIN]
-        if users and costs is scene.cost:  # those of a part were tried with the whole
-            try_terms(self, scene, users)
+        self.users = [i for i, (term, _) in enumerate(self.terms) if term.name not in BUILTIN]
+        """Terms that users wrote."""
 
     def _on_task_change(self, names: frozenset[str]) -> None:
         for resource in self.resources:

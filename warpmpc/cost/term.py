@@ -21,9 +21,9 @@ from ..task.ancillary import AncillaryController
 
 if TYPE_CHECKING:
     from ..bake.lines import Operand
-    from ..bake.state import TermCode
     from ..scene.types import Section
     from .binding import Binding
+    from .code.state import TermCode
 
 
 @dataclass(frozen=True)

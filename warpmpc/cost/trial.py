@@ -16,6 +16,7 @@ from .blame import complaint, raised_at, refused, require_returns
 from .deadline import TooLong, deadline
 from .interpret import OutOfRange, as_python, watched
 from .kernel import judge_code
+from .stack import CostStack, Judge
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from ..kernels.terms.view import StepView
     from ..model.layout import Layout
     from ..scene.schema import Scene
-    from .stack import CostStack, Judge
 
 SAMPLES, STEPS = 4, 2
 """Rollouts of an environment, the first of which stays at the start, and their steps."""
@@ -34,20 +34,20 @@ LONGEST_FIRST = 60.0
 """How long a term over whole arrays may take [s]: its first call may import or compile what it computes with."""
 
 
-def try_terms(stack: CostStack, scene: Scene, users: Collection[int]) -> None:
+def try_terms(stack: CostStack, scene: Scene) -> None:
     """Compile and evaluate users' terms, no physics needed.
 
     Args:
         stack: All terms, bound.
         scene: The scene.
-        users: Which terms of the stack users wrote.
 
     Raises:
         SceneError: If one cannot be compiled, raises, does not end, reads behind the end of what a step has to show,
             returns anything but numbers or is not finite at the start; it names the user's file and line.
     """
-    from .stack import Judge  # which calls this
-
+    users = stack.users
+    if not users:
+        return
     for i in users:
         term, label = stack.terms[i][0], stack.labels[i]
         if isinstance(term, CostTerm):

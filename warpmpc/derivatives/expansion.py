@@ -15,7 +15,7 @@ from ..launch import Launcher
 from .kinds import step_worlds
 
 if TYPE_CHECKING:
-    from ..engine.registry import EngineRequest, PhysicsSteps
+    from ..engine.request import EngineRequest, PhysicsSteps
     from .residuals import Residuals
     from .tangent import Tangent
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import warp as wp
 
 from ..engine.crew import Crew
-from ..engine.registry import EngineRequest, PhysicsSteps
+from ..engine.request import EngineRequest, PhysicsSteps
 from ..kernels.worlds.clone import (
     clone_mocap_kernel,
     clone_state_kernel,
@@ -69,7 +69,7 @@ class FusedWorlds(StepWorlds):
     """Worlds of the engine ``fused``, in single precision."""
 
     def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
-        from ..engine.fused.simulator import FusedSimulator
+        from ..engine.fused_simulator import FusedSimulator
 
         shape = BatchSize(request.shape.envs, worlds, 1, 1)
         self._simulator = simulator = FusedSimulator(

@@ -15,7 +15,7 @@ from .kinds import step_worlds
 from .tangent import Tangent
 
 if TYPE_CHECKING:
-    from ..engine.registry import EngineRequest, PhysicsSteps
+    from ..engine.request import EngineRequest, PhysicsSteps
     from .residuals import Residuals
 
 

@@ -20,7 +20,7 @@ from ..model.rows import MujocoRows
 from ..model.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from ..engine.registry import EngineRequest
+    from ..engine.request import EngineRequest
     from ..model.mujoco_model import MujocoWorld
     from .residuals import Residuals
 

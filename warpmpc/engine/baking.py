@@ -6,12 +6,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ..bake.lines import Lines
-from ..bake.state import NotBaked, TermCode
-from ..bake.terms import TermSource
+from ..cost.code.state import NotBaked, TermCode
+from ..cost.code.terms import TermSource
 from ..cost.term import CostTerm
 
 if TYPE_CHECKING:
-    from ..bake.state import StateCode
+    from ..cost.code.state import StateCode
     from ..cost.stack import CostStack
 
 

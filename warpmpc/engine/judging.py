@@ -16,7 +16,7 @@ from ..cost.kernel import JudgeCode, judge_code
 from ..cost.stack import Judge
 from ..cost.term import CostTerm
 from ..kernels.planning.splines import ZERO
-from ..kernels.worlds.judging import TAPS, explain_total_kernel, finish_kernel, taps_kernel
+from ..kernels.worlds.judging import TAPS, TermSums, explain_total_kernel, finish_kernel, taps_kernel
 from ..launch import Launcher, Replay
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
@@ -25,7 +25,7 @@ from .recorded import risk_inputs
 
 if TYPE_CHECKING:
     from .protocol import Proposal
-    from .registry import EngineRequest
+    from .request import EngineRequest
 
 PARTS = 4
 """Parts of the worlds per thread, as in the engine ``mujoco``."""
@@ -92,9 +92,11 @@ class JudgingEngine(ABC):
         work.tap, work.share = zeros(envs, steps, int(TAPS), dtype=int), zeros(envs, steps, int(TAPS))
         work.lower, work.upper = request.limits
         state = self.state
-        work.joint_q, work.joint_qd, work.mocap, work.weight = state.joint_q, state.joint_qd, state.mocap, state.weight
-        work.dt, work.step_weight, work.total = self.grid.dt, self.grid.weight, zeros(terms, shape.worlds)
-        self._work = work
+        work.joint_q, work.joint_qd, work.mocap = state.joint_q, state.joint_qd, state.mocap
+        self._work, self._sums = work, TermSums()
+        sums = self._sums
+        sums.dt, sums.step_weight = self.grid.dt, self.grid.weight
+        sums.weight, sums.total = state.weight, zeros(terms, shape.worlds)
         # only knots that stand still between plans change their part in a step's control
         self._steps_of_plan = spline.kind == int(ZERO) and spline.even != 0
         self._taps(zeros(envs))
@@ -200,18 +202,18 @@ class JudgingEngine(ABC):
         """Costs of some samples from what their terms cost over the horizon."""
         weighing = [self.grid.weight, self._stage_risk]
         inputs = [self.judge.cost, self._staged, *weighing, self._failed, self.state.observed]
-        outputs = [self._work.total, self._rollout_cost, self.diverged, self.cost]
+        outputs = [self._sums.total, self._rollout_cost, self.diverged, self.cost]
         self._launch(finish_kernel, count, [*inputs, *self._risk, first], outputs)
 
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of a sample of every environment ``[E]``; capture-safe."""
-        inputs = [self._work.total, self._rollout_cost, sample, self.shape.samples, *self._risk]
+        inputs = [self._sums.total, self._rollout_cost, sample, self.shape.samples, *self._risk]
         self._launch(explain_total_kernel, self.term_cost.shape, inputs, [self.term_cost])
 
     @property
     def total(self) -> wp.array:
         """Cost of each term of each world over the horizon ``[term, W]``."""
-        return self._work.total
+        return self._sums.total
 
     def close(self) -> None:
         """Stop the threads."""

@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..bake.motion import WARP
-from ..bake.rollout import RolloutSource
-from ..bake.state import StateCode, moving_dofs
 from ..compiling import compile_kernel
+from ..cost.code.state import StateCode, moving_dofs
 from ..kernels.worlds.kinematic import (
     ACCELERATION,
     POSITION,
@@ -34,10 +32,12 @@ from ..scene.errors import SceneError
 from .baking import bake
 from .judging import JudgingEngine
 from .kinematic_kernel import make_kernel
+from .kinematic_motion import WARP
+from .kinematic_source import RolloutSource
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
-    from .registry import EngineRequest
+    from .request import EngineRequest
 
 MODES = {"velocity": int(VELOCITY), "position": int(POSITION), "acceleration": int(ACCELERATION)}
 
@@ -67,7 +67,7 @@ class KinematicEngine(JudgingEngine):
         compile_kernel(self._kernel, self.device, 256, f"the rollouts of {request.scene.name}")
 
     def _roll(self, first: int, groups: int) -> None:
-        inputs, outputs = [self.judge.view, self.costs.params], [self._work]
+        inputs, outputs = [self.judge.view, self.costs.params], [self._work, self._sums]
         if self._judges:
             inputs += [self._own, first, self._groups, self.shape.samples]
             outputs.append(self.judge.cost)
@@ -86,7 +86,7 @@ class KinematicEngine(JudgingEngine):
             out = Trajectory.allocate(BatchSize(1, len(worlds), 1, shape.horizon), layout, 0, self.device)
             table = joint_table(layout, self.device, worlds=len(worlds))
             chosen = wp.array(list(worlds), dtype=int, device=self.device)
-            inputs = [table, drives(layout, self.device), self._work, shape.samples, chosen]
+            inputs = [table, drives(layout, self.device), self._work, self.grid.dt, shape.samples, chosen]
             outputs = [out.control, out.joint_q, out.joint_qd, out.body_q, out.body_qd]
             self._launch(kinematic_rollout_kernel, len(worlds), inputs, outputs)
         return out

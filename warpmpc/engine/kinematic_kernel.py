@@ -8,6 +8,7 @@ import warp as wp
 from ..bake.number import WIDE
 from ..cost.kernel import JudgeCode
 from ..kernels.terms.view import StepView
+from ..kernels.worlds.judging import TermSums
 from ..kernels.worlds.kinematic import KinematicWork
 from .judging_kernel import judging_functions
 
@@ -26,7 +27,7 @@ def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -
     options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
 
     @wp.func_native(source)
-    def rollout(s: StepView, p: params, k: KinematicWork, group: int): ...
+    def rollout(s: StepView, p: params, k: KinematicWork, costs: TermSums, group: int): ...
 
     if judge is None:
 
@@ -38,9 +39,10 @@ def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -
             first: int,  # group of thread 0
             # outputs
             k: KinematicWork,
+            costs: TermSums,
         ):
             """One thread: a group of samples from start to end; on a GPU one step of one sample."""
-            rollout(s, p, k, first + wp.tid())
+            rollout(s, p, k, costs, first + wp.tid())
 
         return kinematic_kernel
 
@@ -58,14 +60,15 @@ def make_kernel(source: str, params: Any, lanes: int, judge: JudgeCode | None) -
         samples: int,
         # outputs
         k: KinematicWork,
+        costs: TermSums,
         cost: wp.array3d[float],  # [term, T, W]
     ):
         """One thread: as above, and then the terms that read the record."""
         group = first + wp.tid()
-        rollout(s, p, k, group)
+        rollout(s, p, k, costs, group)
         if groups > 0:
-            judge_group(s, own, group, groups, samples, k.weight, cost)
+            judge_group(s, own, group, groups, samples, costs.weight, cost)
         else:
-            judge_world(s, own, group // WARP, samples, group % WARP, WARP, k.weight, cost)
+            judge_world(s, own, group // WARP, samples, group % WARP, WARP, costs.weight, cost)
 
     return judging_kernel

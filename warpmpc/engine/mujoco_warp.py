@@ -34,12 +34,12 @@ from ..kernels.worlds.mujoco_warp import (
 )
 from ..launch import Launcher, default_device
 from ..model.batch_size import BatchSize
-from ..model.collisions import colliding_pairs
 from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import pair_table
 from ..model.randomize import batched_arrays
 from ..model.trajectory import Trajectory
+from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
 from .protocol import OnePart
 

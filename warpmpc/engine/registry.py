@@ -15,52 +15,15 @@ from ..model.mujoco_model import Options
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName, Solver
 from .recorded import RecordedEngine
+from .request import EngineRequest, PhysicsSteps
 
 if TYPE_CHECKING:
-    from ..cost.stack import CostStack
-    from ..kernels.planning.splines import Spline
-    from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
-    from ..model.properties import Properties
     from ..scene.schema import Scene
-    from ..task.observed import ObservedState
     from .protocol import Engine, Simulator
     from .timegrid import TimeGrid
 
 logger = logging.getLogger("warpmpc")
-
-
-@dataclass(frozen=True, kw_only=True)
-class EngineRequest:
-    """What an engine is built for."""
-
-    scene: Scene
-    compiled: CompiledScene
-    shape: BatchSize
-    """Sizes of the batch."""
-    grid: TimeGrid
-    """Times and weights of the steps of a rollout."""
-    spline: Spline
-    """Spline from knots to controls, on the device."""
-    limits: tuple[wp.array, wp.array]
-    """Lower and upper limits of the controls ``[nu]``, on the device."""
-    state: ObservedState
-    """What rollouts start from, on the device."""
-    costs: CostStack
-    """The cost terms, on the device."""
-    device: str
-    properties: Properties | None = None
-    """Draws of physical properties, None for nominal worlds."""
-
-
-@dataclass(frozen=True)
-class PhysicsSteps:
-    """Physics steps of a rollout."""
-
-    count: tuple[int, ...]
-    """How many there are in each step of the rollout ``[T]``."""
-    length: tuple[float, ...]
-    """Length of one of them in each step of the rollout ``[T]`` [s], the same everywhere unless ``any_dt``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,7 +210,7 @@ def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
 
 
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    from .fused.engine import FusedEngine
+    from .fused import FusedEngine
 
     return FusedEngine(request, steps)
 

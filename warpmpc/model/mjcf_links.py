@@ -16,8 +16,8 @@ import numpy as np
 import warp as wp
 from newton import GeoType
 
+from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
-from .collisions import colliding_pairs
 from .mjcf import is_floor
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from ..launch import Launcher, step_lanes
 if TYPE_CHECKING:
     from ..task.observed import ObservedState
     from .covariance import Covariance
+    from .fixed_rows import FixedRows
     from .moments import SampleMoments
-    from .rows import FixedRows
 
 
 def rows(knots: wp.array) -> wp.array:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..kernels.worlds.exchange import (
     unpack_kernel,
 )
 from ..launch import Launcher, Replay, step_lanes
+from .report import PlanReport
 from .weighting import block_dim
 
 LANES = 32
@@ -23,28 +23,6 @@ LANES = 32
 
 if TYPE_CHECKING:
     from .step import PlanStep
-
-
-@dataclass(frozen=True)
-class PlanReport:
-    """What came of a plan; views of the block that was copied back, overwritten by the next plan."""
-
-    command: np.ndarray  # [E, nu]
-    beta: np.ndarray  # [E]
-    eta: np.ndarray  # [E]
-    cost: np.ndarray  # [E] of the best sample, +inf when every sample diverged
-    best: np.ndarray  # [E] sample
-    diverged: np.ndarray  # [E] worlds whose physics failed
-    overflow_halves: np.ndarray  # [2, E] capacity bits of all worlds together, the lower 16 first
-    terms: np.ndarray  # [E, terms] of the best sample
-    knots: np.ndarray  # [E, P, nu] of the plan
-    offset: np.ndarray  # [E] time from the first knot to the present [s]
-
-    @property
-    def overflow(self) -> np.ndarray:
-        """Capacity bits of all worlds together ``[E]``."""
-        low, high = self.overflow_halves.astype(np.int64)
-        return low | high << 16
 
 
 class PlanGraph:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..model.state import State
     from ..scene.schema import Ancillary, Scene
-    from .ancillary import Ask, Horizon
+    from .horizon import Ask, Horizon
 
 LEAST_SPREAD = 1e-6
 """Numbers that vary less over a file say nothing about what is near [m, rad, m/s, rad/s]."""

@@ -6,8 +6,8 @@ from enum import StrEnum
 import numpy as np
 import warp as wp
 
-from warpmpc.kernels.planning.proposals import shape_noise_kernel
-from warpmpc.kernels.planning.sampling import (
+from ..kernels.planning.proposals import shape_noise_kernel
+from ..kernels.planning.sampling import (
     advance_counter_kernel,
     random_normal_kernel,
     random_shift_kernel,
@@ -15,7 +15,7 @@ from warpmpc.kernels.planning.sampling import (
     started_normal_kernel,
     table_normal_kernel,
 )
-from warpmpc.launch import Launcher, step_lanes
+from ..launch import Launcher, step_lanes
 
 
 class NoiseKind(StrEnum):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..scene.schema import Ancillary, Scene
     from ..task.task import Task
-    from .ancillary import Ask, Horizon
+    from .horizon import Ask, Horizon
 
 FLOAT = "tensor(float)"
 

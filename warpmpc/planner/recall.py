@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..model.state import State
     from ..scene.schema import Ancillary, Scene
-    from .ancillary import Horizon
-    from .graph import PlanReport
+    from .horizon import Horizon
+    from .report import PlanReport
 
 APART = 0.1
 """Recalled moments are at least so far apart, as a share of the horizon: neighbours say the same."""

@@ -25,7 +25,7 @@ from .splines import SplineKind, spline_value
 if TYPE_CHECKING:
     from ..derivatives.expansion import Linear
     from ..engine.protocol import Engine
-    from ..engine.registry import EngineRequest, PhysicsSteps
+    from ..engine.request import EngineRequest, PhysicsSteps
     from ..scene.schema import Scene
     from .strategy import SamplingStrategy
 

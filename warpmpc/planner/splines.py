@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 import warp as wp
 
-from warpmpc.kernels.planning import splines as kernels
+from ..kernels.planning import splines as kernels
 
 
 class SplineKind(StrEnum):

@@ -16,10 +16,11 @@ from ..scene.errors import SceneError
 from ..scene.schema import CovarianceForm, Execute, Method, NoiseShape, Renewal, TryMean
 from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian
+from .fixed_rows import FixedRows
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureRows
-from .rows import BestRows, FixedRows, NullRows, ProposedRows, SequenceRows
+from .rows import BestRows, NullRows, ProposedRows, SequenceRows
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
@@ -191,7 +192,7 @@ class SamplingStrategy:
             rows.append(self._postures)
         rows.append(SequenceRows(sequences(scene, spline.time.numpy(), layout.nu)))
         rows.append(ProposedRows(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
-        fixed = FixedRows(rows, distribution)
+        fixed = FixedRows(rows, distribution.dim, distribution.device)
         if fixed.count + 1 > samples:
             kinds = "null, best, postures, sequences, ancillary"
             message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"

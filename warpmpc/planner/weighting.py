@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import warp as wp
 
-from warpmpc.kernels.planning.weights import (
+from ..kernels.planning.weights import (
     best_weight_kernel,
     bisect_temperature_kernel,
     elite_weight_kernel,
     importance_weight_kernel,
     tsallis_weight_kernel,
 )
-
 from ..launch import Launcher
 from ..scene.schema import Method
 

@@ -12,7 +12,8 @@ from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.state import State
 from ..task.task import Task
-from .simulated import Plant, Worlds
+from .simulated import SimulatedPlant
+from .worlds import Worlds
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
@@ -38,7 +39,7 @@ class PlantBatch:
         ValueError: If the task has more or fewer environments than there are plants.
     """
 
-    plants: tuple[Plant, ...]
+    plants: tuple[SimulatedPlant, ...]
     """The plants, each with ``state``, ``error``, ``contact``, ``reason`` and so on of its own."""
 
     def __init__(
@@ -59,7 +60,7 @@ class PlantBatch:
             self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms)
         self.layout = self._worlds.layout
         self.plants = tuple(
-            Plant(scene, seed=seed, compiled=self.compiled, world=(self._worlds, e))
+            SimulatedPlant(scene, seed=seed, compiled=self.compiled, world=(self._worlds, e))
             for e, (scene, seed) in enumerate(zip(scenes, self.seeds, strict=True))
         )
         self._engine = self._worlds.engine

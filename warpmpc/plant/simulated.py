@@ -7,30 +7,21 @@ import math
 from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cost.values import TermValues
-from ..engine.mujoco import MujocoEngine
-from ..launch import Replay, capturing
-from ..model.batch_size import BatchSize
+from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
-from ..model.mujoco_model import Options
-from ..model.overlaps import refuse_overlap
-from ..model.pairs import collision_pairs, touching_pairs
-from ..model.properties import Properties, draw_properties, with_factors
 from ..model.state import Contact, State
 from ..scene.errors import SceneError
 from ..task.conditions import Look
 from ..task.goal import GOAL, GoalError
-from ..task.observed import ObservedState
-from ..task.task import Task, task_layout
+from ..task.task import Task
 from .camera import DepthCamera
 from .hand import Hand
-from .monitor import Monitor
 from .motion import Motions
+from .worlds import Worlds
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,102 +29,9 @@ if TYPE_CHECKING:
     from ..cost.term import UserTerm
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
-    from .batch import PlantBatch
 
-SUBSTEPS = 8
-"""Physics steps per control where neither the scene nor an MJCF file says anything: finer than the planner's."""
-_SOLVER = {"iterations": 100, "tolerance": 1e-8}
-"""The constraint solver of plants, more careful than the rollouts'; with an MJCF file, the file's own."""
 CONTACT_FORCE = 1e-3
 """Net force above which two things count as touching [N]."""
-
-
-class Worlds:
-    """Worlds of one engine at the start state, for one plant each.
-
-    Args:
-        scene: The scene.
-        compiled: The scene, compiled.
-        seeds: Seeds of the plants' properties.
-        task: What the plants' runs want, one environment for each of them.
-        terms: Users' own cost terms that conditions name or ``watch`` names.
-        watch: Cost terms whose values somebody wants besides.
-
-    Raises:
-        ValueError: If the task has more or fewer environments than there are plants.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        compiled: CompiledScene,
-        seeds: Sequence[int],
-        task: Task,
-        terms: Sequence[UserTerm] = (),
-        watch: Collection[str] = (),
-    ):
-        if task.envs != len(seeds):
-            raise ValueError(
-                f"{len(seeds)} plants share a task of {task.envs} environments: say Plant(scene, envs={task.envs}, ...)"
-            )
-        self.task = task
-        self.layout = task_layout(compiled.layout, scene)
-        self.draws = None
-        if scene.plant.randomize or scene.plant.factor:
-            drawn = [
-                draw_properties(scene, self.layout, 1, seed=2 * seed + 1) if scene.plant.randomize else None
-                for seed in seeds
-            ]
-            self.draws = [with_factors(draw, scene, self.layout) for draw in drawn]
-        self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
-        watched = self.monitors[0].watched_terms.union(watch)
-        self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
-        watching = self._values.pairs if self._values else ()
-        supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
-        self.pairs = collision_pairs(self.layout, supports)
-        self.touching = touching_pairs(self.layout)
-        self.first_pair = len(watching)
-        shape, dt = BatchSize(len(seeds), 1, 1, 1), scene.timing.control_dt
-        substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
-        self.engine = MujocoEngine(
-            compiled,
-            shape,
-            substeps=[substeps],
-            timestep=dt / substeps,
-            pairs=(*watching, *self.pairs, *self.touching),
-            properties=_stacked(self.draws) if self.draws else None,
-            threads=1 if len(seeds) == 1 else 0,
-            options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
-            pushed=True,
-        )
-        self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
-        for model, start in zip(self.engine.models, self.engine.initial, strict=True):
-            refuse_overlap(scene, compiled, model, start)
-        self.control = self.engine.trajectory.control
-        """Controls of all worlds ``[1, E, nu]``."""
-        if self._values:
-            self._values.attach(self.engine.trajectory, self.control, shape, dt)
-        parts = range(len(self.engine.parts))
-        self._replays = [Replay(partial(self.engine.rollout_part, self.control, part)) for part in parts]
-        self.terms: list[dict[str, float]] = [{} for _ in seeds]
-        """Values of the cost terms that conditions name or somebody watches, by world."""
-
-    def step(self, times: Sequence[float]) -> None:
-        """Hold the controls for one control step in every world.
-
-        Args:
-            times: Time of each world before it ``[E]`` [s].
-        """
-        self.engine.run(self._replays)
-        if self._values:
-            with capturing:
-                self.terms = self._values(times)
-
-
-def _stacked(draws: Sequence[Properties]) -> Properties:
-    """Draws of one plant each as draws of one batch."""
-    rows = (np.concatenate([getattr(draw, field) for draw in draws]) for field in ("mass", "friction", "size"))
-    return Properties(draws[0].names, *rows)
 
 
 def _raise(forces: dict[str, float], pairs: Sequence[Pair], peaks: np.ndarray) -> None:
@@ -143,7 +41,7 @@ def _raise(forces: dict[str, float], pairs: Sequence[Pair], peaks: np.ndarray) -
         forces[name] = max(forces.get(name, 0.0), float(peak))
 
 
-class Plant:
+class SimulatedPlant:
     """A simulated plant with physical properties, noise, delay and disturbances of its own.
 
     ``contact`` is what robots and objects touched, ``pairs`` the pairs whose contact is reported, ``monitor`` knows
@@ -152,8 +50,6 @@ class Plant:
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
-        envs: Number of plants E. With more than one this makes a :class:`~warpmpc.plant.batch.PlantBatch` of plants
-            with the seeds ``seed, seed + 1, ...``, whose states and controls have a leading axis ``[E]``.
         task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
         terms: Users' own cost terms that success, failures, phases or ``watch`` name.
         watch: Cost terms whose values :attr:`terms` shall have, such as all of ``scene.cost_labels``.
@@ -162,25 +58,14 @@ class Plant:
 
     Raises:
         SceneError: If things stand deep inside each other at the start, or a kick has the wrong number of values.
-        ValueError: If there is to be less than one plant, or not one for each environment of the task.
+        ValueError: If the task has several environments.
     """
-
-    def __new__(cls, scene: Scene, *, seed: int = 0, envs: int = 1, **keys: object) -> Plant | PlantBatch:
-        """A plant, or a batch of them."""
-        if envs < 1:
-            raise ValueError(f"there is at least one plant, not {envs}")
-        if envs == 1:
-            return super().__new__(cls)
-        from .batch import PlantBatch
-
-        return PlantBatch([scene] * envs, seeds=range(seed, seed + envs), **keys)
 
     def __init__(
         self,
         scene: Scene,
         *,
         seed: int = 0,
-        envs: int = 1,
         task: Task | None = None,
         terms: Sequence[UserTerm] = (),
         watch: Collection[str] = (),

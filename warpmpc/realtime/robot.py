@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..model.compiled import CompiledScene, compile_scene
-from ..plant.simulated import SUBSTEPS, Plant
+from ..plant.plant import Plant
+from ..plant.worlds import SUBSTEPS
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm

@@ -18,7 +18,7 @@ from .tick_log import TickLog
 if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..model.layout import Layout
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..scene.schema import Scene
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

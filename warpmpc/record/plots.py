@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..plant.simulated import Plant
+from ..plant.plant import Plant
 from ..task.goal import GOAL
 from .replay import logged_scene
 from .scene_picture import COLORS, VIEWS, ScenePicture, natural_view

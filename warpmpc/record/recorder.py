@@ -25,7 +25,7 @@ from .ways import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_roll
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
 
 logger = logging.getLogger("warpmpc")
 

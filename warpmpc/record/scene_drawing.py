@@ -15,7 +15,7 @@ from ..model.layout import IDENTITY, WORLD
 from .shapes import GHOST, body_path, draw_shape, entity_path, resized, shown_shapes, terrain
 
 if TYPE_CHECKING:
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
 
 
 def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..model.layout import Entity, Layout, ShapeInfo
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
 
 COLORS = {"robot": (1.0, 0.55, 0.15), "object": (0.2, 0.5, 0.8), "obstacle": (0.6, 0.6, 0.6)}
 FINE = 200

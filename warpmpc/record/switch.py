@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..controller.controller import Controller
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from .recorder import Recorder
 
 

@@ -16,7 +16,7 @@ from .scene_drawing import draw_scene, writable
 from .shapes import body_path, entity_path, scene_bounds
 
 if TYPE_CHECKING:
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from .history import History
 
 

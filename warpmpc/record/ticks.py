@@ -13,7 +13,7 @@ from .tick_log import TickLog
 
 if TYPE_CHECKING:
     from ..model.state import State
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..realtime.agent import Fault
     from ..realtime.letters import TimedPlan
     from ..realtime.real_time_log import RealTimeLog

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..cost.term import UserTerm
     from ..model.state import Info
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..scene.schema import Scene
 
 BODIES = ("robot", "object", "obstacle", "ground")
@@ -222,7 +222,7 @@ class Episode:
         compiled: CompiledScene | None = None,
     ):
         from ..controller.controller import Controller  # slow to import, and a scene may prove wrong without them
-        from ..plant.simulated import Plant
+        from ..plant.plant import Plant
 
         self.seed = seed
         self.scene, self.drawn = draw_task(scene, seed)

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from ..origin import code_digest
-from .workers import RAY, TRIES, LostJob, Prepare
+from .job import RAY, TRIES, LostJob, Prepare
 
 CONNECT = 5.0
 """How long to wait for a cluster to answer [s]."""
@@ -24,7 +24,7 @@ _prepared = False
 
 
 class RayWorkers:
-    """A Ray cluster; see :class:`~warpmpc.run.workers.Workers`.
+    """A Ray cluster; see :class:`~warpmpc.run.job.Workers`.
 
     Ray hands each call a core, and a GPU if asked, keeps processes for the next one, and makes a call again whose
     process or machine is lost. Machines may join while calls wait. Each needs the same warpmpc, and what a call names
@@ -83,7 +83,7 @@ class RayWorkers:
             self._ray.shutdown()  # the cluster goes on, and so does a session that was there before
 
     def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
-        """Queue a call, as :class:`~warpmpc.run.workers.Workers` says."""
+        """Queue a call, as :class:`~warpmpc.run.job.Workers` says."""
         out: Future[Any] = Future()
         reply = self._task.remote(self._code, self._gpu, pickle.dumps((self._prepare, function, arguments)))
         self._replies.add(reply)

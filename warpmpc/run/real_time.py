@@ -16,7 +16,7 @@ from .episode import compile_shared, plain
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
-    from ..plant.simulated import Plant
+    from ..plant.plant import Plant
     from ..realtime.real_time_log import RealTimeLog
     from ..scene.schema import Scene
 

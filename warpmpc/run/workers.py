@@ -19,46 +19,15 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any
+
+from .job import FORMS, GPUS, RAY, TRIES, LostJob, Prepare, Workers
+from .ray_workers import RayWorkers
 
 logger = logging.getLogger("warpmpc")
 
-TRIES = 3
-"""How often a call is made whose process dies each time."""
-GPUS = "gpus"
-RAY = "ray"
-FORMS = f"a number of processes, {GPUS}, {RAY} or {RAY}:HOST:PORT"
-"""What ``--jobs`` may say."""
-
-Prepare = Callable[[], None]
-"""Called once in every process, before its first call; a function at the top of a module."""
-
-
 _unprepared: Exception | None = None
 """What went wrong when this process was prepared."""
-
-
-class LostJob(RuntimeError):
-    """A call whose process died as often as it was made."""
-
-    def __init__(self):
-        super().__init__(f"a process died {TRIES} times in the same job, out of memory perhaps")
-
-
-class Workers(Protocol):
-    """Whatever makes calls beside this process; leaving the context ends them, whatever they are at."""
-
-    count: int
-    """Calls that are made at a time."""
-
-    def __enter__(self) -> Workers:
-        """Take the workers for a while."""
-
-    def __exit__(self, *error: object) -> None:
-        """End them."""
-
-    def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
-        """Queue a call of a module's function; the future holds what it returns or raises, or :class:`LostJob`."""
 
 
 def check_jobs(where: str) -> None:
@@ -88,8 +57,6 @@ def open_workers(where: str, *, device: str = "auto", prepare: Prepare | None = 
         return LocalWorkers(int(where), prepare=prepare), device
     kind, _, address = where.partition(":")
     if kind == RAY:
-        from .ray_workers import RayWorkers
-
         gpu = device.startswith("cuda")
         return RayWorkers(address, gpu=gpu, prepare=prepare), "cuda:0" if gpu else "cpu"
     gpus = _gpus()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from .schema import Phase
+    from .schema_goal import Phase
 
 
 def one_by_one(phases: Sequence[Phase]) -> tuple[Phase, ...]:

@@ -11,8 +11,8 @@ from ...bake.lines import Operand, Vector, text
 from .general import beyond, length, squares
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
-    from ...bake.tree import Axis
+    from ..code.state import TermCode
+    from ..code.tree import Axis
 
 
 def pose(code: TermCode, p: Any) -> Operand:

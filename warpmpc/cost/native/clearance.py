@@ -13,7 +13,7 @@ from ...kernels.terms.clearance import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
 from .variables import heading, variable
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 _TURN = " ".join(
     f"const T l{axis} = ob[{3 * i}] * px + ob[{3 * i + 1}] * py + ob[{3 * i + 2}] * pz + ob[{9 + i}];"

@@ -11,7 +11,7 @@ from .variables import variable
 from .volume import Grid, between, nearest
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def cloud_collision(code: TermCode, p: Any) -> Operand:

@@ -20,7 +20,7 @@ from .variables import variable
 from .volume import Grid, with_bound
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 _FAR = "((T)1.0e12f)"
 

@@ -10,7 +10,7 @@ from .norms import norm
 from .residuals import wanted
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def gait(code: TermCode, p: Any) -> Operand:

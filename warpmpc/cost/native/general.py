@@ -10,7 +10,7 @@ from ...bake.number import angle, decay, direction
 from .paths import detour
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def length(code: TermCode, v: Vector) -> str:

@@ -10,7 +10,7 @@ from ...bake.number import decay
 from .general import length
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def approach(code: TermCode, p: Any) -> Operand:

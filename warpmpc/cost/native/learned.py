@@ -13,7 +13,7 @@ from ...bake.number import sincos
 
 if TYPE_CHECKING:
     from ...bake.lines import Operand
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 FIRST = 8
 """Units of the first row that a CPU works on at a time."""

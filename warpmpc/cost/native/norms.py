@@ -10,7 +10,7 @@ from ...bake.number import decay, log_two, two_to
 from ...kernels.terms import norms
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def norm(code: TermCode, residual: Vector, p: Any) -> Operand:

@@ -12,7 +12,7 @@ from .norms import norm
 from .residuals import less_wanted
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def numbers(code: TermCode, p: Any) -> Operand:

@@ -9,7 +9,7 @@ from ...bake.lines import Operand, text
 from .variables import variable
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 PLACE = """const T x = VMIN(VMAX((px - origin_x) / cell, 0.0f), columns - 1.0f);
 const T y = VMIN(VMAX((py - origin_y) / cell, 0.0f), rows - 1.0f);

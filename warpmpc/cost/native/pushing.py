@@ -23,7 +23,7 @@ from .paths import BETWEEN, PLACE, detour, way_out
 from .variables import heading, variable
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def push_alignment(code: TermCode, p: Any) -> Operand:

@@ -14,7 +14,7 @@ from .norms import norm
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def wanted(code: TermCode, p: Any, i: int) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ...bake.lines import Vector, text
 
 if TYPE_CHECKING:
-    from ...bake.state import TermCode
+    from ..code.state import TermCode
 
 
 def variable(code: TermCode, name: str, value: str) -> str:

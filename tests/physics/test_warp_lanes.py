@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a warp of a GPU does, lane by lane on the CPU: the same as registers do, whichever lane comes first."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import warp as wp
+from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
+from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
+from test_cones import ELLIPSE, PYRAMID, rubbing
+from test_manifold import STACK
+from warp_lanes import COMPILER, LaneRollout, Lanes
+
+from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.model.batch_size import BatchSize
+from warpmpc.model.pairs import Pair
+from warpmpc.model.properties import draw_properties
+from warpmpc.physics.rollout import PlainRollout
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs g++")
+WORLDS, STEPS = 4, 12
+
+
+@pytest.mark.parametrize("text", [DYNAMICS, CONTACTS], ids=["dynamics", "contacts"])
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_lanes_agree_with_registers(text, integrator, tmp_path_factory):
+    check(compile_model(text, integrator), tmp_path_factory)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "model",
+    [rubbing(PYRAMID, 1.0, (4, 6, 3)), rubbing(ELLIPSE, 10.0, (3, 4, 6)), mujoco.MjModel.from_xml_string(STACK)],
+    ids=["all kinds of friction", "elliptic cones", "several contacts of flat shapes"],
+)
+def test_lanes_agree_with_registers_on_contacts_of_all_kinds(model, tmp_path_factory):
+    check(model, tmp_path_factory)
+
+
+def check(model, tmp_path_factory) -> None:
+    """Lanes give what registers give, and the same bits in each order."""
+    q, v = starts(model, WORLDS, seed=3)
+    control = controls(model, STEPS, WORLDS, seed=3)
+    expected = [x.copy() for x in PlainRollout(model, WORLDS, STEPS)(q, v, control)]
+    lanes = LaneRollout(model, WORLDS, STEPS, folder=tmp_path_factory.getbasetemp())
+    found = []
+    for order in (0, 2, 4 * 5 + 1):  # a missing synchronization shows as a result that depends on who comes first
+        lanes.order = order
+        found.append([x.copy() for x in lanes(q, v, control)])
+    for other in found[1:]:
+        for x, y in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(x, y)
+    for x, y in zip(found[0], expected, strict=True):
+        np.testing.assert_allclose(x, y, atol=2e-3)
+
+
+RECORD = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force", "control", "diverged", "overflow")
+
+
+def test_lanes_read_and_record_a_scene_as_registers_do(tmp_path_factory):
+    """The start from what was observed, parameters of worlds, watched forces, the record."""
+    moved = {"name": "post", "shape": "box", "size": (0.1, 0.1, 0.4), "position": (1.2, 0.8, 0.2), "movable": True}
+    scene = make_scene(
+        object=[{**BOX, "position": (0.36, 0.0, 0.1)}],
+        obstacle=[WALL, moved],
+        randomize={"box": {"mass": {"uniform": 0.3}, "size": {"normal": 0.01}}},
+    )
+    layout, steps = layout_of(scene), 5
+    simulator = FusedSimulator(
+        scene,
+        compiled(scene),
+        BatchSize(2, 3, 1, steps),
+        substeps=[3] * steps,
+        timestep=scene.timing.control_dt / 3,
+        pairs=(Pair("base", "wall"), Pair("base", "box"), Pair("box", "post")),
+        properties=draw_properties(scene, layout, 3, seed=3),
+    )
+    q, qd = (np.tile(a, (2, 1)).astype(float) for a in (layout.joint_q, layout.joint_qd))
+    q[1, :2] += 0.01
+    qd[:, 3:] = np.random.default_rng(0).normal(0.0, 0.3, qd[:, 3:].shape)
+    control = np.random.default_rng(1).uniform([0.2, -0.5, -1.0], [1.0, 0.5, 1.0], (steps, 6, 3)).astype(np.float32)
+    poses = np.zeros((2, 2, 7), dtype=np.float32)  # the goal, and the post, which the box touches in the first
+    poses[:, :, 6], poses[:, 1, :3] = 1.0, [[0.45, 0.32, 0.2], [1.2, 0.8, 0.2]]
+    simulator.clone(replace(observed(q, qd), pose=wp.array(poses, dtype=wp.transform, device="cpu")))
+    simulator.rollout(wp.array(control, dtype=float, device="cpu"))
+    out = simulator.trajectory
+
+    def taken() -> dict[str, np.ndarray]:
+        return {name: getattr(out, name).numpy().copy() for name in RECORD}
+
+    expected = taken()
+    force = np.abs(expected["contact_force"]).max(axis=(0, 3))
+    assert force[:, 1].min() > 0.1
+    assert force[:3, 2].min() > 0.1
+    assert not force[3:, 2].any()
+    np.testing.assert_array_equal(expected["control"], control)
+    np.testing.assert_allclose(expected["joint_q"][0, ::3], q, atol=1e-7)
+    simulator.sharing = 32
+    lanes, found = Lanes(simulator.source(), tmp_path_factory.getbasetemp()), []
+    for order in (0, 2, 4 * 5 + 1):
+        for name in RECORD:
+            getattr(out, name).zero_()
+        lanes(simulator.work, 6, order)
+        found.append(taken())
+    for name in RECORD:
+        for other in found[1:]:
+            np.testing.assert_array_equal(other[name], found[0][name], err_msg=name)
+        off = np.abs(found[0][name] - expected[name]) / (1.0 + np.abs(expected[name]).max())
+        most = off if off.ndim == 1 else off.reshape(len(off), 6, -1).max(axis=(0, 2))
+        # a contact that is just made may part some of the worlds from their likes
+        assert np.median(most) < 1e-3, (name, most)
+        assert (most < 2e-3).sum() >= 4, (name, most)
+        assert off[0].max() < 1e-6 or name not in RECORD[:4]  # what was observed

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of cost terms that a rollout evaluates on its way: written by any engine, around a state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...bake.lines import Lines, Operand, text
+
+POINTERS = """const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
+const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
+const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
+const float* weight = (const float*)costs.weight.data + e * costs.weight.shape[1];
+const float* last_control = (const float*)s.last_control.data + e * controls;"""
+"""What the source of terms reads of an environment ``e``."""
+TIMES = """const float dt = costs.dt.data[at];
+const float counts = live ? costs.step_weight.data[at] : 0.0f;
+const bool last = at == steps - 1;
+const float gap = at == 0 ? dt : 0.5f * (dt + costs.dt.data[at - 1]); // between the middles of two steps
+const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins"""
+"""What it knows about the step ``at``."""
+
+
+@dataclass(frozen=True)
+class TermSource:
+    """The source of one term."""
+
+    index: int
+    """Its row among all terms."""
+    lines: Lines
+    value: Operand
+
+    @property
+    def start(self) -> str:
+        """Its sum, before the first step."""
+        return f"T total{self.index} = (T)0.0f;"
+
+    @property
+    def step(self) -> str:
+        """Its statements of one step; without weight it is off."""
+        body = "\n".join(self.lines.statements)
+        terminal = f"(last ? s.terminal.data[{self.index}] : 1.0f)"
+        total = f"total{self.index} += counts * {terminal} * {text(self.value)};"
+        return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
+
+
+def sums(terms: Sequence[TermSource]) -> str:
+    """Statements that write the sums of ``count`` samples from ``row`` on down, on a CPU."""
+    rows = (f"costs.total.data[{t.index} * worlds + row + l] = weight[{t.index}] * total{t.index}[l];" for t in terms)
+    return "\n".join(("for (int l = 0; l < count; ++l) {", *rows, "}"))

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine ``fused``: MuJoCo's physics and the cost terms in one launch, with worlds in the lanes of a register."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..compiling import compile_kernel
+from ..cost.kernel import judge_code
+from ..kernels.planning.splines import LINEAR, ZERO
+from ..kernels.worlds.judging import TAPS
+from ..launch import capturing
+from ..model.batch_size import BatchSize
+from ..model.trajectory import Trajectory
+from ..physics.kernel import WARP, RolloutWork
+from ..scene.errors import SceneError
+from .baking import bake
+from .fused_kernel import make_kernel
+from .fused_simulator import FusedSimulator
+from .fused_state import PhysicsState, evaluation
+from .judging import JudgingEngine
+
+if TYPE_CHECKING:
+    from ..physics.source import Evaluation
+    from .request import EngineRequest, PhysicsSteps
+
+KNOTS = {int(ZERO): 1, int(LINEAR): 2}
+"""Most knots that a control depends on, by the kind of spline; :data:`TAPS` for all others."""
+
+
+class FusedEngine(JudgingEngine):
+    """Rolls knots out with physics and judges them in the same launch.
+
+    Terms with baked source are summed after every control, for all worlds of a number at once, and nothing is recorded.
+    For other terms all worlds are, and the launch judges the record at its end; so it does with all terms on a GPU, but
+    that another launch judges where each world has one thread.
+
+    Args:
+        request: What the engine is built for.
+        steps: Physics steps.
+
+    Raises:
+        SceneError: If the scene asks for what this engine lacks.
+    """
+
+    name = "fused"
+
+    def __init__(self, request: EngineRequest, steps: PhysicsSteps):
+        if request.costs.sensors:
+            raise SceneError(
+                "the engine fused has no sensors, but cost terms read some",
+                key="engine.name",
+                file=request.scene.path,
+                allowed=["auto", "mujoco", "newton"],
+            )
+        self.simulator = simulator = FusedSimulator(
+            request.scene,
+            request.compiled,
+            request.shape,
+            substeps=steps.count,
+            timestep=steps.length[0],
+            pairs=request.costs.pairs,
+            properties=request.properties,
+            device=request.device,
+        )
+        work = RolloutWork()
+        super().__init__(request, work)
+        self._failed = self.diverged
+        work.act, work.pose, work.domains = self.state.act, self.state.pose, self.shape.domains
+        work.diverged, work.overflow = self.diverged, self.overflow
+        written, staged = self._bake()
+        judge = self._stage(staged)
+        self._apart = self._on_gpu and simulator.sharing == 1
+        """Whether terms are judged in a launch of their own: a thread for each step keeps a GPU busier than one for all
+        steps of a world, as rollouts have it here."""
+        if self._apart:
+            judge = None
+        work.records, work.force = int(self.records), self.recorded.contact_force
+        work.record_act = self.recorded.act
+        source = simulator.source(evaluation=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
+        simulator.fill(work)
+        baked = self.costs.code if written else judge_code([])
+        params = self.costs.params if written else baked.params()
+        self._kernel = make_kernel(source, self.lanes, simulator.sharing, baked.params, judge)
+        compile_kernel(self._kernel, self.device, WARP, f"the rollouts of {request.scene.name}")
+        self._seen = [self.judge.view, params, *([self._own] if judge else [])]
+        self._judged = judge is not None
+
+    def _bake(self) -> tuple[Evaluation | None, list[int]]:
+        """Terms that are part of the source, and the numbers of all others."""
+        if self._on_gpu:
+            return None, list(range(len(self.costs.terms)))
+        writer = PhysicsState(self.layout, self.simulator.map)
+        terms, staged = bake(self.costs, writer, stage_risk=self._stage_risk)
+        return evaluation(writer, terms) if terms else None, staged
+
+    def _roll(self, first: int, groups: int) -> None:
+        self._start(self._work, first, groups)
+        if self._apart:
+            self.judge.launch()
+
+    def _start(self, work: RolloutWork, first: int, groups: int) -> None:
+        """Launch the kernel for some groups of lanes, on a GPU for worlds."""
+        inputs, outputs = [*self._seen, first], [work, self._sums]
+        if self._judged:
+            inputs.append(self._groups)
+            outputs.append(self.judge.cost)
+        self._launch(self._kernel, groups * self.simulator.sharing, inputs, outputs, threads=WARP)
+
+    def record(self, worlds: Sequence[int]) -> Trajectory:
+        """What became of some worlds in the last evaluation, on the host: if it was not recorded, once more."""
+        if self.records:
+            return self.recorded.of_worlds(worlds)
+        rows, place = self._side_by_side(worlds)
+        shape, layout, pairs = self.shape, self.layout, len(self.costs.pairs)
+        with capturing:
+            out = Trajectory.allocate(BatchSize(1, len(rows), 1, shape.horizon), layout, pairs, self.device)
+            if rows:
+                self._start(self._recording(rows, out), 0, len(rows) // (1 if self._on_gpu else self.lanes))
+        return out.of_worlds(place)
+
+    def _recording(self, rows: list[int], out: Trajectory) -> RolloutWork:
+        """What a launch takes that does nothing but record worlds."""
+        work = RolloutWork()
+        for name in RolloutWork.vars:
+            setattr(work, name, getattr(self._work, name))
+        work.chosen, work.records = wp.array(rows, dtype=int, device=self.device), 1
+        work.control, work.force, work.diverged, work.overflow = (
+            out.control,
+            out.contact_force,
+            out.diverged,
+            out.overflow,
+        )
+        work.record_q, work.record_qd = out.joint_q, out.joint_qd
+        work.record_body_q, work.record_body_qd, work.record_act = out.body_q, out.body_qd, out.act
+        return work
+
+    def _side_by_side(self, worlds: Sequence[int]) -> tuple[list[int], list[int]]:
+        """Worlds in whole groups of one environment each, the last ones repeated, and where each of them is."""
+        lanes = 1 if self._on_gpu else self.lanes
+        order = sorted(range(len(worlds)), key=lambda i: int(worlds[i]) // self.shape.rollouts)
+        rows: list[int] = []
+        place = np.zeros(len(worlds), dtype=int)
+        for _, group in groupby(order, key=lambda i: int(worlds[i]) // self.shape.rollouts):
+            for i in group:
+                place[i] = len(rows)
+                rows.append(int(worlds[i]))
+            rows += rows[-1:] * (-len(rows) % lanes)
+        return rows, place.tolist()
+
+    def overflow_message(self, bits: int) -> str:
+        """What overflowed."""
+        return "more contacts at once than the engine fused has room for: try the engine mujoco"

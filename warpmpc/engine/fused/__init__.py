@@ -1,7 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The engine ``fused``: MuJoCo's step of many worlds as source baked for one model, a world in each lane of a register.
-
-``model`` reads a compiled MuJoCo model, ``tree``, ``dynamics`` and ``factor`` write what does not branch, ``native``
-holds what loops over tables (collisions, constraint rows, the solver), ``source`` puts them together, ``simulator``
-runs them.
-"""

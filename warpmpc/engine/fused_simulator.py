@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The physics of a scene in the engine ``fused``: its model, its source, and rollouts of given controls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from ..bake.number import native_lanes
+from ..compiling import compile_kernel
+from ..kernels.worlds.judging import TAPS
+from ..launch import Launcher
+from ..model.mujoco_model import MujocoWorld, Options, make_world
+from ..model.pairs import Pair
+from ..model.randomize import batched_arrays
+from ..model.trajectory import Trajectory
+from ..physics.kernel import WARP, RolloutWork, make_kernel
+from ..physics.missing import missing
+from ..physics.model import PhysicsModel
+from ..physics.source import RolloutSource
+from ..scene.errors import SceneError
+from .fused_map import state_map
+
+if TYPE_CHECKING:
+    from ..model.batch_size import BatchSize
+    from ..model.compiled import CompiledScene
+    from ..model.properties import Properties
+    from ..physics.source import Evaluation
+    from ..scene.schema import Scene
+    from ..task.observed import ObservedState
+
+SHARED_PER_DOF = 180
+"""Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
+one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240 (docs/benchmarks.md)."""
+
+
+def shares(model: mujoco.MjModel, worlds: int) -> bool:
+    """Whether on a GPU a warp shares a world, rather than each thread having one."""
+    return worlds <= SHARED_PER_DOF * model.nv
+
+
+class FusedSimulator:
+    """The worlds of a scene.
+
+    Args:
+        scene: The scene.
+        compiled: The scene, compiled.
+        shape: Environments, samples, domains and horizon.
+        substeps: Physics steps in each control step ``[T]``.
+        timestep: Length of a physics step [s].
+        pairs: Pairs of entities whose contact force is watched.
+        properties: Draws of physical properties; ``None`` leaves every world nominal.
+        device: Warp device.
+        own_start: Whether every world starts in a state of its own, in ``initial`` of :attr:`work`.
+
+    Raises:
+        SceneError: If the scene's model has what this engine lacks.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        compiled: CompiledScene,
+        shape: BatchSize,
+        *,
+        substeps: Sequence[int],
+        timestep: float,
+        pairs: tuple[Pair, ...] = (),
+        properties: Properties | None = None,
+        device: str = "cpu",
+        own_start: bool = False,
+    ):
+        self.shape, self.pairs, self.device = shape, pairs, device
+        world = make_world(compiled, timestep=timestep, pairs=pairs, options=Options.of(scene.engine), sensors=())
+        refuse(scene, world)
+        self.world, self.layout = world, compiled.layout
+        on_gpu = wp.get_device(device).is_cuda
+        self.sharing = WARP if on_gpu and shares(world.model, shape.worlds) else 1
+        """Threads that share a world."""
+        self.lanes = 1 if on_gpu else native_lanes()
+        """Worlds that a thread takes at once."""
+        self._launch = Launcher(device)
+        arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
+        self.model = PhysicsModel(world.model, arrays)
+        self.map = state_map(compiled, world, self.model, own_start=own_start)
+        self._substeps, self._name = list(substeps), scene.name
+
+    def source(self, *, evaluation: Evaluation | None = None, knots: int = 1) -> str:
+        """Source of a rollout; parameters of the worlds are known when it is written.
+
+        Args:
+            evaluation: Statements that evaluate rollouts on the way.
+            knots: Most knots that a control depends on.
+        """
+        shared = self.sharing > 1
+        return RolloutSource(self.model, self.map, native_lanes(), shared, evaluation, knots).write()
+
+    def fill(self, work: RolloutWork) -> None:
+        """Set what the physics reads that no plan changes; after :meth:`source`."""
+        columns, device = self.model.columns.values, self.device
+        par = np.zeros((max(1, len(columns)), self.shape.worlds), dtype=np.float32)
+        for row, values in zip(par, columns, strict=False):
+            row[:] = values
+        work.substeps = wp.array(self._substeps, dtype=int, device=device)
+        work.given = wp.array(self.model.given, dtype=float, device=device)
+        work.par = wp.array(par, dtype=float, device=device)
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """What :meth:`rollout` records."""
+        return Trajectory.allocate(self.shape, self.layout, len(self.pairs), self.device)
+
+    @property
+    def work(self) -> RolloutWork:
+        """What rollouts of given controls start from; the controls of a step are its own knots."""
+        return self._ready[1]
+
+    @cached_property
+    def _ready(self) -> tuple[wp.Kernel, RolloutWork]:
+        """The kernel of rollouts of given controls, and what it takes."""
+        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
+        shape, work, out, device = self.shape, RolloutWork(), self.trajectory, self.device
+        self.fill(work)
+        tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)
+        tap[:, :, 0] = np.arange(shape.horizon)
+        share = np.zeros(tap.shape, dtype=np.float32)
+        share[:, :, 0] = 1.0
+        work.tap, work.share = wp.array(tap, device=device), wp.array(share, device=device)
+        if self.map.own_start:
+            m = self.world.model
+            rows = shape.worlds, 1 + m.nq + m.nv + m.na
+            work.initial, work.reached = (wp.zeros(rows, dtype=wp.float64, device=device) for _ in range(2))
+        nu = self.layout.nu
+        work.lower, work.upper = (wp.full(nu, sign * np.inf, dtype=float, device=device) for sign in (-1.0, 1.0))
+        work.domains, work.records = 1, 1
+        work.control, work.force = out.control, out.contact_force
+        work.record_q, work.record_qd = out.joint_q, out.joint_qd
+        work.record_body_q, work.record_body_qd, work.record_act = out.body_q, out.body_qd, out.act
+        work.diverged, work.overflow = out.diverged, out.overflow
+        return kernel, work
+
+    def clone(self, state: ObservedState) -> None:
+        """Let rollouts begin in an observed state."""
+        work = self.work
+        work.joint_q, work.joint_qd, work.act = state.joint_q, state.joint_qd, state.act
+        work.mocap, work.pose = state.mocap, state.pose
+
+    def rollout(self, control: wp.array) -> None:
+        """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
+        shape = self.shape
+        knots = control.numpy().swapaxes(0, 1).reshape(shape.envs, shape.rollouts, shape.horizon, -1)
+        self.work.knots = wp.array(np.ascontiguousarray(knots), dtype=float, device=self.device)
+        self.launch(0, shape.envs * -(-shape.rollouts // self.lanes))
+
+    def launch(self, first: int, groups: int) -> None:
+        """Roll some groups of worlds out, with the knots of :attr:`work`, on this thread; capture-safe.
+
+        Args:
+            first: First group; one has as many worlds of an environment as there are :attr:`lanes`.
+            groups: How many.
+        """
+        kernel, work = self._ready
+        self._launch(kernel, groups * self.sharing, [first], [work], threads=WARP)
+
+
+def refuse(scene: Scene, world: MujocoWorld) -> None:
+    """What a scene has and this engine lacks is an error.
+
+    Raises:
+        SceneError: If there is such a thing.
+    """
+    lack = missing(world.model)
+    if lack:
+        raise SceneError(
+            f"the engine fused has no {lack}", key="engine.name", file=scene.path, allowed=["auto", "mujoco", "newton"]
+        )

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The structure of a MuJoCo model: bodies, degrees of freedom, tendons; and columns of numbers that differ by world."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from ..bake.lines import Matrix, Operand, Vector
+from .rows import Rows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
+PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
+    int(kind)
+    for kind in (
+        GEOM.mjGEOM_PLANE,
+        GEOM.mjGEOM_HFIELD,
+        GEOM.mjGEOM_SPHERE,
+        GEOM.mjGEOM_CAPSULE,
+        GEOM.mjGEOM_CYLINDER,
+        GEOM.mjGEOM_BOX,
+        GEOM.mjGEOM_ELLIPSOID,
+        GEOM.mjGEOM_MESH,
+    )
+)
+FREE, BALL, SLIDE, HINGE = (
+    int(kind) for kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_BALL, JOINT.mjJNT_SLIDE, JOINT.mjJNT_HINGE)
+)
+WRAP_JOINT, WRAP_PULLEY, WRAP_SITE = (
+    int(kind) for kind in (mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_PULLEY, mujoco.mjtWrap.mjWRAP_SITE)
+)
+NOTHING: Vector = [0.0, 0.0, 0.0]
+IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+def packed(i: int, j: int) -> int:
+    """Place of entry (i, j), j ≤ i, of a symmetric matrix that is kept by rows."""
+    return i * (i + 1) // 2 + j
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """The matrix ``[3, 3]`` of a quaternion (w, x, y, z)."""
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quaternion, dtype=float))
+    return out.reshape(3, 3)
+
+
+def wraps(m: mujoco.MjModel, tendon: int) -> range:
+    """Wrap objects of a tendon."""
+    first = int(m.tendon_adr[tendon])
+    return range(first, first + int(m.tendon_num[tendon]))
+
+
+class Columns:
+    """Numbers of a model: known ones as they are, those that differ between worlds as names of columns.
+
+    Args:
+        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
+    """
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]):
+        self.arrays = dict(arrays)
+        self.values: list[np.ndarray] = []
+        """What the columns hold, ``[W]`` each."""
+
+    def index(self, values: np.ndarray) -> int:
+        """Column of some values ``[W]``, -1 where all are alike."""
+        if np.ptp(values) == 0.0:
+            return -1
+        for i, column in enumerate(self.values):
+            if np.array_equal(column, values):
+                return i
+        self.values.append(values)
+        return len(self.values) - 1
+
+    def operand(self, values: np.ndarray) -> Operand:
+        """Values of all worlds ``[W]``, or of one ``[1]``, as an operand of baked source."""
+        column = self.index(values)
+        return float(values[0]) if column < 0 else f"w.par[{column}]"
+
+
+class Structure:
+    """A compiled MuJoCo model with arrays that may differ between worlds, and what follows from its tree of bodies.
+
+    Args:
+        model: The model.
+        arrays: Its arrays that differ between worlds, ``[W, ...]`` each.
+    """
+
+    def __init__(self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None):
+        self.mj, self.columns = model, Columns(arrays or {})
+
+    def off(self, part: str) -> bool:
+        """Whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
+        return bool(self.mj.opt.disableflags & flag)
+
+    @property
+    def passive(self) -> bool:
+        """Whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
+        return not (self.off("SPRING") and self.off("DAMPER"))
+
+    def lift(self, body: int) -> float:
+        """Share of a body's weight that is compensated."""
+        return float(self.mj.body_gravcomp[body]) if self.passive else 0.0
+
+    def array(self, name: str) -> np.ndarray:
+        """An array of the model with a first axis for worlds, of length 1 where all are alike."""
+        found = self.columns.arrays.get(name)
+        return getattr(self.mj, name)[None] if found is None else found
+
+    @cached_property
+    def ancestors(self) -> list[list[int]]:
+        """Degrees of freedom above each, from the nearest on."""
+        parent, out = self.mj.dof_parentid, []
+        for i in range(self.mj.nv):
+            chain, j = [], int(parent[i])
+            while j >= 0:
+                chain.append(j)
+                j = int(parent[j])
+            out.append(chain)
+        return out
+
+    @cached_property
+    def dof_top(self) -> list[int]:
+        """First degree of freedom of each one's tree."""
+        return [(chain or [i])[-1] for i, chain in enumerate(self.ancestors)]
+
+    @cached_property
+    def body_dofs(self) -> list[frozenset[int]]:
+        """Degrees of freedom that move each body."""
+        m, out = self.mj, []
+        for body in range(m.nbody):
+            first, count = int(m.body_dofadr[body]), int(m.body_dofnum[body])
+            above = out[m.body_parentid[body]] if body else frozenset()
+            out.append(above | frozenset(range(first, first + count)))
+        return out
+
+    def moves(self, body: int) -> bool:
+        """Whether joints move a body."""
+        return bool(self.body_dofs[body])
+
+    @cached_property
+    def dof_coordinate(self) -> list[int]:
+        """Coordinate of the degrees of freedom of slides and hinges, -1 for others."""
+        m, out = self.mj, [-1] * self.mj.nv
+        for j in range(m.njnt):
+            if m.jnt_type[j] in (SLIDE, HINGE):
+                out[m.jnt_dofadr[j]] = int(m.jnt_qposadr[j])
+        return out
+
+    def rigid(self, root: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mass, mass times centre and inertia of a body with all that is welded to it, about its origin in its frame.
+
+        Args:
+            root: The body.
+
+        Returns:
+            ``[W]``, ``[W, 3]`` and ``[W, 3, 3]``, with one row where all worlds are alike.
+        """
+        m = self.mj
+        masses, principal = self.array("body_mass"), self.array("body_inertia")
+        poses = {root: (np.eye(3), np.zeros(3))}
+        for body in range(root + 1, m.nbody):
+            above = poses.get(int(m.body_parentid[body]))
+            if above is not None:
+                turn, at = above
+                poses[body] = turn @ rotation(m.body_quat[body]), at + turn @ m.body_pos[body]
+        mass, moment, inertia = np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3, 3))
+        for body, (turn, at) in poses.items():
+            axes, centre = turn @ rotation(m.body_iquat[body]), at + turn @ m.body_ipos[body]
+            own = np.einsum("ik,wk,jk->wij", axes, principal[:, body], axes)
+            away = centre @ centre * np.eye(3) - np.outer(centre, centre)
+            mass = mass + masses[:, body]
+            moment = moment + masses[:, body, None] * centre
+            inertia = inertia + own + masses[:, body, None, None] * away
+        return mass, moment, inertia
+
+    def slides(self, dof: int) -> bool:
+        """Whether a degree of freedom turns nothing."""
+        m, joint = self.mj, int(self.mj.dof_jntid[dof])
+        kind = int(m.jnt_type[joint])
+        return kind == SLIDE or (kind == FREE and dof < int(m.jnt_dofadr[joint]) + 3)
+
+    def rows(self, solref: np.ndarray, solimp: np.ndarray) -> Rows:
+        """Soft constraint parameters with this model's options."""
+        option = self.mj.opt
+        safe = not option.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
+        return Rows.of(solref, solimp, float(option.timestep), safe=bool(safe))
+
+    @cached_property
+    def standing(self) -> list[int]:
+        """Geoms that neither joints nor mocap bodies move."""
+        m = self.mj
+        rooted = [int(m.body_mocapid[m.body_rootid[m.geom_bodyid[g]]]) for g in range(m.ngeom)]
+        return [g for g in range(m.ngeom) if rooted[g] < 0 and not self.moves(int(m.geom_bodyid[g]))]
+
+    @cached_property
+    def tendon_dofs(self) -> list[tuple[int, ...]]:
+        """Degrees of freedom that change the length of each tendon."""
+        m, out = self.mj, []
+        for n in range(m.ntendon):
+            found: set[int] = set()
+            last: frozenset[int] | None = None
+            for k in wraps(m, n):
+                if m.wrap_type[k] == WRAP_JOINT:
+                    found.add(int(m.jnt_dofadr[m.wrap_objid[k]]))
+                elif m.wrap_type[k] == WRAP_SITE:
+                    chain = self.body_dofs[m.site_bodyid[m.wrap_objid[k]]]
+                    found |= chain ^ last if last is not None else frozenset()
+                    last = chain
+                else:
+                    last = None
+            out.append(tuple(sorted(found)))
+        return out
+
+    @cached_property
+    def tendon_armatures(self) -> dict[tuple[int, int], float]:
+        """What the armatures of tendons along joints add to the mass matrix, entry by entry (row, column ≤ row)."""
+        m = self.mj
+        out: dict[tuple[int, int], float] = {}
+        for n in np.flatnonzero(m.tendon_armature[: m.ntendon]):
+            factors = {int(m.jnt_dofadr[m.wrap_objid[k]]): float(m.wrap_prm[k]) for k in wraps(m, int(n))}
+            for i, a in factors.items():
+                for j, b in factors.items():
+                    if j == i or j in self.ancestors[i]:
+                        out[i, j] = out.get((i, j), 0.0) + float(m.tendon_armature[n]) * a * b
+        return out

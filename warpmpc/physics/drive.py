@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of the forces of bias, springs, dampers and actuators (MuJoCo, "Computation: Passive forces", "Actuation")."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import mujoco
+import numpy as np
+
+from ..bake.lines import Lines, Operand, function, literal, text
+from .base import BALL, FREE, packed, rotation
+from .constraint_rows import small_rotation
+from .tables import ints
+
+if TYPE_CHECKING:
+    from .base import Structure
+    from .sites import Marks
+    from .tendons import Tendons
+
+TRN = mujoco.mjtTrn
+DYN = mujoco.mjtDyn
+
+
+class Reach(NamedTuple):
+    """What an actuator acts on."""
+
+    length: tuple[Operand, Operand]
+    """Two factors of its length."""
+    speed: tuple[Operand, Operand]
+    arms: list[tuple[int, Operand]]
+    """Degrees of freedom, and the generalized force of a force of one."""
+
+
+class Drive:
+    """Writes ``drive``.
+
+    Args:
+        model: The model.
+        marks: Takes sites that actuators pull at.
+        tendons: Lengths and lever arms.
+    """
+
+    def __init__(self, model: Structure, marks: Marks, tendons: Tendons):
+        self.model, self.mj, self.marks, self.tendons = model, model.mj, marks, tendons
+        m = self.mj
+        self._implicit = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        self._force: dict[int, list] = {i: [] for i in range(m.nv)}
+        self._damped: dict[int, list] = {i: [] for i in range(m.nv)}
+        self._spread: dict[tuple[int, int], list] = {}
+        """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
+
+    def spreads(self, first: int) -> dict[tuple[int, int], int]:
+        """Numbers of the entries among six degrees of freedom from the first on, once all is written."""
+        return {(i - first, j - first): n for n, (i, j) in enumerate(self._spread) if first <= j and i < first + 6}
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Macros of the source."""
+        return {"SPREAD": len(self._spread), "ACTS": self.mj.na}
+
+    def tables(self) -> list[str]:
+        """Definitions of tables."""
+        return [ints("spread_place", [packed(i, j) for i, j in self._spread], "short")] if self._spread else []
+
+    def write(self) -> str:
+        """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
+        m, lines = self.mj, Lines("d")
+        for a in range(m.nu):
+            if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+                break
+            reach = self._reach(lines, a)
+            value, rate = self._actuator(lines, a, reach)
+            for dof, arm in reach.arms:
+                self._force[dof].append((value, arm))
+            if self._implicit and rate != 0.0:
+                self._resist(lines, rate, reach.arms)
+        pulls = self._pulls(lines)
+        for i in range(m.nv):
+            joint = int(m.dof_jntid[i])
+            driven = lines.sum(*self._force[i])
+            if self._force[i] and m.jnt_actfrclimited[joint]:
+                driven = clamp(lines, driven, m.jnt_actfrcrange[joint])
+            terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
+            damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[i])
+            if damping:
+                terms.append((-damping, f"w.v[{i}]"))
+            if damping and (self._implicit or not self.model.off("EULERDAMP")):
+                self._damped[i].append(damping)
+            lines.add(f"w.fs[{i}] = {text(lines.sum(*terms, *pulls[i]))};")
+            rate = lines.sum(*self._damped[i])
+            lines.add(f"w.damp[{i}] = {text(rate)} * {literal(float(m.opt.timestep))};")
+        for n, terms in enumerate(self._spread.values()):
+            lines.add(f"w.spread[{n}] = {text(lines.sum(*terms))} * {literal(float(m.opt.timestep))};")
+        return function("drive", lines)
+
+    def _pulls(self, lines: Lines) -> dict[int, list]:
+        """Forces of springs and tendons on every degree of freedom."""
+        m = self.mj
+        out: dict[int, list] = {i: [] for i in range(m.nv)}
+        for t in range(m.ntendon):
+            force, arms = self.tendons.force(lines, t), self.tendons.arms(t)
+            for dof, arm in arms if force != 0.0 else ():
+                out[dof].append((force, arm))
+            if self._implicit and m.tendon_damping[t] and not self.model.off("DAMPER"):
+                self._resist(lines, -float(m.tendon_damping[t]), arms)
+        for j in np.flatnonzero(np.ravel(m.jnt_stiffness)) if not self.model.off("SPRING") else ():
+            stiffness, q, dof = float(np.ravel(m.jnt_stiffness)[j]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
+            kind = int(m.jnt_type[j])
+            if kind == FREE:
+                for k in range(3):
+                    out[dof + k] += [(-stiffness, f"w.q[{q + k}]"), stiffness * float(m.qpos_spring[q + k])]
+                q, dof = q + 3, dof + 3
+            if kind in (FREE, BALL):
+                turned = small_rotation(lines, f"spring{j}", q, m.qpos_spring[q : q + 4])
+                for k in range(3):
+                    out[dof + k].append((-stiffness, turned[k]))
+            else:
+                out[dof] += [(-stiffness, f"w.q[{q}]"), stiffness * float(m.qpos_spring[q])]
+        return out
+
+    def _resist(self, lines: Lines, rate: Operand, arms: list[tuple[int, Operand]]) -> None:
+        """A force's derivative by the speed that it acts on, within the mass matrix's pattern."""
+        for i, a in arms:
+            for j, b in arms:
+                if j == i:
+                    square = a * a if isinstance(a, float) else lines.sum((a, a))
+                    self._damped[i].append(
+                        (rate, -square) if isinstance(square, float) else self._less(lines, rate, square)
+                    )
+                elif j in self.model.ancestors[i]:
+                    both = lines.sum((a, b))
+                    self._spread.setdefault((i, j), []).append(self._less(lines, rate, both))
+
+    def _less(self, lines: Lines, a: Operand, b: Operand) -> Operand:
+        return lines.sum((-1.0, lines.sum((a, b))))
+
+    def _reach(self, lines: Lines, a: int) -> Reach:
+        """What an actuator acts on."""
+        m, kind, target = self.mj, int(self.mj.actuator_trntype[a]), int(self.mj.actuator_trnid[a, 0])
+        gear = [float(x) for x in m.actuator_gear[a]]
+        if kind == int(TRN.mjTRN_TENDON):
+            arms = [(dof, lines.sum((gear[0], arm))) for dof, arm in self.tendons.arms(target)]
+            return Reach((gear[0], f"w.tendon_length[{target}]"), (gear[0], f"w.tendon_speed[{target}]"), arms)
+        if kind == int(TRN.mjTRN_SITE):
+            return self._site(lines, target, gear)
+        dof, joint = int(m.jnt_dofadr[target]), int(m.jnt_type[target])
+        if joint in (FREE, BALL):
+            return self._along([(dof + k, gear[k]) for k in range(6 if joint == FREE else 3)], lines)
+        return Reach((gear[0], f"w.q[{int(m.jnt_qposadr[target])}]"), (gear[0], f"w.v[{dof}]"), [(dof, gear[0])])
+
+    def _site(self, lines: Lines, site: int, gear: list[float]) -> Reach:
+        """A force and a torque at a site, along its axes."""
+        m, marks, body = self.mj, self.marks, int(self.mj.site_bodyid[site])
+        mark = marks.index(body, m.site_pos[site], rotation(m.site_quat[site]))
+        columns = marks.columns(mark)
+        push, twist = (lines.transform(columns, gear[k : k + 3]) for k in (0, 3))
+        arms = []
+        for dof in sorted(self.model.body_dofs[body]):
+            terms = [*zip(push, marks.lever(lines, mark, dof), strict=True)] if any(gear[:3]) else []
+            arms.append((dof, lines.sum(*terms, *zip(twist, marks.axis(dof), strict=True))))
+        return self._along(arms, lines)
+
+    def _along(self, arms: list[tuple[int, Operand]], lines: Lines) -> Reach:
+        """Something without a length."""
+        arms = [(dof, arm) for dof, arm in arms if arm != 0.0]
+        speed = lines.sum(*((arm, f"w.v[{dof}]") for dof, arm in arms))
+        return Reach((0.0, 0.0), (1.0, speed), arms)
+
+    def _actuator(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
+        """Force of an actuator, and its derivative by its speed."""
+        m = self.mj
+        gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
+        control: Operand = f"w.ctrl[{a}]"
+        if m.actuator_ctrllimited[a] and not self.model.off("CLAMPCTRL"):
+            control = clamp(lines, control, m.actuator_ctrlrange[a])
+        if m.actuator_actnum[a]:
+            control = self._activation(lines, a, control)
+        affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
+        factor: Operand = float(gain[0])
+        if affine:
+            factor = lines.sum(float(gain[0]), times(lines, gain[1], reach.length), times(lines, gain[2], reach.speed))
+        terms: list = [(factor, control)]
+        rate: list = [(float(gain[2]), control)] if affine and gain[2] else []
+        if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            terms += [float(bias[0]), times(lines, bias[1], reach.length), times(lines, bias[2], reach.speed)]
+            rate.append(float(bias[2]))
+        force, slope = lines.sum(*terms), lines.sum(*rate)
+        if m.actuator_forcelimited[a] and isinstance(force, str):
+            low, high = (literal(float(x)) for x in m.actuator_forcerange[a])
+            if slope != 0.0:  # a force at its limit does not depend on velocity
+                slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
+            force = clamp(lines, force, m.actuator_forcerange[a])
+        return force, slope
+
+    def _activation(self, lines: Lines, a: int, control: Operand) -> Operand:
+        """Input of an actuator with a state of its own, whose next value is kept for the end of the step."""
+        m, i = self.mj, int(self.mj.actuator_actadr[a])
+        kind, tau, step = int(m.actuator_dyntype[a]), max(float(m.actuator_dynprm[a, 0]), 1e-15), float(m.opt.timestep)
+        before = f"w.act[{i}]"
+        if kind == int(DYN.mjDYN_INTEGRATOR):
+            after = lines.sum(before, (step, control))
+        else:
+            share = step / tau if kind == int(DYN.mjDYN_FILTER) else float(-np.expm1(-step / tau))
+            after = lines.sum(before, (share, lines.sum(control, (-1.0, before))))
+        if m.actuator_actlimited[a]:
+            after = clamp(lines, after, m.actuator_actrange[a])
+        lines.add(f"w.act_next[{i}] = {text(after)};")
+        return after if m.actuator_actearly[a] else before
+
+
+def times(lines: Lines, factor: float, value: tuple[Operand, Operand]) -> tuple[Operand, Operand]:
+    """A known factor times a product of two."""
+    a, b = value
+    if isinstance(a, float):
+        return float(factor) * a, b
+    return float(factor), lines.sum((a, b))
+
+
+def clamp(lines: Lines, value: Operand, bounds: np.ndarray) -> Operand:
+    """A value within known bounds."""
+    if isinstance(value, float):
+        return float(np.clip(value, *bounds))
+    low, high = (literal(float(x)) for x in bounds)
+    return lines.let(f"VMIN(VMAX({value}, (T){low}), (T){high})")

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a MuJoCo model may have and the engine ``fused`` lacks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from .base import BALL, FREE, GEOM, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE
+from .equalities import CONNECT, JOINT, TENDON, WELD
+from .model import COLLIDES, MOST_POWER, PhysicsModel
+from .tendons import fixed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def missing(model: mujoco.MjModel) -> str | None:
+    """What a model has and this engine lacks, in a few words; None if there is nothing."""
+    physics = PhysicsModel(model)
+    for what, wrong in _CHECKS.items():
+        if wrong(physics):
+            return what
+    kinds = {tuple(int(model.geom_type[g]) for g in pair.geoms) for pair in physics.pairs}
+    for a, b in sorted(kinds - COLLIDES):
+        return f"contacts between {_names((a, b))}"
+    return None
+
+
+def _names(pair: tuple[int, int]) -> str:
+    return " and ".join(GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in pair)
+
+
+def _ball_feedback(p: PhysicsModel) -> bool:
+    """Whether a force on a ball joint depends on its angle."""
+    m = p.mj
+    joints = np.flatnonzero(np.isin(m.actuator_trntype, _TRANSMISSIONS[:2]))
+    balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
+    return bool((m.actuator_gainprm[balls, 1] != 0.0).any() or (m.actuator_biasprm[balls, 1] != 0.0).any())
+
+
+def _in_parent(p: PhysicsModel) -> bool:
+    """Whether actuators drive ball or free joints in the frame of the parent."""
+    joints = p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT), 0]
+    return bool(np.isin(p.mj.jnt_type[joints], (FREE, BALL)).any())
+
+
+def _contacts(p: PhysicsModel) -> np.ndarray:
+    """Geoms that may touch anything."""
+    return np.array(sorted({g for pair in p.pairs for g in pair.geoms}), dtype=int)
+
+
+_DISABLED = (
+    mujoco.mjtDisableBit.mjDSBL_ISLAND
+    | mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    | mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    | mujoco.mjtDisableBit.mjDSBL_REFSAFE
+    | mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    | mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    | mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    | mujoco.mjtDisableBit.mjDSBL_SENSOR
+    | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    | mujoco.mjtDisableBit.mjDSBL_SPRING
+    | mujoco.mjtDisableBit.mjDSBL_DAMPER
+    | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+)
+"""Flags that change nothing here, or that are heeded."""
+_INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+_AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+_TRANSMISSIONS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtTrn.mjTRN_JOINT,
+        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
+        mujoco.mjtTrn.mjTRN_TENDON,
+        mujoco.mjtTrn.mjTRN_SITE,
+    )
+)
+_DYNAMICS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtDyn.mjDYN_NONE,
+        mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        mujoco.mjtDyn.mjDYN_FILTER,
+        mujoco.mjtDyn.mjDYN_FILTEREXACT,
+    )
+)
+_EQUALITIES = (CONNECT, WELD, JOINT, TENDON)
+_WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
+
+_CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
+    "integrators other than euler and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
+    "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
+    "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
+    "armatures of tendons along sites": lambda p: any(
+        not fixed(p.mj, int(t)) for t in np.flatnonzero(p.mj.tendon_armature)
+    ),
+    "limits of the forces of actuators on tendons": lambda p: p.mj.tendon_actfrclimited.any(),
+    "limits narrower than twice their margin": lambda p: (
+        (np.ptp(p.mj.jnt_range[p.limited], axis=1) < 2.0 * p.mj.jnt_margin[p.limited]).any()
+        or (np.ptp(p.mj.tendon_range, axis=1) < 2.0 * p.mj.tendon_margin)[p.mj.tendon_limited != 0].any()
+    ),
+    "plugins": lambda p: p.mj.nplugin,
+    "flexible bodies": lambda p: p.mj.nflex,
+    "adhesion of explicit pairs": lambda p: p.mj.pair_adhesion.any(),
+    "references of their own for the friction of explicit pairs": lambda p: (
+        p.mj.opt.cone and p.mj.pair_solreffriction.any()
+    ),
+    "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
+        np.isin(p.mj.jnt_type, (FREE, BALL))
+    ].any(),
+    "gravity compensation by actuators": lambda p: p.mj.jnt_actgravcomp.any(),
+    "activations but integrators and filters": lambda p: (
+        not np.isin(p.mj.actuator_dyntype, _DYNAMICS).all() or p.mj.na != np.sum(p.mj.actuator_dyntype != _DYNAMICS[0])
+    ),
+    "actuators that drive anything but joints, tendons and sites": lambda p: (
+        not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or _in_parent(p)
+    ),
+    "actuators with feedback of the angle of a ball joint": lambda p: _ball_feedback(p),
+    "actuators at a site with a reference": lambda p: (
+        p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE), 1] >= 0
+    ).any(),
+    "actuators of several controls": lambda p: (p.mj.actuator_ctrlnum != 1).any() or (p.mj.actuator_outnum != 1).any(),
+    "actuators with gains other than fixed and affine": lambda p: (
+        not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
+    ),
+    "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
+    "delays of actuators": lambda p: p.mj.actuator_delay.any(),
+    "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
+    "a medium (density, viscosity) in implicit steps": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
+    ),
+    "shapes of their own in a medium": lambda p: (
+        (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
+    ),
+    "impedances whose power is no whole number": lambda p: any(
+        not row.power.is_integer() or row.power > MOST_POWER
+        for row in (*(pair.rows for pair in p.pairs), *(tie.rows for tie in p.ties), *p.limits)
+    ),
+    "damping and stiffness that depend on speed and angle": lambda p: (
+        p.mj.dof_dampingpoly.any()
+        or p.mj.jnt_stiffnesspoly.any()
+        or p.mj.actuator_damping.any()
+        or p.mj.actuator_dampingpoly.any()
+        or p.mj.tendon_dampingpoly.any()
+        or p.mj.tendon_stiffnesspoly.any()
+    ),
+    "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
+    "a solver other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),
+    "disabled or enabled parts of the physics (option flags)": lambda p: (
+        p.mj.opt.disableflags & ~int(_DISABLED) or p.mj.opt.enableflags
+    ),
+    "more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
+}
+"""What this engine lacks, and how to see that a model has it."""

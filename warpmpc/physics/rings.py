@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faces of flat shapes as tables: what ``native/manifold.h`` clips against one another."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from .base import BOX, CYLINDER, MESH
+from .model import CONVEX, FLAT, PhysicsModel
+from .tables import floats, ints
+
+RIM = 16
+"""Points of a cylinder's rim."""
+
+
+def flat_geoms(model: PhysicsModel) -> set[int]:
+    """Geoms that may have several contacts with another by the general collision of convex shapes."""
+    m = model.mj
+    if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
+        return set()
+    kinds = {pair.geoms: tuple(int(m.geom_type[g]) for g in pair.geoms) for pair in model.pairs}
+    return {g for geoms, kind in kinds.items() if kind in CONVEX and FLAT.issuperset(kind) for g in geoms}
+
+
+def faces(m: mujoco.MjModel, mesh: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Normal ``[3]`` and corners ``[n, 3]`` of each face of a mesh's hull, counterclockwise seen from outside."""
+    points = m.mesh_vert[m.mesh_vertadr[mesh] :]
+    out = []
+    for face in range(int(m.mesh_polyadr[mesh]), int(m.mesh_polyadr[mesh] + m.mesh_polynum[mesh])):
+        ring = m.mesh_polyvert[m.mesh_polyvertadr[face] :][: m.mesh_polyvertnum[face]]
+        normal, corners = m.mesh_polynormal[face], points[ring]
+        sides = np.roll(corners, -1, axis=0) - corners
+        turn = np.cross(corners, sides).sum(axis=0) @ normal
+        out.append((normal, corners if turn > 0.0 else corners[::-1]))
+    return out
+
+
+def ring_size(model: PhysicsModel) -> int:
+    """Most corners of a face that may have several contacts, 0 where no pair has any."""
+    m, sizes = model.mj, {BOX: 4, CYLINDER: RIM}
+    out = [0]
+    for g in flat_geoms(model):
+        kind = int(m.geom_type[g])
+        out += (
+            [len(corners) for _, corners in faces(m, int(m.geom_dataid[g]))] if kind == MESH else [sizes.get(kind, 2)]
+        )
+    return max(out)
+
+
+def ring_tables(model: PhysicsModel, size: int) -> list[str]:
+    """Tables of the faces.
+
+    Args:
+        model: The model.
+        size: Corners that each has room for.
+    """
+    m, geoms = model.mj, flat_geoms(model)
+    if not size:
+        return []
+    first, rows = [], []
+    for g in range(m.ngeom):
+        first.append(len(rows))
+        if g in geoms and m.geom_type[g] == MESH:
+            rows += faces(m, int(m.geom_dataid[g]))
+    angles = 2.0 * np.pi / RIM * np.arange(RIM)
+    return [
+        ints("ring_first", first),
+        ints("ring_count", np.diff([*first, len(rows)])),
+        floats("ring_normal", [normal for normal, _ in rows]),
+        ints("ring_size", [len(corners) for _, corners in rows]),
+        floats("ring_corner", [corners[[*range(len(corners)), *[-1] * (size - len(corners))]] for _, corners in rows]),
+        floats("ring_rim", np.stack([np.cos(angles), np.sin(angles)], axis=1)),
+    ]

@@ -1,0 +1,392 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The source of whole rollouts of one model: tables, baked functions, and the functions in ``native`` around them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..bake.knots import CONTROL
+from ..bake.lines import literal
+from ..bake.number import header, sincos
+from . import base as kinds
+from .base import packed
+from .constraint_tables import TieTables
+from .dynamics import Dynamics
+from .factor import couple, write_products, write_solve
+from .links import Links
+from .meshes import Hulls
+from .model import COLLIDES, CONVEX, FIELD
+from .rings import flat_geoms, ring_size, ring_tables
+from .tables import floats, ints
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from .model import PairRow, PhysicsModel
+    from .state_map import StateMap
+
+POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
+          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
+          (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
+"""Most contacts of two geoms; one where nothing is said."""
+FACES = 4
+"""The same of two flat shapes, by their faces."""
+MOST_CONTACTS = 64
+"""Contacts that there is room for at most: what touches at once is far less than what could."""
+JOIN = 3
+"""A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC",
+           "NEAR_PAIRS")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Statements around the steps of a rollout that evaluate it on the way, on a CPU (``native/rollout.h``)."""
+
+    start: str
+    """Before the first step."""
+    before: str
+    """Before each."""
+    step: str
+    """After each."""
+    end: str
+    """At the end."""
+    first: int
+    """First step that they look at: -1 where they ask for the observed state."""
+
+
+@dataclass(frozen=True)
+class RolloutSource:
+    """Writes the body of ``rollout(k: RolloutWork, group: int)``, with an evaluation's own inputs before these.
+
+    Args:
+        model: The model.
+        state_map: Where the model keeps what is observed, driven, watched and recorded.
+        lanes: Worlds in a number on a CPU.
+        shared: Whether on a GPU the lanes of a warp share a world; else every thread has one of its own.
+        evaluation: Statements that evaluate a rollout on the way, if there are any.
+        knots: Most knots that a control depends on.
+    """
+
+    model: PhysicsModel
+    state_map: StateMap
+    lanes: int
+    shared: bool
+    evaluation: Evaluation | None = None
+    knots: int = 1
+
+    def write(self) -> str:
+        """The source."""
+        dynamics = Dynamics(self.model, frozenset(self.state_map.bodies))
+        baked = (dynamics.write(), write_products(self.model), self._coupled())
+        links, ties = Links(dynamics), TieTables(self.model)
+        step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
+        step = step.replace("COLLISIONS", self._collisions())
+        parts = [
+            *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
+            *baked,
+            self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
+            self._native("cones" if self.model.frictions > 1 else "pyramid"),
+            self._native("contact"),
+            *self._collision_sources(),
+            self._native("constraints").replace("BIND", dynamics.bind),
+            self._native("fluid"),
+            self._native("solve").replace("BLOCKS", self._blocks()),
+            self._native("watch"),
+            self._native("joints"),
+            step,
+        ]
+        inside = "\n".join(("struct Sim {", *parts, "};"))
+        own = *ties.tables(), *dynamics.drive.tables(), *dynamics.medium.tables()
+        tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
+        columns = len(self.model.columns.values)  # all have been asked for
+        defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= dynamics.medium.sizes
+        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
+        defines["LANES"] = self.lanes
+        defines["MESHES"] = int(bool(self._meshes))
+        defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
+        defines |= self.state_map.sizes | {"TERMS": int(self.evaluation is not None)}
+        defines["FIRST"] = self.evaluation.first if self.evaluation else 0
+        undo = "\n".join(f"#undef {name.partition('(')[0]}" for name in (*_MACROS, *defines))
+        defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
+        return "\n".join(
+            (header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, "")
+        )
+
+    def _rollout(self) -> str:
+        parts = {"STEP_CONTROL": CONTROL, "START": self._native("start"), "RECORD": self._native("record")}
+        parts |= {f"TERMS_{name}": "" for name in ("START", "BEFORE", "STEP", "END")}
+        if (own := self.evaluation) is not None:
+            texts = {"START": own.start, "BEFORE": own.before, "STEP": own.step, "END": own.end}
+            parts |= {f"TERMS_{name}": text for name, text in texts.items()}
+        return re.sub("|".join(sorted(parts, key=len, reverse=True)), lambda m: parts[m[0]], self._native("rollout"))
+
+    def _native(self, name: str) -> str:
+        return files(__package__).joinpath("native", f"{name}.h").read_text(encoding="utf-8")
+
+    @cached_property
+    def _groups(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Rows of each contact of a group of pairs, and its degrees of freedom."""
+        groups: list[tuple[int, tuple[int, ...]]] = []
+        for condim, dofs in sorted({(p.condim, p.dofs) for p in self.model.pairs}, key=lambda g: (-len(g[1]), g)):
+            if not any(self._fits(condim, dofs, group) for group in groups):
+                groups.append((condim, dofs))
+        return groups
+
+    def _fits(self, condim: int, dofs: tuple[int, ...], group: tuple[int, tuple[int, ...]]) -> bool:
+        return group[0] == condim and set(dofs) <= set(group[1]) and len(group[1]) <= len(dofs) + JOIN
+
+    def _group(self, pair: PairRow) -> int:
+        """Group of a pair."""
+        return next(i for i, group in enumerate(self._groups) if self._fits(pair.condim, pair.dofs, group))
+
+    def _couples(self, dofs: tuple[int, ...]) -> bool:
+        """Whether contacts of a group couple branches of the tree."""
+        above = self.model.ancestors
+        return any(j not in above[i] for i in dofs for j in dofs if j < i)
+
+    def _coupled(self) -> str:
+        """The solve for matrices that all groups have added to."""
+        ties = (tie.dofs for tie in self.model.ties)
+        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
+        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows, tree=self.model.ancestors), "#endif"))
+
+    @cached_property
+    def _sizes_vary(self) -> bool:
+        return any(np.ptp(self.model.array("geom_size"), axis=0).ravel() > 0.0)
+
+    @cached_property
+    def _sizes(self) -> dict[str, object]:
+        m, model = self.model.mj, self.model
+        longest = max([1, *(len(dofs) for _, dofs in self._groups)])
+        bound = sum(self._points(pair) for pair in model.pairs)
+        turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
+        return {
+            "NQ": m.nq,
+            "NV": m.nv,
+            "NU": max(1, m.nu),
+            "NMOCAP": max(1, m.nmocap),
+            "NG": max(1, m.ngeom),
+            "NB": max(1, len(self.state_map.bodies)),
+            "NH": packed(m.nv, 0),
+            "NLIMIT": max(1, len(model.limited)),
+            "LIMITS": len(model.limited),
+            "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
+            "PAIRS": len(model.pairs),
+            **self._row_sizes,
+            "RING": ring_size(model),
+            "FIELDS": len(model.fields),
+            "NNZ": longest,
+            "SOFT": 7 if model.powers else 4,
+            "NTRIANGLE": packed(longest, 0),
+            "FREE_JOINT": kinds.FREE,
+            "BALL_JOINT": kinds.BALL,
+            "SLIDE_JOINT": kinds.SLIDE,
+            "TURNING": turning,
+            "SCALARS": m.njnt - turning,
+            "ITERATIONS": int(m.opt.iterations),
+            "LINE_SEARCH": int(m.opt.ls_iterations),
+            "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
+            **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
+            "TIMESTEP": literal(float(m.opt.timestep)),
+        }
+
+    def _points(self, pair: PairRow) -> int:
+        """Most contacts of a pair."""
+        if set(pair.geoms) <= self._flat:
+            return POINTS.get(self._kind(pair), FACES)
+        kind = self._kind(pair)
+        return MOST_CONTACTS if kind[0] == kinds.HFIELD else POINTS.get(kind, 1)
+
+    def _kind(self, pair: PairRow) -> tuple[int, int]:
+        return tuple(int(self.model.mj.geom_type[g]) for g in pair.geoms)
+
+    @cached_property
+    def _flat(self) -> set[int]:
+        return flat_geoms(self.model)
+
+    @cached_property
+    def _row_sizes(self) -> dict[str, object]:
+        """How many numbers the rows of a contact take."""
+        model, condims = self.model, {condim for condim, _ in self._groups}
+        rows = max(condims, default=1)
+        alike = len(condims) == 1
+        return {
+            "ROWS": rows,
+            "ROWS_OF(c)": rows if alike else "group_rows[(c).group]",
+            "FRICTIONS": model.frictions,
+            "CURVE": packed(rows, 0) if model.elliptic else max(5, 2 * rows - 1),
+            "PUSH": max(3, rows),
+            "ELLIPTIC": int(model.elliptic),
+            "CONE_SLOPE": literal(float(model.mj.opt.impratio) ** -0.5),
+        }
+
+    def _tables(self) -> list[str]:
+        """Constant tables of pairs, groups, limits, geoms and joints."""
+        m, model, pairs = self.model.mj, self.model, self.model.pairs
+        index = model.columns.index
+        groups = [self._group(pair) for pair in pairs]
+        longest = int(self._sizes["NNZ"])
+        dofs = np.zeros((len(self._groups), longest), int)
+        entries = np.zeros((len(self._groups), packed(longest, 0)), int)
+        for g, (_, chain) in enumerate(self._groups):
+            dofs[g, : len(chain)] = chain
+            for a, i in enumerate(chain):
+                for b, j in enumerate(chain[: a + 1]):
+                    entries[g, packed(a, b)] = packed(i, j)
+        signs = np.zeros((len(pairs), longest))
+        for n, pair in enumerate(pairs):
+            chain = self._groups[groups[n]][1]
+            signs[n, [chain.index(dof) for dof in pair.dofs]] = pair.signs
+        limited = model.limited
+        limit_dofs = [int(m.jnt_dofadr[j]) for j in limited]
+        limits = model.limits
+        inverse = model.array("dof_invweight0")
+        sizes = model.array("geom_size")
+        size_at = [index(sizes[:, g, k]) for g in range(m.ngeom) for k in range(3)]
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.SLIDE, kinds.HINGE)]
+        turning = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.FREE, kinds.BALL)]
+        return [
+            ints("pair_group", groups),
+            floats("pair_sign", signs),
+            floats("pair_margin", [pair.margin for pair in pairs]),
+            ints("pair_friction_at", [self._friction_at(pair) for pair in pairs]),
+            ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
+            floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
+            floats("pair_damping", [pair.rows.damping for pair in pairs]),
+            floats("pair_impedance", model.impedances([pair.rows for pair in pairs])),
+            ints("group_count", [len(chain) for _, chain in self._groups]),
+            ints("group_slides", [condim > 1 for condim, _ in self._groups]),
+            ints("group_rows", [condim for condim, _ in self._groups]),
+            ints("group_couples", [self._couples(chain) for _, chain in self._groups]),
+            ints("group_dof", dofs),
+            ints("group_entry", entries, "short"),
+            ints("limit_dof", limit_dofs),
+            ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
+            floats("limit_range", m.jnt_range[limited]),
+            floats("limit_margin", m.jnt_margin[limited]),
+            floats("limit_stiffness", [rows.stiffness for rows in limits]),
+            floats("limit_damping", [rows.damping for rows in limits]),
+            floats("limit_impedance", model.impedances(limits)),
+            ints("limit_inverse_at", [index(inverse[:, dof]) for dof in limit_dofs]),
+            ints("geom_size_at", size_at),
+            ints("triangle_row", [i for i in range(longest) for _ in range(i + 1)], "short"),
+            ints("dof_top", model.dof_top),
+            ints("scalar_q", m.jnt_qposadr[scalar]),
+            ints("scalar_dof", m.jnt_dofadr[scalar]),
+            ints("turning_q", m.jnt_qposadr[turning]),
+            ints("turning_dof", m.jnt_dofadr[turning]),
+            ints("turning_free", m.jnt_type[turning] == kinds.FREE),
+            floats("mocap_rest", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
+            *self.state_map.tables(len(pairs), groups),
+            *self._mesh_tables(),
+            *self._field_tables(),
+            *ring_tables(model, ring_size(model)),
+        ]
+
+    def _friction_at(self, pair: PairRow) -> list[int]:
+        """Columns of a pair's coefficients of friction, -1 where all worlds are alike."""
+        index = self.model.columns.index
+        return [index(pair.friction[:, k]) if k + 1 < pair.condim else -1 for k in range(self.model.frictions)]
+
+    def _field_tables(self) -> list[str]:
+        m, first = self.model.mj, self.model.fields
+        if not first:
+            return []
+        of = [max(0, int(m.geom_dataid[g])) if g in first else 0 for g in range(m.ngeom)]
+        return [
+            ints("field_first", [first.get(g, 0) for g in range(m.ngeom)]),
+            ints("field_rows", m.hfield_nrow[of]),
+            ints("field_columns", m.hfield_ncol[of]),
+            floats("field_size", m.hfield_size[of]),
+        ]
+
+    def _mesh_tables(self) -> list[str]:
+        if not self._meshes:
+            return []
+        hulls = Hulls.of(self.model.mj, self._meshes)
+        return [
+            floats("mesh_vertex", hulls.vertex),
+            ints("mesh_first", hulls.first),
+            ints("mesh_count", hulls.count),
+            ints("mesh_face_first", hulls.face_first),
+            floats("mesh_face_normal", hulls.face_normal),
+            ints("mesh_face_vertex", hulls.face_vertex),
+        ]
+
+    @cached_property
+    def _meshes(self) -> set[int]:
+        """Meshes that may touch something."""
+        used = {g for pair in self.model.pairs for g in pair.geoms}
+        return {g for g in used if self.model.mj.geom_type[g] == kinds.MESH}
+
+    def _blocks(self) -> str:
+        return " ".join(f"BLOCK({n})" for n in sorted({len(dofs) for _, dofs in self._groups}))
+
+    def _kinds(self) -> dict[tuple[int, int], list[int]]:
+        """Numbers of the pairs of each kind."""
+        m, out = self.model.mj, {}
+        for n, pair in enumerate(self.model.pairs):
+            out.setdefault(tuple(int(m.geom_type[g]) for g in pair.geoms), []).append(n)
+        return out
+
+    def _collision_sources(self) -> list[str]:
+        found = self._kinds()
+        more = [name for name, size in (("manifold", "RING"), ("field", "FIELDS")) if self._sizes[size]]
+        return [self._native(name) for name in (*(n for n, need in _SOURCES.items() if need & set(found)), *more)]
+
+    def _collisions(self) -> str:
+        """Statements that look at all pairs, kind by kind."""
+        out = []
+        for kind, numbers in self._kinds().items():
+            name = "_".join(_NAMES[k] for k in kind)
+            firsts = ", ".join(str(self.model.pairs[n].geoms[0]) for n in numbers)
+            seconds = ", ".join(str(self.model.pairs[n].geoms[1]) for n in numbers)
+            out.append(
+                f"{{ static const int first[] = {{{firsts}}}, second[] = {{{seconds}}};\n"
+                f"NEAR_PAIRS({len(numbers)}, {numbers[0]}, {name}, {{ {_near(kind)} }}) }}"
+            )
+        return "\n".join(out)
+
+
+_HALF = ("half_sine", "half_cosine")
+_NAMES = {
+    kinds.PLANE: "plane",
+    kinds.SPHERE: "sphere",
+    kinds.CAPSULE: "capsule",
+    kinds.CYLINDER: "cylinder",
+    kinds.BOX: "box",
+    kinds.ELLIPSOID: "ellipsoid",
+    kinds.MESH: "mesh",
+    kinds.HFIELD: "hfield",
+}
+_BOXES = frozenset({(kinds.BOX, kinds.BOX)})
+_SOURCES = {
+    "collide_primitive": COLLIDES - CONVEX - _BOXES,
+    "collide_box": _BOXES,
+    "collide_convex": CONVEX | FIELD,
+}
+"""Files with collision functions, and the kinds of pairs each is for."""
+
+
+def _mocap_bodies(m: mujoco.MjModel) -> list[int]:
+    """Bodies in the order of their mocap numbers."""
+    return sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
+
+
+def _near(kind: tuple[int, int]) -> str:
+    """The bounding test of a kind of pairs."""
+    if kind[0] == kinds.PLANE:
+        return "near = near_plane(w, pair, a, b);"
+    if kind == (kinds.BOX, kinds.BOX):  # both ways: one box may be large
+        return "near = near_box(w, pair, a, b); if (VANY(near)) near &= near_box(w, pair, b, a);"
+    if kind[1] == kinds.BOX:
+        return "near = near_box(w, pair, a, b);"
+    return "near = near_spheres(w, pair, a, b);"
