@@ -7,9 +7,9 @@ import bench_models
 import mujoco
 import numpy as np
 import pytest
+from constraint_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
-from fused_tie_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from warp_lanes import COMPILER, LaneRollout
 
 from warpmpc.physics.missing import missing
@@ -51,10 +51,10 @@ def test_every_kind_of_row_is_there_and_none_is_refused():
     for text in MODELS.values():
         assert missing(compile_model(text)) is None
     model = compile_model(EQUALITIES)
-    kinds = [int(model.eq_type[tie.index]) for tie in PhysicsModel(model).ties if tie.kind == "equality"]
+    kinds = [int(model.eq_type[row.index]) for row in PhysicsModel(model).constraints if row.kind == "equality"]
     assert set(kinds) == {int(getattr(mujoco.mjtEq, f"mjEQ_{kind}")) for kind in ("CONNECT", "WELD", "JOINT")}
     assert len(kinds) == model.neq - 1  # one is not active
-    assert {tie.kind for tie in PhysicsModel(compile_model(TENDONS)).ties} == {"equality", "limit", "friction"}
+    assert {row.kind for row in PhysicsModel(compile_model(TENDONS)).constraints} == {"equality", "limit", "friction"}
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -95,7 +95,7 @@ def test_lanes_of_a_warp_do_the_same(name, tmp_path_factory):
 
 
 def test_worlds_of_their_own_masses_are_softened_as_mujoco_does():
-    """Inverse inertias of ties differ between worlds with the bodies' masses."""
+    """Inverse inertias of constraints differ between worlds with the bodies' masses."""
     nominal = compile_model(EQUALITIES)
     models, rng = [], np.random.default_rng(0)
     for _ in range(6):

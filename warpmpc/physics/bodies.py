@@ -10,7 +10,7 @@ import numpy as np
 from ..bake.lines import Lines, Matrix, Vector, known, text
 from .base import BOX, CYLINDER, ELLIPSOID, MESH, rotation
 from .model import CONVEX, FIELD
-from .sites import Marks
+from .sites import Sites
 
 if TYPE_CHECKING:
     from .model import PhysicsModel
@@ -31,7 +31,7 @@ class Bodies:
         kinds = ((pair, tuple(int(self.mj.geom_type[g]) for g in pair.geoms)) for pair in model.pairs)
         self.convex = {g for pair, kind in kinds if kind in CONVEX | FIELD for g in pair.geoms}
         """Geoms that some other looks at as a convex shape, all of whose axes are needed."""
-        self.marks = Marks(model)
+        self.sites = Sites(model)
 
     def columns(self, lines: Lines, q: list[str]) -> Matrix:
         """Columns of the matrix of a unit quaternion (w, x, y, z)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source of the Jacobians, distances and speeds of ties (MuJoCo, "Computation: Constraint model")."""
+"""Source of the Jacobians, distances and speeds of constraints (MuJoCo, "Computation: Constraint model")."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from ..bake.lines import Lines, Operand, Vector, literal, text
 from ..bake.number import angle
 from .base import rotation
-from .equalities import CONNECT, JOINT, TENDON, Tie, ends
-from .sites import Marks, scaled
+from .equalities import CONNECT, JOINT, TENDON, Constraint, ends
+from .sites import Sites, scaled
 
 if TYPE_CHECKING:
     from .base import Structure
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
 ALWAYS = "YES"
 
 
-class TieRows:
-    """Writes ``bind``, which gives every tie's rows to ``tie``.
+class ConstraintRows:
+    """Writes ``bind``, which gives every constraint's rows to ``constraint``.
 
     Args:
         model: The model.
-        marks: Takes the points and frames of equalities.
+        sites: Takes the points and frames of equalities.
         tendons: Lengths and lever arms.
     """
 
-    def __init__(self, model: Structure, marks: Marks, tendons: Tendons):
-        self.model, self.mj, self.marks, self.tendons = model, model.mj, marks, tendons
+    def __init__(self, model: Structure, sites: Sites, tendons: Tendons):
+        self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
         self._lines, self._count = Lines("b"), 0
 
     def write(self) -> str:
         """Source of the function."""
-        if not self.model.ties:
+        if not self.model.constraints:
             return ""
-        for tie in self.model.ties:
+        for constraint in self.model.constraints:
             {"equality": self._equality, "ball": self._ball, "limit": self._limit, "friction": self._friction}[
-                tie.kind
-            ](tie)
+                constraint.kind
+            ](constraint)
         return "FN void bind(World& w) {\n" + "\n".join(self._lines.statements) + "\n}"
 
     def _row(
         self,
-        tie: Tie,
+        constraint: Constraint,
         jacobian: Mapping[int, Operand],
         distance: Operand,
         *,
@@ -58,7 +58,7 @@ class TieRows:
         """One row.
 
         Args:
-            tie: The tie.
+            constraint: The constraint.
             jacobian: Of its degrees of freedom.
             distance: What is to vanish.
             measure: What its impedance depends on, the distance if None.
@@ -67,42 +67,42 @@ class TieRows:
         """
         lines, k = self._lines, self._count
         self._count += 1
-        for n, dof in enumerate(tie.dofs):
-            lines.add(f"w.tie_jac[{k}][{n}] = {text(jacobian.get(dof, 0.0))};")
-        rate = lines.sum(*((jacobian[dof], f"w.v[{dof}]") for dof in tie.dofs if dof in jacobian))
+        for n, dof in enumerate(constraint.dofs):
+            lines.add(f"w.constraint_jac[{k}][{n}] = {text(jacobian.get(dof, 0.0))};")
+        rate = lines.sum(*((jacobian[dof], f"w.v[{dof}]") for dof in constraint.dofs if dof in jacobian))
         at = distance if measure is None else measure
-        lines.add(f"tie(w, {k}, {text(distance)}, {text(at)}, {text(rate)}, {text(curving)}, {on});")
+        lines.add(f"constraint(w, {k}, {text(distance)}, {text(at)}, {text(rate)}, {text(curving)}, {on});")
 
-    def _equality(self, tie: Tie) -> None:
-        kind = int(self.mj.eq_type[tie.index])
+    def _equality(self, constraint: Constraint) -> None:
+        kind = int(self.mj.eq_type[constraint.index])
         if kind == JOINT:
-            self._joints(tie)
+            self._joints(constraint)
         elif kind == TENDON:
-            self._tendons(tie)
+            self._tendons(constraint)
         else:
-            self._bodies(tie)
+            self._bodies(constraint)
 
-    def _joints(self, tie: Tie) -> None:
+    def _joints(self, constraint: Constraint) -> None:
         """q₁ - q₁⁰ = Σ cᵢ (q₂ - q₂⁰)ⁱ."""
         m = self.mj
-        pair = [int(j) for j in (m.eq_obj1id[tie.index], m.eq_obj2id[tie.index])]
+        pair = [int(j) for j in (m.eq_obj1id[constraint.index], m.eq_obj2id[constraint.index])]
         moved = []
         for j in pair:
             q = int(m.jnt_qposadr[j])
             moved.append(self._lines.sum(f"w.q[{q}]", -float(m.qpos0[q])) if j >= 0 else 0.0)
         arms = [{int(m.jnt_dofadr[j]): 1.0} if j >= 0 else {} for j in pair]
-        self._coupled(tie, moved, arms)
+        self._coupled(constraint, moved, arms)
 
-    def _tendons(self, tie: Tie) -> None:
+    def _tendons(self, constraint: Constraint) -> None:
         """The same for lengths of tendons."""
         m = self.mj
-        pair = [int(t) for t in (m.eq_obj1id[tie.index], m.eq_obj2id[tie.index])]
+        pair = [int(t) for t in (m.eq_obj1id[constraint.index], m.eq_obj2id[constraint.index])]
         moved = [self._lines.sum(f"w.tendon_length[{t}]", -float(m.tendon_length0[t])) if t >= 0 else 0.0 for t in pair]
-        self._coupled(tie, moved, [dict(self.tendons.arms(t)) if t >= 0 else {} for t in pair])
+        self._coupled(constraint, moved, [dict(self.tendons.arms(t)) if t >= 0 else {} for t in pair])
 
-    def _coupled(self, tie: Tie, moved: list[Operand], arms: list[dict[int, Operand]]) -> None:
+    def _coupled(self, constraint: Constraint, moved: list[Operand], arms: list[dict[int, Operand]]) -> None:
         """The first of two numbers is a polynomial of the second."""
-        lines, c = self._lines, [float(x) for x in self.mj.eq_data[tie.index, :5]]
+        lines, c = self._lines, [float(x) for x in self.mj.eq_data[constraint.index, :5]]
         value: Operand = c[4]
         for x in reversed(c[:4]):
             value = lines.sum(x, (value, moved[1]))
@@ -110,56 +110,56 @@ class TieRows:
         for power in (3, 2, 1):
             slope = lines.sum(power * c[power], (slope, moved[1]))
         jacobian: dict[int, Operand] = {}
-        for dof in tie.dofs:
+        for dof in constraint.dofs:
             jacobian[dof] = lines.sum(arms[0].get(dof, 0.0), (-1.0, lines.sum((arms[1].get(dof, 0.0), slope))))
-        self._row(tie, jacobian, lines.sum(moved[0], (-1.0, value)))
+        self._row(constraint, jacobian, lines.sum(moved[0], (-1.0, value)))
 
-    def _bodies(self, tie: Tie) -> None:
+    def _bodies(self, constraint: Constraint) -> None:
         """Two points are one (connect); two frames are one (weld)."""
-        m, e, lines, marks = self.mj, tie.index, self._lines, self.marks
+        m, e, lines, sites = self.mj, constraint.index, self._lines, self.sites
         data, bodies = m.eq_data[e], ends(m, e)
         connects = int(m.eq_type[e]) == CONNECT
         if int(m.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
-            sites = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
-            pair = [marks.index(m.site_bodyid[s], m.site_pos[s], rotation(m.site_quat[s])) for s in sites]
+            ids = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+            pair = [sites.index(m.site_bodyid[s], m.site_pos[s], rotation(m.site_quat[s])) for s in ids]
         elif connects:
-            pair = [marks.index(b, at) for b, at in zip(bodies, (data[:3], data[3:6]), strict=True)]
+            pair = [sites.index(b, at) for b, at in zip(bodies, (data[:3], data[3:6]), strict=True)]
         else:
-            pair = [marks.index(bodies[0], data[3:6], rotation(data[6:10])), marks.index(bodies[1], data[:3])]
+            pair = [sites.index(bodies[0], data[3:6], rotation(data[6:10])), sites.index(bodies[1], data[:3])]
         chains = [self.model.body_dofs[b] for b in bodies]
-        apart = lines.difference(marks.point(pair[0]), marks.point(pair[1]))
-        curving = lines.difference(marks.falling(pair[0]), marks.falling(pair[1]))
+        apart = lines.difference(sites.point(pair[0]), sites.point(pair[1]))
+        curving = lines.difference(sites.falling(pair[0]), sites.falling(pair[1]))
         jacobian: dict[int, Vector] = {}
-        for dof in tie.dofs:
+        for dof in constraint.dofs:
             levers = [
-                marks.lever(lines, n, dof) if dof in chain else [0.0] * 3 for n, chain in zip(pair, chains, strict=True)
+                sites.lever(lines, n, dof) if dof in chain else [0.0] * 3 for n, chain in zip(pair, chains, strict=True)
             ]
             jacobian[dof] = lines.difference(*levers)
         squares = lines.dot(apart, apart)
         bent = None
         if not connects:
-            bent = self._turned(tie, pair, chains, float(data[10]))
+            bent = self._turned(constraint, pair, chains, float(data[10]))
             squares = lines.sum(squares, lines.dot(bent[0], bent[0]))
         measure = lines.let(f"VSQRT({text(squares)})")
         for k in range(3):
             row = {dof: vector[k] for dof, vector in jacobian.items()}
-            self._row(tie, row, apart[k], measure=measure, curving=curving[k])
+            self._row(constraint, row, apart[k], measure=measure, curving=curving[k])
         if bent is not None:
             for k in range(3):
                 row = {dof: vector[k] for dof, vector in bent[1].items()}
-                self._row(tie, row, bent[0][k], measure=measure, curving=bent[2][k])
+                self._row(constraint, row, bent[0][k], measure=measure, curving=bent[2][k])
 
     def _turned(
-        self, tie: Tie, pair: list[int], chains: list[frozenset[int]], scale: float
+        self, constraint: Constraint, pair: list[int], chains: list[frozenset[int]], scale: float
     ) -> tuple[Vector, dict[int, Vector], Vector]:
         """How one frame is turned in the other: the quaternion's vector part, its Jacobian, and its acceleration.
 
         With the relative quaternion (s, e) and angular velocities in the second frame, ė = (s ω + ω × e) / 2.
         """
-        lines, marks = self._lines, self.marks
-        first, second = (marks.columns(n) for n in pair)
+        lines, sites = self._lines, self.sites
+        first, second = (sites.columns(n) for n in pair)
         entries = [text(lines.dot(second[i], first[j])) for i in range(3) for j in range(3)]
-        name = f"turn{tie.index}"
+        name = f"turn{constraint.index}"
         lines.add(f"T {name}x, {name}y, {name}z, {name}s;")
         lines.add(f"{{ const T r[9] = {{{', '.join(entries)}}};")
         lines.add(f"quaternion(r, {name}x, {name}y, {name}z, {name}s); }}")
@@ -171,31 +171,31 @@ class TieRows:
             return [lines.sum((0.5 * scale, lines.sum((s, x), y))) for x, y in zip(local, swept, strict=True)]
 
         jacobian: dict[int, Vector] = {}
-        for dof in tie.dofs:
+        for dof in constraint.dofs:
             if self.model.slides(dof) or (dof in chains[0]) == (dof in chains[1]):
                 continue
-            row = bend(marks.axis(dof))
+            row = bend(sites.axis(dof))
             jacobian[dof] = row if dof in chains[0] else scaled(lines, row, -1.0)
-        spins = [marks.spin(n) for n in pair]
-        turning = lines.difference(marks.turning(pair[0]), marks.turning(pair[1]))
-        spin = lines.difference(*spins)
-        turning = [lines.sum(a, b) for a, b in zip(turning, lines.cross(*spins), strict=True)]
+        gyroscopic_bodies = [sites.spin(n) for n in pair]
+        turning = lines.difference(sites.turning(pair[0]), sites.turning(pair[1]))
+        spin = lines.difference(*gyroscopic_bodies)
+        turning = [lines.sum(a, b) for a, b in zip(turning, lines.cross(*gyroscopic_bodies), strict=True)]
         less = lines.sum((-0.25 * scale, lines.dot(spin, spin)))
         curving = [lines.sum(a, (less, b)) for a, b in zip(bend(turning), e, strict=True)]
         return scaled(lines, e, scale), jacobian, curving
 
-    def _ball(self, tie: Tie) -> None:
+    def _ball(self, constraint: Constraint) -> None:
         """A ball joint's angle has a limit."""
-        m, lines, j = self.mj, self._lines, tie.index
+        m, lines, j = self.mj, self._lines, constraint.index
         axis, turn = ball_angle(lines, f"ball{j}", int(m.jnt_qposadr[j]))
         distance = lines.sum(float(m.jnt_range[j].max()), (-1.0, turn))
         on = f"({text(distance)} < {literal(float(m.jnt_margin[j]))})"
-        jacobian = {dof: lines.sum((-1.0, x)) for dof, x in zip(tie.dofs, axis, strict=True)}
-        self._row(tie, jacobian, lines.sum(distance, -float(m.jnt_margin[j])), on=on)
+        jacobian = {dof: lines.sum((-1.0, x)) for dof, x in zip(constraint.dofs, axis, strict=True)}
+        self._row(constraint, jacobian, lines.sum(distance, -float(m.jnt_margin[j])), on=on)
 
-    def _limit(self, tie: Tie) -> None:
+    def _limit(self, constraint: Constraint) -> None:
         """A tendon is no shorter and no longer than its limits: the nearer one counts."""
-        m, lines, t = self.mj, self._lines, tie.index
+        m, lines, t = self.mj, self._lines, constraint.index
         low, high, margin = (float(x) for x in (*m.tendon_range[t], m.tendon_margin[t]))
         above = lines.sum(f"w.tendon_length[{t}]", -low)
         below = lines.sum((-1.0, f"w.tendon_length[{t}]"), high)
@@ -203,10 +203,10 @@ class TieRows:
         side = lines.let(f"VSELECT({below} < {above}, (T)-1.0f, (T)1.0f)")
         jacobian = {dof: lines.sum((side, arm)) for dof, arm in self.tendons.arms(t)}
         on = f"({distance} < {literal(margin)})"
-        self._row(tie, jacobian, lines.sum(distance, -margin), on=on)
+        self._row(constraint, jacobian, lines.sum(distance, -margin), on=on)
 
-    def _friction(self, tie: Tie) -> None:
-        self._row(tie, dict(self.tendons.arms(tie.index)), 0.0)
+    def _friction(self, constraint: Constraint) -> None:
+        self._row(constraint, dict(self.tendons.arms(constraint.index)), 0.0)
 
 
 def ball_angle(lines: Lines, name: str, q: int) -> tuple[Vector, Operand]:

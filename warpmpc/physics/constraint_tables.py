@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes and tables of ties and of the friction of joints, for ``native/ties.h``."""
+"""Sizes and tables of constraints and of the friction of joints, for ``native/constraints.h``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .model import PhysicsModel
 
 
-class TieTables:
+class ConstraintTables:
     """Sizes and tables of the rows.
 
     Args:
@@ -23,41 +23,44 @@ class TieTables:
 
     def __init__(self, model: PhysicsModel):
         self.model = model
-        self.rows = [(tie, inverse) for tie in model.ties for inverse in tie.inverse]
-        """Of all ties, one after the other."""
+        self.rows = [(constraint, inverse) for constraint in model.constraints for inverse in constraint.inverse]
+        """Of all constraints, one after the other."""
 
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        longest = max([1, *(len(tie.dofs) for tie in self.model.ties)])
-        return {"TIES": len(self.rows), "TIE_DOFS": longest, "DRY": len(self.model.dry)}
+        longest = max([1, *(len(constraint.dofs) for constraint in self.model.constraints)])
+        return {"CONSTRAINTS": len(self.rows), "CONSTRAINT_DOFS": longest, "DRY": len(self.model.dry)}
 
     def tables(self) -> list[str]:
         """Definitions of the tables."""
         out = []
         if self.rows:
-            longest, above, index = self.sizes["TIE_DOFS"], self.model.ancestors, self.model.columns.index
+            longest, above, index = self.sizes["CONSTRAINT_DOFS"], self.model.ancestors, self.model.columns.index
             dofs, entries = (
                 np.zeros((len(self.rows), longest), int),
                 np.zeros((len(self.rows), packed(longest, 0)), int),
             )
-            for k, (tie, _) in enumerate(self.rows):
-                dofs[k, : len(tie.dofs)] = tie.dofs
-                for a, i in enumerate(tie.dofs):
-                    for b, j in enumerate(tie.dofs[: a + 1]):
+            for k, (constraint, _) in enumerate(self.rows):
+                dofs[k, : len(constraint.dofs)] = constraint.dofs
+                for a, i in enumerate(constraint.dofs):
+                    for b, j in enumerate(constraint.dofs[: a + 1]):
                         entries[k, packed(a, b)] = packed(max(i, j), min(i, j))
-            couples = [any(j not in above[i] for i in tie.dofs for j in tie.dofs if j < i) for tie, _ in self.rows]
+            couples = [
+                any(j not in above[i] for i in constraint.dofs for j in constraint.dofs if j < i)
+                for constraint, _ in self.rows
+            ]
             out += [
-                ints("tie_count", [len(tie.dofs) for tie, _ in self.rows]),
-                ints("tie_dof", dofs),
-                ints("tie_entry", entries, "short"),
-                ints("tie_couples", couples),
-                ints("tie_inverse_at", [index(inverse) for _, inverse in self.rows]),
-                floats("tie_stiffness", [tie.rows.stiffness for tie, _ in self.rows]),
-                floats("tie_damping", [tie.rows.damping for tie, _ in self.rows]),
-                floats("tie_impedance", self.model.impedances([tie.rows for tie, _ in self.rows])),
-                floats("tie_low", [tie.low for tie, _ in self.rows]),
-                floats("tie_high", [tie.high for tie, _ in self.rows]),
+                ints("constraint_count", [len(constraint.dofs) for constraint, _ in self.rows]),
+                ints("constraint_dof", dofs),
+                ints("constraint_entry", entries, "short"),
+                ints("constraint_couples", couples),
+                ints("constraint_inverse_at", [index(inverse) for _, inverse in self.rows]),
+                floats("constraint_stiffness", [constraint.rows.stiffness for constraint, _ in self.rows]),
+                floats("constraint_damping", [constraint.rows.damping for constraint, _ in self.rows]),
+                floats("constraint_impedance", self.model.impedances([constraint.rows for constraint, _ in self.rows])),
+                floats("constraint_low", [constraint.low for constraint, _ in self.rows]),
+                floats("constraint_high", [constraint.high for constraint, _ in self.rows]),
             ]
         if self.model.dry:
             m, inverse = self.model.mj, self.model.array("dof_invweight0")

@@ -15,7 +15,7 @@ from .tables import ints
 
 if TYPE_CHECKING:
     from .base import Structure
-    from .sites import Marks
+    from .sites import Sites
     from .tendons import Tendons
 
 TRN = mujoco.mjtTrn
@@ -37,12 +37,12 @@ class Drive:
 
     Args:
         model: The model.
-        marks: Takes sites that actuators pull at.
+        sites: Takes sites that actuators pull at.
         tendons: Lengths and lever arms.
     """
 
-    def __init__(self, model: Structure, marks: Marks, tendons: Tendons):
-        self.model, self.mj, self.marks, self.tendons = model, model.mj, marks, tendons
+    def __init__(self, model: Structure, sites: Sites, tendons: Tendons):
+        self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
         m = self.mj
         self._implicit = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         self._force: dict[int, list] = {i: [] for i in range(m.nv)}
@@ -151,14 +151,14 @@ class Drive:
 
     def _site(self, lines: Lines, site: int, gear: list[float]) -> Reach:
         """A force and a torque at a site, along its axes."""
-        m, marks, body = self.mj, self.marks, int(self.mj.site_bodyid[site])
-        mark = marks.index(body, m.site_pos[site], rotation(m.site_quat[site]))
-        columns = marks.columns(mark)
+        m, sites, body = self.mj, self.sites, int(self.mj.site_bodyid[site])
+        frame = sites.index(body, m.site_pos[site], rotation(m.site_quat[site]))
+        columns = sites.columns(frame)
         push, twist = (lines.transform(columns, gear[k : k + 3]) for k in (0, 3))
         arms = []
         for dof in sorted(self.model.body_dofs[body]):
-            terms = [*zip(push, marks.lever(lines, mark, dof), strict=True)] if any(gear[:3]) else []
-            arms.append((dof, lines.sum(*terms, *zip(twist, marks.axis(dof), strict=True))))
+            terms = [*zip(push, sites.lever(lines, frame, dof), strict=True)] if any(gear[:3]) else []
+            arms.append((dof, lines.sum(*terms, *zip(twist, sites.axis(dof), strict=True))))
         return self._along(arms, lines)
 
     def _along(self, arms: list[tuple[int, Operand]], lines: Lines) -> Reach:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from ..bake.lines import Lines, Matrix, Vector, function
 from .base import IDENTITY, NOTHING, rotation
 from .bodies import Bodies
-from .constraint_rows import TieRows
+from .constraint_rows import ConstraintRows
 from .drive import Drive
-from .fluid import Medium
-from .gyroscopic import write_spin
+from .fluid import Fluid
+from .gyroscopic import write_gyroscopic
 from .tendons import Tendons
 from .tree import Tree
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Dynamics:
-    """Writes ``place`` (once per rollout), ``stretch`` and ``drive`` (before a step), ``spin`` and ``move`` (after it).
+    """Writes ``place`` (once a rollout), ``stretch``, ``drive`` (before a step), ``gyroscopic`` and ``move`` (after).
 
     Args:
         model: The model.
@@ -30,15 +30,19 @@ class Dynamics:
     def __init__(self, model: PhysicsModel, recorded: frozenset[int]):
         self.model, self.mj, self.recorded = model, model.mj, recorded
         self.bodies = Bodies(model, recorded)
-        self.marks = self.bodies.marks
-        self.tendons = Tendons(model, self.marks)
-        self.drive = Drive(model, self.marks, self.tendons)
+        self.sites = self.bodies.sites
+        self.tendons = Tendons(model, self.sites)
+        self.drive = Drive(model, self.sites, self.tendons)
 
     def write(self) -> str:
         """Source of the functions."""
-        forces = self.tendons.write(), self.drive.write(), write_spin(self.model, self.drive)  # these ask for marks
-        self.medium = Medium(self.model, self.marks)
-        self.bind = TieRows(self.model, self.marks, self.tendons).write()
+        forces = (
+            self.tendons.write(),
+            self.drive.write(),
+            write_gyroscopic(self.model, self.drive),
+        )  # these ask for sites
+        self.fluid = Fluid(self.model, self.sites)
+        self.bind = ConstraintRows(self.model, self.sites, self.tendons).write()
         return "\n".join((*forces, self._place(), self._move()))
 
     def _place(self) -> str:
@@ -61,7 +65,7 @@ class Dynamics:
                 self.bodies.keep(lines, body, position, columns, (NOTHING, NOTHING))
         for body, (columns, position) in frames.items():
             self.bodies.geoms(lines, body, position, columns)
-            self.marks.write(lines, body, position, columns, None)
+            self.sites.write(lines, body, position, columns, None)
         for i, g in enumerate(self.model.standing):
             if g in self.bodies.used:
                 first = f"GIVEN_POSE + {12 * i}"

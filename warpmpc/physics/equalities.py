@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ties: rows of constraints between degrees of freedom that are known beforehand.
+"""Constraints between degrees of freedom that are known beforehand, row by row.
 
 These are equalities, limits of ball joints and tendons, friction of tendons. What is baked here gives their Jacobians
-and distances; ``native/ties.h`` softens them and takes them into the solver, contacts beside them come and go.
+and distances; ``native/constraints.h`` softens them and takes them into the solver, contacts beside them come and go.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FREELY = 3e38
 
 
 @dataclass(frozen=True)
-class Tie:
+class Constraint:
     """One row, or several of the same degrees of freedom that are softened together."""
 
     kind: str
@@ -49,29 +49,29 @@ class Tie:
     """The largest."""
 
 
-def find_ties(model: Structure) -> list[Tie]:
-    """All ties of a model."""
+def find_constraints(model: Structure) -> list[Constraint]:
+    """All constraints of a model."""
     m, out = model.mj, []
     if model.off("CONSTRAINT"):
         return []
     for e in np.flatnonzero(m.eq_active0[: m.neq]) if not model.off("EQUALITY") else ():
         out.append(_equality(model, int(e)))
-    limited, rubbed = not model.off("LIMIT"), not model.off("FRICTIONLOSS")
+    limited, frictional = not model.off("LIMIT"), not model.off("FRICTIONLOSS")
     balls = (m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)
     for j in np.flatnonzero(balls) if limited else ():
         dof = int(m.jnt_dofadr[j])
         rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
         inverse = model.array("dof_invweight0")[:, dof]
-        out.append(Tie("ball", int(j), (dof, dof + 1, dof + 2), rows, (inverse,), high=0.0))
+        out.append(Constraint("ball", int(j), (dof, dof + 1, dof + 2), rows, (inverse,), high=0.0))
     for t in range(m.ntendon):
         dofs, inverse = model.tendon_dofs[t], model.array("tendon_invweight0")[:, t]
         loss = float(m.tendon_frictionloss[t])
-        if loss > 0.0 and rubbed:
+        if loss > 0.0 and frictional:
             rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
-            out.append(Tie("friction", t, dofs, rows, (inverse,), -loss, loss))
+            out.append(Constraint("friction", t, dofs, rows, (inverse,), -loss, loss))
         if m.tendon_limited[t] and limited:
             rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
-            out.append(Tie("limit", t, dofs, rows, (inverse,), high=0.0))
+            out.append(Constraint("limit", t, dofs, rows, (inverse,), high=0.0))
     return out
 
 
@@ -83,20 +83,20 @@ def ends(m: mujoco.MjModel, e: int) -> tuple[int, int]:
     return pair
 
 
-def _equality(model: Structure, e: int) -> Tie:
+def _equality(model: Structure, e: int) -> Constraint:
     m, kind = model.mj, int(model.mj.eq_type[e])
     rows = model.rows(m.eq_solref[e], m.eq_solimp[e])
     first, second = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
     if kind == JOINT:
         dofs = tuple(int(m.jnt_dofadr[j]) for j in (first, second) if j >= 0)
         weights = model.array("dof_invweight0")
-        return Tie("equality", e, dofs, rows, (sum(weights[:, dof] for dof in dofs),))
+        return Constraint("equality", e, dofs, rows, (sum(weights[:, dof] for dof in dofs),))
     if kind == TENDON:
         tendons = [t for t in (first, second) if t >= 0]
         dofs = tuple(sorted({dof for t in tendons for dof in model.tendon_dofs[t]}))
         weights = model.array("tendon_invweight0")
-        return Tie("equality", e, dofs, rows, (sum(weights[:, t] for t in tendons),))
+        return Constraint("equality", e, dofs, rows, (sum(weights[:, t] for t in tendons),))
     bodies, weights = ends(m, e), model.array("body_invweight0")
     dofs = tuple(sorted(model.body_dofs[bodies[0]] | model.body_dofs[bodies[1]]))
     moved, turned = (weights[:, bodies[0], k] + weights[:, bodies[1], k] for k in (0, 1))
-    return Tie("equality", e, dofs, rows, (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3)
+    return Constraint("equality", e, dofs, rows, (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3)

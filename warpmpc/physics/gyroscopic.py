@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from .drive import Drive
 
 
-def write_spin(model: Structure, drive: Drive) -> str:
-    """Source of ``spin``."""
+def write_gyroscopic(model: Structure, drive: Drive) -> str:
+    """Source of ``gyroscopic``."""
     m, lines = model.mj, Lines("g")
     if m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
         for j in np.flatnonzero(m.jnt_type == FREE):
             first = int(m.jnt_dofadr[j])
             if model.dof_top.count(first) == 6:
-                Spin(model, lines, int(m.jnt_bodyid[j]), first).write(drive)
-    return function("spin", lines)
+                Gyroscopic(model, lines, int(m.jnt_bodyid[j]), first).write(drive)
+    return function("gyroscopic", lines)
 
 
-class Spin:
+class Gyroscopic:
     """Writes one body that floats alone.
 
     Args:

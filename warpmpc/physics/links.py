@@ -51,8 +51,8 @@ class Links:
             "ROUNDS": len(self._above),
             "MOVING_GEOMS": len(self._geoms),
             "KEPT": len(self._kept),
-            "MARKS": len(self.dynamics.marks.all),
-            "MOVING_MARKS": len(self._marks),
+            "SITES": len(self.dynamics.sites.all),
+            "MOVING_MARKS": len(self._sites),
             "ENTRIES": sum(1 + len(self.model.ancestors[i]) for i in range(nv)),
             "MASSES_VARY": int((self._mass_at >= 0).any()),
         }
@@ -67,7 +67,7 @@ class Links:
         off = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         top = {b: min(model.body_dofs[b]) for b in self.bodies}
         rows = sorted(self.dynamics.bodies.recorded)
-        marks = [self.dynamics.marks.all[n] for n in self._marks]
+        sites = [self.dynamics.sites.all[n] for n in self._sites]
         return [
             floats("link_at", [at for _, at in places]),
             floats("link_turn", [turn for turn, _ in places]),
@@ -98,18 +98,18 @@ class Links:
             ints("moving_geom_body", [self._row[int(m.geom_bodyid[g])] for g in self._geoms]),
             floats("moving_geom_at", m.geom_pos[self._geoms]),
             floats("moving_geom_turn", [rotation(m.geom_quat[g]) for g in self._geoms]),
-            ints("moving_mark", self._marks),
-            ints("moving_mark_body", [self._row[mark.body] for mark in marks]),
-            floats("moving_mark_at", [mark.at for mark in marks]),
-            floats("moving_mark_turn", [mark.turn for mark in marks]),
+            ints("moving_mark", self._sites),
+            ints("moving_mark_body", [self._row[site.body] for site in sites]),
+            floats("moving_mark_at", [site.at for site in sites]),
+            floats("moving_mark_turn", [site.turn for site in sites]),
             ints("kept_row", [rows.index(b) for b in self._kept]),
             ints("kept_body", [self._row[b] for b in self._kept]),
         ]
 
     @property
-    def _marks(self) -> list[int]:
-        """Marks on bodies that move."""
-        return [n for n, mark in enumerate(self.dynamics.marks.all) if mark.body in self._row]
+    def _sites(self) -> list[int]:
+        """Sites on bodies that move."""
+        return [n for n, site in enumerate(self.dynamics.sites.all) if site.body in self._row]
 
     def _armature(self, i: int, j: int) -> float:
         """What armatures add to an entry of the mass matrix."""

@@ -137,15 +137,15 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
-    "a medium (density, viscosity) in implicit steps": lambda p: (
+    "a fluid (density, viscosity) in implicit steps": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
     ),
-    "shapes of their own in a medium": lambda p: (
+    "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),
     "impedances whose power is no whole number": lambda p: any(
         not row.power.is_integer() or row.power > MOST_POWER
-        for row in (*(pair.rows for pair in p.pairs), *(tie.rows for tie in p.ties), *p.limits)
+        for row in (*(pair.rows for pair in p.pairs), *(constraint.rows for constraint in p.constraints), *p.limits)
     ),
     "damping and stiffness that depend on speed and angle": lambda p: (
         p.mj.dof_dampingpoly.any()

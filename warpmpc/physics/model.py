@@ -24,7 +24,7 @@ from .base import (
     Structure,
 )
 from .collisions import colliding_pairs
-from .equalities import Tie, find_ties
+from .equalities import Constraint, find_constraints
 from .rows import Rows
 
 if TYPE_CHECKING:
@@ -95,9 +95,9 @@ class PhysicsModel(Structure):
         return [int(i) for i in np.flatnonzero(self.mj.dof_frictionloss > 0.0)]
 
     @cached_property
-    def ties(self) -> list[Tie]:
+    def constraints(self) -> list[Constraint]:
         """Rows of constraints between known degrees of freedom, but for limits of slides and hinges."""
-        return find_ties(self)
+        return find_constraints(self)
 
     def impedances(self, rows: Sequence[Rows]) -> list[tuple[float, ...]]:
         """What the source needs of impedances: powers only where one is not 2."""
@@ -106,7 +106,11 @@ class PhysicsModel(Structure):
     @cached_property
     def powers(self) -> bool:
         """Whether any impedance has a power other than 2."""
-        rows = [*self.limits, *(pair.rows for pair in self.pairs), *(tie.rows for tie in self.ties)]
+        rows = [
+            *self.limits,
+            *(pair.rows for pair in self.pairs),
+            *(one.rows for one in self.constraints),
+        ]
         return any(row.power != 2.0 for row in rows)
 
     @cached_property
@@ -137,7 +141,7 @@ class PhysicsModel(Structure):
             "FRICTION": np.array([pair.friction[0, : self.frictions] for pair in self.pairs]),
             "PAIR_INVERSE": np.array([pair.inverse[0] for pair in self.pairs]),
             "LIMIT_INVERSE": np.array([inverse[m.jnt_dofadr[j]] for j in self.limited]),
-            "TIE_INVERSE": np.array([values[0] for tie in self.ties for values in tie.inverse]),
+            "CONSTRAINT_INVERSE": np.array([values[0] for one in self.constraints for values in one.inverse]),
             "DRY_INVERSE": inverse[self.dry],
             "TOLERANCE": np.array([2.0 * tolerance * float(m.stat.meaninertia) * max(1, m.nv)]),
             "POSE": np.hstack([data.geom_xpos, data.geom_xmat])[self.standing],
@@ -180,7 +184,7 @@ class PhysicsModel(Structure):
 
     @cached_property
     def frictions(self) -> int:
-        """Numbers that say how a contact rubs: one where both tangents are alike and all, in pyramids."""
+        """Numbers that say how a contact slides: one where both tangents are alike and all, in pyramids."""
         most = max((pair.condim for pair in self.pairs), default=1)
         alike = all((pair.friction[:, 0] == pair.friction[:, 1]).all() for pair in self.pairs)
         return most - 1 if self.elliptic or most > 3 or not alike else 1

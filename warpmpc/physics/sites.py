@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .base import Structure
 
 
-class Mark(NamedTuple):
+class Site(NamedTuple):
     """A frame on a body."""
 
     body: int
@@ -23,8 +23,8 @@ class Mark(NamedTuple):
     """Rotation in the body's frame, row by row."""
 
 
-class Marks:
-    """Collects marks while what needs them is written, then writes where they are.
+class Sites:
+    """Collects sites while what needs them is written, then writes where they are.
 
     Args:
         model: The model.
@@ -32,14 +32,14 @@ class Marks:
 
     def __init__(self, model: Structure):
         self.model = model
-        self.all: list[Mark] = []
+        self.all: list[Site] = []
         self.turned: set[int] = set()
         """Those whose rotation is asked for."""
         self.pushed: set[int] = set()
         """Those whose velocity and acceleration are asked for."""
 
     def index(self, body: int, at: np.ndarray, turn: np.ndarray | None = None) -> int:
-        """Number of a mark.
+        """Number of a site.
 
         Args:
             body: The body it is on.
@@ -47,47 +47,47 @@ class Marks:
             turn: Rotation in the body's frame ``[3, 3]``, none if None.
         """
         rows = np.eye(3) if turn is None else turn
-        mark = Mark(int(body), tuple(known(np.asarray(at))), tuple(np.ravel(known_rotation(rows)).tolist()))
-        if mark not in self.all:
-            self.all.append(mark)
-        return self.all.index(mark)
+        site = Site(int(body), tuple(known(np.asarray(at))), tuple(np.ravel(known_rotation(rows)).tolist()))
+        if site not in self.all:
+            self.all.append(site)
+        return self.all.index(site)
 
-    def point(self, mark: int) -> Vector:
+    def point(self, site: int) -> Vector:
         """Position in the world."""
-        return [f"w.mark_at[{mark}][{k}]" for k in range(3)]
+        return [f"w.site_at[{site}][{k}]" for k in range(3)]
 
-    def columns(self, mark: int) -> Matrix:
+    def columns(self, site: int) -> Matrix:
         """Columns of the rotation in the world."""
-        self.turned.add(mark)
-        return [[f"w.mark_turn[{mark}][{3 * k + axis}]" for k in range(3)] for axis in range(3)]
+        self.turned.add(site)
+        return [[f"w.site_turn[{site}][{3 * k + axis}]" for k in range(3)] for axis in range(3)]
 
-    def spin(self, mark: int) -> Vector:
+    def spin(self, site: int) -> Vector:
         """Angular velocity [rad/s]."""
-        return self._motion("spin", mark)
+        return self._motion("spin", site)
 
-    def turning(self, mark: int) -> Vector:
+    def turning(self, site: int) -> Vector:
         """Angular acceleration while no joint accelerates [rad/s²]."""
-        return self._motion("turning", mark)
+        return self._motion("turning", site)
 
-    def falling(self, mark: int) -> Vector:
+    def falling(self, site: int) -> Vector:
         """Acceleration while no joint accelerates [m/s²]."""
-        return self._motion("falling", mark)
+        return self._motion("falling", site)
 
-    def _motion(self, name: str, mark: int) -> Vector:
-        self.pushed.add(mark)
-        return [f"w.mark_{name}[{mark}][{k}]" if self.moves(mark) else 0.0 for k in range(3)]
+    def _motion(self, name: str, site: int) -> Vector:
+        self.pushed.add(site)
+        return [f"w.site_{name}[{site}][{k}]" if self.moves(site) else 0.0 for k in range(3)]
 
-    def moves(self, mark: int) -> bool:
+    def moves(self, site: int) -> bool:
         """Whether joints move it."""
-        return self.model.moves(self.all[mark].body)
+        return self.model.moves(self.all[site].body)
 
-    def lever(self, lines: Lines, mark: int, dof: int) -> Vector:
-        """What a degree of freedom moves a mark by [m/s per unit]."""
+    def lever(self, lines: Lines, site: int, dof: int) -> Vector:
+        """What a degree of freedom moves a site by [m/s per unit]."""
         top = self.model.dof_top[dof]
         slide = [f"w.cl[{dof}][{k}]" for k in range(3)]
         if self.model.slides(dof):
             return slide
-        arm = lines.difference(self.point(mark), [f"w.ref[{top}][{k}]" for k in range(3)])
+        arm = lines.difference(self.point(site), [f"w.ref[{top}][{k}]" for k in range(3)])
         turned = lines.cross(self.axis(dof), arm)
         return [lines.sum(a, b) for a, b in zip(slide, turned, strict=True)]
 
@@ -98,7 +98,7 @@ class Marks:
     def write(
         self, lines: Lines, body: int, position: Vector, columns: Matrix, motion: tuple[Vector, ...] | None
     ) -> None:
-        """Write where the marks of a body are.
+        """Write where the sites of a body are.
 
         Args:
             lines: Takes the statements.
@@ -107,17 +107,17 @@ class Marks:
             columns: Of its rotation.
             motion: Angular velocity and acceleration, velocity and acceleration of its origin; None if it stands still.
         """
-        for n, mark in enumerate(self.all):
-            if mark.body != body:
+        for n, site in enumerate(self.all):
+            if site.body != body:
                 continue
-            at = lines.transform(columns, mark.at, position)
+            at = lines.transform(columns, site.at, position)
             for k in range(3):
-                lines.add(f"w.mark_at[{n}][{k}] = {text(at[k])};")
+                lines.add(f"w.site_at[{n}][{k}] = {text(at[k])};")
             if n in self.turned:
-                turn = lines.times(columns, np.reshape(mark.turn, (3, 3)))
+                turn = lines.times(columns, np.reshape(site.turn, (3, 3)))
                 for k in range(3):
                     for axis in range(3):
-                        lines.add(f"w.mark_turn[{n}][{3 * k + axis}] = {text(turn[axis][k])};")
+                        lines.add(f"w.site_turn[{n}][{3 * k + axis}] = {text(turn[axis][k])};")
             if motion is not None and n in self.pushed:
                 self._move(lines, n, lines.difference(at, position), *motion)
 
@@ -130,7 +130,7 @@ class Marks:
         falls = [lines.sum(*parts) for parts in zip(falling, lines.cross(turning, arm), swept, strict=True)]
         for name, values in (*rows, ("falling", falls)):
             for k in range(3):
-                lines.add(f"w.mark_{name}[{n}][{k}] = {text(values[k])};")
+                lines.add(f"w.site_{name}[{n}][{k}] = {text(values[k])};")
 
 
 def known_rotation(turn: np.ndarray) -> np.ndarray:

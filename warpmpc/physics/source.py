@@ -16,7 +16,7 @@ from ..bake.lines import literal
 from ..bake.number import header, sincos
 from . import base as kinds
 from .base import packed
-from .constraint_tables import TieTables
+from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
 from .links import Links
@@ -85,7 +85,7 @@ class RolloutSource:
         """The source."""
         dynamics = Dynamics(self.model, frozenset(self.state_map.bodies))
         baked = (dynamics.write(), write_products(self.model), self._coupled())
-        links, ties = Links(dynamics), TieTables(self.model)
+        links, constraints = Links(dynamics), ConstraintTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
@@ -103,11 +103,11 @@ class RolloutSource:
             step,
         ]
         inside = "\n".join(("struct Sim {", *parts, "};"))
-        own = *ties.tables(), *dynamics.drive.tables(), *dynamics.medium.tables()
+        own = *constraints.tables(), *dynamics.drive.tables(), *dynamics.fluid.tables()
         tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
         columns = len(self.model.columns.values)  # all have been asked for
-        defines = {**self._sizes, **links.sizes, **ties.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
-        defines |= dynamics.medium.sizes
+        defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
+        defines |= dynamics.fluid.sizes
         defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
@@ -154,8 +154,8 @@ class RolloutSource:
 
     def _coupled(self) -> str:
         """The solve for matrices that all groups have added to."""
-        ties = (tie.dofs for tie in self.model.ties)
-        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *ties])
+        constraints = (constraint.dofs for constraint in self.model.constraints)
+        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *constraints])
         return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows, tree=self.model.ancestors), "#endif"))
 
     @cached_property

@@ -13,7 +13,7 @@ from .base import WRAP_JOINT, WRAP_PULLEY, wraps
 
 if TYPE_CHECKING:
     from .base import Structure
-    from .sites import Marks
+    from .sites import Sites
 
 
 class Tendons:
@@ -21,11 +21,11 @@ class Tendons:
 
     Args:
         model: The model.
-        marks: Takes the sites.
+        sites: Takes the sites.
     """
 
-    def __init__(self, model: Structure, marks: Marks):
-        self.model, self.mj, self.marks = model, model.mj, marks
+    def __init__(self, model: Structure, sites: Sites):
+        self.model, self.mj, self.sites = model, model.mj, sites
 
     @cached_property
     def _arms(self) -> dict[tuple[int, int], int]:
@@ -91,7 +91,7 @@ class Tendons:
 
     def _spatial(self, lines: Lines, tendon: int) -> Operand:
         """Length along sites; its lever arms are written down."""
-        m, marks = self.mj, self.marks
+        m, sites = self.mj, self.sites
         arms: dict[int, list] = {dof: [] for dof in self.model.tendon_dofs[tendon]}
         lengths: list[tuple[Operand, Operand]] = []
         divisor, last = 1.0, -1
@@ -101,21 +101,21 @@ class Tendons:
                 continue
             site = int(m.wrap_objid[k])
             if last >= 0:
-                ends = [marks.index(m.site_bodyid[s], m.site_pos[s]) for s in (last, site)]
+                ends = [sites.index(m.site_bodyid[s], m.site_pos[s]) for s in (last, site)]
                 way, length = self._span(lines, *ends)
                 lengths.append((1.0 / divisor, length))
                 chains = [self.model.body_dofs[m.site_bodyid[s]] for s in (last, site)]
                 for dof in sorted(chains[0] ^ chains[1]):
                     end, sign = (ends[1], 1.0) if dof in chains[1] else (ends[0], -1.0)
-                    arms[dof].append((sign / divisor, lines.dot(way, marks.lever(lines, end, dof))))
+                    arms[dof].append((sign / divisor, lines.dot(way, sites.lever(lines, end, dof))))
             last = site
         for dof, parts in arms.items():
             lines.add(f"w.tendon_arm[{self._arms[tendon, dof]}] = {text(lines.sum(*parts))};")
         return lines.sum(*lengths)
 
     def _span(self, lines: Lines, a: int, b: int) -> tuple[Vector, Operand]:
-        """Direction from one mark to another, and their distance [m]."""
-        way = lines.difference(self.marks.point(b), self.marks.point(a))
+        """Direction from one site to another, and their distance [m]."""
+        way = lines.difference(self.sites.point(b), self.sites.point(a))
         length = lines.let(f"VSQRT({text(lines.dot(way, way))})")
         over = lines.let(f"1.0f / VMAX({length}, (T)1e-12f)")
         return [lines.sum((x, over)) for x in way], length

@@ -86,7 +86,7 @@ class Tree:
             arm = lines.difference(position, self.reference)
             at_origin = self._sum(linear, lines.cross(angular, arm))
             self.bodies.keep(lines, b, position, columns, (angular, at_origin))
-        self._mark(b, position, columns, motion)
+        self._site_of(b, position, columns, motion)
         inertia = self._inertia(b, position, columns)
         share = self.model.lift(b)
         felt = [self.lines.sum(x, share * g) for x, g in zip(falling, self.gravity, strict=True)] if share else falling
@@ -111,18 +111,18 @@ class Tree:
         self._axes(own, inertia, torque, force)
         return inertia, torque, force
 
-    def _mark(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> None:
-        """Marks on a body; their acceleration is that of points of the body, without gravity."""
-        lines, marks = self.lines, self.bodies.marks
-        if not any(marks.all[n].body == b for n in marks.pushed):
-            marks.write(lines, b, position, columns, None)
+    def _site_of(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> None:
+        """Sites on a body; their acceleration is that of points of the body, without gravity."""
+        lines, sites = self.lines, self.bodies.sites
+        if not any(sites.all[n].body == b for n in sites.pushed):
+            sites.write(lines, b, position, columns, None)
             return
         angular, linear, turning, falling = motion
         arm = lines.difference(position, self.reference)
         speed = self._sum(linear, lines.cross(angular, arm))
         freely = self._sum(falling, self.gravity)
         at_origin = self._sum(freely, lines.cross(turning, arm), lines.cross(angular, speed))
-        marks.write(lines, b, position, columns, (angular, turning, speed, at_origin))
+        sites.write(lines, b, position, columns, (angular, turning, speed, at_origin))
 
     def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""

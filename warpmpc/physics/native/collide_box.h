@@ -4,7 +4,7 @@
 // The rule (MuJoCo's engine_collision_box.c, described there): of the 15 axes that can separate two boxes (three face
 // normals of each, nine products of edges) the one with the largest separation wins. A face: the most opposed face of
 // the other box, clipped by the sides of that face, gives up to eight contacts, each as deep as it lies below the
-// face. A product of edges: one contact between the nearest points of the two edges. A face is preferred on ties,
+// face. A product of edges: one contact between the nearest points of the two edges. A face is preferred on constraints,
 // and where the edges' axis is within 8 degrees of it and not better by 5 %. After collide_common.h.
 
 // a, b or c for k = 0, 1, 2

@@ -38,7 +38,7 @@ INLINE void slope_push(const Contact& c, T step, T& d1, T& d2, I& changed) {
 // times the squared distance of (N, U) from the cone N >= mu |U|: nothing within, to the tip where mu N <= -|U|, and to the
 // side between. mu is the first friction over the root of impratio.
 INLINE T slope_of(const Contact& c) { return c.friction[0] * CONE_SLOPE; }
-INLINE void rub(const World& w, Contact& c, int pair, I lanes) {
+INLINE void set_friction(const World& w, Contact& c, int pair, I lanes) {
     for (int k = 0; k < FRICTIONS; ++k) c.friction[k] = lanes ? pair_friction(w, pair, k) : c.friction[k];
     const T mu = slope_of(c);
     if (ROWS_OF(c) > 1) c.weight = lanes ? c.weight / (mu * mu) : c.weight;
@@ -115,7 +115,7 @@ INLINE void bend(const T* d, const T* r, int rows, T* b) {
     }
 }
 #else
-INLINE void rub(const World& w, Contact& c, int pair, I lanes) {
+INLINE void set_friction(const World& w, Contact& c, int pair, I lanes) {
     for (int k = 0; k < FRICTIONS; ++k) c.friction[k] = lanes ? pair_friction(w, pair, k) : c.friction[k];
 }
 // What a contact adds to the derivatives of the cost along the search direction, and lanes where an edge changes sides

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rows whose degrees of freedom are known beforehand: friction of joints (dry), and ties (equalities, limits of ball
-// joints and tendons, friction of tendons). The derivative of a row's cost is its weight times its acceleration beyond
+// Rows whose degrees of freedom are known beforehand: friction of joints (dry), and constraints (equalities, limits
+// of ball joints and tendons, friction of tendons). The derivative of a row's cost is its weight times its acceleration beyond
 // the reference, within bounds: none for an equality, zero above for a limit, the loss on both sides for friction.
 
 // A row of some lanes: what is to vanish, what its impedance depends on, its velocity, and its acceleration while no
 // joint accelerates
-#if TIES
-INLINE void tie(World& w, int k, T distance, T measure, T rate, T curving, I on) {
-    const T imp = impedance(tie_impedance + SOFT * k, measure);
-    const int at = tie_inverse_at[k];
-    const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_TIE_INVERSE + k]);
-    w.tie_weight[k] = on ? row_weight(inverse, imp) : zero();
-    w.tie_ref[k] = on ? -tie_damping[k] * rate - tie_stiffness[k] * imp * distance - curving : zero();
-    w.tie_s[k] = zero();
+#if CONSTRAINTS
+INLINE void constraint(World& w, int k, T distance, T measure, T rate, T curving, I on) {
+    const T imp = impedance(constraint_impedance + SOFT * k, measure);
+    const int at = constraint_inverse_at[k];
+    const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_CONSTRAINT_INVERSE + k]);
+    w.constraint_weight[k] = on ? row_weight(inverse, imp) : zero();
+    w.constraint_ref[k] = on ? -constraint_damping[k] * rate - constraint_stiffness[k] * imp * distance - curving : zero();
+    w.constraint_s[k] = zero();
 }
 BIND
 #endif
@@ -40,57 +40,57 @@ FN void dry(World& w) {
 // Rows that are always there: whether they couple branches of the trees in live lanes
 INLINE bool ties_couple(const World& w, unsigned live) {
     bool out = false;
-#if TIES
-    for (int k = 0; k < TIES; ++k) out |= tie_couples[k] && (VBITS(w.tie_weight[k] > 0.0f) & live);
+#if CONSTRAINTS
+    for (int k = 0; k < CONSTRAINTS; ++k) out |= constraint_couples[k] && (VBITS(w.constraint_weight[k] > 0.0f) & live);
 #endif
     return out;
 }
 // Lanes that none of these rows constrains
 INLINE I untied(const World& w) {
     I out = DRY ? NO : YES;
-#if TIES
-    for (int k = 0; k < TIES; ++k) out &= VNOT(w.tie_weight[k] > 0.0f);
+#if CONSTRAINTS
+    for (int k = 0; k < CONSTRAINTS; ++k) out &= VNOT(w.constraint_weight[k] > 0.0f);
 #endif
     return out;
 }
-#if TIES
+#if CONSTRAINTS
 INLINE void project_ties(World& w, const T* x, T* to) {
-    EACH(k, TIES) {
+    EACH(k, CONSTRAINTS) {
         T sum = zero();
-        for (int n = 0; n < tie_count[k]; ++n) sum += w.tie_jac[k][n] * x[tie_dof[k * TIE_DOFS + n]];
+        for (int n = 0; n < constraint_count[k]; ++n) sum += w.constraint_jac[k][n] * x[constraint_dof[k * CONSTRAINT_DOFS + n]];
         to[k] = sum;
     }
 }
 #endif
 // Accelerations beyond the references
 INLINE void start_ties(World& w) {
-#if TIES
-    project_ties(w, w.x, w.tie_a);
-    EACH(k, TIES) w.tie_a[k] -= w.tie_ref[k];
+#if CONSTRAINTS
+    project_ties(w, w.x, w.constraint_a);
+    EACH(k, CONSTRAINTS) w.constraint_a[k] -= w.constraint_ref[k];
 #endif
 #if DRY
     EACH(k, DRY) w.dry_a[k] = w.x[dry_dof[k]] - w.dry_ref[k];
 #endif
 }
 INLINE void search_ties(World& w) {
-#if TIES
-    project_ties(w, w.search, w.tie_s);
+#if CONSTRAINTS
+    project_ties(w, w.search, w.constraint_s);
 #endif
 #if DRY
     EACH(k, DRY) w.dry_s[k] = w.search[dry_dof[k]];
 #endif
 }
 INLINE void step_ties(World& w, T step) {
-#if TIES
-    EACH(k, TIES) w.tie_a[k] += step * w.tie_s[k];
+#if CONSTRAINTS
+    EACH(k, CONSTRAINTS) w.constraint_a[k] += step * w.constraint_s[k];
 #endif
 #if DRY
     EACH(k, DRY) w.dry_a[k] += step * w.dry_s[k];
 #endif
 }
 INLINE void slope_ties(const World& w, T step, T& d1, T& d2, I& changed) {
-#if TIES
-    EACH(k, TIES) slope_of(w.tie_weight[k], w.tie_a[k], w.tie_s[k], step, tie_low[k], tie_high[k], d1, d2, changed);
+#if CONSTRAINTS
+    EACH(k, CONSTRAINTS) slope_of(w.constraint_weight[k], w.constraint_a[k], w.constraint_s[k], step, constraint_low[k], constraint_high[k], d1, d2, changed);
 #endif
 #if DRY
     EACH(k, DRY) slope_of(w.dry_weight[k], w.dry_a[k], w.dry_s[k], step, -dry_force[k], dry_force[k], d1, d2, changed);
@@ -107,16 +107,16 @@ INLINE void add_ties(World& w, T* h, T* to, float sign) {
     }
     SYNC
 #endif
-#if TIES
-    for (int k = 0; k < TIES; ++k) {
-        const T x = w.tie_weight[k] * w.tie_a[k];
-        const T push = sign * between(x, tie_low[k], tie_high[k]);
-        const T bend = ((x > tie_low[k]) & (x < tie_high[k])) ? w.tie_weight[k] : zero();
-        const int count = tie_count[k];
-        const T* j = w.tie_jac[k];
+#if CONSTRAINTS
+    for (int k = 0; k < CONSTRAINTS; ++k) {
+        const T x = w.constraint_weight[k] * w.constraint_a[k];
+        const T push = sign * between(x, constraint_low[k], constraint_high[k]);
+        const T bend = ((x > constraint_low[k]) & (x < constraint_high[k])) ? w.constraint_weight[k] : zero();
+        const int count = constraint_count[k];
+        const T* j = w.constraint_jac[k];
         EACH(n, count) {
-            to[tie_dof[k * TIE_DOFS + n]] += push * j[n];
-            if (h) for (int o = 0; o <= n; ++o) h[tie_entry[k * (TIE_DOFS * (TIE_DOFS + 1) / 2) + n * (n + 1) / 2 + o]] += bend * j[n] * j[o];
+            to[constraint_dof[k * CONSTRAINT_DOFS + n]] += push * j[n];
+            if (h) for (int o = 0; o <= n; ++o) h[constraint_entry[k * (CONSTRAINT_DOFS * (CONSTRAINT_DOFS + 1) / 2) + n * (n + 1) / 2 + o]] += bend * j[n] * j[o];
         }
         SYNC
     }

@@ -46,7 +46,7 @@ INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T*
     const T imp = impedance(pair_impedance + SOFT * pair, beyond);
     const float k = pair_stiffness[pair], damping = pair_damping[pair];
     c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
-    rub(w, c, pair, lanes);
+    set_friction(w, c, pair, lanes);
     for (int i = 0; i < ROWS; ++i) {
         const T ref = -damping * v[i] - (i ? zero() : k * imp * beyond);
         c.ref[i] = lanes ? ref : c.ref[i];

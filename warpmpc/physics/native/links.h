@@ -144,21 +144,21 @@ FN void move(World& w) {
         const V3 axes[3] = {f.x, f.y, f.z};
         for (int k = 0; k < 3; ++k) w.gmat[g][k] = axes[k].x, w.gmat[g][3 + k] = axes[k].y, w.gmat[g][6 + k] = axes[k].z;
     }
-#if MARKS
+#if SITES
     EACH(n, MOVING_MARKS) {
         const int b = moving_mark_body[n], k = moving_mark[n];
         Frame f = w.frame[b];
         const Motion m = w.motion[b];
         const V3 at = f.at(moving_mark_at + 3 * n), arm = at - load(w.ref[moving_top[b]]);
-        store(at, w.mark_at[k]);
-        store(m.angular, w.mark_spin[k]);
-        store(m.turning, w.mark_turning[k]);
-        store(m.linear + cross(m.angular, arm), w.mark_speed[k]);
+        store(at, w.site_at[k]);
+        store(m.angular, w.site_spin[k]);
+        store(m.turning, w.site_turning[k]);
+        store(m.linear + cross(m.angular, arm), w.site_speed[k]);
         store(m.falling + vector(gravity) + cross(m.turning, arm) + cross(m.angular, m.linear + cross(m.angular, arm)),
-              w.mark_falling[k]);
+              w.site_falling[k]);
         f.turn(moving_mark_turn + 9 * n);
         const V3 axes[3] = {f.x, f.y, f.z};
-        T* turn = w.mark_turn[k];
+        T* turn = w.site_turn[k];
         for (int i = 0; i < 3; ++i) turn[i] = axes[i].x, turn[3 + i] = axes[i].y, turn[6 + i] = axes[i].z;
     }
 #endif

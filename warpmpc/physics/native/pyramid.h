@@ -6,7 +6,7 @@ INLINE T pair_friction(const World& w, int pair) {
     const int at = pair_friction_at[pair];
     return at >= 0 ? w.par[at] : splat(w.given[GIVEN_FRICTION + pair]);
 }
-INLINE void rub(const World& w, Contact& c, int pair, I lanes) {
+INLINE void set_friction(const World& w, Contact& c, int pair, I lanes) {
     c.friction[0] = lanes ? pair_friction(w, pair) : c.friction[0];
 }
 // The edges of a pyramid

@@ -61,7 +61,7 @@ FN void integrate(World& w, I alone) {
 #else
     solve_damped(w.mm, w.fs, w.search, 1.0f, w.damp);
 #endif
-    spin(w);
+    gyroscopic(w);
     SYNC
     EACH(i, NV) {
         w.v[i] += TIMESTEP * w.search[i];
@@ -90,12 +90,12 @@ FN void step(World& w) {
 #endif
     drive(w);
     SYNC
-#if WET
+#if FLUID
     resist(w);
 #endif
     collide(w);
     limit(w);
-#if TIES
+#if CONSTRAINTS
     bind(w);
 #endif
 #if DRY

@@ -59,8 +59,8 @@ struct World {
     T bpos[NB][3], bmat[NB][9], bang[NB][3], blin[NB][3];
     T lside[NLIMIT], lweight[NLIMIT], lref[NLIMIT], la[NLIMIT], ls[NLIMIT];  // limits: side, ..., as in Contact
     int ldof[NLIMIT];
-#if TIES
-    T tie_jac[TIES][TIE_DOFS], tie_weight[TIES], tie_ref[TIES], tie_a[TIES], tie_s[TIES];  // ties.h: as in Contact
+#if CONSTRAINTS
+    T constraint_jac[CONSTRAINTS][CONSTRAINT_DOFS], constraint_weight[CONSTRAINTS], constraint_ref[CONSTRAINTS], constraint_a[CONSTRAINTS], constraint_s[CONSTRAINTS];  // constraints.h: as in Contact
 #endif
 #if DRY
     T dry_weight[DRY], dry_ref[DRY], dry_a[DRY], dry_s[DRY];  // friction of joints: the same
@@ -68,13 +68,13 @@ struct World {
 #if TENDONS
     T tendon_length[TENDONS], tendon_speed[TENDONS], tendon_arm[TENDON_ARMS];
 #endif
-#if MARKS
-    T mark_at[MARKS][3], mark_turn[MARKS][9];  // points and frames on bodies
-    T mark_spin[MARKS][3], mark_turning[MARKS][3], mark_speed[MARKS][3];
-    T mark_falling[MARKS][3];    // as mark_turning, acceleration while no joint accelerates
+#if SITES
+    T site_at[SITES][3], site_turn[SITES][9];  // points and frames on bodies
+    T site_spin[SITES][3], site_turning[SITES][3], site_speed[SITES][3];
+    T site_falling[SITES][3];    // as site_turning, acceleration while no joint accelerates
 #endif
-#if WET
-    V3 wet_force[WET], wet_torque[WET];  // of the medium on bodies
+#if FLUID
+    V3 fluid_force[FLUID], fluid_torque[FLUID];  // of the fluid on bodies
 #endif
 #if ACTS
     T act[ACTS], act_next[ACTS];  // activations of actuators, and those after the step
