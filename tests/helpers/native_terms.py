@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
 from warpmpc.bake.number import WIDE, header, native_lanes
 from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
-from warpmpc.cost.term import CostTerm
+from warpmpc.engine.baking import write as write_term
 from warpmpc.kernels.terms.view import TASK_BODY, StepView
 
 
@@ -106,8 +106,8 @@ def write(judging: Judging, lanes: int) -> str:
     stack, body = judging.stack, []
     for i, (term, bound) in enumerate(stack.terms):
         lines = Lines(f"t{i}_")
-        native = term.native if isinstance(term, CostTerm) else None
-        value = native(TermCode(RecordedState(judging.layout, lines), lines, f"p.p{i}"), bound) if native else None
+        code = TermCode(RecordedState(judging.layout, lines), lines, f"p.p{i}")
+        value = write_term(code, term, bound, stack.labels[i])
         if value is None:
             raise LookupError(f"{term.name} has no baked source for {judging.scene.cost[i].params}")
         put = f"VSTORE(cost + {i} * steps * WIDTH, {text(value)});"

@@ -46,7 +46,7 @@ class Lines:
         self.statements: list[str] = []
         self.names: set[str] = set()
         """Variables that are defined."""
-        self._prefix, self._count = prefix, 0
+        self.prefix, self._count = prefix, 0
 
     def add(self, statement: str) -> None:
         """Append a statement."""
@@ -55,7 +55,7 @@ class Lines:
     def let(self, expression: str) -> str:
         """Give an expression a name."""
         self._count += 1
-        name = f"{self._prefix}{self._count}"
+        name = f"{self.prefix}{self._count}"
         self.names.add(name)
         self.add(f"const T {name} = {expression};")
         return name

@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import logging
+from typing import TYPE_CHECKING, Any
 
 from ..bake.lines import Lines
 from ..cost.code.state import NotBaked, TermCode
 from ..cost.code.terms import TermSource
-from ..cost.term import CostTerm
+from ..cost.term import ArrayCost, CostTerm
+from ..cost.trace.tracer import trace
+from ..cost.trace.values import Refused
 
 if TYPE_CHECKING:
+    from ..bake.lines import Operand
     from ..cost.code.state import StateCode
     from ..cost.stack import CostStack
+
+logger = logging.getLogger("warpmpc")
 
 
 def bake(costs: CostStack, state: StateCode, *, stage_risk: float = 0.0) -> tuple[tuple[TermSource, ...], list[int]]:
@@ -26,13 +32,29 @@ def bake(costs: CostStack, state: StateCode, *, stage_risk: float = 0.0) -> tupl
     baked, staged = [], []
     for i, (term, bound) in enumerate(costs.terms):
         code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
-        native = term.native if isinstance(term, CostTerm) and stage_risk == 0.0 else None
-        try:
-            value = native(code, bound) if native else None
-        except NotBaked:
-            value = None
+        value = write(code, term, bound, costs.labels[i]) if stage_risk == 0.0 else None
         if value is None:
             staged.append(i)
         else:
             baked.append(TermSource(i, code.lines, value))
     return tuple(baked), staged
+
+
+def write(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) -> Operand | None:
+    """Write a term as source: by hand where it has such a form, else traced; None where neither can be.
+
+    Args:
+        code: Where the source is written.
+        term: The term.
+        bound: Its filled parameter struct.
+        label: What the log calls it.
+    """
+    if not isinstance(term, CostTerm):
+        return None
+    try:
+        value = term.native(code, bound) if term.native else None
+        return trace(code, term.function, bound) if value is None else value
+    except (NotBaked, Refused) as error:
+        if term.advance is None:
+            logger.info("cost term '%s' is evaluated on recorded rollouts, not inside the launch: %s", label, error)
+        return None
