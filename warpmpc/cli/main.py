@@ -286,7 +286,7 @@ def plot(
 def live(
     scene: SceneArgument,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines, too.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for whoever has the URL.")] = "127.0.0.1",
     overrides: SetOption = [],  # noqa: B006
     terms: TermsOption = [],  # noqa: B006
     seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,
