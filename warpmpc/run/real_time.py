@@ -113,9 +113,11 @@ def run_real_time(
         robot = simulated_robot(drawn, seed=seed, task=planner.task, terms=made, compiled=planner.compiled)
         made_recorder = recorder(robot) if recorder else None
         loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True, recorder=made_recorder)
+        ends = []  # success, reason and time as the robot is before it is stopped
 
         def over() -> bool:
             check()
+            ends[:] = [robot.success, robot.reason, robot.time]
             return robot.done
 
         reason = None
@@ -124,13 +126,14 @@ def run_real_time(
         except KeyboardInterrupt:
             reason = "interrupted"
         report = loop.report()
+    success, why, moment = ends or (robot.success, robot.reason, robot.time)
     return RealTimeResult(
         scene=scene.name,
         variant=scene.variant,
         seed=seed,
-        success=robot.success,
-        reason=robot.reason if robot.success else reason or robot.reason,
-        sim_time=robot.time,
+        success=success,
+        reason=why if success else reason or why,
+        sim_time=moment,
         speed=speed,
         wall_time=loop.wall,
         period=scene.timing.control_dt,
