@@ -10,13 +10,22 @@ from program import PROGRAM
 pytest.importorskip("viser", reason="needs viser")
 
 
-def test_the_page_is_served_until_ctrl_c_and_nothing_else_is_said():
+@pytest.mark.parametrize(
+    ("inherited", "number"),
+    [(signal.SIG_DFL, signal.SIGINT), (signal.SIG_IGN, signal.SIGINT), (signal.SIG_DFL, signal.SIGTERM)],
+    ids=["Ctrl-C", "SIGINT in the background of a shell", "SIGTERM"],
+)
+def test_the_page_is_served_until_ctrl_c_and_nothing_else_is_said(inherited, number):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     command = [*PROGRAM, "live", "cylinder_push", "--port", str(port), "--set", "planner.samples=16"]
     command += ["--set", "engine.threads=1", "--engine", "fused", "--device", "cpu"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as page:
+
+    def start() -> None:
+        signal.signal(signal.SIGINT, inherited)
+
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=start) as page:
         said = page.stdout.readline()
         end = time.monotonic() + 60.0
         while True:
@@ -27,7 +36,7 @@ def test_the_page_is_served_until_ctrl_c_and_nothing_else_is_said():
             except OSError:
                 time.sleep(0.1)
         time.sleep(1.0)  # it runs
-        page.send_signal(signal.SIGINT)
+        page.send_signal(number)
         out, err = page.communicate(timeout=60.0)
     assert said == f"http://127.0.0.1:{port}  (Ctrl-C ends it)\n"
     assert out == "ended\n"

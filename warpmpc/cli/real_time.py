@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..scene.load import load_scene
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import Messages
 from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .terms import load_terms
@@ -82,9 +82,9 @@ def run_real_time(
                     elif not quiet:
                         print(*described(results[-1]), sep="\n", file=out, flush=True)
                     if results[-1].reason == "interrupted":
-                        return INTERRUPTED
+                        return interrupts.code
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS if all(result.success for result in results) else FAILURE
 
 

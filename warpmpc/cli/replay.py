@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
 
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import Messages
 from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .run_folder import histories_in, terms_in
@@ -22,7 +22,7 @@ def replay(path: Path, *, term_files: Sequence[Path]) -> int:
         term_files: Python files of cost terms; the folder's own if there are none.
     """
     same = True
-    with results_only() as out, Messages(notices=False, warnings=False), Interrupts():
+    with results_only() as out, Messages(notices=False, warnings=False), Interrupts() as interrupts:
         try:
             with user_errors():
                 files = histories_in(path)
@@ -33,7 +33,7 @@ def replay(path: Path, *, term_files: Sequence[Path]) -> int:
                 with user_errors():
                     same &= _replay_one(file, terms, said, out)
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS if same else FAILURE
 
 

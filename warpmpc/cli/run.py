@@ -18,7 +18,7 @@ import typer
 from ..scene.errors import SceneError
 from ..scene.load import load_scene, variants
 from ..scene.schema import EngineName
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
 from .terms import load_terms
 
@@ -162,7 +162,7 @@ def check(
 
     The scene's variants are read, too; one of them is built by its name.
     """
-    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
@@ -179,7 +179,7 @@ def check(
             controller = episode.controller
             print_check(episode, out, advice=setup.advice(controller.info.plan_ms, controller.compiled))
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS
 
 
@@ -260,7 +260,7 @@ def run(
             for sentence in setup.advice(plan_ms, setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
-        return INTERRUPTED
+        return interrupts.code
     return SUCCESS if all(result.success for result in results) else FAILURE
 
 
