@@ -40,7 +40,6 @@ def set_to(tmp_path, override: str) -> SceneError:
         ('{ link = "base_link" }', '{ lnk = "base_link" }', "robot.base.frames.tip.lnk", ["Did you mean 'link'?"]),
         # missing keys
         ("mass = 1.0", "", "object.box.mass", ["this key is missing"]),
-        ("[success]\nposition = 0.05", "", "success", ["this key is missing"]),
         # choices
         ('shape = "sphere"', 'shape = "Spere"', "obstacle.ball.shape", ["found 'Spere'", "cylinder", "'sphere'?"]),
         # types

@@ -204,8 +204,8 @@ def run(
 ) -> None:
     """Run episodes: control the simulated plant until it reaches its goal or runs out of time.
 
-    Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C,
-    143 after SIGTERM.
+    Exit code 0 when every episode reached its goal (its timeout, where the scene has no success), 1 when one did not,
+    2 for wrong input, 130 after Ctrl-C, 143 after SIGTERM.
     """
     from ..cli import run as cli_run
     from ..cli.outputs import Outputs

@@ -85,7 +85,7 @@ def run_real_time(
                         return interrupts.code
         except KeyboardInterrupt:
             return interrupts.code
-    return SUCCESS if all(result.success for result in results) else FAILURE
+    return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
 class TickRecording:
@@ -116,7 +116,9 @@ class TickRecording:
 def described(result: RealTimeResult) -> Iterator[str]:
     """The lines that tell of an episode."""
     report = result.report
-    yield f"seed {result.seed}: {result.reason} at {result.sim_time:.2f} s, in {result.wall_time:.1f} s of wall time"
+    cost = "" if result.mean_cost is None else f", mean cost {result.mean_cost:.4g}"
+    time = f"{result.sim_time:.2f} s, in {result.wall_time:.1f} s of wall time"
+    yield f"seed {result.seed}: {result.reason} at {time}{cost}"
     jitter, latency = report.jitter_ms, report.latency_ms
     yield (
         f"  agent    {report.rate:g} Hz, jitter {_percentiles(jitter)}, {report.missed} of {report.ticks} ticks late"

@@ -261,7 +261,7 @@ def run(
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
         return interrupts.code
-    return SUCCESS if all(result.success for result in results) else FAILURE
+    return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
 def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:

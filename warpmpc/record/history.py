@@ -248,7 +248,7 @@ def names_of(plant: Plant, turns: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def turning(scene: Scene) -> list[str]:
     """The turns that a scene's goal or success asks for: ``yaw`` or ``rotation``."""
-    wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
+    wanted = [where for where in (scene.goal, scene.success) if where is not None]
     return [name for name in ("yaw", "rotation") if any(getattr(w, name) is not None for w in wanted)]
 
 

@@ -15,7 +15,7 @@ from ..scene.errors import SceneError
 from ..scene.overrides import split_key
 from ..task.task import Task
 from .choose_engine import choose_engine
-from .episode import EpisodeResult, Tally
+from .episode import EpisodeResult, Tally, watched
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ class Batch:
             seeds=[seed for seed, _, _ in filled],
             task=controller.task,
             terms=self.terms,
+            watch=watched(tasks[0][1]),
             compiled=self.compiled,
         )
         controller.reset()

@@ -259,7 +259,7 @@ class Scene(Section):
     cloud: tuple[Cloud, ...] = ()
     """Point clouds that are seen, values of the task."""
     goal: Goal | None = None
-    """Where an object or a frame shall be; a scene without one says what it wants in ``success.conditions``."""
+    """Where an object or a frame shall be; without one ``success`` has ``conditions`` alone."""
     target: tuple[Target, ...] = ()
     """Further named poses."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
@@ -282,8 +282,8 @@ class Scene(Section):
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()
     """What is drawn anew for every episode."""
-    success: Success
-    """When the run has reached what it wants."""
+    success: Success | None = None
+    """When the run has reached what it wants; it goes on to ``timing.timeout`` and has a cost when left out."""
     failure: Annotated[tuple[Failure, ...], OneOrMore] = ()
     """What ends the run without success, each in a table."""
     path: Path | None = Field(None, exclude=True)
