@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
 from typing import Annotated
@@ -59,6 +60,7 @@ def main() -> None:
     """Entry point of the program ``warpmpc``."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
     app(prog_name="warpmpc")
 
 

@@ -75,15 +75,6 @@ class Monitor:
         self._seen: Seen | None = None  # a simulated plant needs none
         self.reset()
 
-    @property
-    def watched_terms(self) -> set[str]:
-        """Cost terms that any condition looks at."""
-        scene = self._scene
-        rows = [*scene.success.conditions] if scene.success else []
-        rows += [condition for phase in scene.phase for condition in phase.until]
-        rows += [condition for failure in scene.failure for condition in failure.conditions]
-        return {condition.term for condition in rows if condition.term is not None}
-
     def reset(self) -> None:
         """Begin with the first state of a run; a task that went on to other phases begins anew."""
         if self._task.phase[self._e]:
@@ -112,7 +103,7 @@ class Monitor:
             SceneError: If a condition is about a cost term that reads contact forces or sensors.
         """
         if self._seen is None:
-            args = (self._scene, self._layout, self._task, self._e, self.watched_terms)
+            args = (self._scene, self._layout, self._task, self._e, self._scene.judged_terms)
             self._seen = Seen(*args, terms=self._terms)
         if state.time is None:
             time = 0.0 if self._now is None else self._now + self._scene.timing.control_dt

@@ -332,6 +332,14 @@ class Scene(Section):
         return labels
 
     @property
+    def judged_terms(self) -> set[str]:
+        """Cost terms, by these names, that success, failures or ends of phases look at."""
+        rows = [*self.success.conditions] if self.success else []
+        rows += [condition for phase in self.phase for condition in phase.until]
+        rows += [condition for failure in self.failure for condition in failure.conditions]
+        return {condition.term for condition in rows if condition.term is not None}
+
+    @property
     def name(self) -> str:
         """Short name: the file's, without its ending."""
         return self.path.stem if self.path else "scene"
