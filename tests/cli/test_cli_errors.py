@@ -169,3 +169,26 @@ def test_wrong_usage(folder, command, args):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("Error: ") == 1
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("option", "real_time"),
+    [
+        *((option, []) for option in ("--npz", "--csv", "--record", "--results")),
+        *((option, ["--real-time"]) for option in ("--npz", "--csv", "--record")),
+    ],
+)
+def test_files_that_cannot_be_written_are_refused_before_the_run(command, tmp_path, monkeypatch, option, real_time):
+    monkeypatch.setattr("warpmpc.run.real_time.run_real_time", None)
+    monkeypatch.setattr("warpmpc.run.episode.Episode.run", None)
+    suffix = {"--record": "rrd", "--results": "jsonl"}.get(option, option[2:])
+    (tmp_path / f"folder.{suffix}").mkdir()
+    for file in (f"folder.{suffix}", f"/proc/a.{suffix}"):
+        done = command("run", "omni_push_box", option, file, *real_time)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert f"cannot write '{file}'" in done.stderr
+    several = ["--seed", "3", "--episodes", "2"] if option != "--results" else []
+    if several:
+        (tmp_path / f"a-4.{suffix}").mkdir()
+        done = command("run", "omni_push_box", option, f"a.{suffix}", *several, *real_time)
+        assert (done.returncode, f"cannot write 'a-4.{suffix}'" in done.stderr) == (2, True)

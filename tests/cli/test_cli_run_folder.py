@@ -137,6 +137,8 @@ def test_on_a_terminal_there_is_a_question(folder, tmp_path, answer, code):
 def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.npz").write_text("text")
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "history.npz").write_bytes(b"PK\x03\x04, and no more came")
     arrays = {"time": np.zeros(1), "control": np.zeros((0, 2))}
     np.savez(tmp_path / "part.npz", **arrays)
     wrong = {
@@ -144,12 +146,14 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
         "text.npz": "is no history",
         "part.npz": "is no history",
         "no.npz": "No such file",
+        "cut": "history.npz: is no history",
     }
     for name, message in wrong.items():
-        done = command("replay", name)
-        assert done.returncode == 2
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        for verb in ("replay", "plot"):
+            done = command(verb, name)
+            assert done.returncode == 2
+            assert message in done.stderr
+            assert done.stderr.count("\n") == 1
 
 
 def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):

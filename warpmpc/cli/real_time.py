@@ -59,7 +59,7 @@ def run_real_time(
             with user_errors():
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
-                outputs.check(envs=1, jobs=None)
+                outputs.check(seeds, envs=1, jobs=None)
                 scene = load_scene(source, overrides=overrides)
                 start_warp()
                 asked = {"engine": engine, "device": device, "real_time": True, "speed": speed}

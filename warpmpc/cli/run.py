@@ -207,7 +207,7 @@ def run(
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
-                _check_options(outputs, envs, jobs, results_file)
+                _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
@@ -264,13 +264,16 @@ def run(
     return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
-def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:
+def _check_options(
+    outputs: Outputs, seeds: Sequence[int], envs: int, jobs: str | None, results_file: Path | None
+) -> None:
     """Refuse options that do not go together.
 
     Raises:
         ValueError: If some do not.
+        OSError: If a file cannot be written.
     """
-    outputs.check(envs=envs, jobs=jobs)
+    outputs.check(seeds, envs=envs, jobs=jobs)
     if jobs is not None:
         from ..run.workers import check_jobs
 
@@ -283,11 +286,15 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     """Results kept in a file.
 
     Raises:
-        OSError: If a file cannot be read.
-        ValueError: If the file holds something else.
+        OSError: If the file cannot be read or written.
+        ValueError: If it holds something else.
     """
     if file is None:
         return None
+    from ..record.files import try_file
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    try_file(file)
     from ..run.kept import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
