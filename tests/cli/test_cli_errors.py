@@ -6,6 +6,8 @@ from subprocess import CompletedProcess
 import pytest
 from program import SCENE, warpmpc
 
+from warpmpc.run import plan_budget
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -192,3 +194,17 @@ def test_files_that_cannot_be_written_are_refused_before_the_run(command, tmp_pa
         (tmp_path / f"a-4.{suffix}").mkdir()
         done = command("run", "omni_push_box", option, f"a.{suffix}", *several, *real_time)
         assert (done.returncode, f"cannot write 'a-4.{suffix}'" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "how", [["check"], ["run"], ["run", "--real-time"], ["run", "--envs", "2", "--episodes", "2"]], ids=" ".join
+)
+def test_plans_that_would_take_minutes_are_refused_before_the_first(command, tmp_path, monkeypatch, how):
+    monkeypatch.setattr(plan_budget, "LONGEST", 1e-3)
+    monkeypatch.setattr("warpmpc.run.episode.Episode.run", None)
+    (tmp_path / "mine.toml").write_text(SCENE)
+    large = ["--set", "planner.samples=200000", "--engine", "mujoco", "--device", "cpu"]
+    done = command(how[0], "mine.toml", *how[1:], *large)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    for part in ("mine.toml: planner.samples: a plan would take about", "lower this", "found 200000"):
+        assert part in done.stderr

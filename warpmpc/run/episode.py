@@ -13,7 +13,7 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
-from .choose_engine import choose_engine, with_samples
+from .choose_engine import check_plan_time, choose_engine, with_samples
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
@@ -243,6 +243,7 @@ class Episode:
         engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
         fitted = fit_samples(scene, engine=engine, device=device, terms=terms, compiled=compiled)
         self.scene = with_samples(self.scene, fitted.planner.samples)
+        check_plan_time(self.scene, compiled, device, terms=terms, engine=engine)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )

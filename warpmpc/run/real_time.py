@@ -11,7 +11,7 @@ from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
 from ..realtime.robot import simulated_robot
 from ..scene.draw import draw_task
-from .choose_engine import choose_engine, with_samples
+from .choose_engine import check_plan_time, choose_engine, with_samples
 from .episode import compile_shared, passed, plain, watched
 from .fit_samples import fit_samples
 
@@ -119,6 +119,7 @@ def run_real_time(
     engine, device = choose_engine(scene, engine=engine, device=device, terms=made, compiled=shared)
     fitted = fit_samples(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], fitted.planner.samples)
+    check_plan_time(drawn, shared, device, terms=made, engine=engine)
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
     with PlannerProcess(drawn, speed=speed, log=log, **options) as planner:
         keys = {"seed": seed, "terms": made, "watch": watched(scene), "compiled": planner.compiled}
