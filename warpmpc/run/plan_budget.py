@@ -18,7 +18,7 @@ logger = logging.getLogger("warpmpc")
 
 LARGE = 500_000
 """Steps of all rollouts of a plan up to which nothing is measured."""
-LONGEST = 60.0
+LONGEST = 10.0
 """Longest plan [s]."""
 TOLD = 1.0
 """Plans that take longer are told of [s]."""
