@@ -83,6 +83,9 @@ def tune(args: argparse.Namespace) -> None:
     check_engine(args.engine)
     space = parse_space(args.keys)
     scenes = {source: load_scene(source, overrides=args.overrides) for source in args.scenes}
+    for source, scene in scenes.items():
+        if scene.success is None:
+            raise ValueError(f"{source}: [success] is missing: a trial is judged by the time to it")
     task = Task(
         scenes=scenes,
         space=space,

@@ -20,22 +20,27 @@ FAST = ["--set", "planner.samples=16", "--set", "engine.threads=1", "--engine", 
 
 
 @contextmanager
-def page(*arguments):
-    """A page as a process, and its port."""
+def page(*arguments, inherited=signal.SIG_DFL):
+    """A page as a process, and its port; ``inherited`` is what it finds SIGINT set to."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     command = [*PROGRAM, "live", "cylinder_push", "--port", str(port), *FAST, *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+
+    def start() -> None:
+        signal.signal(signal.SIGINT, inherited)
+
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes, preexec_fn=start) as process:
         try:
             yield process, port
         finally:
             process.kill()  # a test that fails must not wait for it
 
 
-def ended(process):
+def ended(process, number=signal.SIGINT):
     """What else is said once it is told to end."""
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60.0)
     assert err == ""
     assert process.returncode == 0
@@ -82,6 +87,19 @@ def test_the_printed_url_is_served_until_ctrl_c_and_nothing_else_is_said():
         assert ended(process) == "ended\n"
     assert found == [101, 101, 403, 403, 403]
     assert re.fullmatch(rf"http://127\.0\.0\.1:{port}/\?token=[\w-]{{32,}}  \(Ctrl-C ends it\)\n", said)
+
+
+@pytest.mark.parametrize(
+    ("inherited", "number"),
+    [(signal.SIG_IGN, signal.SIGINT), (signal.SIG_DFL, signal.SIGTERM)],
+    ids=["SIGINT in the background of a shell", "SIGTERM"],
+)
+def test_other_signals_end_the_page_too(inherited, number):
+    with page(inherited=inherited) as (process, port):
+        process.stdout.readline()
+        until_served(port)
+        time.sleep(1.0)  # it runs
+        assert ended(process, number) == "ended\n"
 
 
 def test_a_page_for_other_machines_says_so():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from .interrupts import Interrupts
 from .run import start_warp, user_errors
 from .terms import load_terms
 
@@ -31,7 +32,7 @@ def live(
     engine: str,
     device: str,
 ) -> None:
-    """Serve a scene's page until Ctrl-C.
+    """Serve a scene's page until Ctrl-C or SIGTERM.
 
     Args:
         source: Scene and variant.
@@ -43,7 +44,7 @@ def live(
         engine: Engine of the rollouts.
         device: Device of the rollouts.
     """
-    with user_errors():
+    with Interrupts(), user_errors():
         missing = [name for name in NEEDED if find_spec(name) is None]
         if missing:
             raise ValueError(f"the page needs {' and '.join(missing)}: pip install 'warpmpc[live]'")

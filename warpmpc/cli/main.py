@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -56,6 +58,9 @@ LAST_SEED = 2**28
 
 def main() -> None:
     """Entry point of the program ``warpmpc``."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
     app(prog_name="warpmpc")
 
 
@@ -201,7 +206,8 @@ def run(
 ) -> None:
     """Run episodes: control the simulated plant until it reaches its goal or runs out of time.
 
-    Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C.
+    Exit code 0 when every episode reached its goal (its timeout, where the scene has no success), 1 when one did not,
+    2 for wrong input, 130 after Ctrl-C, 143 after SIGTERM.
     """
     from ..cli import run as cli_run
     from ..cli.outputs import Outputs

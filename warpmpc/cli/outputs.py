@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..record.files import try_file
 from ..record.history import HistoryRecorder, history_file
 from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
 
@@ -41,11 +42,17 @@ class Outputs:
         """Whether anything is to be written."""
         return self.histories or self.record is not None
 
-    def check(self, *, envs: int, jobs: str | None) -> None:
+    def check(self, seeds: Sequence[int], *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
 
+        Args:
+            seeds: Seeds of the episodes.
+            envs: Episodes that are planned for together.
+            jobs: Where episodes run.
+
         Raises:
-            ValueError: If one cannot.
+            ValueError: If options do not go together.
+            OSError: If a file cannot be written.
         """
         for name in ("record", "csv", "npz", "out"):
             path = getattr(self, name)
@@ -62,6 +69,9 @@ class Outputs:
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
+            files = [self._path(path, seed) for seed in seeds]
+            for file in [files[0], *filter(Path.exists, files[1:])]:
+                try_file(file)
 
     def recordings(self, seed: int) -> list[Path]:
         """Files for rerun of an episode."""

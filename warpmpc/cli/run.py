@@ -18,7 +18,7 @@ import typer
 from ..scene.errors import SceneError
 from ..scene.load import load_scene, variants
 from ..scene.schema import EngineName
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
 from .terms import load_terms
 
@@ -162,7 +162,7 @@ def check(
 
     The scene's variants are read, too; one of them is built by its name.
     """
-    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
@@ -179,7 +179,7 @@ def check(
             controller = episode.controller
             print_check(episode, out, advice=setup.advice(controller.info.plan_ms, controller.compiled))
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS
 
 
@@ -207,7 +207,7 @@ def run(
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
-                _check_options(outputs, envs, jobs, results_file)
+                _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
@@ -260,17 +260,20 @@ def run(
             for sentence in setup.advice(plan_ms, setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
-        return INTERRUPTED
-    return SUCCESS if all(result.success for result in results) else FAILURE
+        return interrupts.code
+    return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
-def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:
+def _check_options(
+    outputs: Outputs, seeds: Sequence[int], envs: int, jobs: str | None, results_file: Path | None
+) -> None:
     """Refuse options that do not go together.
 
     Raises:
         ValueError: If some do not.
+        OSError: If a file cannot be written.
     """
-    outputs.check(envs=envs, jobs=jobs)
+    outputs.check(seeds, envs=envs, jobs=jobs)
     if jobs is not None:
         from ..run.workers import check_jobs
 
@@ -283,11 +286,15 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     """Results kept in a file.
 
     Raises:
-        OSError: If a file cannot be read.
-        ValueError: If the file holds something else.
+        OSError: If the file cannot be read or written.
+        ValueError: If it holds something else.
     """
     if file is None:
         return None
+    from ..record.files import try_file
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    try_file(file)
     from ..run.kept import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)

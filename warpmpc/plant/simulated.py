@@ -86,7 +86,7 @@ class Worlds:
             ]
             self.draws = [with_factors(draw, scene, self.layout) for draw in drawn]
         self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
-        watched = self.monitors[0].watched_terms.union(watch)
+        watched = scene.judged_terms.union(watch)
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
         watching = self._values.pairs if self._values else ()
         supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}
@@ -219,6 +219,7 @@ class Plant:
             camera.reset()
         self.contact = Contact()
         self.diverged = False
+        self._paid = 0.0
         self.monitor.reset()
         self._motions.reset()
         self.hand.release()
@@ -326,6 +327,7 @@ class Plant:
         self.diverged = bool(engine.trajectory.diverged.numpy()[i])
         engine.initial[i] = engine.state[i, -1]
         engine.initial[i, 0] = 0.0
+        self._paid += sum(float(np.atleast_1d(self.task[n])[i]) * value for n, value in self.terms.items())
         self._feel()
         self._check()
 
@@ -406,6 +408,11 @@ class Plant:
     def terms(self) -> dict[str, float]:
         """What each cost term that is watched costs after the last control, without its weight; empty before one."""
         return dict(self._worlds.terms[self._index]) if self._slice else {}
+
+    @property
+    def mean_cost(self) -> float:
+        """Mean over all controls of what the watched terms cost after them, with their weights; NaN before one."""
+        return self._paid / self.steps if self.steps else math.nan
 
     @property
     def forces(self) -> np.ndarray:

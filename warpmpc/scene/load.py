@@ -259,13 +259,15 @@ def _check_weights(scene: Scene) -> None:
 def _check_goal(scene: Scene) -> None:
     goal, success = scene.goal, scene.success
     if goal is None:
-        if success.of_goal:
+        if success is not None and success.of_goal:
             raise SceneError("there is no goal to compare with: give [goal], or conditions alone", key="success")
         return
     if goal.object is not None and goal.object not in _names(scene.object):
         raise SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
     if goal.frame is not None:
         _check_frame(scene, goal.frame, "goal.frame")
+    if success is None:
+        return
     if success.position is not None and len(success.position) not in (1, len(goal.position)):
         raise SceneError(
             f"give one number, or one for each of the goal's {len(goal.position)} axes",
