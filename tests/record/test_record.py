@@ -21,7 +21,8 @@ from warpmpc.model.state import State
 from warpmpc.plant.simulated import Plant
 from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
-from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
+from warpmpc.record.rerun_shapes import draw_shape
+from warpmpc.record.shapes import ContactPoints, rotate
 from warpmpc.record.switch import RecordingSwitch
 from warpmpc.record.ways import COLORS
 from warpmpc.scene.load import load_scene
