@@ -5,9 +5,10 @@ import subprocess
 import time
 
 import pytest
+from needs import reason
 from program import PROGRAM
 
-pytest.importorskip("viser", reason="needs viser")
+pytest.importorskip("viser", reason=reason("viser"))
 
 
 def test_the_page_is_served_until_ctrl_c_and_nothing_else_is_said():

@@ -410,7 +410,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_run(loop, tmp_path):
         Recorder(tmp_path / "a.mp4", loop.controller, loop.plant)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: run on Linux")
 def test_a_full_disk_is_told_before_the_run(loop, tmp_path):
     (tmp_path / "full.rrd").symlink_to("/dev/full")
     with pytest.raises(OSError, match="cannot write the recording"):
