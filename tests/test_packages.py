@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import warpmpc
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -27,6 +29,12 @@ def test_every_package_and_every_file_that_is_read_is_installed():
     headers = {path.parent for path in (ROOT / "warpmpc").rglob("*.h")}
     assert headers == {ROOT / "warpmpc/engine/fused/native"}
     assert settings["package-data"]["warpmpc.engine.fused"] == ["native/*.h"]
+
+
+def test_the_version_is_the_same_everywhere():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert warpmpc.__version__ == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_what_is_imported_is_declared():
