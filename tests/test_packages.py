@@ -81,7 +81,7 @@ sys.exit(main())
 
 
 def bare(folder: Path, *args: str) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-c", BARE, *args], cwd=folder, capture_output=True, text=True, timeout=200)
+    return subprocess.run([sys.executable, "-c", BARE, *args], cwd=folder, capture_output=True, text=True, timeout=280)
 
 
 def test_the_main_job_needs_no_extra_and_its_folder_has_no_recording(tmp_path):
