@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import warp as wp
 
 from warpmpc.model.assets import package_dirs
+from warpmpc.scene.load import shipped_scenes
 
 CHROMIUM = Path("/usr/bin/chromium")
 CUDA = "a CUDA device"
@@ -30,9 +32,6 @@ COMMANDS = {
     "torch": "pip install torch",
 }
 """What brings it; everything else comes with the extra ``dev``."""
-SCENES = {"g1_walk": "mjlab", "hand_cube": "gymnasium_robotics"}
-SCENES |= dict.fromkeys(("go2_walk", "go2_jump"), "example-robot-data")
-"""Shipped scene → package that its robot comes from."""
 
 
 def missing(name: str) -> bool:
@@ -66,10 +65,10 @@ def need(name: str) -> None:
 
 
 def need_scene(name: str) -> None:
-    """Skip the test where the package of a shipped scene's robot is missing."""
+    """Skip the test where the package of a robot of a shipped scene is missing."""
     __tracebackhide__ = True
-    if name.partition(":")[0] in SCENES:
-        need(SCENES[name.partition(":")[0]])
+    for package in re.findall(r"package://([\w-]+)/", shipped_scenes()[name].read_text(encoding="utf-8")):
+        need(package)
 
 
 class Lacking:
