@@ -1,13 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests share: the devices they run on and how hypothesis searches."""
 
+from pathlib import Path
+
 import hypothesis
 import pytest
-import warp as wp
+from needs import CUDA, Lacking, need
 
 # a fixed search: a failure seen once is seen again; launches are too uneven for deadlines
 hypothesis.settings.register_profile("warpmpc", deadline=None, derandomize=True, max_examples=40)
 hypothesis.settings.load_profile("warpmpc")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--lacking", metavar="FILE", help="note the tests skipped for want of what a command installs")
+
+
+def pytest_configure(config):
+    file = config.getoption("--lacking")
+    if file and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Lacking(Path(file).absolute()))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -30,6 +42,6 @@ def preferred(monkeypatch):
 @pytest.fixture(scope="module", params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def device(request) -> str:
     """Every device of this machine in turn."""
-    if request.param.startswith("cuda") and not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    if request.param.startswith("cuda"):
+        need(CUDA)
     return request.param

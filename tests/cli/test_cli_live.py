@@ -9,9 +9,10 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
+from needs import reason
 from program import PROGRAM
 
-viser = pytest.importorskip("viser", reason="needs viser")
+viser = pytest.importorskip("viser", reason=reason("viser"))
 
 from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402

@@ -197,7 +197,9 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
     assert not wrong.any(), (np.argwhere(wrong), found[wrong], expected[wrong])
 
 
-@pytest.mark.skipif(90 not in wp.get_cuda_supported_archs(), reason="needs Warp with NVRTC")
+@pytest.mark.skipif(
+    90 not in wp.get_cuda_supported_archs(), reason="needs Warp built with NVRTC: pip install warp-lang"
+)
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
     module = NativeJudge(judged(where)).kernel.module

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import CHROMIUM, needs, reason
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
-viser = pytest.importorskip("viser", reason="needs viser")
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+viser = pytest.importorskip("viser", reason=reason("viser"))
+playwright = pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.access import Access  # noqa: E402
@@ -27,7 +28,6 @@ from warpmpc.live.session import Session  # noqa: E402
 from warpmpc.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
 
-CHROMIUM = Path("/usr/bin/chromium")
 FAST = ["engine.name=fused", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
 POST = """
 [timing]
@@ -80,7 +80,7 @@ WAIT = 60e3
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.filterwarnings("error::DeprecationWarning"),
-    pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Chromium"),
+    needs("Chromium"),
 ]
 
 

@@ -21,7 +21,8 @@ from warpmpc.model.state import State
 from warpmpc.plant.simulated import Plant
 from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
-from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
+from warpmpc.record.rerun_shapes import draw_shape
+from warpmpc.record.shapes import ContactPoints, rotate
 from warpmpc.record.switch import RecordingSwitch
 from warpmpc.record.ways import COLORS
 from warpmpc.scene.load import load_scene
@@ -409,7 +410,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_run(loop, tmp_path):
         Recorder(tmp_path / "a.mp4", loop.controller, loop.plant)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: run on Linux")
 def test_a_full_disk_is_told_before_the_run(loop, tmp_path):
     (tmp_path / "full.rrd").symlink_to("/dev/full")
     with pytest.raises(OSError, match="cannot write the recording"):

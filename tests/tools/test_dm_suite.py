@@ -8,8 +8,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from needs import reason
 
-pytest.importorskip("dm_control")
+pytest.importorskip("dm_control", reason=reason("dm_control"))
 
 from dm_tasks.environment import Eyes, load, save_model
 from dm_tasks.play import Episode, names, play, scene_of, split

@@ -159,7 +159,10 @@ def run(
     terms: TermsOption = [],  # noqa: B006
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.rrd", help="Record for rerun; several episodes put their seed into the name."),
+        typer.Option(
+            metavar="FILE.rrd",
+            help='Record for rerun, pip install "warpmpc[record]"; several episodes put their seed into the name.',
+        ),
     ] = None,
     csv: Annotated[
         Path | None,

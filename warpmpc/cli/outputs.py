@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..record.files import try_file
 from ..record.history import HistoryRecorder, history_file
+from ..record.switch import rerun_missing
 from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
 
 if TYPE_CHECKING:
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from ..record.history import History
     from ..run.episode import Episode, Recorder
     from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +32,7 @@ class Outputs:
     csv: Path | None = None
     npz: Path | None = None
     out: Path | None = None
-    """Folder of the run, which has a history and a recording of every episode."""
+    """Folder of the run, which has a history and, with rerun, a recording of every episode."""
     several: bool = False
     """Whether there are several episodes."""
 
@@ -60,10 +64,14 @@ class Outputs:
                 continue
             if envs > 1:
                 raise ValueError(f"--{name}: a file shows one environment: leave out --envs or --{name}")
+            if name == "record" and (missing := rerun_missing()):
+                raise ValueError(f"--record: {missing}")
             if name == "record" and jobs is not None:
                 raise ValueError("--record: a recording is made here: leave out --jobs, or take --csv or --npz")
             if name == "out":
                 check_folder(path)
+                if missing := rerun_missing():
+                    logger.info("--out: the folder gets no recording: %s", missing)
                 continue
             if name != "record" and history_file(path).suffix != f".{name}":
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
@@ -74,8 +82,9 @@ class Outputs:
                 try_file(file)
 
     def recordings(self, seed: int) -> list[Path]:
-        """Files for rerun of an episode."""
-        return [self._path(path, seed) for path in (self.record, self.out and self.out / RECORDING) if path is not None]
+        """Files for rerun of an episode; none in a folder where rerun is not installed."""
+        folder = None if self.out is None or rerun_missing() else self.out / RECORDING
+        return [self._path(path, seed) for path in (self.record, folder) if path is not None]
 
     def folder(
         self, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]
