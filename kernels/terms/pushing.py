@@ -80,7 +80,8 @@ class PushPathParams:
     arm: float  # [rad] beside the middle of a broad side: a place to turn the object from
     aim: wp.vec2  # [rad] at most this far beside the middle of a narrow and of a broad side on the way
     steer: float  # how far to push beside the middle, as an angle per heading error
-    lead: float  # [s] look at where the object would coast to in this time, or before, at the goal
+    lead: float  # [s] look at where the object would coast to in this time
+    through: int  # whether a way through the goal counts to there alone
 
 
 @wp.func
@@ -166,8 +167,11 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     to_goal = wp.mat22(c, d, -d, c)  # world → the goal's frame
     if p.lead > 0.0:
         v = frame_velocity(s, p.object)
-        away = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
-        o += coasting_time(away, to_goal * wp.vec2(v[0], v[1]), p.lead, p.tolerance) * v
+        time = p.lead
+        if p.through != 0:
+            away = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
+            time = coasting_time(away, to_goal * wp.vec2(v[0], v[1]), p.lead, p.tolerance)
+        o += time * v
     off = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
     to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
     angle = wp.atan2(to_pusher[1], to_pusher[0])

@@ -100,7 +100,7 @@ def test_a_tilted_goal_counts_by_the_heading_of_its_x_axis(device):
 
 
 def test_an_object_may_coast_through_its_goal_but_not_past_it(device):
-    pushing = Pushing({"lead": 0.5, "tolerance": 0.05}, device=device)
+    pushing = Pushing({"lead": 0.5, "through": True, "tolerance": 0.05}, device=device)
     speed = np.linspace(0.0, 3.0, SAMPLES)
     velocity = np.column_stack([-speed, np.zeros(SAMPLES)])
     through = pushing.cost((0.3, 0.0), (0.6, 0.0), velocity)[0]

@@ -48,27 +48,11 @@ def clearance(r: Rollouts, to: str, radius: float, least: float) -> np.ndarray:
     return r.each(total)
 
 
-def box_velocity(r: Rollouts) -> np.ndarray:
-    body = int(r.layout.frame_body[r.layout.frame("box")])
-    velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
-    return velocity.reshape(r.pose("box")[0].shape)
-
-
 def coasting(r: Rollouts, lead: float) -> np.ndarray:
     """Where the box would be after coasting for a time."""
-    return r.pose("box")[0] + lead * box_velocity(r)
-
-
-def coasting_home(r: Rollouts, lead: float, tolerance: float) -> np.ndarray:
-    """Where it would be by then, or before, when it comes closest to a goal that it does not miss by much."""
-    (box, _), (goal, turn), velocity = r.pose("box"), r.pose("goal"), box_velocity(r)
-    off, v = ((d.reshape(-1, 3) @ [1.0, 1j, 0.0]) * np.exp(-1j * heading(turn)) for d in (box - goal, velocity))
-    nearest = np.clip(-(off * v.conj()).real / np.maximum(np.abs(v) ** 2, 1e-6), 0.0, lead)
-    miss = off + nearest * v
-    left = np.hypot(*(np.maximum(np.abs(part) - tolerance, 0.0) for part in (miss.real, miss.imag)))
-    past = np.minimum(left / 0.2, 1.0)
-    time = nearest * (1.0 - past) + lead * past
-    return box + time.reshape(*box.shape[:-1], 1) * velocity
+    body = int(r.layout.frame_body[r.layout.frame("box")])
+    velocity = r.trajectory.body_qd.numpy()[1:, :, body, :3].astype(np.float64)
+    return r.pose("box")[0] + lead * velocity.reshape(r.pose("box")[0].shape)
 
 
 SWIVEL = np.arctan2(0.75 * 0.25 - 0.5 * 0.2, 0.15)
@@ -78,7 +62,7 @@ SWIVEL = np.arctan2(0.75 * 0.25 - 0.5 * 0.2, 0.15)
 def push_path(r: Rollouts, turn: float, radius: float, tolerance: float, steer: float, lead: float = 0.0) -> np.ndarray:
     """The least over seven ways to a circle about the box, in the goal's frame; within the tolerance it is nearer."""
     (pusher, _), (_, box_turn), (goal, goal_turn) = (r.pose(name) for name in ("base/tip", "box", "goal"))
-    box = coasting_home(r, lead, tolerance)
+    box = coasting(r, lead)
     back = np.exp(-1j * heading(goal_turn))
     off, to = (back * ((a - b).reshape(-1, 3) @ [1.0, 1j, 0.0]) for a, b in ((box, goal), (pusher, box)))
     at = np.column_stack([off.real, off.imag])

@@ -46,19 +46,21 @@ def push_path(code: TermCode, p: Any) -> Operand:
     state, lines, params = code.state, code.lines, code.params
     pusher, box, goal = (state.frame(i) for i in (p.pusher, p.object, p.goal))
     o = box.position
+    if p.lead > 0.0:
+        velocity, _ = state.velocity(p.object)
+        if not p.through:
+            o = [lines.sum(x, (f"{params}.lead", v)) for x, v in zip(o, velocity, strict=True)]
     total = variable(code, "work", "(T)0.0f")
     c, s = heading(code, goal.columns[0])
     lines.add("{ // in the goal's frame")
     vectors = [("off", lines.difference(o, goal.position)), ("arm", lines.difference(pusher.position, o))]
-    if p.lead > 0.0:
-        vectors.append(("roll", state.velocity(p.object)[0]))
+    if p.through:
+        vectors.append(("roll", velocity))
     for name, v in vectors:
         x, y = text(v[0]), text(v[1])
         lines.add(f"T {name}_x = {c} * {x} + {s} * {y}, {name}_y = {c} * {y} - {s} * {x};")
-    if p.lead > 0.0:
-        lines.add(
-            _COAST.format(params=params, epsilon=literal(float(EPSILON)), per_range=literal(1.0 / float(COAST_RANGE)))
-        )
+    if p.through:
+        lines.add(_COAST.format(params=params, **_COAST_NUMBERS))
     lines.add("const T apart = VSQRT(arm_x * arm_x + arm_y * arm_y);")
     lines.add(direction("arm_y", "arm_x", "bearing"))
     lines.add(f"T tolerance = (T){params}.tolerance, turning = (T)0.0f;")
