@@ -5,8 +5,9 @@ import http.client
 import socket
 
 import pytest
+from needs import reason
 
-viser = pytest.importorskip("viser", reason="needs viser")
+viser = pytest.importorskip("viser", reason=reason("viser"))
 
 from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402

@@ -4,8 +4,9 @@
 from types import SimpleNamespace
 
 import pytest
+from needs import reason
 
-viser = pytest.importorskip("viser", reason="needs viser")
+viser = pytest.importorskip("viser", reason=reason("viser"))
 
 from warpmpc.live.panels import Panels  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
