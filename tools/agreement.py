@@ -1,17 +1,20 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Roll the same states and controls through several engines and tell how far apart they end.
+"""Roll the same states and controls through several engines and tell how far apart they are after each step.
 
 The reference is MuJoCo's C engine. Every other engine gets the same randomized worlds, the same observed state and the
-same sampled controls of a plan; the differences are taken world by world after every step of the horizon.
+same sampled controls of a plan; the differences are taken world by world after every step of the horizon. The engine
+``mujoco/rounded`` is the reference again, started from joints that are off by the rounding of single precision: where
+it drifts as far as another engine, the scene is chaotic and the other engine's physics is not to blame.
 
-    python tools/agreement.py omni_push_box panda_reach --engines newton,newton/steel --device cuda:0
+    python tools/agreement.py omni_push_box panda_reach --engines mujoco/rounded,newton --device cuda:0
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +25,10 @@ from rich.table import Table
 import warpmpc
 from warpmpc.model.compiled import compile_scene
 
+ROUNDED = "mujoco/rounded"
+"""The reference, started from rounded joints."""
+ROUNDING = 2.0**-24
+"""Relative error of a number in single precision."""
 QUANTITIES = {"joint_q": "joints [m, rad]", "position": "bodies [m]", "force": "contact force [N]"}
 
 
@@ -53,7 +60,7 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
 
     Args:
         source: Scene and variant.
-        engine: ``newton``, or ``newton/SOLVER``.
+        engine: ``newton``, ``newton/SOLVER``, ``mujoco/rounded``.
         device: Device of the engine.
         samples: Worlds rolled out from every state.
         seconds: Length of the closed-loop run that states are taken from [s].
@@ -62,17 +69,22 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
     Returns:
         By quantity, percentiles over worlds and states of the largest difference after each step, ``[T]`` lists.
     """
-    name, _, solver = engine.partition("/")
+    name, _, solver = (engine if engine != ROUNDED else "mujoco").partition("/")
     overrides = [f"planner.samples={samples}", *([f'engine.solver="{solver}"'] if solver else [])]
     scene = warpmpc.load_scene(source, overrides=overrides)
     compiled = compile_scene(scene)
     reference = warpmpc.Controller(scene, engine="mujoco", compiled=compiled)
-    other = warpmpc.Controller(scene, engine=name, device=device, compiled=compiled)
+    other = warpmpc.Controller(scene, engine=name, device="cpu" if engine == ROUNDED else device, compiled=compiled)
+    noise = np.random.default_rng(0)
     found: dict[str, list[np.ndarray]] = {quantity: [] for quantity in QUANTITIES}
     for state in visited(scene, compiled, seconds=seconds, count=states):
         reference.step(state)
         control = wp.clone(reference.engine.control, device=other.engine.device)
         ours = recorded(reference)
+        if engine == ROUNDED:
+            state = replace(
+                state, joint_q=state.joint_q * (1.0 + ROUNDING * noise.uniform(-1.0, 1.0, state.joint_q.shape))
+            )
         other.step(state)
         other.engine.simulator.clone(other.planner.state)
         other.engine.simulator.rollout(control)
@@ -89,15 +101,14 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
 
 
 def print_differences(rows: list[dict]) -> None:
-    """The differences at the end of the horizon."""
-    table = Table(
-        box=None, title="difference from MuJoCo's C engine at the end of the horizon, p50 / p90 / p99 of worlds"
-    )
-    for head in ("scene", "engine", "worlds", *QUANTITIES.values()):
+    """The differences after the first step and at the end of the horizon."""
+    table = Table(box=None, title="difference from MuJoCo's C engine, p50 / p90 / p99 of worlds")
+    for head in ("scene", "engine", "worlds", "after", *QUANTITIES.values()):
         table.add_column(head, justify="left" if head in ("scene", "engine") else "right")
     for row in rows:
-        cells = [" / ".join(f"{row[q][p][-1]:.2g}" for p in ("p50", "p90", "p99")) for q in QUANTITIES]
-        table.add_row(row["scene"], row["engine"], str(row["worlds"]), *cells)
+        for step, label in ((0, "1 step"), (-1, f"{len(row['joint_q']['p50'])} steps")):
+            cells = [" / ".join(f"{row[q][p][step]:.2g}" for p in ("p50", "p90", "p99")) for q in QUANTITIES]
+            table.add_row(row["scene"], row["engine"], str(row["worlds"]), label, *cells)
     Console(width=140).print(table)
 
 
@@ -108,7 +119,8 @@ def main() -> None:
     parser.add_argument("--engines", default="newton", help="newton, newton/steel, ...; separated by commas")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--samples", type=int, default=64)
-    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--seconds", type=float, default=8.0, help="length of the run that states are taken from")
+    parser.add_argument("--states", type=int, default=6)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     device = str(wp.get_preferred_device()) if args.device == "auto" else args.device
@@ -116,7 +128,11 @@ def main() -> None:
     for source in args.scenes:
         for engine in args.engines.split(","):
             try:
-                rows.append(differences(source, engine, device=device, samples=args.samples, seconds=args.seconds))
+                rows.append(
+                    differences(
+                        source, engine, device=device, samples=args.samples, seconds=args.seconds, states=args.states
+                    )
+                )
             except warpmpc.SceneError as error:
                 print(f"{source} on {engine}: {error}")
     print_differences(rows)
