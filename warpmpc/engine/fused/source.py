@@ -17,6 +17,7 @@ from ...bake.terms import CONTROL
 from . import model as kinds
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
+from .limits import within
 from .links import Links
 from .meshes import Hulls
 from .rings import flat_geoms, ring_size, ring_tables
@@ -253,7 +254,7 @@ class RolloutSource:
             ints("group_entry", entries, "short"),
             ints("limit_dof", limit_dofs),
             ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
-            floats("limit_range", m.jnt_range[limited]),
+            floats("limit_range", within(m.jnt_range[limited])),
             floats("limit_margin", m.jnt_margin[limited]),
             floats("limit_stiffness", [rows.stiffness for rows in limits]),
             floats("limit_damping", [rows.damping for rows in limits]),
