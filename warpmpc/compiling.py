@@ -10,9 +10,10 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import warp as wp
+
+from .kernel_cache import Cached
 
 logger = logging.getLogger("warpmpc")
 
@@ -30,7 +31,7 @@ def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, wha
     """
     device = wp.get_device(device)
     threads = block_dim if device.is_cuda else 1  # a CPU's launches have one thread in a block
-    if _cached(kernel.module, device, threads):
+    if Cached.of(kernel.module, device, threads).intact():
         wp.load_module(kernel.module, device=device, block_dim=threads)
         return
     with _shown(f"compiling {what} for {device}, once"):
@@ -57,12 +58,6 @@ def native_output() -> Iterator[list[str]]:
             os.close(real)
             said.seek(0)
             lines += said.read().decode(errors="replace").splitlines()
-
-
-def _cached(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
-    """Whether a module is loaded or Warp has it on disk; Warp does not say so by a public name."""
-    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
-    return (folder / module._get_compile_output_name(device, block_dim=block_dim)).is_file()
 
 
 @contextmanager
