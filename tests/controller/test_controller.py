@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller: it reaches its goal, repeats itself, and stays safe when nothing survives."""
 
+import contextlib
 import logging
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -342,3 +344,53 @@ def test_a_controller_made_in_a_thread_touches_nobodys_default_device(monkeypatc
     assert not entered
     command = made[0].step(start(made[0]))
     assert np.isfinite(command).all()
+
+
+def test_a_second_thread_is_refused_and_disturbs_no_plan():
+    scene = make_scene(planner={"samples": 64, "horizon": 10}, engine={"threads": 2})
+    controller, other = (Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene)) for _ in range(2))
+    state, plans = State.start(controller.layout), 200
+    refusals: list[str] = []
+    done = threading.Event()
+
+    def intrude():
+        while not done.is_set():
+            for call in (lambda: controller.step(state), controller.rollout, controller.reset):
+                try:
+                    call()
+                except RuntimeError as error:
+                    refusals.append(str(error))
+                time.sleep(1e-4)
+
+    with controller._in_use:  # as a plan that takes its time
+        thread = threading.Thread(target=intrude, daemon=True)
+        thread.start()
+        ours = [controller.step(state) for _ in range(plans)]
+        done.set()
+        thread.join(10.0)
+    assert not thread.is_alive()
+    assert refusals
+    assert set(refusals) == {
+        "another thread uses this Controller now: give each thread one of its own, or let one thread call it"
+    }
+    np.testing.assert_array_equal(ours, [other.step(state) for _ in range(plans)])
+
+
+def test_two_threads_that_plan_at_once_do_not_hang():
+    scene = make_scene(planner={"samples": 64, "horizon": 10}, engine={"threads": 2})
+    controller = Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene))
+    state, commands = State.start(controller.layout), []
+
+    def ask():
+        for _ in range(100):
+            with contextlib.suppress(RuntimeError):
+                commands.append(controller.step(state))
+
+    threads = [threading.Thread(target=ask, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30.0)
+    assert not any(thread.is_alive() for thread in threads)
+    assert commands
+    assert np.isfinite(commands).all()

@@ -73,10 +73,15 @@ def results_only() -> Iterator[TextIO]:
 
 
 def start_warp() -> None:
-    """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU."""
+    """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU.
+
+    Raises:
+        typer.Exit: If its folder of compiled kernels cannot be made; one line on stderr says so.
+    """
     import warp as wp
 
     from ..compiling import native_output
+    from ..kernel_cache import refusal
 
     logging.getLogger("newton").setLevel(logging.WARNING)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
@@ -84,6 +89,9 @@ def start_warp() -> None:
     try:
         with native_output() as said:  # the complaint comes from native code
             wp.init()
+    except OSError as error:
+        with user_errors():
+            raise refusal(error) from error
     except BaseException:
         print(*said, sep="\n", file=sys.stderr)
         raise

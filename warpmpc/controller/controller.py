@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,6 +29,7 @@ from ..scene.schema import SampleCount
 from ..task.ancillary import AncillaryController
 from ..task.task import Task, task_layout
 from .observation import Observation
+from .one_thread import one_thread
 from .rollout import Rollout
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ class Controller:
 
     With several environments it solves as many independent problems in one go: states, plans and controls then have
     a leading axis ``[E]``, and :attr:`info` is a tuple. All environments share noise and randomized worlds.
+
+    One thread at a time uses a controller: a call while another thread is in one is a ``RuntimeError``.
 
     Args:
         scene: The scene.
@@ -83,6 +87,7 @@ class Controller:
         if scene.planner.samples is SampleCount.AUTO:
             message = "a controller does not measure: warpmpc.fit_samples(scene) does"
             raise SceneError(message, key="planner.samples", file=scene.path, found="auto")
+        self._in_use = threading.RLock()
         name, device = resolve(scene, engine, device)
         self.scene, self.seed, self.envs, self.strategy = scene, seed, envs, strategy
         self.compiled = compiled or compile_scene(scene)
@@ -178,6 +183,7 @@ class Controller:
         """Limits of the controls ``[nu]`` each, copies."""
         return self._lower.copy(), self._upper.copy()
 
+    @one_thread
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``; takes effect at the next plan.
 
@@ -195,6 +201,7 @@ class Controller:
             for array, values in zip(self.planner.limits, (lower, upper), strict=True):
                 array.assign(values)
 
+    @one_thread
     def reset(self, plan: Plan | None = None) -> None:
         """Forget every earlier plan and observation, as if just constructed; the task stays as it is.
 
@@ -223,6 +230,7 @@ class Controller:
                 f"not of knots {list(plan.knots.shape)}"
             )
 
+    @one_thread
     def step(self, state: State) -> np.ndarray:
         """Plan from an observed state and return the control to apply now.
 
@@ -262,6 +270,7 @@ class Controller:
         self._command = command if np.ndim(state.joint_q) == 2 else command[0]
         return self._command.copy()
 
+    @one_thread
     def plan(self, state: State) -> Plan:
         """Plan from an observed state.
 
@@ -294,6 +303,7 @@ class Controller:
         start = np.nan_to_num(self._observed.planned)
         return own and replace(own, times=start[:, None] + own.times)
 
+    @one_thread
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
         """What one sample of the last plan came to: states, controls and knots over the horizon.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..bake.lines import Lines
+from ..bake.lines import Lines, OutOfRange
 from ..bake.state import NotBaked, TermCode
 from ..bake.terms import TermSource
 from ..cost.term import CostTerm
@@ -29,7 +29,7 @@ def bake(costs: CostStack, state: StateCode, *, stage_risk: float = 0.0) -> tupl
         native = term.native if isinstance(term, CostTerm) and stage_risk == 0.0 else None
         try:
             value = native(code, bound) if native else None
-        except NotBaked:
+        except (NotBaked, OutOfRange):
             value = None
         if value is None:
             staged.append(i)

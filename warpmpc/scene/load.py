@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 RESERVED = ("goal", "ground", "world", "obstacles", "objects")
 """Names with a meaning of their own in costs and frames."""
-HEAVIEST = 1e30
-"""Largest weight of a cost term; sums of what such terms cost still fit into single precision."""
 
 
 def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
@@ -188,7 +186,6 @@ def check_scene(scene: Scene) -> None:
     """
     checks = (
         _check_names,
-        _check_weights,
         _check_goal,
         _check_phases,
         _check_motions,
@@ -245,15 +242,6 @@ def _check_names(scene: Scene) -> None:
                 key=f"cost.{label}",
                 found=label,
             )
-
-
-def _check_weights(scene: Scene) -> None:
-    weights = {f"cost.{cost.label}.weight": cost.weight for cost in scene.cost}
-    for phase in scene.phase:
-        weights |= {join_key(("phase", phase.name, "weight", name)): w for name, w in phase.weight.items()}
-    for key, weight in weights.items():
-        if abs(weight) > HEAVIEST:
-            raise SceneError(f"costs in single precision overflow: at most {HEAVIEST:g}", key=key, found=weight)
 
 
 def _check_goal(scene: Scene) -> None:

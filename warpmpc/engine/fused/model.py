@@ -12,6 +12,7 @@ import numpy as np
 
 from ...bake.lines import Operand
 from ...model.collisions import colliding_pairs
+from .limits import bounds
 from .rows import Rows
 from .tendons import tendon_armatures, tendon_dofs
 from .ties import Tie, find_ties
@@ -44,7 +45,6 @@ LEAST_FRICTION = 1e-5
 """Bound of a contact's coefficients of friction."""
 _FRICTIONS = [0, 0, 1, 2, 2]
 """A geom's coefficients of friction in the order of a contact's."""
-_UNBOUNDED = 1e30
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -210,7 +210,8 @@ class PhysicsModel:
         if self.off("LIMIT") or self.off("CONSTRAINT"):
             return []
         scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
-        return [int(j) for j in np.flatnonzero((self.mj.jnt_limited != 0) & scalar)]
+        limited = np.flatnonzero((self.mj.jnt_limited != 0) & scalar)
+        return [int(j) for j in limited if bounds(self.mj.jnt_range[j])]
 
     @cached_property
     def limits(self) -> list[Rows]:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from ...bake.lines import OutOfRange
 from ...bake.number import native_lanes
 from ...compiling import compile_kernel
 from ...kernels.worlds.judging import TAPS
@@ -24,6 +25,7 @@ from .exchange import Exchange, Watch
 from .kernel import WARP, FusedWork, make_kernel
 from .missing import missing
 from .model import PhysicsModel
+from .precision import refusal
 from .source import RolloutSource
 
 if TYPE_CHECKING:
@@ -101,7 +103,7 @@ class FusedSimulator:
             pairs=len(pairs),
             own_start=own_start,
         )
-        self._substeps, self._name = list(substeps), scene.name
+        self._substeps, self._scene = list(substeps), scene
 
     def source(self, *, judged: Judged | None = None, knots: int = 1) -> str:
         """Source of a rollout; parameters of the worlds are known when it is written.
@@ -109,9 +111,15 @@ class FusedSimulator:
         Args:
             judged: Cost terms that are summed on the way.
             knots: Most knots that a control depends on.
+
+        Raises:
+            SceneError: If single precision does not hold one of its numbers.
         """
         shared = self.sharing > 1
-        return RolloutSource(self.model, self.exchange, native_lanes(), shared, judged, knots).write()
+        try:
+            return RolloutSource(self.model, self.exchange, native_lanes(), shared, judged, knots).write()
+        except OutOfRange as error:
+            raise refusal(error, self._scene, self.world, self.layout) from error
 
     def fill(self, work: FusedWork) -> None:
         """Set what the physics reads that no plan changes; after :meth:`source`."""
@@ -137,7 +145,7 @@ class FusedSimulator:
     def _ready(self) -> tuple[wp.Kernel, FusedWork]:
         """The kernel of rollouts of given controls, and what it takes."""
         kernel = make_kernel(self.source(), native_lanes(), self.sharing)
-        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._scene.name}")
         shape, work, out, device = self.shape, FusedWork(), self.trajectory, self.device
         self.fill(work)
         tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...bake.lines import Lines, Operand, Vector, literal, text
 from ...bake.number import angle
+from .limits import within
 from .marks import Marks, scaled
 from .model import rotation
 from .ties import CONNECT, JOINT, TENDON, Tie, ends
@@ -196,7 +197,7 @@ class TieRows:
     def _limit(self, tie: Tie) -> None:
         """A tendon is no shorter and no longer than its limits: the nearer one counts."""
         m, lines, t = self.mj, self._lines, tie.index
-        low, high, margin = (float(x) for x in (*m.tendon_range[t], m.tendon_margin[t]))
+        low, high, margin = (float(x) for x in (*within(m.tendon_range[t]), m.tendon_margin[t]))
         above = lines.sum(f"w.tendon_length[{t}]", -low)
         below = lines.sum((-1.0, f"w.tendon_length[{t}]"), high)
         distance = lines.let(f"VMIN({above}, {below})")
