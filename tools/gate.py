@@ -127,7 +127,7 @@ def cells() -> Iterator[Cell]:
 
 @contextmanager
 def sources() -> Iterator[Callable[[], str]]:
-    """Watch what native source is compiled; functions of a module are the same for all scenes and do not count.
+    """Watch what native source warpmpc writes; functions of a module are the same for all scenes and do not count.
 
     Yields:
         What tells the digest of all of it so far, empty where there was none.
@@ -136,11 +136,11 @@ def sources() -> Iterator[Callable[[], str]]:
 
     make, found = wp.func_native, []
 
-    def noting(source: str, *args: object, **kwargs: object) -> Callable:
+    def noting(snippet: str, *args: object, **kwargs: object) -> Callable:
         def decorate(function: Callable) -> object:
-            if "<locals>" in function.__qualname__:
-                found.append(source)
-            return make(source, *args, **kwargs)(function)
+            if "<locals>" in function.__qualname__ and function.__module__.startswith("warpmpc"):
+                found.append(snippet)
+            return make(snippet, *args, **kwargs)(function)
 
         return decorate
 

@@ -64,17 +64,19 @@ def test_other_source_is_told_and_is_no_failure(cell, run, before, capsys):
     assert "0 of 1 cells with source of their own have the same source" in capsys.readouterr().out
 
 
-def test_the_digest_is_of_source_made_while_it_is_watched():
-    def digest(*sources):
+def test_the_digest_is_of_source_that_warpmpc_makes_while_it_is_watched():
+    def digest(*sources, module="warpmpc.engine"):
         with gate.sources() as digest:
             for source in sources:
 
-                @wp.func_native(source)
                 def made(x: float): ...
 
+                made.__module__ = module
+                wp.func_native(snippet=source)(made)
         return digest()
 
     assert digest() == ""
+    assert digest("return;", module="mujoco_warp.solver") == ""
     assert digest("return;") == digest("return;") != digest("return ;")
 
 
