@@ -89,7 +89,6 @@ def test_a_name_is_given_once():
         register(ENGINES["mujoco"])
 
 
-@pytest.mark.usefixtures("preferred")
 def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
     scene = make_scene(planner={"samples": 4, "horizon": 2})
     controller = Controller(scene, device="cpu", compiled=compiled(scene))

@@ -20,8 +20,6 @@ ROBOTS = any((folder / "example-robot-data").is_dir() for folder in package_dirs
 G1 = find_spec("mjlab") is not None
 """Whether the package of the G1 is installed."""
 
-pytestmark = pytest.mark.usefixtures("preferred")
-
 
 def episodes(name: str, seeds, overrides=(), device="cpu"):
     scene = warpmpc.load_scene(name, overrides=list(overrides))
