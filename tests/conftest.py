@@ -22,23 +22,6 @@ def pytest_configure(config):
         config.pluginmanager.register(Lacking(Path(file).absolute()))
 
 
-@pytest.fixture(autouse=True, scope="session")
-def quick_to_start():
-    """``auto`` stands for the engine ``mujoco`` on the CPU: most tests make scenes of their own, and compiling a kernel
-    for each takes longer than the test. What concerns ``fused`` or the choice itself asks for it (``preferred``)."""
-    from warpmpc.engine import registry
-
-    registry.PREFERRED["cpu"] = registry.PREFERRED["cpu"][1:]
-
-
-@pytest.fixture
-def preferred(monkeypatch):
-    """``auto`` as it is outside the tests."""
-    from warpmpc.engine import registry
-
-    monkeypatch.setitem(registry.PREFERRED, "cpu", ("fused", "mujoco"))
-
-
 @pytest.fixture(scope="module", params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def device(request) -> str:
     """Every device of this machine in turn."""

@@ -91,7 +91,6 @@ def test_a_name_is_given_once():
         register(ENGINES["mujoco"])
 
 
-@pytest.mark.usefixtures("preferred")
 def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
     scene = make_scene(planner={"samples": 4, "horizon": 2})
     controller = Controller(scene, device="cpu", compiled=compiled(scene))
@@ -111,7 +110,7 @@ def broken(monkeypatch):
     monkeypatch.setattr(fused, "make_kernel", lambda text, *rest: make("int broken = nowhere;\n" + text, *rest))
 
 
-@pytest.mark.usefixtures("preferred", "broken")
+@pytest.mark.usefixtures("broken")
 def test_auto_takes_the_next_engine_where_a_kernel_does_not_compile(caplog, capfd):
     scene = make_scene(planner={"samples": 8, "horizon": 3})
     with caplog.at_level(logging.INFO, logger="warpmpc"):

@@ -214,7 +214,7 @@ def test_rollouts_start_where_the_plant_is_and_the_fan_is_coloured_by_cost(run):
         rank = [int(np.flatnonzero(c == COLORS)[0]) for c in colors[k]]
         assert rank == sorted(rank, reverse=True)  # from the cheapest on
     # the last plan is still in the controller
-    poses = loop.controller.engine.simulator.trajectory.body_q.numpy()[:, loop.infos[-1].best, 4, :3]
+    poses = loop.controller.engine.record([loop.infos[-1].best]).body_q[:, 0, 4, :3]
     np.testing.assert_array_equal(np.array(best[-1][0], dtype=np.float32), poses)
     np.testing.assert_array_equal(fan[-1][:2], best[-1])  # the cheapest of the fan
 

@@ -12,8 +12,6 @@ import warpmpc
 
 GRAZE = 5.0  # [N] net force below which a touched obstacle counts as grazed
 
-pytestmark = pytest.mark.usefixtures("preferred")
-
 
 def episodes(name: str, seeds, overrides=(), device="cpu"):
     scene = warpmpc.load_scene(name, overrides=list(overrides))

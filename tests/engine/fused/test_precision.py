@@ -70,7 +70,6 @@ def test_a_number_of_a_robots_file_without_room_is_named(name, words, tmp_path):
     assert caught.value.key == "robot.cart"
 
 
-@pytest.mark.usefixtures("preferred")
 def test_a_mass_whose_products_have_no_room_is_named_and_auto_takes_double_precision():
     scene = make_scene(object=[{**BOX, "mass": 1e30}], planner={"samples": 4, "horizon": 2})
     with pytest.raises(
