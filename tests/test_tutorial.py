@@ -2,11 +2,10 @@
 """The documentation's files, programs and commands work as they stand there."""
 
 import ast
-import importlib.util
 
-import click
 import pytest
 import typer.main
+from needs import needs
 from pages import ROOT, blocks, commands, files, write_files
 from program import results, warpmpc
 
@@ -14,7 +13,6 @@ from warpmpc import Controller, State, load_scene, load_terms, run_episode
 from warpmpc import __all__ as public
 from warpmpc.cli.main import app
 from warpmpc.cli.new import make_starter
-from warpmpc.model.assets import package_dirs
 
 PAGES = ["README.md", *(str(path.relative_to(ROOT)) for path in sorted(ROOT.glob("docs/**/*.md")))]
 TUTORIAL = [page for page in PAGES if page.startswith("docs/tutorial/")]
@@ -42,9 +40,7 @@ def shown(*args: str) -> tuple[str, ...]:
     return args[1:]
 
 
-@pytest.mark.skipif(
-    not any((place / "example-robot-data").is_dir() for place in package_dirs()), reason="needs example-robot-data"
-)
+@needs("example-robot-data")
 def test_a_ur5_from_its_urdf_reaches_the_goal(folder):
     assert reaches_its_goal(folder, *shown("run", "ur5.toml"), "--engine", "mujoco")
 
@@ -75,7 +71,7 @@ def test_the_cart_pole_swings_up(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("mjlab") is None, reason="needs the robots of mjlab")
+@needs("mjlab")
 def test_the_quadruped_crouches(folder):
     assert reaches_its_goal(folder, *shown("run", "go1.toml"))
 
@@ -129,4 +125,4 @@ def test_shown_commands_have_options_that_exist(page):
     for name, *arguments in commands(page):
         if name.startswith("-"):
             continue
-        program.commands[name].make_context(name, list(arguments), parent=click.Context(program))
+        program.commands[name].make_context(name, list(arguments), parent=program.context_class(program))

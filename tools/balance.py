@@ -23,7 +23,7 @@ from balancing.models import compare
 from balancing.sight import Sight, Tray
 
 import warpmpc
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 
 START = (0.06, 0.11)
 """How far from the centre the ball begins [m]."""

@@ -215,7 +215,7 @@ def main() -> None:
     args = parser.parse_args()
 
     from warpmpc import load_scene
-    from warpmpc.cli.run import results_only, start_warp
+    from warpmpc.cli.setup import results_only, start_warp
 
     with results_only() as out:
         try:

@@ -30,7 +30,7 @@ from bench_models import FULL, OTHERS, OWN, SCENES, load_model, spread
 from rich.console import Console
 from rich.table import Table
 
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.engine.fused_simulator import shares
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics.rollout import PlainRollout

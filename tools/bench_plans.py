@@ -45,7 +45,7 @@ def main() -> None:
     options = parser.parse_args()
     from bench_fused import machine
 
-    from warpmpc.cli.run import start_warp
+    from warpmpc.cli.setup import start_warp
 
     start_warp()
 

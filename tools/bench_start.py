@@ -54,7 +54,7 @@ def start(source: str, engine: str, device: str) -> dict:
     watch = Watch()
     with watch("import"):
         import warpmpc
-        from warpmpc.cli.run import start_warp
+        from warpmpc.cli.setup import start_warp
         from warpmpc.compiling import compile_kernel
         from warpmpc.engine import fused, kinematic
         from warpmpc.model.compiled import compile_scene

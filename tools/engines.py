@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpmpc
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.engine.registry import ENGINES, physics_steps
 from warpmpc.model.compiled import compile_scene
 from warpmpc.planner.step import STAGES

@@ -26,7 +26,7 @@ from PIL import Image
 from stage import FIELD, SIZE, Look, Moment, Stage
 
 import warpmpc
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.live.fan import Fan
 from warpmpc.record.shapes import box_of, rotate
 from warpmpc.run.episode import Episode

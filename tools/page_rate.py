@@ -45,13 +45,13 @@ class Arrivals:
         self.ended.set()
 
 
-def watch_bare(port: int) -> None:
+def watch_bare(url: str) -> None:
     """Receive messages and do nothing with them."""
     from websockets.sync.client import connect
 
     arrivals = Arrivals()
     protocol = f"viser-v{version('viser')}"
-    with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], max_size=None, compression=None) as page:
+    with connect(url.replace("http", "ws", 1), subprotocols=[protocol], max_size=None, compression=None) as page:
         page.recv()
         threading.Thread(target=arrivals.run).start()
         while not arrivals.ended.is_set():
@@ -62,7 +62,7 @@ def watch_bare(port: int) -> None:
                 pass
 
 
-def watch_chromium(port: int, executable: str) -> None:
+def watch_chromium(url: str, executable: str) -> None:
     """Look at the page in Chromium."""
     from playwright.sync_api import sync_playwright
 
@@ -75,7 +75,7 @@ def watch_chromium(port: int, executable: str) -> None:
         browser = tools.chromium.launch(executable_path=executable, args=FLAGS)
         page = browser.new_page(viewport={"width": 1000, "height": 600})
         page.on("websocket", lambda socket: socket.on("framereceived", came))
-        page.goto(f"http://127.0.0.1:{port}")
+        page.goto(url)
         page.get_by_role("button", name="Reset").wait_for(timeout=60e3)
         threading.Thread(target=arrivals.run).start()
         while not arrivals.ended.is_set():
@@ -84,15 +84,16 @@ def watch_chromium(port: int, executable: str) -> None:
 
 
 @contextmanager
-def watcher(kind: str, port: int, chromium: str | None, apart: set[int]) -> Iterator[subprocess.Popen | None]:
+def watcher(kind: str, url: str, chromium: str | None, apart: set[int]) -> Iterator[subprocess.Popen | None]:
     """A process that looks at the page, on processors of its own if any are given; None for nobody."""
     if kind == "nobody":
         yield None
         return
-    command = [sys.executable, __file__, "--watch", kind, "--port", str(port), "--chromium", str(chromium)]
+    command = [sys.executable, __file__, "--watch", kind, "--chromium", str(chromium)]
     if apart:
         command = ["taskset", "-c", ",".join(map(str, apart)), *command]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        process.stdin.write(f"{url}\n")  # not as an argument: other users see those, and the token in it
         process.stdout.readline()
         yield process
         process.stdin.close()
@@ -129,13 +130,12 @@ def main() -> None:
         "--apart", type=int, default=0, metavar="N", help="processors for who looks, none of the planner's"
     )
     parser.add_argument("--watch", choices=["bare", "chromium"], help=argparse.SUPPRESS)
-    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.watch == "bare":
-        watch_bare(options.port)
+        watch_bare(sys.stdin.readline().strip())
         return
     if options.watch == "chromium":
-        watch_chromium(options.port, options.chromium)
+        watch_chromium(sys.stdin.readline().strip(), options.chromium)
         return
 
     apart: set[int] = set()
@@ -146,6 +146,7 @@ def main() -> None:
         apart = set(all_cpus[-options.apart :])
         os.sched_setaffinity(0, set(all_cpus) - apart)
 
+    from warpmpc.live.access import Access
     from warpmpc.live.page import serve
     from warpmpc.live.session import Session
 
@@ -154,14 +155,15 @@ def main() -> None:
         port = probe.getsockname()[1]
     session = Session(options.scene, overrides=options.overrides, device=options.device, pace=1e6)
     ending = threading.Event()
-    page = threading.Thread(target=serve, args=(session,), kwargs={"host": "127.0.0.1", "port": port, "ending": ending})
+    access = Access("127.0.0.1", port)
+    page = threading.Thread(target=serve, args=(session, access), kwargs={"ending": ending})
     page.start()
     kinds = ["nobody", "bare", *(["chromium"] if options.chromium else [])]
     found: dict[str, list[tuple[float, float]]] = {kind: [] for kind in kinds}
     time.sleep(2.0)
     for _ in range(options.rounds):
         for kind in kinds:
-            with watcher(kind, port, options.chromium, apart) as process:
+            with watcher(kind, access.url, options.chromium, apart) as process:
                 found[kind].append(measure(session, options.steps, process))
     ending.set()
     page.join()

@@ -33,7 +33,7 @@ from equal_time.cells import STRATEGIES, Cell, fit, run
 from equal_time.tables import put_into, summary, tables
 from progress import Bar
 
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.origin import code_digest
 from warpmpc.run.records import Records
 from warpmpc.run.workers import FORMS, Workers, check_jobs, open_workers

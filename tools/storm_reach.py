@@ -51,7 +51,7 @@ def measure(args: argparse.Namespace) -> None:
     """
     from reach.runs import run_pose
 
-    from warpmpc.cli.run import start_warp
+    from warpmpc.cli.setup import start_warp
 
     cells = [Cell(name, method=name) for name in args.method]
     if args.ablations:

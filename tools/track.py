@@ -117,7 +117,7 @@ def _goal(scene: Scene) -> list[Motion]:
 
 def run(name: str, seed: int, overrides: tuple[str, ...], keep: Path | None) -> dict:
     """One run."""
-    from warpmpc.cli.run import start_warp
+    from warpmpc.cli.setup import start_warp
 
     start_warp()
     scene = warpmpc.load_scene(name, overrides=overrides)

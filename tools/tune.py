@@ -77,12 +77,15 @@ def tune(args: argparse.Namespace) -> None:
     from tuning.space import parse_space, start_values
 
     from warpmpc import load_scene
-    from warpmpc.cli.run import start_warp
+    from warpmpc.cli.setup import start_warp
 
     check_jobs(args.jobs)
     check_engine(args.engine)
     space = parse_space(args.keys)
     scenes = {source: load_scene(source, overrides=args.overrides) for source in args.scenes}
+    for source, scene in scenes.items():
+        if scene.success is None:
+            raise ValueError(f"{source}: [success] is missing: a trial is judged by the time to it")
     task = Task(
         scenes=scenes,
         space=space,

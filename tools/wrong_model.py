@@ -32,7 +32,7 @@ from equal_time.cells import drive
 from planners import DAY, gather
 
 import warpmpc
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.run.code import scene_digest
 from warpmpc.run.records import Records
 from warpmpc.run.workers import FORMS, open_workers

@@ -11,6 +11,10 @@ from contextlib import contextmanager, nullcontext
 import warp as wp
 import warp._src.context
 
+from . import kernel_cache
+
+kernel_cache.watch()
+
 capturing = threading.RLock()
 """Held while launches are recorded: a recording takes in whatever any thread of the process launches or copies then.
 Whatever else uses Warp in warpmpc, apart from replays, takes it, too; so must a program that uses Warp in other threads

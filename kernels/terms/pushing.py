@@ -23,6 +23,7 @@ WHOLE_SIDE = wp.constant(0.52)  # [rad] an object turned by less than this from 
 BESIDE_CORNER = wp.constant(0.12)  # [rad] from an object's corner: a push there turns it towards the side pushed at
 SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an object that must still be turned
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
+COAST_RANGE = wp.constant(0.2)  # [m] an object that coasts past its goal at this distance misses it
 SWIVEL_PRICE = wp.constant(0.4)  # of a way around the object; more would keep turned objects away from the goal
 
 
@@ -80,6 +81,7 @@ class PushPathParams:
     aim: wp.vec2  # [rad] at most this far beside the middle of a narrow and of a broad side on the way
     steer: float  # how far to push beside the middle, as an angle per heading error
     lead: float  # [s] look at where the object would coast to in this time
+    through: int  # whether a way through the goal counts to there alone
 
 
 @wp.func
@@ -134,6 +136,19 @@ def swivel(angle: float, error: float, aside: float, arm: float) -> float:
 
 
 @wp.func
+def coasting_time(off: wp.vec2, velocity: wp.vec2, lead: float, tolerance: float) -> float:
+    """How long an object coasts that is ``off`` its goal: ``lead``, or until it is nearest to a goal it does not miss.
+
+    All of ``lead`` counts when it passes the tolerance at ``COAST_RANGE`` or more, and less the nearer it passes. If it
+    always did, an object would have to come slowly enough not to coast past the goal in that time.
+    """
+    nearest = wp.clamp(-wp.dot(off, velocity) / wp.max(wp.dot(velocity, velocity), EPSILON), 0.0, lead)
+    miss = off + nearest * velocity
+    outside = wp.vec2(wp.max(wp.abs(miss[0]) - tolerance, 0.0), wp.max(wp.abs(miss[1]) - tolerance, 0.0))
+    return wp.lerp(nearest, lead, wp.min(wp.length(outside) / COAST_RANGE, 1.0))
+
+
+@wp.func
 def push_path(s: StepView, p: PushPathParams) -> float:
     """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
 
@@ -143,13 +158,20 @@ def push_path(s: StepView, p: PushPathParams) -> float:
     the object's distance to the goal and for ``push_alignment`` together.
     """
     r = frame_position(s, p.pusher)
-    o = frame_position(s, p.object) + p.lead * frame_velocity(s, p.object)
+    o = frame_position(s, p.object)
     goal = frame_pose(s, p.goal)
     g = wp.transform_get_translation(goal)
     heading = yaw(wp.transform_get_rotation(goal))
     c = wp.cos(heading)
     d = wp.sin(heading)
     to_goal = wp.mat22(c, d, -d, c)  # world → the goal's frame
+    if p.lead > 0.0:
+        v = frame_velocity(s, p.object)
+        time = p.lead
+        if p.through != 0:
+            away = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
+            time = coasting_time(away, to_goal * wp.vec2(v[0], v[1]), p.lead, p.tolerance)
+        o += time * v
     off = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
     to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
     angle = wp.atan2(to_pusher[1], to_pusher[0])

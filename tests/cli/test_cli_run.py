@@ -3,13 +3,16 @@
 
 import json
 import logging
+import os
 import re
 import signal
 import subprocess
+import time
 
 import pytest
 from program import PROGRAM, SCENE, TINY, results, untimed, warpmpc
 
+import warpmpc as package
 from warpmpc.cli.progress import Messages
 
 KEYS = [
@@ -246,3 +249,32 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
     assert all(result["reason"] == "timeout" for result in found[:-1])
     assert len(found) < 100
     assert (tmp_path / "a-0.rrd").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("real_time", [False, True], ids=["as it can", "in real time"])
+def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path, number, code, real_time):
+    command = [*PROGRAM, "run", "omni_push_box", "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:4]]
+    command += ["--set", "timing.timeout=1e4", *(["--real-time"] if real_time else [])]
+    with subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as a shell does
+    ) as process:
+        end = time.monotonic() + 120.0
+        begun = "warpmpc_plans_*/*" if real_time else "a.rrd"  # what is noted of plans, what is recorded of steps
+        while not any(file.stat().st_size for file in tmp_path.glob(begun)) and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.0)
+        process.send_signal(number)
+        out, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (code, "")
+    (result,) = map(json.loads, out.splitlines())
+    assert result["reason"] == "interrupted"
+    assert len(package.History.load(tmp_path / "a.npz").control) > 10
+    assert (tmp_path / "a.rrd").stat().st_size > 10_000

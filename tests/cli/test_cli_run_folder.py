@@ -2,12 +2,14 @@
 """``warpmpc run --out`` and ``warpmpc replay``: a folder from which a result can be traced and had again."""
 
 import json
+import os
 import platform
+import subprocess
 
 import mujoco
 import numpy as np
 import pytest
-from program import SCENE, TINY
+from program import PROGRAM, SCENE, TINY
 
 import warpmpc
 
@@ -65,7 +67,7 @@ def test_a_folder_tells_all_about_its_run(folder, command):
 
 
 def test_a_folder_is_replayed_and_a_changed_log_is_found(folder, command, tmp_path):
-    done = command("replay", "run")
+    done = command("replay", "run", "--terms", "run/terms/0_far.py")
     assert (done.returncode, done.stderr) == (0, "")
     for seed in (4, 5):
         head = f"history-{seed}.npz: mine:turned, seed {seed}, mujoco on cpu, 16 samples: "
@@ -88,9 +90,55 @@ def test_a_folder_is_replayed_and_a_changed_log_is_found(folder, command, tmp_pa
     assert "no such cost term" in done.stderr
 
 
+def test_what_is_in_a_folder_is_not_executed_unasked(folder, command, tmp_path):
+    (folder / "terms" / "1_more.py").write_text("open('executed', 'w')")
+    done = command("replay", "run")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "run: its scene needs far" in done.stderr
+    assert "--terms run/terms/0_far.py --terms run/terms/1_more.py" in done.stderr
+    assert command("plot", "run").returncode == 0  # nothing that is drawn needs a term
+    judged = (folder / "history-4.npz", tmp_path / "judged")
+    judged[1].mkdir()
+    history = warpmpc.History.load(judged[0])
+    history.log.origin["text"] += '\n[[success.conditions]]\nterm = "far"\nbelow = 1.0\n'
+    history.save(judged[1] / "history.npz")
+    (judged[1] / "terms").mkdir()
+    (judged[1] / "terms" / "0_more.py").write_text("open('executed', 'w')")
+    assert command("plot", "judged").returncode == 2
+    assert not (tmp_path / "executed").exists()
+
+
+def test_terms_that_a_scene_does_not_name_are_not_executed(command, tmp_path):
+    assert command("run", "omni_push_box", "--out", "run", "--engine", "mujoco", "--quiet", *TINY).returncode == 1
+    (tmp_path / "run" / "terms").mkdir()
+    (tmp_path / "run" / "terms" / "0_more.py").write_text("open('executed', 'w')")
+    for name in ("replay", "plot"):
+        done = command(name, "run")
+        assert (done.returncode, done.stderr) == (0, "")
+    assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("\n", 2)])
+def test_on_a_terminal_there_is_a_question(folder, tmp_path, answer, code):
+    ours, theirs = os.openpty()
+    command = [*PROGRAM, "replay", "run"]
+    with subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=subprocess.PIPE, stderr=theirs) as process:
+        os.close(theirs)
+        os.write(ours, answer.encode())  # it waits there until it is read
+        out, _ = process.communicate(timeout=120)
+    said = os.read(ours, 4096).decode()
+    os.close(ours)
+    assert process.returncode == code
+    assert "These files are programs: 'run/terms/0_far.py'" in said
+    assert "Execute them? [y/N]" in said
+    assert (b"10 of 10 commands agree" in out) == (code == 0)
+
+
 def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.npz").write_text("text")
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "history.npz").write_bytes(b"PK\x03\x04, and no more came")
     arrays = {"time": np.zeros(1), "control": np.zeros((0, 2))}
     np.savez(tmp_path / "part.npz", **arrays)
     wrong = {
@@ -98,12 +146,14 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
         "text.npz": "is no history",
         "part.npz": "is no history",
         "no.npz": "No such file",
+        "cut": "history.npz: is no history",
     }
     for name, message in wrong.items():
-        done = command("replay", name)
-        assert done.returncode == 2
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        for verb in ("replay", "plot"):
+            done = command(verb, name)
+            assert done.returncode == 2
+            assert message in done.stderr
+            assert done.stderr.count("\n") == 1
 
 
 def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):

@@ -2,6 +2,8 @@
 """``warpmpc run`` in several processes, with results that are kept and files of every step."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 from program import TINY, results, untimed
@@ -99,3 +101,16 @@ def test_a_mistake_is_one_message_and_exit_code_2(args, says, command, tmp_path)
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
     assert says in done.stderr
+
+
+INSTALLED = "import sys; del sys.path[0]; from warpmpc.cli.main import main; main()"
+"""The program as a package manager installs it: the working directory is not on its path."""
+
+
+def test_processes_execute_nothing_of_the_working_directory(tmp_path):
+    for name in ("socket", "pickle", "numpy"):
+        (tmp_path / f"{name}.py").write_text("open('executed', 'w')")
+    command = [sys.executable, "-c", INSTALLED, *RUN, "--json", "--jobs", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    assert (done.returncode, len(done.stdout.splitlines())) == (1, 1), done.stderr
+    assert not (tmp_path / "executed").exists()

@@ -35,6 +35,15 @@ def test_a_swallowed_ctrl_c_is_raised_again():
             interrupts.check()
 
 
+def test_signals_that_come_together_are_one_and_sigterm_is_like_ctrl_c():
+    with Interrupts() as interrupts:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)  # timeout(1) sends a process its signal and its group another
+        assert interrupts.code == 143
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
 def press_and_tag(value: object) -> str:
     signal.raise_signal(signal.SIGINT)
     return "whole" if isinstance(value, int) else "text"
@@ -89,4 +98,4 @@ def test_ctrl_c_while_a_scene_is_built_ends_the_run(monkeypatch):
     monkeypatch.setattr(run_module, "Setup", interrupted)
     command = {"seeds": [0], "envs": 1, "overrides": [], "term_files": [], "engine": "auto", "device": "cpu"}
     quiet = {"jobs": None, "results_file": None, "json_lines": False, "quiet": True}
-    assert run_module.run("omni_push_box", outputs=Outputs(), **command, **quiet) == run_module.INTERRUPTED
+    assert run_module.run("omni_push_box", outputs=Outputs(), **command, **quiet) == 130

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller: it reaches its goal, repeats itself, and stays safe when nothing survives."""
 
+import contextlib
 import logging
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -20,9 +22,9 @@ from warpmpc import (
 SMALL = {"samples": 16, "horizon": 4}
 
 
-def make_controller(*, seed: int = 0, terms=(), **sections) -> Controller:
+def make_controller(*, seed: int = 0, engine: str = "auto", terms=(), **sections) -> Controller:
     scene = make_scene(**{"planner": SMALL, **sections})
-    return Controller(scene, seed=seed, terms=terms, compiled=compiled(scene))
+    return Controller(scene, seed=seed, engine=engine, terms=terms, compiled=compiled(scene))
 
 
 def start(controller: Controller) -> State:
@@ -82,26 +84,20 @@ DRIVES = {
 }
 
 
-def blow_up(controller: Controller) -> None:
-    """Make every rollout of the controller diverge."""
-    for model in controller.engine.simulator.models:
-        model.opt.gravity[0] = 1e30
-
-
+@pytest.mark.parametrize("engine", ["auto", "mujoco"])
 @pytest.mark.parametrize("why", ["diverged", "nan", "inf"])
 @pytest.mark.parametrize("mode", DRIVES)
-def test_when_nothing_survives_it_sends_the_safe_command(mode, why, caplog):
-    controller = make_controller(robot=[{**DISC, "drive": DRIVES[mode]}])
+def test_when_nothing_survives_it_sends_the_safe_command(mode, why, engine, caplog):
+    controller = make_controller(engine=engine, robot=[{**DISC, "drive": DRIVES[mode]}])
     state = State(np.array([0.3, -0.4, 3.0], np.float32), np.array([0.2, 0.1, 0.0], np.float32), time=0.4)
     controller.step(state)
     assert not controller.info.fallback
-    bad = state
+    q, qd = state.joint_q.copy(), state.joint_qd.copy()
     if why == "diverged":
-        blow_up(controller)
+        qd[0] = 1e30  # finite, but no rollout survives it
     else:
-        q = state.joint_q.copy()
         q[1] = {"nan": np.nan, "inf": np.inf}[why]
-        bad = State(q, state.joint_qd, time=0.44)
+    bad = State(q, qd, time=0.44)
     with caplog.at_level(logging.WARNING, logger="warpmpc"):
         command = controller.step(bad)
     safe = [0.3, -0.4, 2.0] if mode == "position" else [0.0, 0.0, 0.0]  # within its limits
@@ -290,9 +286,11 @@ def test_plans_move_by_the_time_between_observations():
 
 @pytest.mark.parametrize(("risk", "share"), [("mean", 0.25), ("worst", 0.25), ("cvar", 0.5), ("cvar", 0.3)])
 @pytest.mark.parametrize("seed", range(2))
-def test_the_terms_add_up_to_the_cost_over_all_domains(risk, share, seed):
+@pytest.mark.parametrize("engine", ["auto", "mujoco"])
+def test_the_terms_add_up_to_the_cost_over_all_domains(risk, share, seed, engine):
     controller = make_controller(
         seed=seed,
+        engine=engine,
         object=[{**BOX, "position": (0.36, 0.0, 0.1)}],
         goal={"object": "box", "position": (1.5, 0.0)},
         cost=[
@@ -310,7 +308,11 @@ def test_the_terms_add_up_to_the_cost_over_all_domains(risk, share, seed):
         info = controller.info
         assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-5)
         first = info.best
-        domains = controller.engine.judge.cost.numpy()[1, :, first : first + 4].sum(axis=0)
+        if engine == "mujoco":
+            cost = controller.engine.judge.cost.numpy()[1].sum(axis=0)
+        else:
+            cost = controller.engine.total.numpy()[1]
+        domains = cost[first : first + 4]
         assert np.ptp(domains) > 1e-4  # the first domain alone would not add up
 
 
@@ -342,3 +344,53 @@ def test_a_controller_made_in_a_thread_touches_nobodys_default_device(monkeypatc
     assert not entered
     command = made[0].step(start(made[0]))
     assert np.isfinite(command).all()
+
+
+def test_a_second_thread_is_refused_and_disturbs_no_plan():
+    scene = make_scene(planner={"samples": 64, "horizon": 10}, engine={"threads": 2})
+    controller, other = (Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene)) for _ in range(2))
+    state, plans = State.start(controller.layout), 200
+    refusals: list[str] = []
+    done = threading.Event()
+
+    def intrude():
+        while not done.is_set():
+            for call in (lambda: controller.step(state), controller.rollout, controller.reset):
+                try:
+                    call()
+                except RuntimeError as error:
+                    refusals.append(str(error))
+                time.sleep(1e-4)
+
+    with controller._in_use:  # as a plan that takes its time
+        thread = threading.Thread(target=intrude, daemon=True)
+        thread.start()
+        ours = [controller.step(state) for _ in range(plans)]
+        done.set()
+        thread.join(10.0)
+    assert not thread.is_alive()
+    assert refusals
+    assert set(refusals) == {
+        "another thread uses this Controller now: give each thread one of its own, or let one thread call it"
+    }
+    np.testing.assert_array_equal(ours, [other.step(state) for _ in range(plans)])
+
+
+def test_two_threads_that_plan_at_once_do_not_hang():
+    scene = make_scene(planner={"samples": 64, "horizon": 10}, engine={"threads": 2})
+    controller = Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene))
+    state, commands = State.start(controller.layout), []
+
+    def ask():
+        for _ in range(100):
+            with contextlib.suppress(RuntimeError):
+                commands.append(controller.step(state))
+
+    threads = [threading.Thread(target=ask, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30.0)
+    assert not any(thread.is_alive() for thread in threads)
+    assert commands
+    assert np.isfinite(commands).all()

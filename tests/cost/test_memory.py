@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from needs import CUDA, need
 from rollouts import Rollouts
 from scipy.spatial.transform import Rotation
 
@@ -94,8 +95,8 @@ def balancing(*, seed: int = 0, device: str = "cpu", **ball):
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def test_the_kinematic_engine_carries_what_the_plain_kernels_carry(device):
-    if device != "cpu" and not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    if device != "cpu":
+        need(CUDA)
     for seed in range(2):
         mpc, _, _ = balancing(seed=seed, device=device)
         engine, shape = mpc.engine, mpc.shape

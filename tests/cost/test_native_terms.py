@@ -49,6 +49,7 @@ LEVEL = [
     {"term": "push_alignment", **PUSH, "metric": "geodesic", "near": 0.2},
     {**FOOTPRINT},
     {**FOOTPRINT, "tolerance": 0.04, "steer": 0.6, "turn": 0.7, "lead": 0.05},
+    {**FOOTPRINT, "tolerance": 0.04, "lead": 0.3, "through": True},
     {**FOOTPRINT, "object": "bar", "tolerance": 0.03, "steer": 2.0, "behind": 0.3},
     {**FOOTPRINT, "object": "can", "tolerance": 0.05, "steer": 0.5},
     {"term": "obstacle_clearance", "of": "base/tip", "radius": 0.1, "least": 0.03},
@@ -197,7 +198,9 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
     assert not wrong.any(), (np.argwhere(wrong), found[wrong], expected[wrong])
 
 
-@pytest.mark.skipif(90 not in wp.get_cuda_supported_archs(), reason="needs Warp with NVRTC")
+@pytest.mark.skipif(
+    90 not in wp.get_cuda_supported_archs(), reason="needs Warp built with NVRTC: pip install warp-lang"
+)
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
     module = NativeJudge(judged(where)).kernel.module

@@ -48,14 +48,20 @@ class Pushing(Judging):
         """Values of the first term ``[E, rows, columns, 16]``."""
         return self.stack.terms[0][1].value.numpy().copy()
 
-    def cost(self, box, pusher) -> np.ndarray:
-        """Cost ``[term, E, S]`` of boxes (x, y, yaw) and pushers (x, y), each for one, a sample or an environment."""
+    def cost(self, box, pusher, velocity=(0.0, 0.0)) -> np.ndarray:
+        """Cost ``[term, E, S]`` of boxes (x, y, yaw), pushers (x, y) and the boxes' velocities (x, y).
+
+        Each is for one, a sample or an environment.
+        """
         body_q = np.zeros((2, 2, SAMPLES, self.layout.nb, 7), np.float32)
         body_q[..., 6] = 1.0
         for name, place in (("box", box), ("base/centre", pusher)):
             body = self.layout.frame_body[self.layout.frame(name)]
             body_q[..., body, :] = np.apply_along_axis(lambda p: pose(*p), -1, np.asarray(place, dtype=float))
         self.trajectory.body_q.assign(body_q.reshape(2, 2 * SAMPLES, -1, 7))
+        body_qd = np.zeros((2, 2, SAMPLES, self.layout.nb, 6), np.float32)
+        body_qd[..., self.layout.frame_body[self.layout.frame("box")], :2] = velocity
+        self.trajectory.body_qd.assign(body_qd.reshape(2, 2 * SAMPLES, -1, 6))
         self.observe()
         return super().cost()[:, 0].reshape(-1, 2, SAMPLES)
 
@@ -91,6 +97,18 @@ def test_a_tilted_goal_counts_by_the_heading_of_its_x_axis(device):
     box = rng.uniform([-0.8, -0.8, -3.0], [0.8, 0.8, 3.0], size=(SAMPLES, 3))
     places = box, box[:, :2] + rng.uniform(-1.0, 1.0, size=(SAMPLES, 2))
     np.testing.assert_allclose(tilted.cost(*places), upright.cost(*places), atol=1e-3)
+
+
+def test_an_object_may_coast_through_its_goal_but_not_past_it(device):
+    pushing = Pushing({"lead": 0.5, "through": True, "tolerance": 0.05}, device=device)
+    speed = np.linspace(0.0, 3.0, SAMPLES)
+    velocity = np.column_stack([-speed, np.zeros(SAMPLES)])
+    through = pushing.cost((0.3, 0.0), (0.6, 0.0), velocity)[0]
+    assert (through[:, 1:] < through[:, :1]).all()
+    np.testing.assert_allclose(through[:, speed > 0.6], 0.6 - RADIUS, atol=1e-4)  # the pusher's way
+    for box, pusher in (((0.3, 0.3), (0.6, 0.3)), ((-0.1, 0.0), (0.2, 0.0))):
+        past = pushing.cost(box, pusher, velocity)[0]
+        assert (past[:, -1] > past[:, 0] + 0.5).all()
 
 
 @pytest.mark.parametrize("turn", [1.0, 0.4])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 from judging import Judging
+from needs import CUDA, need
 from rollouts import Rollouts
 from scipy.spatial.transform import Rotation
 from small_scenes import make_scene
@@ -132,8 +133,8 @@ def test_an_array_cost_of_the_wrong_shape_is_refused():
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def test_an_array_cost_is_weighed_by_environment_and_step_and_without_weight_it_is_off(device):
-    if device != "cpu" and not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    if device != "cpu":
+        need(CUDA)
 
     def counting(batch):
         steps, worlds = batch["control"].shape[:2]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
+from needs import CUDA, need
 from stepping import stepping
 
 from warpmpc import Controller, State, load_scene
@@ -22,8 +22,7 @@ PLACES += [("cartpole_swingup", "newton"), ("storm_reach", "kinematic")]
 @pytest.fixture(scope="module", params=PLACES, ids=["-".join(place) for place in PLACES])
 def pair(request):
     """The same worlds on the CPU and on the GPU, and a rollout to look at."""
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     name, engine = request.param
     scene = with_values(load_scene(name), SIZES)
     cpu, gpu = (stepping(scene, engine, candidates=5, device=device) for device in ("cpu", "cuda:0"))
@@ -67,8 +66,7 @@ def test_derivatives_are_those_of_the_cpu(pair):
 @pytest.mark.parametrize("method", ["gradient_descent", "ilqg", "ilqs"])
 def test_a_pole_is_planned_for_as_on_the_cpu(method):
     """Ten plans for a pole that hangs, each as good as the CPU's."""
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     cost = {}
     for device in ("cpu", "cuda:0"):
         scene = with_values(load_scene("cartpole_swingup"), {"planner.method": method, "planner.samples": 64})

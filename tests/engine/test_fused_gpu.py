@@ -4,7 +4,7 @@
 import mujoco
 import numpy as np
 import pytest
-import warp as wp
+from needs import CUDA, need
 
 import warpmpc
 from warpmpc.physics.rollout import PlainRollout
@@ -45,8 +45,7 @@ def started():
 @pytest.fixture(scope="module", params=[True, False], ids=["warp", "thread"])
 def rollout(request, started):
     """Rollouts on the GPU."""
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     return PlainRollout(started[0], WORLDS, STEPS, device="cuda:0", share=request.param)
 
 
@@ -92,8 +91,7 @@ def test_a_poisoned_world_changes_no_other(rollout, started):
 @pytest.mark.parametrize("name", ["omni_push_box", "panda_push", "mobile_pick"])
 def test_a_plan_on_the_gpu_costs_what_it_does_on_the_cpu(name, sharing):
     """Both where a warp judges its world and where another launch does."""
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     samples = 64 if sharing > 1 else 6144
     scene = warpmpc.load_scene(name, overrides=[f"planner.samples={samples}"])
     gpu, cpu = (warpmpc.Controller(scene, engine="fused", device=device, seed=1) for device in ("cuda:0", "cpu"))

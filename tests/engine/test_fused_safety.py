@@ -310,7 +310,6 @@ def test_a_pair_of_shapes_without_contacts_is_named(monkeypatch):
     assert fused_missing.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
 
 
-@pytest.mark.usefixtures("preferred")
 @pytest.mark.parametrize(
     "engine",
     [{"integrator": "rk4"}, {"integrator": "implicit"}],
@@ -325,7 +324,6 @@ def test_auto_takes_mujoco_where_the_engine_lacks_something(engine):
     assert "\n" not in str(caught.value).split("engine fused has no")[1].split("allowed")[0].strip()
 
 
-@pytest.mark.usefixtures("preferred")
 @pytest.mark.parametrize("what", ["gravity compensation by actuators", "activations but integrators and filters"])
 def test_auto_takes_mujoco_for_robots_that_bring_what_the_engine_lacks(what, tmp_path):
     path = tmp_path / "robot.xml"
@@ -364,7 +362,6 @@ SENSING = """
 """
 
 
-@pytest.mark.usefixtures("preferred")
 def test_terms_that_read_sensors_take_another_engine(tmp_path):
     path = tmp_path / "cart.xml"
     path.write_text(SENSING)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from needs import CUDA, need
 from small_scenes import BOX, make_scene
 
 import warpmpc
@@ -299,8 +300,7 @@ GPU_COSTS = {"baked": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision"
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("cost", GPU_COSTS)
 def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     modes = ("acceleration", "velocity", "position") if cost in ("baked", "recorded") else ("acceleration",)
     for mode in modes:
         scene = scene_of(robot, mode, GPU_COSTS[cost], OBSTACLES, horizon=40)
@@ -311,8 +311,7 @@ def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
 
 @pytest.mark.gpu
 def test_swept_collisions_on_a_gpu_are_those_of_the_cpu():
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     swept = {"term": "world_collision", "margin": 0.1, "swept": True, "against": ["obstacles", "ground"]}
     scene = scene_of("panda", cost=[swept], obstacles=OBSTACLES, noise={"sigma": 2.0}, horizon=40)
     costs = [planned(scene, envs=2, device=device)[0].engine.cost.numpy() for device in ("cpu", "cuda")]

@@ -12,6 +12,7 @@ import newton
 import numpy as np
 import pytest
 import warp as wp
+from needs import CUDA, need
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, observed, roll
 
 from warpmpc import (
@@ -229,8 +230,7 @@ def test_both_engines_plan_the_same_command(scene, device):
 @pytest.mark.gpu
 def test_goals_weights_and_limits_change_without_a_new_graph(scene):
     """What a captured plan reads from device arrays may change between replays."""
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     controller = Controller(scene, engine="newton", device="cuda:0", compiled=compiled(scene))
     state = State.start(compiled(scene).layout)
     for _ in range(3):

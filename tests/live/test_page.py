@@ -8,23 +8,26 @@ leaves them out, the mouse is as real.
 import socket
 import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import CHROMIUM, needs, reason
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
-viser = pytest.importorskip("viser", reason="needs viser")
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+viser = pytest.importorskip("viser", reason=reason("viser"))
+playwright = pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 
 from warpmpc.cli.main import app  # noqa: E402
+from warpmpc.live.access import Access  # noqa: E402
 from warpmpc.live.page import require_port, serve  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
 from warpmpc.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
 
-CHROMIUM = Path("/usr/bin/chromium")
 FAST = ["engine.name=fused", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
 POST = """
 [timing]
@@ -77,7 +80,7 @@ WAIT = 60e3
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.filterwarnings("error::DeprecationWarning"),
-    pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Chromium"),
+    needs("Chromium"),
 ]
 
 
@@ -90,7 +93,7 @@ def until(condition, seconds=40.0):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """A session, its viser server and its port; the working directory is a new one."""
+    """A session, its viser server and its URL; the working directory is a new one."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -101,11 +104,11 @@ def served(tmp_path_factory):
         patch.setattr(viser, "ViserServer", lambda **keys: servers.append(make(**keys)) or servers[0])
         session = Session("cylinder_push", overrides=FAST, device="cpu")
         ending = threading.Event()
-        where = {"host": "127.0.0.1", "port": port, "ending": ending}
-        thread = threading.Thread(target=serve, args=(session,), kwargs=where)
+        access = Access("127.0.0.1", port)
+        thread = threading.Thread(target=serve, args=(session, access), kwargs={"ending": ending})
         thread.start()
         until(lambda: session.is_alive() and servers)
-        yield session, servers[0], port
+        yield session, servers[0], access.url
         ending.set()
         thread.join(30.0)
     assert not thread.is_alive()
@@ -119,9 +122,9 @@ def browser():
         browser.close()
 
 
-def opened(browser, port):
+def opened(browser, url):
     page = browser.new_page(viewport={"width": 900, "height": 420}, device_scale_factor=0.5)
-    page.goto(f"http://127.0.0.1:{port}")
+    page.goto(url)
     page.get_by_role("button", name="Reset").wait_for(timeout=WAIT)
     return page
 
@@ -283,6 +286,30 @@ def test_tabs_come_and_go(served, page, browser, session):
     second.close()
     steps = session.snapshot.steps
     until(lambda: session.snapshot.steps > steps + 3)
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """URL of an empty page of another server of this machine."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=tmp_path)) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def test_another_page_of_the_same_browser_cannot_connect(served, browser, elsewhere):
+    join = """([url, version]) => new Promise(done => {
+        const socket = new WebSocket(url, [`viser-v${version}`]);
+        socket.onmessage = () => done("joined");
+        socket.onclose = () => done("refused");
+    })"""
+    url = served[2].replace("http", "ws", 1)
+    with browser.new_context() as context:
+        own, other = context.new_page(), context.new_page()
+        own.goto(served[2], wait_until="commit")  # the cookie is of both: it knows no port
+        other.goto(elsewhere)
+        assert own.evaluate(join, [url.partition("?")[0], viser.__version__]) == "joined"
+        assert other.evaluate(join, [url, viser.__version__]) == "refused"
 
 
 def open_costs(page, session):

@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 from warpmpc.cli.main import app
 from warpmpc.live.saving import place_of, save, values_of
 from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, shipped_scenes
+from warpmpc.scene.load import load_scene, shipped_folder, shipped_scenes
 
 
 def changed(before, path):
@@ -86,3 +86,20 @@ def test_a_shipped_scene_is_saved_into_the_working_directory_and_checked(tmp_pat
     assert place_of(to) == to
     result = CliRunner().invoke(app, ["check", str(to), "--engine", "fused", "--device", "cpu"])
     assert result.exit_code == 0, result.output
+
+
+def test_a_link_stays_one_and_what_it_leads_to_is_written(scene, tmp_path):
+    path, before = scene
+    link = tmp_path / "links" / "linked.toml"
+    link.parent.mkdir()
+    link.symlink_to("../mine.toml")
+    path.write_text(text := before.replace('"assets/', '"robots/'))
+    (link.parent / "robots").symlink_to(shipped_folder() / "assets")  # beside the link alone
+    save(link, None, ["planner.samples=32"], to=place_of(link))
+    assert link.is_symlink()
+    assert [b for _, b in changed(text, path)] == ["samples = 32"]
+    assert load_scene(link).planner.samples == 32
+    with pytest.raises(SceneError):
+        save(link, None, ["planner.samples=-3"], to=link)
+    assert {p.name for p in tmp_path.iterdir()} == {"mine.toml", "links"}
+    assert {p.name for p in link.parent.iterdir()} == {"linked.toml", "robots"}

@@ -52,6 +52,14 @@ def test_the_robot_moves_and_what_there_is_to_see_is_published(session):
     assert np.isfinite([seen.cost, seen.eta, seen.beta, seen.plan_ms]).all()
 
 
+@pytest.mark.parametrize("pace", [0.0, -1.0, float("nan"), float("inf"), 1e-300])
+def test_a_pace_that_is_none_is_refused(session, pace):
+    with pytest.raises(ValueError, match="pace"):
+        session.pace = pace
+    assert session.pace == 4.0
+    steps_on(session)
+
+
 @pytest.mark.parametrize("source", ["cylinder_push", "point_reach"])
 def test_what_is_ahead_costs_what_the_plan_says(source):
     session = Session(source, overrides=["engine.threads=1", "planner.samples=16"], device="cpu")

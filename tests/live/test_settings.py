@@ -5,8 +5,9 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from needs import reason
 
-viser = pytest.importorskip("viser", reason="needs viser")
+viser = pytest.importorskip("viser", reason=reason("viser"))
 
 from warpmpc.live import settings  # noqa: E402
 from warpmpc.live.settings import Settings  # noqa: E402

@@ -3,6 +3,7 @@
 
 import pytest
 from native_robots import native_scene
+from needs import need_scene
 
 from warpmpc import load_scene, shipped_scenes
 from warpmpc.model.asset_files import asset_files
@@ -71,6 +72,7 @@ def test_a_changed_mesh_of_a_urdf_robot_makes_another_cache_entry(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(shipped_scenes()))
 def test_a_copy_of_a_shipped_scene_finds_its_assets(tmp_path, name):
+    need_scene(name)
     copy = tmp_path / f"{name}.toml"
     copy.write_text((shipped_folder() / f"{name}.toml").read_text())
     assert _cache_key(load_scene(copy)) is not None

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from needs import needs
 
 from warpmpc.model.assets import (
     AssetKind,
@@ -17,9 +18,7 @@ from warpmpc.scene.errors import SceneError
 from warpmpc.scene.load import shipped_folder
 
 PANDA = "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
-needs_robots = pytest.mark.skipif(
-    not any((folder / "example-robot-data").is_dir() for folder in package_dirs()), reason="needs example-robot-data"
-)
+needs_robots = needs("example-robot-data")
 
 
 def resolve(uri, base=None):

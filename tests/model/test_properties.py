@@ -128,7 +128,7 @@ def test_unknown_entities_are_named():
 
 def test_the_plant_is_another_world_than_the_planners():
     scene = make_scene(object=[BOX], randomize=RANDOM, planner={"samples": 4, "horizon": 2})
-    controller = Controller(scene, seed=0, compiled=compiled(scene))
+    controller = Controller(scene, seed=0, engine="mujoco", compiled=compiled(scene))
     masses = [model.body("box").mass[0] for model in controller.engine.simulator.models]
     assert len(set(masses)) == 4
     plants = [Plant(scene, seed=seed, compiled=compiled(scene)).properties.mass[0, 0] for seed in (0, 0, 1)]
@@ -141,7 +141,7 @@ def test_the_plant_is_another_world_than_the_planners():
 def test_a_planner_that_randomizes_nothing_meets_a_randomized_plant():
     planner = {"samples": 4, "horizon": 2, "randomize": False}
     scene = make_scene(object=[BOX], randomize=RANDOM, planner=planner)
-    controller = Controller(scene, compiled=compiled(scene))
+    controller = Controller(scene, engine="mujoco", compiled=compiled(scene))
     masses = [model.body("box").mass[0] for model in controller.engine.simulator.models]
     assert masses == pytest.approx([1.0] * len(masses))
     assert Plant(scene, compiled=compiled(scene)).properties.mass[0, 0] != pytest.approx(1.0, abs=1e-3)

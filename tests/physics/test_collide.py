@@ -248,7 +248,10 @@ def test_a_convex_mesh_has_mujocos_contacts(meshes, kind):
     assert np.mean(found.normal < 1e-2) > 0.95
 
 
-@pytest.mark.skipif("WARPMPC_SPEED" not in os.environ, reason="prints times: set WARPMPC_SPEED")
+@pytest.mark.skipif(
+    "WARPMPC_SPEED" not in os.environ,
+    reason="prints times: WARPMPC_SPEED=1 python -m pytest -s tests/physics/test_collide.py",
+)
 def test_time_of_a_call():
     for files, kinds, repeat in ((FILES, KINDS, 200), (("collide_convex.h",), CONVEX, 20)):
         compiled = make_kernel(files, kinds, lanes=LANES, speed=True)

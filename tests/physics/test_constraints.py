@@ -10,7 +10,8 @@ import pytest
 from constraint_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
-from warp_lanes import COMPILER, LaneRollout
+from needs import need, needs
+from warp_lanes import LaneRollout
 
 from warpmpc.physics.missing import missing
 from warpmpc.physics.model import PhysicsModel
@@ -76,7 +77,7 @@ def _starts(states, rows):
     return states.q[rows], states.v[rows], np.repeat(states.control[None, rows], 3, axis=0), states.act[rows]
 
 
-@pytest.mark.skipif(COMPILER is None, reason="needs g++")
+@needs("g++")
 @pytest.mark.parametrize("name", MODELS)
 def test_lanes_of_a_warp_do_the_same(name, tmp_path_factory):
     model, states = visited(name, "Euler" if name == "swimmers" else "implicitfast")
@@ -139,7 +140,7 @@ def test_parts_of_the_physics_are_left_out_as_mujoco_does(name, integrator, part
 @pytest.mark.slow
 def test_single_steps_of_a_hand_are_those_of_mujoco():
     """The Shadow hand with a block: 44 limits of tendons, 24 joints with friction, contacts without torsion."""
-    pytest.importorskip("gymnasium_robotics")
+    need("gymnasium_robotics")
     model = bench_models.hand_with_block()
     for condim in (model.geom_condim, model.pair_dim):
         condim[:] = np.minimum(condim, 3)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import warp as wp
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
+from needs import needs
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 from test_cones import ELLIPSE, PYRAMID, rubbing
 from test_manifold import STACK
-from warp_lanes import COMPILER, LaneRollout, Lanes
+from warp_lanes import LaneRollout, Lanes
 
 from warpmpc.engine.fused_simulator import FusedSimulator
 from warpmpc.model.batch_size import BatchSize
@@ -19,7 +20,7 @@ from warpmpc.model.pairs import Pair
 from warpmpc.model.properties import draw_properties
 from warpmpc.physics.rollout import PlainRollout
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs g++")
+pytestmark = needs("g++")
 WORLDS, STEPS = 4, 12
 
 

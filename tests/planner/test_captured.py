@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-import warp as wp
+from needs import CUDA, need
 from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, State
@@ -33,8 +33,7 @@ METHODS = {
 @pytest.mark.parametrize("envs", [1, 3])
 @pytest.mark.parametrize("name", METHODS)
 def test_a_captured_plan_is_the_plan_launched_piece_by_piece(name, envs):
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     scene = make_scene(
         object=[{**BOX, "position": (1.5, 0.0, 0.1)}],
         obstacle=[{**WALL, "position": (0.7, 0.0, 0.2), "size": (0.1, 0.8, 0.4)}],

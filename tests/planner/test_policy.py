@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import reason
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State
 
-onnx = pytest.importorskip("onnx")
-pytest.importorskip("onnxruntime")
+onnx = pytest.importorskip("onnx", reason=reason("onnx"))
+pytest.importorskip("onnxruntime", reason=reason("onnxruntime"))
 
 PLANNER = {"samples": 24, "horizon": 8, "noise": {"sigma": (0.5,)}, "randomize": False}
 FIRST = 2  # after the mean and the null particle

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from needs import CUDA, need
 
 from warpmpc.planner.weighting import (
     Adaptation,
@@ -144,8 +145,7 @@ def test_senseless_parameters_are_refused(make, message):
 @pytest.mark.gpu
 @ALL
 def test_a_captured_launch_replays_on_new_costs(weighting):
-    if not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    need(CUDA)
     rng = np.random.default_rng(3)
     state = make_state(rng.uniform(size=(2, 300)), device="cuda:0")
     weighting.launch(state)  # load the kernels before the capture

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from needs import need
 from pages import files
 
 from warpmpc.scene.load import load_scene
@@ -47,7 +48,7 @@ def test_a_mujoco_loop_of_ones_own_is_a_robot(program):
 
 
 def test_a_robot_behind_sockets_is_steered_by_valid_messages_alone(program):
-    pytest.importorskip("zmq")
+    need("zmq")
     port = free_port()
     control = program("control.py", port, 0.15)
     cartpole = load_scene("cartpole_swingup").path.parent / "assets" / "cartpole.xml"

@@ -2,6 +2,7 @@
 """A planner in a process of its own: it steers, dies, and comes back."""
 
 import os
+import signal
 import sys
 import threading
 import time
@@ -67,6 +68,52 @@ def test_planners_that_die_are_replaced_for_good_and_the_log_says_why(tmp_path, 
         "the planner's process died (it does not start: there is no fuel); starting another in 0.5 s",
     ]
     assert capfd.readouterr().err == ""
+
+
+def slow_terms(folder: Path):
+    """The first planner starts at once, the others take longer than a planner may be silent."""
+    if (folder / "lived").exists():
+        time.sleep(2.5)
+    (folder / "lived").touch()
+    return ()
+
+
+def test_a_planner_that_hangs_is_replaced_and_a_slow_start_is_not_taken_for_it(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(process, "SILENCE", 1.0)
+    scene = make_scene(
+        plant={"randomize": False},
+        engine={"threads": 1},
+        goal={"frame": "base/centre", "position": (50.0, 0.0)},
+        timing={"control_dt": 0.04, "timeout": 60.0},
+    )
+    options = {"speed": 0.2, "engine": "mujoco", "device": "cpu", "terms": partial(slow_terms, tmp_path)}
+    with PlannerProcess(scene, **options) as planner:
+        robot = simulated_robot(scene, task=planner.task, compiled=planner.compiled)
+        loop = RobotLoop(scene, robot, planner, speed=0.2, simulated=True)
+
+        def moves() -> bool:
+            return loop.agent.following and robot.state.joint_qd[0] > 0.5
+
+        loop.run(moves)
+        hung, deadline = planner.pid, time.monotonic() + 60.0
+        os.kill(hung, signal.SIGSTOP)
+        loop.run(lambda: not loop.agent.following)
+        loop.run(lambda: moves() or time.monotonic() > deadline)
+        assert time.monotonic() < deadline, "nobody replaced it"
+        assert planner.pid != hung
+        with pytest.raises(ProcessLookupError):
+            os.kill(hung, 0)
+    said = [line.partition(" (")[0] for line in caplog.messages if "the planner's process" in line]
+    assert said == ["the planner's process hung: no sign of life for 1.45 s"]
+
+
+def test_a_planner_that_is_started_again_and_hangs_before_its_first_plan_is_killed():
+    planner, killed = PlannerProcess(make_scene()), []
+    planner._process = type("Hung", (), {"kill": lambda self: killed.append(1)})()
+    planner._ready, _theirs = planner._context.Pipe(duplex=False)
+    planner._longest_start = 0.05
+    assert planner._does_not_start() == "it does not start: no plan after 0.05 s"
+    assert killed
 
 
 def test_what_the_task_wants_reaches_the_planner():

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run as arrays: they are what plant and controller had, named, and the same when read back."""
 
+import contextlib
 import csv
+import resource
 from dataclasses import fields
 
 import numpy as np
@@ -160,3 +162,38 @@ def test_a_run_without_a_step_has_a_state_and_no_plan():
     assert {len(column) for column in history.columns().values()} == {1}
     with pytest.raises(ValueError, match="log comes after"):
         recorder.log(np.zeros(3))
+
+
+def test_files_that_are_cut_off_or_damaged_are_refused(history, tmp_path):
+    history.save(tmp_path / "whole.npz")
+    whole = (tmp_path / "whole.npz").read_bytes()
+    cut = [whole[: len(whole) * part // 8] for part in range(8)]
+    rng = np.random.default_rng(0)
+    flipped = [bytearray(whole) for _ in range(60)]
+    for data in flipped:
+        data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+    for data in [*cut, *flipped]:
+        (tmp_path / "a.npz").write_bytes(data)
+        refused = pytest.raises(ValueError, match=r"a\.npz: is no history")
+        # a bit of what nobody reads does not matter
+        with refused if len(data) < len(whole) else contextlib.suppress(ValueError):
+            History.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.csv"])
+def test_a_disk_that_is_full_leaves_the_file_that_was_there(history, tmp_path, name):
+    (tmp_path / "elsewhere").mkdir()
+    history.save(tmp_path / "elsewhere" / name)
+    (tmp_path / name).symlink_to(tmp_path / "elsewhere" / name)
+    before = (tmp_path / name).read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            history.save(tmp_path / name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / name).read_bytes() == before
+    history.save(tmp_path / name)
+    assert (tmp_path / name).is_symlink()
+    assert sorted(file.name for file in tmp_path.rglob("*")) == sorted([name, "elsewhere", name])

@@ -21,7 +21,8 @@ from warpmpc.model.state import State
 from warpmpc.plant.plant import Plant
 from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
-from warpmpc.record.shapes import ContactPoints, draw_shape, rotate
+from warpmpc.record.rerun_shapes import draw_shape
+from warpmpc.record.shapes import ContactPoints, rotate
 from warpmpc.record.switch import RecordingSwitch
 from warpmpc.record.ways import COLORS
 from warpmpc.scene.load import load_scene
@@ -213,7 +214,7 @@ def test_rollouts_start_where_the_plant_is_and_the_fan_is_coloured_by_cost(run):
         rank = [int(np.flatnonzero(c == COLORS)[0]) for c in colors[k]]
         assert rank == sorted(rank, reverse=True)  # from the cheapest on
     # the last plan is still in the controller
-    poses = loop.controller.engine.simulator.trajectory.body_q.numpy()[:, loop.infos[-1].best, 4, :3]
+    poses = loop.controller.engine.record([loop.infos[-1].best]).body_q[:, 0, 4, :3]
     np.testing.assert_array_equal(np.array(best[-1][0], dtype=np.float32), poses)
     np.testing.assert_array_equal(fan[-1][:2], best[-1])  # the cheapest of the fan
 
@@ -409,7 +410,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_run(loop, tmp_path):
         Recorder(tmp_path / "a.mp4", loop.controller, loop.plant)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: run on Linux")
 def test_a_full_disk_is_told_before_the_run(loop, tmp_path):
     (tmp_path / "full.rrd").symlink_to("/dev/full")
     with pytest.raises(OSError, match="cannot write the recording"):

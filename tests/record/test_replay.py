@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from needs import need_scene
 from small_scenes import DISC, WALL, compiled, make_scene
 
 import warpmpc
@@ -151,6 +152,7 @@ def test_what_is_not_as_it_was_is_said():
 
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_every_scene_is_written_out_and_read_back(name):
+    need_scene(name)
     scene = warpmpc.load_scene(name)
     assert parse_scene(dump_scene(scene), path=scene.path) == scene
 

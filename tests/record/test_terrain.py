@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
+from needs import need
 from rerun.chunk import RrdReader
 from small_scenes import make_scene
 
@@ -79,8 +80,10 @@ def test_recordings_show_them(plant, tmp_path):
 
 
 def test_the_page_shows_them(plant):
-    viser = pytest.importorskip("viser", reason="needs viser")
+    need("viser")
     from types import SimpleNamespace
+
+    import viser
 
     from warpmpc.live.drawing import Drawing
 

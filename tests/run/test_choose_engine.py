@@ -62,7 +62,7 @@ def test_episodes_that_draw_their_scene_are_measured_once(timed):
         TIMES.update(cpu=0.004)
     assert original is module.plan_time
     assert len(timed) == 2
-    assert {episode.controller.engine.name for episode in episodes} == {"mujoco"}
+    assert {episode.controller.engine.name for episode in episodes} == {"fused"}
     assert episodes[0].drawn != episodes[1].drawn
 
 
@@ -97,7 +97,7 @@ def test_a_plan_is_timed_with_a_controller_that_ends():
 def test_a_controller_left_to_itself_measures_nothing(monkeypatch):
     monkeypatch.setattr(module, "plan_time", lambda *_, **__: 1 / 0)
     scene = make_scene(planner={"samples": 8, "horizon": 3})
-    assert Controller(scene, compiled=compiled(scene), device="cpu").engine.name == "mujoco"
+    assert Controller(scene, compiled=compiled(scene), device="cpu").engine.name == "fused"
 
 
 @pytest.mark.parametrize(

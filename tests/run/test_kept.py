@@ -42,6 +42,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
         "phases": (("home", 0.5),),
         "reached": 1,
         "drawn": {"goal.position": [1.0, 2.0]},
+        "mean_cost": None,
     }
     assert set(values) == {field.name for field in dataclasses.fields(EpisodeResult)}
     return EpisodeResult(**{**values, **changes})
@@ -53,6 +54,9 @@ def test_a_result_survives_json():
         success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), reached=None, drawn={}
     )
     assert result_from_json(plain.to_json()) == plain
+    without = a_result(success=None, reason="timeout", mean_cost=2.5)
+    assert result_from_json(without.to_json()) == without
+    assert without.passed
     unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
     assert math.isnan(unknown.cost)
     assert math.isnan(unknown.plan_ms["p50"])

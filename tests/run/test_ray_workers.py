@@ -10,8 +10,9 @@ import time
 
 import calls
 import pytest
+from needs import reason
 
-pytest.importorskip("ray", reason="needs Ray: pip install ray")
+pytest.importorskip("ray", reason=reason("ray"))
 
 from concurrent.futures import wait
 

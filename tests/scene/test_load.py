@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from needs import need_scene
 from scene_text import SMALL, write
 
 from warpmpc.model.assets import resolve_asset
@@ -26,6 +27,7 @@ SHIPPED = [name + suffix for name in shipped_scenes() for suffix in ("", *(f":{v
 def test_every_shipped_scene_and_variant_is_valid_and_finds_its_assets(source):
     scene = load_scene(source)
     assert scene.name == source.partition(":")[0]
+    need_scene(scene.name)
     for robot in scene.robot:
         assert resolve_asset(robot.asset, base=scene.path.parent, key="asset").is_file()
 

@@ -6,8 +6,8 @@ pytest -m slow tests/tools/test_agreement.py. On a CUDA device: pytest -m gpu te
 """
 
 import pytest
-import warp as wp
 from agreement import differences
+from needs import CUDA, need, need_scene
 
 from warpmpc.scene.load import load_scene, shipped_scenes
 from warpmpc.scene.schema import EngineName
@@ -58,8 +58,8 @@ FORCE_ELSEWHERE = 0.5
 @pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def where(request) -> str:
     """Every device in turn."""
-    if request.param != "cpu" and not wp.is_cuda_available():
-        pytest.skip("needs a CUDA device")
+    if request.param != "cpu":
+        need(CUDA)
     return request.param
 
 
@@ -71,6 +71,7 @@ def test_every_shipped_scene_has_its_tolerance():
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("scene", TOLERANCE)
 def test_both_engines_roll_a_scene_out_alike(scene, where):
+    need_scene(scene)
     found = differences(scene, "newton", device=where, samples=32, seconds=8.0, states=6)
     half, most = TOLERANCE[scene]
     for quantity in ("joint_q", "position"):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from baselines import MARGIN, Disc, Follower, plan_path, run_geometric
 from measure import Clearance, Meter
+from needs import need
 from small_scenes import BOX, compiled, make_scene
 
 import warpmpc
@@ -67,7 +68,7 @@ def test_a_meter_follows_the_goals_frame():
 
 
 def test_a_planned_path_goes_around_and_is_the_same_again():
-    pytest.importorskip("ompl")
+    need("ompl")
     disc = Disc(0.2, np.array([[1.0, 0.05, 0.3], [2.0, -0.4, 0.4], [2.0, 0.9, 0.3]]))
     path = plan_path(disc, np.zeros(2), np.array([3.0, 0.0]), seed=4)
     np.testing.assert_array_equal(path, plan_path(disc, np.zeros(2), np.array([3.0, 0.0]), seed=4))
@@ -93,7 +94,7 @@ def test_the_follower_drives_at_the_limit_to_the_end():
 
 
 def test_the_geometric_planner_drives_around_to_the_goal():
-    pytest.importorskip("ompl")
+    need("ompl")
     run = run_geometric(disc_among(SPHERES).scene, seed=3)
     assert run["result"]["success"], run
     assert run["result"]["engine"] == "ompl"
@@ -104,7 +105,7 @@ def test_the_geometric_planner_drives_around_to_the_goal():
 
 @pytest.mark.slow
 def test_the_geometric_planner_reaches_drawn_goals():
-    pytest.importorskip("ompl")
+    need("ompl")
     scene = warpmpc.load_scene("point_reach")
     runs = [run_geometric(scene, seed=seed) for seed in range(20)]
     assert sum(run["result"]["success"] and run["result"]["collisions"]["max_force_N"] == 0.0 for run in runs) >= 19

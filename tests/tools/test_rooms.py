@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from rooms import FLOOR, imports, mermaid
+from rooms import FLOOR, circles, imports, mermaid
 
 ARCHITECTURE = Path(__file__).parents[2] / "docs" / "architecture.md"
 
@@ -12,6 +12,10 @@ def test_rooms_import_downwards_only():
     found = imports()
     assert len([i for i in found if not i.typing]) > 50
     assert [f"{i.file}:{i.line}" for i in found if FLOOR[i.target] >= FLOOR[i.room]] == []
+
+
+def test_no_modules_of_a_room_import_each_other_in_a_circle():
+    assert circles() == []
 
 
 def test_physics_knows_numbers_alone():

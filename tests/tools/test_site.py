@@ -9,11 +9,12 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from needs import reason
 
 from warpmpc import __all__ as public
 from warpmpc.cost.builtin import BUILTIN
 
-pytest.importorskip("mkdocs_autorefs", reason="needs the extra docs")
+pytest.importorskip("mkdocs_autorefs", reason=reason("mkdocs_autorefs"))
 ROOT = Path(__file__).parents[2]
 LOADED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src"}
 """Attributes of elements whose targets a browser fetches by itself."""

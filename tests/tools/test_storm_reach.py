@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from needs import needs
 from reach.arm import Arm
 from reach.poses import CLEARANCE, Reachable, draw_pose
-from reach.reference import available, quickest
+from reach.reference import quickest
 from reach.runs import planned, pose_miss
 
 import warpmpc
@@ -45,7 +46,7 @@ def test_postures_found_for_a_pose_have_it(arm):
         assert not arm.touching(q)
 
 
-@pytest.mark.skipif(not available(), reason="needs ruckig: pip install ruckig")
+@needs("ruckig")
 def test_the_least_time_is_that_of_full_acceleration_and_speed(arm):
     start = arm.start[arm.dofs]
     end = start.copy()

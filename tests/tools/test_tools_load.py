@@ -5,6 +5,7 @@ import importlib
 from pathlib import Path
 
 import pytest
+from needs import reason
 
 TOOLS = sorted(path.stem for path in (Path(__file__).parents[2] / "tools").glob("*.py"))
 OPTIONAL = {"dm_control", "ompl", "optuna", "matplotlib", "torch", "mink", "ray"}
@@ -18,5 +19,5 @@ def test_a_tool_loads(name):
     except ModuleNotFoundError as error:
         if error.name.partition(".")[0] not in OPTIONAL:
             raise
-        pytest.skip(f"{error.name} is not installed")
+        pytest.skip(reason(error.name.partition(".")[0]))
     assert module.__doc__

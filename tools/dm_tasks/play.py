@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -31,6 +34,8 @@ class Episode:
     engine: str = "auto"
     overrides: tuple[str, ...] = ()
     """Changes of the scene, ``KEY=VALUE``."""
+    settings: str = ""
+    """Digest of what it is played with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +60,8 @@ class Played:
     """Threads of the rollouts; 0 is one for each core."""
     fallbacks: int
     """Plans without a sample that survived."""
+    settings: str
+    """Digest of what it was played with."""
 
 
 def names() -> list[str]:
@@ -84,6 +91,19 @@ def scene_of(name: str, overrides: tuple[str, ...] = ()) -> warpmpc.Scene:
     domain, task = split(name)
     model = save_model(domain, task)
     return warpmpc.load_scene(FOLDER / f"{name}.toml", overrides=[f'robot.{domain}.asset="{model}"', *overrides])
+
+
+def settings_of(tasks: Sequence[str], overrides: Sequence[str], engine: str) -> str:
+    """Digest of what episodes of some tasks are played with: scenes, terms, changes of the scenes and the engine."""
+    files = [(FOLDER / name).read_text(encoding="utf-8") for name in ("terms.py", *(f"{task}.toml" for task in tasks))]
+    return hashlib.sha256(json.dumps([files, list(overrides), engine]).encode()).hexdigest()[:12]
+
+
+def work(name: str, scene: warpmpc.Scene) -> float:
+    """A number that grows with the time of a plan: steps of all samples, times the square of the model's velocities."""
+    planner = scene.planner
+    velocities = load(*split(name), seed=0).physics.model.nv
+    return planner.samples * planner.iterations * planner.horizon * velocities**2
 
 
 def play(episode: Episode, *, on_step=None) -> dict:
@@ -138,5 +158,6 @@ def play(episode: Episode, *, on_step=None) -> dict:
             plan_ms={name: float(np.percentile(times[WARM_UP:], q)) for name, q in (("p50", 50), ("p99", 99))},
             threads=scene.engine.threads,
             fallbacks=fallbacks,
+            settings=episode.settings,
         )
     )

@@ -3,48 +3,76 @@
 
 from __future__ import annotations
 
-from statistics import mean
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from math import sqrt
+from pathlib import Path
+from statistics import mean, stdev
 
+from scipy.stats import t
+
+from .play import Played
 from .published import TD_MPC2
 
 _HEAD = (
-    "| task | return | by seed | TD-MPC2 | plan p50 / p99 [ms] | period [ms] | engine | samples | ahead [s] |\n"
+    "| task | return | worst | seeds | TD-MPC2 | plan p50 / p99 [ms] | period [ms] | samples | ahead [s] |\n"
     "|---|---|---|---|---|---|---|---|---|"
 )
+
+
+def read(paths: Sequence[Path]) -> list[dict]:
+    """Episodes of files that the tool wrote; those that several files share count once.
+
+    Raises:
+        ValueError: If a file is none of them.
+    """
+    played = []
+    for path in paths:
+        try:
+            rows = [asdict(Played(**row)) for row in json.loads(path.read_text(encoding="utf-8"))]
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: no episodes as tools/dm_suite.py --json writes them: {error}") from None
+        played += [row for row in rows if row not in played]
+    return played
 
 
 def table(played: list[dict]) -> str:
     """Markdown: a row for each task, and a line that counts them.
 
     Args:
-        played: Episodes, the fields of :class:`~dm_tasks.play.Played`; those of a task with the same settings.
+        played: Episodes, the fields of :class:`~dm_tasks.play.Played`.
+
+    Raises:
+        ValueError: If a task was played with different settings, or a seed of it twice.
     """
-    tasks = {name: sorted(_of(played, name), key=lambda row: row["seed"]) for name in sorted(_names(played))}
-    rows = [_row(name, rows) for name, rows in tasks.items()]
+    tasks = {name: [row for row in played if row["task"] == name] for name in sorted({row["task"] for row in played})}
+    for name, rows in tasks.items():
+        if len({(row["settings"], row["engine"], row["steps"]) for row in rows}) > 1:
+            raise ValueError(f"{name}: episodes of different settings, engines or lengths do not go into one mean")
+        if len({row["seed"] for row in rows}) < len(rows):
+            raise ValueError(f"{name}: a seed was played twice")
     means = {name: mean(row["reward"] for row in rows) for name, rows in tasks.items()}
-    return "\n".join([_HEAD, *rows, "", _summary(means, played)])
+    return "\n".join([_HEAD, *(_row(name, rows) for name, rows in tasks.items()), "", _summary(means, played)])
 
 
-def _names(played: list[dict]) -> set[str]:
-    return {row["task"] for row in played}
-
-
-def _of(played: list[dict], name: str) -> list[dict]:
-    return [row for row in played if row["task"] == name]
+def interval(values: Sequence[float]) -> float:
+    """Half of the 95 % interval of a mean, by Student's t."""
+    return float(t.ppf(0.975, len(values) - 1)) * stdev(values) / sqrt(len(values))
 
 
 def _row(name: str, rows: list[dict]) -> str:
-    first = rows[0]
+    first, returns = rows[0], [row["reward"] for row in rows]
     samples = f"{first['samples']}" + (f" × {first['iterations']}" if first["iterations"] > 1 else "")
     p50, p99 = (max(row["plan_ms"][q] for row in rows) for q in ("p50", "p99"))
     cells = (
         name.replace("_", " "),
-        f"**{mean(row['reward'] for row in rows):.0f}**",
-        ", ".join(f"{row['seed']}: {row['reward']:.0f}" for row in rows),
+        f"**{mean(returns):.0f}**" + (f" ± {interval(returns):.0f}" if len(returns) > 1 else ""),
+        f"{min(returns):.0f}",
+        f"{len(returns)}",
         f"{TD_MPC2[name]}" if name in TD_MPC2 else "-",
         f"{p50:.1f} / {p99:.1f}",
         f"{first['control_ms']:g}",
-        first["engine"],
         samples,
         f"{first['horizon']:.2g}",
     )
@@ -58,7 +86,14 @@ def _summary(means: dict[str, float], played: list[dict]) -> str:
         return f"Episodes of {count} steps instead of the suite's 1000: not to be compared with anything."
     high, low = sum(value >= 800 for value in means.values()), sum(value < 300 for value in means.values())
     level = sum(value >= TD_MPC2[name] for name, value in means.items() if name in TD_MPC2)
+    seeds = [row["seed"] for row in played]
     return (
         f"{high} of {len(means)} at 800 or more, {low} below 300, {level} at TD-MPC2's return or above. "
-        "Plan times: the worst seed's."
+        f"Seeds {min(seeds)} to {max(seeds)}; ± is half of the 95 % interval of the mean (Student's t). "
+        f"Plan times: the worst seed's, {_threads(played)}."
     )
+
+
+def _threads(played: list[dict]) -> str:
+    threads = sorted({row["threads"] for row in played})
+    return "threads of a plan: " + ", ".join("all cores" if count == 0 else f"{count}" for count in threads)

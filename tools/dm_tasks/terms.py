@@ -206,6 +206,21 @@ def swing(s: warpmpc.StepView, p: SwingParams) -> float:
 
 
 @wp.struct
+class RiseParams:
+    """Parameters of ``rise``."""
+
+    frame: int
+    height: float  # wanted, above the world's origin [m]
+
+
+@warpmpc.residual_term("rise")
+def rise(s: warpmpc.StepView, p: RiseParams) -> float:
+    """Height [m] that a frame lacks, or has too much, once all its speed has become height."""
+    v = warpmpc.frame_velocity(s, p.frame)
+    return p.height - warpmpc.frame_position(s, p.frame)[2] - 0.5 * wp.dot(v, v) / 9.81
+
+
+@wp.struct
 class PullParams:
     """Parameters of ``pull``."""
 

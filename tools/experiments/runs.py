@@ -14,7 +14,7 @@ from jobs import OMPL, PLANNER, Job, submit
 from scene_keys import spread
 
 import warpmpc
-from warpmpc.cli.run import start_warp
+from warpmpc.cli.setup import start_warp
 from warpmpc.run.code import scene_digest
 from warpmpc.run.records import Records
 from warpmpc.run.workers import open_workers

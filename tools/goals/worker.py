@@ -79,7 +79,7 @@ def _serve(pipe: multiprocessing.connection.Connection, allowed: list[int]) -> N
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
     logging.getLogger("warpmpc").setLevel(logging.ERROR)
-    from warpmpc.cli.run import start_warp
+    from warpmpc.cli.setup import start_warp
 
     start_warp()
     from .measure import measure

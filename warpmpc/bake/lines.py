@@ -17,9 +17,21 @@ Matrix = list[Vector]
 EXACT = 2e-7
 """Entries of rotations this close to 0, 1 or -1 are that number: layouts hold poses in single precision."""
 
+LARGEST = float(np.finfo(np.float32).max)
+
+
+class OutOfRange(ValueError):
+    """A number that single precision does not hold."""
+
 
 def literal(x: float) -> str:
-    """A number in C, in single precision."""
+    """A number in C, in single precision.
+
+    Raises:
+        OutOfRange: If it does not hold this one.
+    """
+    if not abs(x) <= LARGEST:
+        raise OutOfRange(f"{x:g} does not fit into single precision")
     return repr(float(np.float32(x))) + "f"
 
 

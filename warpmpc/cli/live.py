@@ -6,11 +6,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from .run import start_warp, user_errors
+from .interrupts import Interrupts
+from .setup import start_warp, user_errors
 from .terms import load_terms
+
+if TYPE_CHECKING:
+    from ..live.access import Access
 
 NEEDED = ("viser", "tomlkit")
 """Packages of the extra ``live``."""
@@ -27,7 +32,7 @@ def live(
     engine: str,
     device: str,
 ) -> None:
-    """Serve a scene's page until Ctrl-C.
+    """Serve a scene's page until Ctrl-C or SIGTERM.
 
     Args:
         source: Scene and variant.
@@ -39,10 +44,11 @@ def live(
         engine: Engine of the rollouts.
         device: Device of the rollouts.
     """
-    with user_errors():
+    with Interrupts(), user_errors():
         missing = [name for name in NEEDED if find_spec(name) is None]
         if missing:
             raise ValueError(f"the page needs {' and '.join(missing)}: pip install 'warpmpc[live]'")
+        from ..live.access import Access
         from ..live.page import require_port, serve
         from ..live.session import Session
 
@@ -52,7 +58,13 @@ def live(
             session = Session(
                 source, overrides=overrides, seed=seed, engine=engine, device=device, terms=load_terms(term_files)
             )
-            typer.echo(f"http://{host}:{port}  (Ctrl-C ends it)")
-            serve(session, host=host, port=port)
+            access = Access(host, port)
+            serve(session, access, ready=lambda: _say_where(access))
         except KeyboardInterrupt:
             typer.echo("ended")
+
+
+def _say_where(access: Access) -> None:
+    typer.echo(f"{access.url}  (Ctrl-C ends it)")
+    if not access.local:
+        typer.echo("Other machines can reach this page: whoever has this URL with its token can use it. Not encrypted.")

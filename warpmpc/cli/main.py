@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -56,6 +58,9 @@ LAST_SEED = 2**28
 
 def main() -> None:
     """Entry point of the program ``warpmpc``."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
     app(prog_name="warpmpc")
 
 
@@ -80,7 +85,7 @@ def _root(
 def scenes() -> None:
     """List the scenes that come with warpmpc."""
     from . import report
-    from .run import user_errors
+    from .setup import user_errors
 
     with user_errors():
         report.print_scenes()
@@ -90,7 +95,7 @@ def scenes() -> None:
 def terms() -> None:
     """List the built-in cost terms and their keys."""
     from . import report
-    from .run import start_warp
+    from .setup import start_warp
 
     start_warp()
     report.print_terms()
@@ -102,7 +107,7 @@ def new(
 ) -> None:
     """Write a starter: a scene, a robot, a cost term, a loop in Python, and what to do with them."""
     from .new import make_starter
-    from .run import start_warp, user_errors
+    from .setup import start_warp, user_errors
 
     start_warp()
     with user_errors():
@@ -114,7 +119,7 @@ def new(
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of scene files, with which editors complete and check them."""
-    from .run import start_warp
+    from .setup import start_warp
 
     start_warp()
     from .schema import schema_text
@@ -154,7 +159,10 @@ def run(
     terms: TermsOption = [],  # noqa: B006
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.rrd", help="Record for rerun; several episodes put their seed into the name."),
+        typer.Option(
+            metavar="FILE.rrd",
+            help='Record for rerun, pip install "warpmpc[record]"; several episodes put their seed into the name.',
+        ),
     ] = None,
     csv: Annotated[
         Path | None,
@@ -201,7 +209,8 @@ def run(
 ) -> None:
     """Run episodes: control the simulated plant until it reaches its goal or runs out of time.
 
-    Exit code 0 when every episode reached its goal, 1 when one did not, 2 for wrong input, 130 after Ctrl-C.
+    Exit code 0 when every episode reached its goal (its timeout, where the scene has no success), 1 when one did not,
+    2 for wrong input, 130 after Ctrl-C, 143 after SIGTERM.
     """
     from . import run as cli_run
     from .outputs import Outputs
@@ -286,7 +295,7 @@ def plot(
 def live(
     scene: SceneArgument,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines, too.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for whoever has the URL.")] = "127.0.0.1",
     overrides: SetOption = [],  # noqa: B006
     terms: TermsOption = [],  # noqa: B006
     seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,

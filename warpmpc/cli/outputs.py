@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..record.files import try_file
 from ..record.history import HistoryRecorder, history_file
+from ..record.switch import rerun_missing
 from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
 
 if TYPE_CHECKING:
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
     from ..record.history import History
     from ..run.episode import Episode, Recorder
     from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +32,7 @@ class Outputs:
     csv: Path | None = None
     npz: Path | None = None
     out: Path | None = None
-    """Folder of the run, which has a history and a recording of every episode."""
+    """Folder of the run, which has a history and, with rerun, a recording of every episode."""
     several: bool = False
     """Whether there are several episodes."""
 
@@ -41,11 +46,17 @@ class Outputs:
         """Whether anything is to be written."""
         return self.histories or self.record is not None
 
-    def check(self, *, envs: int, jobs: str | None) -> None:
+    def check(self, seeds: Sequence[int], *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
 
+        Args:
+            seeds: Seeds of the episodes.
+            envs: Episodes that are planned for together.
+            jobs: Where episodes run.
+
         Raises:
-            ValueError: If one cannot.
+            ValueError: If options do not go together.
+            OSError: If a file cannot be written.
         """
         for name in ("record", "csv", "npz", "out"):
             path = getattr(self, name)
@@ -53,19 +64,27 @@ class Outputs:
                 continue
             if envs > 1:
                 raise ValueError(f"--{name}: a file shows one environment: leave out --envs or --{name}")
+            if name == "record" and (missing := rerun_missing()):
+                raise ValueError(f"--record: {missing}")
             if name == "record" and jobs is not None:
                 raise ValueError("--record: a recording is made here: leave out --jobs, or take --csv or --npz")
             if name == "out":
                 check_folder(path)
+                if missing := rerun_missing():
+                    logger.info("--out: the folder gets no recording: %s", missing)
                 continue
             if name != "record" and history_file(path).suffix != f".{name}":
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
+            files = [self._path(path, seed) for seed in seeds]
+            for file in [files[0], *filter(Path.exists, files[1:])]:
+                try_file(file)
 
     def recordings(self, seed: int) -> list[Path]:
-        """Files for rerun of an episode."""
-        return [self._path(path, seed) for path in (self.record, self.out and self.out / RECORDING) if path is not None]
+        """Files for rerun of an episode; none in a folder where rerun is not installed."""
+        folder = None if self.out is None or rerun_missing() else self.out / RECORDING
+        return [self._path(path, seed) for path in (self.record, folder) if path is not None]
 
     def folder(
         self, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]

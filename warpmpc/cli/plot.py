@@ -9,9 +9,9 @@ from pathlib import Path
 
 from ..scene.load import load_scene
 from .progress import Messages
-from .run import SUCCESS, results_only, start_warp, user_errors
-from .run_folder import SCENE, histories_in, terms_in
-from .terms import load_terms
+from .run_folder import SCENE, histories_in
+from .setup import SUCCESS, results_only, start_warp, user_errors
+from .terms import FolderTerms
 
 
 def plot(path: Path, *, out: Path | None, term_files: Sequence[Path]) -> int:
@@ -20,7 +20,7 @@ def plot(path: Path, *, out: Path | None, term_files: Sequence[Path]) -> int:
     Args:
         path: History (``.npz``) or folder.
         out: Folder for the figures, ``plots`` in the run's folder or beside the file, named after it, if None.
-        term_files: Python files of cost terms; the folder's own if there are none.
+        term_files: Python files of cost terms.
     """
     with results_only() as printed, Messages(notices=False, warnings=False), user_errors():
         files = histories_in(path)
@@ -29,18 +29,22 @@ def plot(path: Path, *, out: Path | None, term_files: Sequence[Path]) -> int:
         start_warp()
         from ..record.history import History
         from ..record.plots import plot_history
+        from ..record.replay import logged_scene
 
-        terms = load_terms(term_files or terms_in(path))
+        terms = FolderTerms(path, term_files)
         for file in files:
             history = History.load(file)
-            here = path / SCENE if path.is_dir() and history.log is None else None
-            scene = load_scene(here) if here is not None and here.exists() else None
+            here = path / SCENE if path.is_dir() else None
+            scene = None if history.log is None else logged_scene(history.log)
+            if scene is None and here is not None and here.exists():
+                scene = load_scene(here)
             folder = out or (path / "plots" if path.is_dir() else path.with_name(f"{path.stem}_plots"))
             folder = folder / file.stem if len(files) > 1 else folder
+            own = terms.of(scene, planned=False) if scene else ()
             title = file.stem
             if history.log is not None:
                 about = history.log.origin
                 title = f"{about['scene']}{':' + about['variant'] if about['variant'] else ''}, seed {about['seed']}"
-            for written in plot_history(history, folder, title=title, scene=scene, terms=terms):
+            for written in plot_history(history, folder, title=title, scene=scene, terms=own):
                 print(written, file=printed)
     return SUCCESS

@@ -163,12 +163,13 @@ class BatchBar(Bar):
 
     def __init__(self, episodes: int, *, shown: bool):
         super().__init__(episodes, shown=shown)
-        self._finished = self._reached = 0
+        self._finished, self._reached, self._judged = 0, 0, True
 
     def finish(self, result: EpisodeResult) -> None:
         """An episode is over."""
         self._finished += 1
-        self._reached += result.success
+        self._reached += bool(result.success)
+        self._judged = result.success is not None
 
     def step(self, controller: Controller, plants: PlantBatch, control: np.ndarray) -> None:
         """A batch's ``on_step``."""
@@ -177,5 +178,5 @@ class BatchBar(Bar):
 
     def advance(self, more: str = "") -> None:
         """Draw how many episodes are finished, and more."""
-        numbers = f"{self._reached} reached the goal{more}"
+        numbers = f"{self._reached} reached the goal{more}" if self._judged else more.strip()
         self.draw(f"{self._finished}/{int(self.total)} episodes", self._finished, numbers)

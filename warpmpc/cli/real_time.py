@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..scene.load import load_scene
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import Messages
-from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
+from .setup import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run_real_time(
             with user_errors():
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
-                outputs.check(envs=1, jobs=None)
+                outputs.check(seeds, envs=1, jobs=None)
                 scene = load_scene(source, overrides=overrides)
                 start_warp()
                 asked = {"engine": engine, "device": device, "real_time": True, "speed": speed}
@@ -82,10 +82,10 @@ def run_real_time(
                     elif not quiet:
                         print(*described(results[-1]), sep="\n", file=out, flush=True)
                     if results[-1].reason == "interrupted":
-                        return INTERRUPTED
+                        return interrupts.code
         except KeyboardInterrupt:
-            return INTERRUPTED
-    return SUCCESS if all(result.success for result in results) else FAILURE
+            return interrupts.code
+    return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
 class TickRecording:
@@ -116,7 +116,9 @@ class TickRecording:
 def described(result: RealTimeResult) -> Iterator[str]:
     """The lines that tell of an episode."""
     report = result.report
-    yield f"seed {result.seed}: {result.reason} at {result.sim_time:.2f} s, in {result.wall_time:.1f} s of wall time"
+    cost = "" if result.mean_cost is None else f", mean cost {result.mean_cost:.4g}"
+    time = f"{result.sim_time:.2f} s, in {result.wall_time:.1f} s of wall time"
+    yield f"seed {result.seed}: {result.reason} at {time}{cost}"
     jitter, latency = report.jitter_ms, report.latency_ms
     yield (
         f"  agent    {report.rate:g} Hz, jitter {_percentiles(jitter)}, {report.missed} of {report.ticks} ticks late"

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
 
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import Messages
-from .run import FAILURE, SUCCESS, results_only, start_warp, user_errors
-from .run_folder import histories_in, terms_in
-from .terms import load_terms
+from .run_folder import histories_in
+from .setup import FAILURE, SUCCESS, results_only, start_warp, user_errors
+from .terms import FolderTerms
 
 
 def replay(path: Path, *, term_files: Sequence[Path]) -> int:
@@ -19,42 +19,44 @@ def replay(path: Path, *, term_files: Sequence[Path]) -> int:
 
     Args:
         path: History (``.npz``) or folder.
-        term_files: Python files of cost terms; the folder's own if there are none.
+        term_files: Python files of cost terms.
     """
     same = True
-    with results_only() as out, Messages(notices=False, warnings=False), Interrupts():
+    with results_only() as out, Messages(notices=False, warnings=False), Interrupts() as interrupts:
         try:
             with user_errors():
                 files = histories_in(path)
                 start_warp()
-                terms = load_terms(term_files or terms_in(path))
+            terms = FolderTerms(path, term_files)
             said: set[str] = set()
             for file in files:
                 with user_errors():
                     same &= _replay_one(file, terms, said, out)
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS if same else FAILURE
 
 
-def _replay_one(file: Path, terms: Sequence, said: set[str], out: TextIO) -> bool:
+def _replay_one(file: Path, terms: FolderTerms, said: set[str], out: TextIO) -> bool:
     """Replay one episode and tell of it; returns whether all commands are the same.
 
     Raises:
         ValueError: If the file is no history that can be replayed.
     """
     from ..record.history import History
+    from ..record.replay import replay as replay_log
+    from ..record.replay import scene_of
 
     history = History.load(file)
     if history.log is not None:
-        from ..record.replay import replay as replay_log
-
-        about, parts, unknown = history.log.origin, [replay_log(history.log, terms=terms)], 0
+        about, unknown = history.log.origin, 0
+        parts = [replay_log(history.log, terms=terms.of(scene_of(about), planned=True))]
     elif history.made is not None:
         from ..record.real_time_replay import replay_real_time
 
-        whole = replay_real_time(history, terms=terms)
-        about, parts, unknown = history.made.origin, [whole.plans, whole.commands], whole.unknown
+        about = history.made.origin
+        whole = replay_real_time(history, terms=terms.of(scene_of(about), planned=True))
+        parts, unknown = [whole.plans, whole.commands], whole.unknown
     else:
         raise ValueError(
             f"{file}: has no log of what its plans were made from (an older warpmpc): run it again with --npz or --out"

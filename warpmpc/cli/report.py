@@ -17,6 +17,7 @@ from ..scene.describe import default, takes
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method, ShareOfRange
 from ..scene.waypoints import runs_of
+from .summary import summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -218,6 +219,8 @@ def _goal(scene: Scene) -> str:
 
 
 def _success(scene: Scene) -> str:
+    if scene.success is None:
+        return f"the run goes on for {scene.timing.timeout:g} s and has a cost"
     success = scene.success.model_dump(exclude_none=True, exclude={"conditions"})
     within = [
         f"{name} {_number(value[0] if name == 'position' and len(value) == 1 else value)}"
@@ -283,7 +286,8 @@ def _number(value: Any) -> str:
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
-    numbers = ["seed", "time\n[s]", _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
+    costs = ["mean cost"] if results[0].success is None else []
+    numbers = ["seed", "time\n[s]", *costs, _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
     phased = ["reached"] if results[0].reached is not None else []
@@ -299,9 +303,10 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     for r in results:
         table.add_row(
             str(r.seed),
-            Text(r.reason, style="green" if r.success else "red"),
+            Text(r.reason, style="green" if r.passed else "red"),
             *([str(r.reached)] if phased else []),
             f"{r.sim_time:.2f}",
+            *([f"{r.mean_cost:.4g}"] if costs else []),
             _metres(_position(r)),
             "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
             f"{r.max_force:.1f}",
@@ -333,12 +338,12 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
     for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
         group = sorted((r for r in results if r.reason == reason), key=lambda r: r.seed)
         table.add_row(
-            Text(reason, style="green" if group[0].success else "red"),
+            Text(reason, style="green" if group[0].passed else "red"),
             str(len(group)),
             f"{statistics.mean(r.sim_time for r in group):.2f}",
             _metres(None if _position(group[0]) is None else statistics.mean(map(_position, group))),
             f"{statistics.mean(r.time_in_contact for r in group):.2f}",
-            "" if group[0].success else _some([str(r.seed) for r in group]),
+            "" if group[0].passed else _some([str(r.seed) for r in group]),
         )
     console = _console(out)
     console.print(table)
@@ -348,7 +353,8 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
         + (f"\n{safe} safe commands" if safe else ""),
         markup=False,
     )
-    console.print(f"{100.0 * sum(r.success for r in results) / len(results):.1f} %: {summary(results)}", markup=False)
+    share = f"{100.0 * sum(r.passed for r in results) / len(results):.1f} %: " if results[0].success is not None else ""
+    console.print(share + summary(results), markup=False)
 
 
 def _title(result: EpisodeResult) -> str:
@@ -377,21 +383,3 @@ def _ms(value: float) -> str:
 def _some(names: Sequence[str], *, most: int = 12) -> str:
     """The first of many names."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def summary(results: Sequence[EpisodeResult]) -> str:
-    """How many episodes reached the goal, and the mean ± standard deviation of their times."""
-    times = [result.time_to_goal for result in results if result.time_to_goal is not None]
-    text = f"{len(times)} of {len(results)} reached the goal" + _in_a_row(results)
-    if not times:
-        return text
-    spread = f" ± {statistics.stdev(times):.2f}" if len(times) > 1 else ""
-    return f"{text}; time to goal {statistics.mean(times):.2f}{spread} s"
-
-
-def _in_a_row(results: Sequence[EpisodeResult]) -> str:
-    """How many phases of a task in parts came to their end."""
-    reached = [result.reached for result in results if result.reached is not None]
-    if not reached:
-        return ""
-    return f"; phases reached: median {statistics.median(reached):g}, {min(reached)} to {max(reached)}"

@@ -6,153 +6,25 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
-import sys
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
-import typer
-
-from ..scene.errors import SceneError
 from ..scene.load import load_scene, variants
-from ..scene.schema import EngineName
-from .interrupts import INTERRUPTED, Interrupts
+from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
-from .terms import load_terms
+from .setup import FAILURE, SUCCESS, WHILE_RUNNING, Setup, results_only, user_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..cost.term import UserTerm
-    from ..model.compiled import CompiledScene
-    from ..run.batch import Batch
-    from ..run.episode import Episode, EpisodeResult
+    from ..run.episode import EpisodeResult
     from ..run.kept import KeptResults
-    from ..scene.schema import Scene
     from .outputs import Outputs
     from .run_folder import RunFolder
 
 logger = logging.getLogger("warpmpc")
-
-SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
-"""Exit codes, besides that of an interrupted run."""
-WHILE_RUNNING = (SceneError, OSError)
-"""What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
-
-
-@contextmanager
-def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
-    """Turn wrong input into one line on stderr and exit code 2.
-
-    Args:
-        kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
-    """
-    try:
-        yield
-    except kinds as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        raise typer.Exit(BAD_INPUT) from None
-
-
-@contextmanager
-def results_only() -> Iterator[TextIO]:
-    """The real standard output, as a file; meanwhile whatever else is printed there goes to stderr."""
-    sys.stdout.flush()
-    real = os.dup(1)
-    os.dup2(2, 1)
-    with open(os.dup(real), "w", encoding="utf-8") as out:
-        try:
-            yield out
-        finally:
-            out.flush()
-            sys.stdout.flush()
-            os.dup2(real, 1)
-            os.close(real)
-
-
-def start_warp() -> None:
-    """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU."""
-    import warp as wp
-
-    from ..compiling import native_output
-
-    logging.getLogger("newton").setLevel(logging.WARNING)
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
-    wp.config.log_level = wp.LOG_WARNING
-    try:
-        with native_output() as said:  # the complaint comes from native code
-            wp.init()
-    except BaseException:
-        print(*said, sep="\n", file=sys.stderr)
-        raise
-
-
-class Setup:
-    """A scene with everything that its episodes share.
-
-    Args:
-        source: Scene and variant.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
-
-    Raises:
-        SceneError: If the scene is wrong.
-        ValueError: If engine or device is unknown, or a file of terms cannot be used.
-    """
-
-    def __init__(self, source: str, *, overrides: Sequence[str], term_files: Sequence[Path], engine: str, device: str):
-        self.engine, self.device = engine, device
-        self.scene: Scene = load_scene(source, overrides=overrides)
-        if engine not in list(EngineName):
-            raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName)}")
-        start_warp()
-        from ..run.episode import compile_shared
-
-        self.compiled: CompiledScene | None = compile_shared(self.scene)
-        self.terms: list[UserTerm] = load_terms(term_files)
-
-    def episode(self, seed: int) -> Episode:
-        """The episode of a seed, ready to run."""
-        from ..run.episode import Episode
-
-        return Episode(
-            self.scene,
-            seed=seed,
-            engine=self.engine,
-            device=self.device,
-            terms=self.terms,
-            compiled=self.compiled,
-        )
-
-    def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
-        """What of the scene is hardly meant, or too slow for its controls.
-
-        Args:
-            plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].
-            compiled: The scene compiled; None where every episode has bodies of its own.
-        """
-        from ..run.advice import advise, slow_plans
-
-        late = slow_plans(plan_ms, self.scene.timing.control_dt)
-        return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
-
-    def batch(self, seeds: Sequence[int], envs: int) -> Batch:
-        """The episodes of several seeds, ready to run on one controller."""
-        from ..run.batch import Batch
-
-        return Batch(
-            self.scene,
-            seeds,
-            envs=envs,
-            engine=self.engine,
-            device=self.device,
-            terms=self.terms,
-            compiled=self.compiled,
-        )
 
 
 def check(
@@ -162,7 +34,7 @@ def check(
 
     The scene's variants are read, too; one of them is built by its name.
     """
-    with results_only() as out, Messages(notices=True, warnings=True), Interrupts():
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
@@ -179,7 +51,7 @@ def check(
             controller = episode.controller
             print_check(episode, out, advice=setup.advice(controller.info.plan_ms, controller.compiled))
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return interrupts.code
     return SUCCESS
 
 
@@ -207,7 +79,7 @@ def run(
     with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
-                _check_options(outputs, envs, jobs, results_file)
+                _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
                 setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
                 kept = _kept(results_file, setup, term_files)
@@ -260,17 +132,20 @@ def run(
             for sentence in setup.advice(plan_ms, setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
-        return INTERRUPTED
-    return SUCCESS if all(result.success for result in results) else FAILURE
+        return interrupts.code
+    return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
-def _check_options(outputs: Outputs, envs: int, jobs: str | None, results_file: Path | None) -> None:
+def _check_options(
+    outputs: Outputs, seeds: Sequence[int], envs: int, jobs: str | None, results_file: Path | None
+) -> None:
     """Refuse options that do not go together.
 
     Raises:
         ValueError: If some do not.
+        OSError: If a file cannot be written.
     """
-    outputs.check(envs=envs, jobs=jobs)
+    outputs.check(seeds, envs=envs, jobs=jobs)
     if jobs is not None:
         from ..run.workers import check_jobs
 
@@ -283,11 +158,15 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     """Results kept in a file.
 
     Raises:
-        OSError: If a file cannot be read.
-        ValueError: If the file holds something else.
+        OSError: If the file cannot be read or written.
+        ValueError: If it holds something else.
     """
     if file is None:
         return None
+    from ..record.files import try_file
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    try_file(file)
     from ..run.kept import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)

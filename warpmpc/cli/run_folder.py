@@ -95,4 +95,4 @@ def histories_in(path: Path) -> list[Path]:
 
 def terms_in(path: Path) -> list[Path]:
     """Files of users' terms that a run's folder holds; none for a file."""
-    return sorted((path / TERMS).glob("*.py"), key=lambda file: int(file.name.partition("_")[0]))
+    return sorted((path / TERMS).glob("*.py"), key=lambda file: (file.name.find("_"), file.name))

@@ -19,7 +19,7 @@ from ..scene.load import shipped_scenes
 from ..scene.schema import SampleCount
 from .outputs import Outputs
 from .progress import BatchBar
-from .run import FAILURE, Setup, user_errors
+from .setup import FAILURE, Setup, user_errors
 
 if TYPE_CHECKING:
     from ..record.history import History

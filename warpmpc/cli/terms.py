@@ -5,20 +5,84 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import shlex
 import sys
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from .run_folder import terms_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import ModuleType
 
     from ..cost.term import UserTerm
+    from ..scene.schema import Scene
 
 
 class TermsError(ValueError):
     """A file of cost terms that cannot be used."""
+
+
+class FolderTerms:
+    """Cost terms and ancillary controllers of runs that are read again.
+
+    Files in a run's folder are programs of whoever made it: they are executed if a scene needs them and somebody at a
+    terminal says so, or if they were given.
+
+    Args:
+        path: A history or a run's folder.
+        given: Files of ``--terms``.
+    """
+
+    def __init__(self, path: Path, given: Sequence[Path]):
+        self._path, self._files, self._terms = path, [*given], None
+
+    def of(self, scene: Scene, *, planned: bool) -> list[UserTerm]:
+        """What a scene needs of them.
+
+        Args:
+            scene: The scene.
+            planned: Whether plans are made; else what success, failures and phases look at is needed alone.
+
+        Raises:
+            TermsError: If files cannot be used, or are those of the folder and may not be executed.
+        """
+        missing = [] if self._files else _own(scene, planned=planned)
+        if missing:
+            self._files = _allowed(self._path, terms_in(self._path), missing)
+        if self._terms is None and self._files:
+            self._terms = load_terms(self._files)
+        return self._terms or []
+
+
+def _own(scene: Scene, *, planned: bool) -> list[str]:
+    """Names of a scene's terms and ancillary controllers that warpmpc does not have."""
+    from ..cost.builtin import BUILTIN
+
+    labelled = zip(scene.cost_labels, scene.cost, strict=True)
+    used = [cost.term for label, cost in labelled if planned or label in scene.judged_terms]
+    used += [row.function for row in scene.planner.ancillary if planned and row.function is not None]
+    return sorted({*used} - {*BUILTIN})
+
+
+def _allowed(path: Path, files: list[Path], missing: list[str]) -> list[Path]:
+    """Files of a folder that may be executed: all of them, once somebody has said so.
+
+    Raises:
+        TermsError: If nobody has.
+    """
+    if not files:
+        return []
+    what, names = ", ".join(missing), ", ".join(repr(str(file)) for file in files)
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        print(f"{path}: its scene needs {what}. These files are programs: {names}", file=sys.stderr)
+        print("Execute them? [y/N] ", end="", file=sys.stderr, flush=True)
+        if sys.stdin.readline().strip().lower() in ("y", "yes"):
+            return files
+    cure = " ".join(f"--terms {shlex.quote(str(file))}" for file in files)
+    raise TermsError(f"{path}: its scene needs {what}; files of it are not executed unasked: look at them, then {cure}")
 
 
 def load_terms(files: str | Path | Sequence[str | Path]) -> list[UserTerm]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,6 +31,7 @@ from ..scene.schema import SampleCount
 from ..task.ancillary import AncillaryController
 from ..task.task import Task, task_layout
 from .observation import Observation
+from .one_thread import one_thread
 from .rollout import Rollout
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ class Controller:
 
     With several environments it solves as many independent problems in one go: states, plans and controls then have
     a leading axis ``[E]``, and :attr:`info` is a tuple. All environments share noise and randomized worlds.
+
+    One thread at a time uses a controller: a call while another thread is in one is a ``RuntimeError``.
 
     Args:
         scene: The scene.
@@ -85,6 +89,7 @@ class Controller:
         if scene.planner.samples is SampleCount.AUTO:
             message = "a controller does not measure: warpmpc.fit_samples(scene) does"
             raise SceneError(message, key="planner.samples", file=scene.path, found="auto")
+        self._in_use = threading.RLock()
         name, device = resolve(scene, engine, device)
         self.scene, self.seed, self.envs, self.strategy = scene, seed, envs, strategy
         self.compiled = compiled or compile_scene(scene)
@@ -181,6 +186,7 @@ class Controller:
         """Limits of the controls ``[nu]`` each, copies."""
         return self._lower.copy(), self._upper.copy()
 
+    @one_thread
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``; takes effect at the next plan.
 
@@ -198,6 +204,7 @@ class Controller:
             for array, values in zip(self.planner.limits, (lower, upper), strict=True):
                 array.assign(values)
 
+    @one_thread
     def reset(self, plan: Plan | None = None) -> None:
         """Forget every earlier plan and observation, as if just constructed; the task stays as it is.
 
@@ -226,6 +233,7 @@ class Controller:
                 f"not of knots {list(plan.knots.shape)}"
             )
 
+    @one_thread
     def step(self, state: State) -> np.ndarray:
         """Plan from an observed state and return the control to apply now.
 
@@ -265,6 +273,7 @@ class Controller:
         self._command = command if np.ndim(state.joint_q) == 2 else command[0]
         return self._command.copy()
 
+    @one_thread
     def plan(self, state: State) -> Plan:
         """Plan from an observed state.
 
@@ -297,6 +306,7 @@ class Controller:
         start = np.nan_to_num(self._observed.planned)
         return own and replace(own, times=start[:, None] + own.times)
 
+    @one_thread
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
         """What one sample of the last plan came to: states, controls and knots over the horizon.
 

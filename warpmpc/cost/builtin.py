@@ -104,6 +104,7 @@ def _push_path(keys: dict[str, Any], b: Binding) -> pushing.PushPathParams:
     p.arm = max(_LEAST_ARM, math.atan2(0.75 * max(x, y) - 0.5 * v.width, min(x, y)))
     p.aim = wp.vec2(0.75 * min(p.arm, math.atan2(min(x, y), max(x, y))), 0.75 * p.arm)
     p.faces, p.steer, p.lead = int(shape.kind == "box"), v.steer, v.lead
+    p.through = int(v.through and v.lead > 0.0)
     # to a centimetre, so that a distance term can share the field
     p.field = b.resources.get(Guides).request(p, p.object, round(0.5 * math.hypot(v.width, v.length), 2))
     p.radius, p.turn = (math.hypot(x, y) if shape.kind == "box" else x) + 0.5 * v.width + v.behind, v.turn

@@ -95,6 +95,8 @@ class PushPath(Section):
     """Turn a box back: push beside its side's middle by this angle per heading error; at the goal, from there alone."""
     lead: NonNegative = 0.0
     """Look at where the object would coast to in this time [s]: for what rolls on by itself."""
+    through: bool = False
+    """With ``lead``: count an object that coasts through the goal as there, since it need not stop."""
     slant: Annotated[float, Field(ge=1.0)] = 1.5
     """How much dearer a push is at about 27° to a side's normal than square to it."""
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-import zipfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from ..kernels.terms import learned
 from ..model.assets import resolve_asset
+from ..model.npz import read_npz
 from ..model.self_shape import self_fingerprint
 from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Section
@@ -52,7 +52,7 @@ class Weights:
         Raises:
             ValueError: If it holds something else, or numbers that are not finite.
         """
-        with np.load(path, allow_pickle=False) as data:
+        with read_npz(path) as data:
             missing = {"joints", "trained_for", *(f"{x}{n}" for x in "wb" for n in (1, 2, 3))} - {*data.files}
             if missing:
                 raise ValueError(f"it lacks {', '.join(sorted(missing))}")
@@ -104,7 +104,7 @@ def _learned_self_collision(keys: dict[str, Any], b: Binding) -> learned.Learned
     path = resolve_asset(v.weights, base=base, key=where, file=b.file)
     try:
         weights = Weights.load(path)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise wrong(f"cannot be read as weights: {error}", found=v.weights) from error
     own = {
         name.partition("/")[2]: dof for dof, name in enumerate(b.layout.dof_name) if name.startswith(f"{robot.name}/")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-from ..bake.lines import Lines
+from ..bake.lines import Lines, OutOfRange
 from ..cost.code.state import NotBaked, TermCode
 from ..cost.code.terms import TermSource
 from ..cost.term import ArrayCost, CostTerm
@@ -54,7 +54,7 @@ def write(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) ->
     try:
         value = term.native(code, bound) if term.native else None
         return trace(code, term.function, bound) if value is None else value
-    except (NotBaked, Refused) as error:
+    except (NotBaked, OutOfRange, Refused) as error:
         if term.advance is None:
             logger.info("cost term '%s' is evaluated on recorded rollouts, not inside the launch: %s", label, error)
         return None

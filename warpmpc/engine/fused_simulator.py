@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from ..bake.lines import OutOfRange
 from ..bake.number import native_lanes
 from ..compiling import compile_kernel
 from ..kernels.worlds.judging import TAPS
@@ -25,6 +26,7 @@ from ..physics.model import PhysicsModel
 from ..physics.source import RolloutSource
 from ..scene.errors import SceneError
 from .fused_map import state_map
+from .fused_precision import refusal
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -88,7 +90,7 @@ class FusedSimulator:
         arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
         self.model = PhysicsModel(world.model, arrays)
         self.map = state_map(compiled, world, self.model, own_start=own_start)
-        self._substeps, self._name = list(substeps), scene.name
+        self._substeps, self._scene = list(substeps), scene
 
     def source(self, *, evaluation: Evaluation | None = None, knots: int = 1) -> str:
         """Source of a rollout; parameters of the worlds are known when it is written.
@@ -96,9 +98,15 @@ class FusedSimulator:
         Args:
             evaluation: Statements that evaluate rollouts on the way.
             knots: Most knots that a control depends on.
+
+        Raises:
+            SceneError: If single precision does not hold one of its numbers.
         """
         shared = self.sharing > 1
-        return RolloutSource(self.model, self.map, native_lanes(), shared, evaluation, knots).write()
+        try:
+            return RolloutSource(self.model, self.map, native_lanes(), shared, evaluation, knots).write()
+        except OutOfRange as error:
+            raise refusal(error, self._scene, self.world, self.layout) from error
 
     def fill(self, work: RolloutWork) -> None:
         """Set what the physics reads that no plan changes; after :meth:`source`."""
@@ -124,7 +132,7 @@ class FusedSimulator:
     def _ready(self) -> tuple[wp.Kernel, RolloutWork]:
         """The kernel of rollouts of given controls, and what it takes."""
         kernel = make_kernel(self.source(), native_lanes(), self.sharing)
-        compile_kernel(kernel, self.device, WARP, f"the physics of {self._name}")
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._scene.name}")
         shape, work, out, device = self.shape, RolloutWork(), self.trajectory, self.device
         self.fill(work)
         tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)

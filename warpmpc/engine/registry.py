@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from ..bake.lines import OutOfRange
+from ..compiling import KernelError
 from ..model.mujoco_model import Options
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName, Solver
@@ -112,10 +114,17 @@ def make_engine(name: str, request: EngineRequest) -> tuple[EngineEntry, Engine]
             try:
                 return make_engine(preferred, request)
             except SceneError as error:
-                logger.info("%s; taking the next engine", error)
+                unexpected = isinstance(error.__cause__, KernelError)
+                logger.log(logging.WARNING if unexpected else logging.INFO, "%s; taking the next engine", error)
         name = names[-1]
-    entry = ENGINES[name]
-    return entry, entry.make(request, physics_steps(name, request.scene, request.compiled, request.grid))
+    entry, scene = ENGINES[name], request.scene
+    steps = physics_steps(name, scene, request.compiled, request.grid)
+    try:
+        return entry, entry.make(request, steps)
+    except (KernelError, OutOfRange) as error:
+        others = [other for other in ENGINES if other != name]
+        message = f"the engine {name} cannot be had: {error}"
+        raise SceneError(message, key="engine.name", file=scene.path, allowed=["auto", *others]) from error
 
 
 SUBSTEPS = 2

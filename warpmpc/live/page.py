@@ -7,8 +7,10 @@ import logging
 import socket
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from .access import open_server
 from .drawing import Drawing
 from .panels import Panels
 from .plots import Plots
@@ -16,6 +18,7 @@ from .plots import Plots
 if TYPE_CHECKING:
     import viser
 
+    from .access import Access
     from .session import Session
 
 RATE = 30.0
@@ -36,27 +39,34 @@ def require_port(host: str, port: int) -> None:
             raise OSError(f"cannot listen at {host}:{port} ({error.strerror}); choose another with --port") from None
 
 
-def serve(session: Session, *, host: str, port: int, ending: threading.Event | None = None) -> None:
+def serve(
+    session: Session,
+    access: Access,
+    *,
+    ending: threading.Event | None = None,
+    ready: Callable[[], None] = lambda: None,
+) -> None:
     """Start a session and show it until it ends, ``ending`` is set or Ctrl-C comes.
 
     Args:
         session: A session not yet started.
-        host: Address to listen at.
-        port: Port to listen at.
+        access: Where to listen and who may look.
         ending: Ends it from another thread.
+        ready: Called once browsers can connect.
 
     Raises:
         OSError: If the port is taken.
+        ValueError: If requests cannot be checked with this version of viser.
     """
     import rich
-    import viser
 
-    require_port(host, port)
+    require_port(access.host, access.port)
     ending = ending or threading.Event()
     rich.get_console().quiet = True  # viser greets there
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # whoever connects and says nothing
-    server = viser.ViserServer(host=host, port=port, label=session.scene.title or session.scene.name, verbose=False)
+    server = open_server(access, session.scene.title or session.scene.name)
     try:
+        ready()
         session.start()
         _show(server, session, ending)
     finally:

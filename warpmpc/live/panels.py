@@ -7,12 +7,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..scene.load import load_scene, shipped_scenes, variants
+from .inputs import on_change
 from .saving import place_of, save, values_of
 from .settings import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import viser
 
     from .session import Session
@@ -67,13 +66,13 @@ class Panels:
             initial_value=f"{100.0 * session.pace:g} %",
             hint="how fast the plant's time passes, at most",
         )
-        self._on(pace, lambda: setattr(session, "pace", 0.01 * float(pace.value.split()[0])))
+        on_change(pace, lambda value: setattr(session, "pace", 0.01 * float(value.split()[0])))
         self._planning = gui.add_checkbox("plan", True, hint="off: the last plan is followed to its end")
-        self._on(self._planning, lambda: session.plan_or_not(self._planning.value))
+        on_change(self._planning, session.plan_or_not)
         self._controlling = gui.add_checkbox(
             "control", True, hint="off: the robot is sent the safe command of its drives, plans are made all the same"
         )
-        self._on(self._controlling, lambda: session.control_or_not(self._controlling.value))
+        on_change(self._controlling, session.control_or_not)
         gui.add_markdown("Drag a body to pull at it, with *shift* to turn it; drag the arrows to move what is wanted.")
 
     def _costs(self) -> None:
@@ -93,17 +92,17 @@ class Panels:
         step = float(f"{(high - low) / 400.0:.6g}")
         slider = self._values[name] = self._gui.add_slider(name, low, high, step, value)
 
-        def move() -> None:
+        def move(value: float) -> None:
             self._moved[name] = perf_counter()
-            session.set_value(name, float(slider.value))
+            session.set_value(name, float(value))
 
-        self._on(slider, move)
+        on_change(slider, move)
 
     def _scenes(self) -> None:
         gui, session = self._gui, self._session
         names = [f"{name}:{v}" if v else name for name in shipped_scenes() for v in (None, *variants(name))]
         scene = gui.add_dropdown("scene", list(dict.fromkeys([session.source, *names])), initial_value=session.source)
-        self._on(scene, lambda: session.switch(scene.value))
+        on_change(scene, session.switch)
         button = gui.add_button(
             "Save", disabled=session.scene.path is None, hint="what was changed, and values of --set"
         )
@@ -121,10 +120,6 @@ class Panels:
             self._said.content = f"saved to `{self._file}`: {', '.join(f'`{text}`' for text in texts) or 'no changes'}"
         except Exception as error:  # a click must not end in the terminal alone
             self._said.content = f"**not saved:** {error}"
-
-    def _on(self, made: Any, change: Callable[[], None]) -> None:
-        """Call a function when somebody changes an input, but not when it is shown anew."""
-        made.on_update(lambda event: None if event.client is None else change())
 
     def update(self, snapshot: Snapshot) -> None:
         """Show how it goes."""

@@ -37,7 +37,8 @@ def place_of(path: Path) -> Path:
 def save(path: Path, variant: str | None, texts: Sequence[str], *, to: Path) -> None:
     """Write changes into a copy of a scene's file, or into the file, once the result is known to be what runs.
 
-    What the variant says of a key is changed in the variant, everything else in the scene.
+    What the variant says of a key is changed in the variant, everything else in the scene. Of a symbolic
+    link the target is written; the link stays.
 
     Args:
         path: The scene's file.
@@ -60,18 +61,23 @@ def save(path: Path, variant: str | None, texts: Sequence[str], *, to: Path) -> 
         inside = any(all(a == b for a, b in zip(key, other, strict=False)) for other in varied)
         _put(document["variants"][variant] if inside else document, key, value)
         data = merge(data, nest(key, value))
-    handle, name = tempfile.mkstemp(dir=to.parent, prefix=f".{to.stem}_", suffix=".toml")  # assets are beside it
-    written, ending = Path(name), "" if variant is None else f":{variant}"
+    file, ending = to.resolve(), "" if variant is None else f":{variant}"
+    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{to.stem}_", suffix=".toml")
+    written = Path(name)
+    tried = to.with_name(written.name)  # assets are beside the link, if it is one
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(tomlkit.dumps(document))
-        saved, wanted = load_scene(f"{written}{ending}"), load_scene(f"{path}{ending}", overrides=texts)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(tomlkit.dumps(document))
+        if not tried.exists():
+            tried.symlink_to(written)
+        saved, wanted = load_scene(f"{tried}{ending}"), load_scene(f"{path}{ending}", overrides=texts)
         if saved.model_dump(exclude={"path"}) != wanted.model_dump(exclude={"path"}):
             raise SceneError("the saved file would not be the scene that runs: change it by hand", file=path)
         compile_scene(saved)
-        written.chmod((to if to.exists() else path).stat().st_mode | 0o200)
-        written.replace(to)
+        written.chmod((file if file.exists() else path).stat().st_mode | 0o200)
+        written.replace(file)
     finally:
+        tried.unlink(missing_ok=True)
         written.unlink(missing_ok=True)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 import time
@@ -17,6 +18,8 @@ logger = logging.getLogger("warpmpc")
 
 SETTLE = 0.3
 """Wall time without another change of a key after which it is made: texts are typed letter by letter [s]."""
+SLOWEST = 1e-6
+"""Least simulated seconds per second of wall time."""
 WAIT = 0.02
 """Longest sleep between two looks at what others want [s]."""
 
@@ -29,12 +32,12 @@ class Session(ClosedLoop, threading.Thread):
 
     Args:
         source: Scene and variant.
-        pace: Simulated seconds per second of wall time at most.
+        pace: Simulated seconds per second of wall time at most, as :attr:`pace`.
         options: As for :class:`~.closed_loop.ClosedLoop`.
 
     Raises:
         SceneError: If the scene is wrong.
-        ValueError: If engine or device is unknown.
+        ValueError: If engine or device is unknown, or there is no such pace.
     """
 
     def __init__(self, source: str, *, pace: float = 1.0, **options: object):
@@ -49,6 +52,17 @@ class Session(ClosedLoop, threading.Thread):
         ClosedLoop.__init__(self, source, **options)
 
     # ---- for other threads
+
+    @property
+    def pace(self) -> float:
+        """Simulated seconds per second of wall time at most: finite, :data:`SLOWEST` or more, else ``ValueError``."""
+        return self._pace
+
+    @pace.setter
+    def pace(self, pace: float) -> None:
+        if not SLOWEST <= pace < math.inf:
+            raise ValueError(f"pace is a finite number of at least {SLOWEST:g}, not {pace}; pause holds the plant")
+        self._pace = pace
 
     def do(self, change: Callable[[], None]) -> None:
         """Hand in a change; it is made between two plans, in this object's thread."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from ..scene.errors import join_key
 from ..scene.types import Section
+from .inputs import on_change
 
 if TYPE_CHECKING:
     import viser
@@ -78,12 +79,12 @@ class Settings:
         if isinstance(made, viser.GuiTextHandle):
             self._texts.add(key)
 
-        @made.on_update
-        def _set(event: viser.GuiEvent) -> None:
-            if event.client is not None:  # not shown by update
-                self._typed[key] = perf_counter()
-                text = made.value.strip() or "false" if key in self._texts else _toml(made.value)
-                self._session.set_key(key, text)
+        def change(value: Any) -> None:
+            self._typed[key] = perf_counter()
+            text = value.strip() or "false" if key in self._texts else _toml(value)
+            self._session.set_key(key, text)
+
+        on_change(made, change)
 
     def update(self) -> None:
         """Show what the session has, where nobody is typing."""

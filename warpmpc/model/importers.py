@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import warnings
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import newton
@@ -54,9 +55,12 @@ def import_links(
         A builder of the robot alone, and what is not as its file says, one line each.
 
     Raises:
-        SceneError: If the file cannot be read, or no physics can be made of it.
+        SceneError: If the file cannot be read, what reads it is not installed, or no physics can be made of it.
     """
     key = f"robot.{robot.name}.asset"
+    if kind is AssetKind.USD and find_spec("pxr") is None:
+        wanted = 'a USD file needs usd-core: pip install "warpmpc[usd]"'
+        raise SceneError(wanted, key=key, file=file, found=str(path))
     options = {"floating": bool(robot.floating), "enable_self_collisions": bool(robot.self_collision)}
     urdf = Urdf(path, floating=bool(robot.floating), key=key, file=file) if kind is AssetKind.URDF else None
     try:

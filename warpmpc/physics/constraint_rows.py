@@ -13,6 +13,7 @@ from ..bake.lines import Lines, Operand, Vector, literal, text
 from ..bake.number import angle
 from .base import rotation
 from .equalities import CONNECT, JOINT, TENDON, Constraint, ends
+from .limits import within
 from .sites import Sites, scaled
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ class ConstraintRows:
     def _limit(self, constraint: Constraint) -> None:
         """A tendon is no shorter and no longer than its limits: the nearer one counts."""
         m, lines, t = self.mj, self._lines, constraint.index
-        low, high, margin = (float(x) for x in (*m.tendon_range[t], m.tendon_margin[t]))
+        low, high, margin = (float(x) for x in (*within(m.tendon_range[t]), m.tendon_margin[t]))
         above = lines.sum(f"w.tendon_length[{t}]", -low)
         below = lines.sum((-1.0, f"w.tendon_length[{t}]"), high)
         distance = lines.let(f"VMIN({above}, {below})")

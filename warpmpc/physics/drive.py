@@ -11,6 +11,7 @@ import numpy as np
 from ..bake.lines import Lines, Operand, function, literal, text
 from .base import BALL, FREE, packed, rotation
 from .constraint_rows import small_rotation
+from .limits import bounds, within
 from .tables import ints
 
 if TYPE_CHECKING:
@@ -186,8 +187,8 @@ class Drive:
             terms += [float(bias[0]), times(lines, bias[1], reach.length), times(lines, bias[2], reach.speed)]
             rate.append(float(bias[2]))
         force, slope = lines.sum(*terms), lines.sum(*rate)
-        if m.actuator_forcelimited[a] and isinstance(force, str):
-            low, high = (literal(float(x)) for x in m.actuator_forcerange[a])
+        if m.actuator_forcelimited[a] and bounds(m.actuator_forcerange[a]) and isinstance(force, str):
+            low, high = (literal(x) for x in within(m.actuator_forcerange[a]))
             if slope != 0.0:  # a force at its limit does not depend on velocity
                 slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
             force = clamp(lines, force, m.actuator_forcerange[a])
@@ -217,9 +218,11 @@ def times(lines: Lines, factor: float, value: tuple[Operand, Operand]) -> tuple[
     return float(factor), lines.sum((a, b))
 
 
-def clamp(lines: Lines, value: Operand, bounds: np.ndarray) -> Operand:
-    """A value within known bounds."""
+def clamp(lines: Lines, value: Operand, limits: np.ndarray) -> Operand:
+    """A value within known limits."""
     if isinstance(value, float):
-        return float(np.clip(value, *bounds))
-    low, high = (literal(float(x)) for x in bounds)
+        return float(np.clip(value, *limits))
+    if not bounds(limits):
+        return value
+    low, high = (literal(x) for x in within(limits))
     return lines.let(f"VMIN(VMAX({value}, (T){low}), (T){high})")

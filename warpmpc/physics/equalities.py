@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from .limits import UNBOUNDED, bounds
 from .rows import Rows
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def find_constraints(model: Structure) -> list[Constraint]:
         out.append(_equality(model, int(e)))
     limited, frictional = not model.off("LIMIT"), not model.off("FRICTIONLOSS")
     balls = (m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)
-    for j in np.flatnonzero(balls) if limited else ():
+    for j in np.flatnonzero(balls & (m.jnt_range.max(axis=1) < UNBOUNDED)) if limited else ():
         dof = int(m.jnt_dofadr[j])
         rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
         inverse = model.array("dof_invweight0")[:, dof]
@@ -69,7 +70,7 @@ def find_constraints(model: Structure) -> list[Constraint]:
         if loss > 0.0 and frictional:
             rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
             out.append(Constraint("friction", t, dofs, rows, (inverse,), -loss, loss))
-        if m.tendon_limited[t] and limited:
+        if m.tendon_limited[t] and limited and bounds(m.tendon_range[t]):
             rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
             out.append(Constraint("limit", t, dofs, rows, (inverse,), high=0.0))
     return out

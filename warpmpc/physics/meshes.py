@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import mujoco
@@ -76,17 +77,23 @@ def quadrangle(points: np.ndarray, ring: list[int]) -> list[int]:
     """
     if len(ring) < 5:
         return [*ring[1:], -1][:3]
-    chosen = [1, 2, 3]
+    corners = points[ring].astype(float).tolist()  # numbers of Python: there are thousands of areas to compare
 
-    def area(k: list[int]) -> float:
-        x = points[[ring[0], *(ring[i] for i in k)]].astype(float)
-        return float(np.linalg.norm(np.cross(x[2] - x[0], x[3] - x[1])))
+    def area(i: int, j: int, k: int) -> float:
+        first, second, third, fourth = corners[0], corners[i], corners[j], corners[k]
+        ax, ay, az = third[0] - first[0], third[1] - first[1], third[2] - first[2]
+        bx, by, bz = fourth[0] - second[0], fourth[1] - second[1], fourth[2] - second[2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        return math.sqrt(x * x + y * y + z * z)
+
+    chosen, largest = [1, 2, 3], area(1, 2, 3)
 
     def moved(i: int) -> bool:
+        nonlocal chosen, largest
         trial = [(k + (j == i)) % len(ring) for j, k in enumerate(chosen)]
-        helps = area(trial) > area(chosen)
+        helps = (size := area(*trial)) > largest
         if helps:
-            chosen[:] = trial
+            chosen, largest = trial, size
         return helps
 
     while moved(2):

@@ -25,6 +25,7 @@ from .base import (
 )
 from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
+from .limits import bounds
 from .rows import Rows
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ LEAST_FRICTION = 1e-5
 """Bound of a contact's coefficients of friction."""
 _FRICTIONS = [0, 0, 1, 2, 2]
 """A geom's coefficients of friction in the order of a contact's."""
-_UNBOUNDED = 1e30
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,8 @@ class PhysicsModel(Structure):
         if self.off("LIMIT") or self.off("CONSTRAINT"):
             return []
         scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
-        return [int(j) for j in np.flatnonzero((self.mj.jnt_limited != 0) & scalar)]
+        limited = np.flatnonzero((self.mj.jnt_limited != 0) & scalar)
+        return [int(j) for j in limited if bounds(self.mj.jnt_range[j])]
 
     @cached_property
     def limits(self) -> list[Rows]:

@@ -19,6 +19,7 @@ from .base import packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
+from .limits import within
 from .links import Links
 from .meshes import Hulls
 from .model import COLLIDES, CONVEX, FIELD
@@ -270,7 +271,7 @@ class RolloutSource:
             ints("group_entry", entries, "short"),
             ints("limit_dof", limit_dofs),
             ints("limit_q", [m.jnt_qposadr[j] for j in limited]),
-            floats("limit_range", m.jnt_range[limited]),
+            floats("limit_range", within(m.jnt_range[limited])),
             floats("limit_margin", m.jnt_margin[limited]),
             floats("limit_stiffness", [rows.stiffness for rows in limits]),
             floats("limit_damping", [rows.damping for rows in limits]),
@@ -284,7 +285,7 @@ class RolloutSource:
             ints("turning_q", m.jnt_qposadr[turning]),
             ints("turning_dof", m.jnt_dofadr[turning]),
             ints("turning_free", m.jnt_type[turning] == kinds.FREE),
-            floats("mocap_rest", np.hstack([m.body_pos, m.body_quat])[_mocap_bodies(m)]),
+            floats("mocap_rest", _mocap_rest(m)),
             *self.state_map.tables(len(pairs), groups),
             *self._mesh_tables(),
             *self._field_tables(),
@@ -376,9 +377,10 @@ _SOURCES = {
 """Files with collision functions, and the kinds of pairs each is for."""
 
 
-def _mocap_bodies(m: mujoco.MjModel) -> list[int]:
-    """Bodies in the order of their mocap numbers."""
-    return sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
+def _mocap_rest(m: mujoco.MjModel) -> np.ndarray:
+    """Poses of the mocap bodies ``[NMOCAP, 7]`` as the model has them, in the order of their mocap numbers."""
+    bodies = sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
+    return np.hstack([m.body_pos, m.body_quat])[bodies] if bodies else np.zeros((1, 7))
 
 
 def _near(kind: tuple[int, int]) -> str:

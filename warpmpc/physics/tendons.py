@@ -10,6 +10,7 @@ import mujoco
 
 from ..bake.lines import Lines, Operand, Vector, literal, text
 from .base import WRAP_JOINT, WRAP_PULLEY, wraps
+from .limits import within
 
 if TYPE_CHECKING:
     from .base import Structure
@@ -67,7 +68,7 @@ class Tendons:
         stiffness = 0.0 if self.model.off("SPRING") else float(m.tendon_stiffness[tendon])
         damping = 0.0 if self.model.off("DAMPER") else float(m.tendon_damping[tendon])
         if stiffness:
-            low, high = (float(x) for x in m.tendon_lengthspring[tendon])
+            low, high = (float(x) for x in within(m.tendon_lengthspring[tendon]))
             length = f"w.tendon_length[{tendon}]"
             if low == high:
                 terms += [(-stiffness, length), stiffness * low]

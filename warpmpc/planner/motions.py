@@ -9,6 +9,7 @@ import numpy as np
 
 from ..kernels.geometry.kinematics import BALL, FREE
 from ..model.assets import resolve_asset
+from ..model.npz import read_npz
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def motions(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: 
     base = None if scene.path is None else scene.path.parent
     path = resolve_asset(wanted.motions, base=base, key=key, file=scene.path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with read_npz(path) as file:
             arrays = {name: np.asarray(file[name], float) for name in _NAMES if name in file.files}
         states, controls = _motions(arrays, layout, horizon)
     except (OSError, ValueError, TypeError) as error:

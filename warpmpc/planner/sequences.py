@@ -9,6 +9,7 @@ import numpy as np
 
 from ..engine.timegrid import TimeGrid
 from ..model.assets import resolve_asset
+from ..model.npz import read_npz
 from ..scene.errors import SceneError
 from .splines import SplineKind, fitted_knots
 
@@ -66,7 +67,7 @@ def _read(path: Path, scene: Scene) -> np.ndarray:
             case ".csv":
                 values = np.loadtxt(path, delimiter=",", ndmin=2)
             case ".npz":
-                with np.load(path, allow_pickle=False) as arrays:
+                with read_npz(path) as arrays:
                     if len(arrays.files) != 1:
                         raise _error(scene, f"holds {len(arrays.files)} arrays, not one")
                     values = arrays[arrays.files[0]]
@@ -75,7 +76,7 @@ def _read(path: Path, scene: Scene) -> np.ndarray:
         return np.asarray(values, dtype=np.float64)
     except SceneError:
         raise
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, EOFError) as error:
         raise _error(scene, f"cannot be read as numbers: {error}") from error
 
 

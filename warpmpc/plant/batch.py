@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,8 @@ class PlantBatch:
         scenes: Scene of every plant; they differ in nothing but their goals.
         seeds: Seed of every plant's properties and noise.
         task: What the runs want, one environment for each plant; the scenes' goals if None.
-        terms: Users' own cost terms that success or phases name.
+        terms: Users' own cost terms that success, failures, phases or ``watch`` name.
+        watch: Cost terms whose values the plants' ``terms`` shall have.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -49,6 +50,7 @@ class PlantBatch:
         seeds: Sequence[int],
         task: Task | None = None,
         terms: Sequence[UserTerm] = (),
+        watch: Collection[str] = (),
         compiled: CompiledScene | None = None,
     ):
         self.scene, self.seeds = scenes[0], tuple(seeds)
@@ -57,7 +59,7 @@ class PlantBatch:
         if task is None:
             self.task.take([Task(scene) for scene in scenes])
         with capturing:  # nothing may be allocated while a controller records its plan
-            self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms)
+            self._worlds = Worlds(self.scene, self.compiled, self.seeds, self.task, terms, watch)
         self.layout = self._worlds.layout
         self.plants = tuple(
             SimulatedPlant(scene, seed=seed, compiled=self.compiled, world=(self._worlds, e))

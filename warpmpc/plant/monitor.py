@@ -68,20 +68,12 @@ class Monitor:
         def conditions(rows: tuple, key: str) -> Conditions:
             return Conditions(rows, layout, task, e, scene=scene, key=key)
 
-        self._success = conditions(scene.success.conditions, "success.conditions")
+        self._success = conditions(scene.success.conditions if scene.success else (), "success.conditions")
         rows = scene.failure
         self._fails = [conditions(f.conditions, f"failure.{f.name}.conditions") for f in rows]
         self._until = [conditions(phase.until, f"phase.{phase.name}.until") for phase in scene.phase]
         self._seen: Seen | None = None  # a simulated plant needs none
         self.reset()
-
-    @property
-    def watched_terms(self) -> set[str]:
-        """Cost terms that any condition looks at."""
-        scene = self._scene
-        rows = [*scene.success.conditions, *(c for phase in scene.phase for c in phase.until)]
-        rows += [condition for failure in scene.failure for condition in failure.conditions]
-        return {condition.term for condition in rows if condition.term is not None}
 
     def reset(self) -> None:
         """Begin with the first state of a run; a task that went on to other phases begins anew."""
@@ -111,7 +103,7 @@ class Monitor:
             SceneError: If a condition is about a cost term that reads contact forces or sensors.
         """
         if self._seen is None:
-            args = (self._scene, self._layout, self._task, self._e, self.watched_terms)
+            args = (self._scene, self._layout, self._task, self._e, self._scene.judged_terms)
             self._seen = Seen(*args, terms=self._terms)
         if state.time is None:
             time = 0.0 if self._now is None else self._now + self._scene.timing.control_dt
@@ -139,8 +131,9 @@ class Monitor:
             pose = self._success.frame_pose(look, self._frame)
             self.error = goal_error(scene.goal, look.pose(GOAL, task, e), pose)
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
-        reached = last_phase and (self.error is None or self.error.within(scene.success)) and self._success.hold(look)
-        self._within = self._since(self._within, reached)
+        wanted = scene.success if last_phase else None
+        reached = wanted and (self.error is None or self.error.within(wanted)) and self._success.hold(look)
+        self._within = self._since(self._within, bool(reached))
         self._judge(look)
         if not last_phase:
             self._advance(look)
@@ -176,8 +169,9 @@ class Monitor:
 
     @property
     def success(self) -> bool:
-        """Whether everything that is wanted holds and did so long enough."""
-        return self.failure is None and self._lasted(self._within, self._scene.success.hold)
+        """Whether everything that is wanted holds and did so long enough; never where the scene has no success."""
+        wanted = self._scene.success
+        return wanted is not None and self.failure is None and self._lasted(self._within, wanted.hold)
 
     @property
     def reached(self) -> int:

@@ -104,6 +104,7 @@ class SimulatedPlant:
             camera.reset()
         self.contact = Contact()
         self.diverged = False
+        self._paid = 0.0
         self.monitor.reset()
         self._motions.reset()
         self.hand.release()
@@ -211,6 +212,7 @@ class SimulatedPlant:
         self.diverged = bool(engine.trajectory.diverged.numpy()[i])
         engine.initial[i] = engine.state[i, -1]
         engine.initial[i, 0] = 0.0
+        self._paid += sum(float(np.atleast_1d(self.task[n])[i]) * value for n, value in self.terms.items())
         self._feel()
         self._check()
 
@@ -291,6 +293,11 @@ class SimulatedPlant:
     def terms(self) -> dict[str, float]:
         """What each cost term that is watched costs after the last control, without its weight; empty before one."""
         return dict(self._worlds.terms[self._index]) if self._slice else {}
+
+    @property
+    def mean_cost(self) -> float:
+        """Mean over all controls of what the watched terms cost after them, with their weights; NaN before one."""
+        return self._paid / self.steps if self.steps else math.nan
 
     @property
     def forces(self) -> np.ndarray:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,13 +13,13 @@ import numpy as np
 
 from ..model.compiled import compile_scene
 from ..model.safe import safe_command
-from ..model.state import State
 from ..scene.schema import SafeCommand
 from .gravity import Gravity
-from .watchdog import Bounds, FaultKind, Finding, Watchdog
+from .watchdog import Bounds, FaultKind, Finding, Watchdog, received
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
+    from ..model.state import State
     from ..scene.schema import Scene
     from .letters import TimedPlan
 
@@ -69,7 +71,7 @@ class Agent:
     """What went wrong, the newest last; waiting for the first plan is no fault."""
 
     def __init__(self, scene: Scene, layout: Layout):
-        self.layout, self._dt = layout, scene.timing.control_dt
+        self.layout, self._dt, self._tick = layout, scene.timing.control_dt, 1.0 / scene.agent.rate
         self._watchdog, self._bounds = Watchdog(scene, layout), Bounds(scene, layout)
         balanced = scene.agent.safe is SafeCommand.GRAVITY
         self._gravity = Gravity(scene, compile_scene(scene)) if balanced else None
@@ -94,23 +96,39 @@ class Agent:
         """The control ``[nu]`` to send now; None while there is neither a plan nor a position to hold.
 
         Args:
-            state: The newest observation, with its time.
+            state: The newest observation, with its time; its arrays may change afterwards.
             timed: The newest plan, None before the first.
             now: The robot's clock [s].
         """
+        state = received(state)
         found = self._watchdog.observation_fault(state, now)
         self._seen = found is None
         found = found or self._watchdog.plan_fault(timed, now)
         if found is None:
+            control = timed.plan.at(now, state)
+            found = self._watchdog.command_fault(control)
+        if found is None:
             self._recover(now)
-            return self._bounds(timed.plan.at(now, state))
+            return self._bounds(control)
         self._fail(found, now, waiting=timed is None and self._seen)
-        return self._safe(now)
+        return None if self._watchdog.state is None else self._bounds(self._safe(now))
 
-    def safe(self) -> np.ndarray | None:
-        """The safe command ``[nu]`` where the robot was seen last; None where it never was."""
+    def stop(self) -> Iterator[np.ndarray]:
+        """Safe commands ``[nu]``, one for each tick, until the one that may stay: a brake ends, ``agent.slew`` is kept.
+
+        There are none where the robot was never seen.
+        """
         state = self._watchdog.state
-        return None if state is None else self._safe(state.time)
+        if state is None:
+            return
+        last, before = self._bounds.clip(self._safe(np.inf)), None
+        for tick in itertools.count():
+            elapsed = tick * self._tick
+            sent = self._bounds(self._safe(state.time + elapsed))
+            yield sent
+            if np.array_equal(sent, last) or (elapsed > self._dt and np.array_equal(sent, before)):
+                return
+            before = sent
 
     def _recover(self, now: float) -> None:
         self.following, self._held = True, None
@@ -125,6 +143,8 @@ class Agent:
 
     def _fail(self, found: Finding, now: float, *, waiting: bool) -> None:
         self.following = False
+        if self.fault is not None:
+            self.fault.start = min(self.fault.start, now)  # the clock may be set back
         if waiting or self.fault is not None:
             return
         if self._troubled:
@@ -135,13 +155,11 @@ class Agent:
             self.faults.append(Fault(*found, now))
             logger.warning("t = %.3f s: %s; sending the safe command", now, found[1])
 
-    def _safe(self, now: float) -> np.ndarray | None:
+    def _safe(self, now: float) -> np.ndarray:
         """The safe command: holds are where the fault began, brakes act until the robot stands as far as is known."""
         state = self._watchdog.state
-        if state is None:
-            return None
         if self._held is None:
             self._held = state
         velocity = state.joint_qd if now - state.time < self._dt else np.zeros_like(state.joint_qd)
         safe = safe_command(self.layout, self._held.joint_q[None], velocity[None], self._dt)[0]
-        return self._bounds(safe if self._gravity is None else self._gravity(state, safe))
+        return safe if self._gravity is None else self._gravity(state, safe)

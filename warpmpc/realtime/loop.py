@@ -16,6 +16,8 @@ from ..model.compiled import compile_scene
 from .agent import Agent, Fault
 from .letters import Sighting, TimedPlan
 from .pace import LONGEST, Pace, RobotClock
+from .signals import Signals
+from .watchdog import received
 
 if TYPE_CHECKING:
     from ..model.state import State
@@ -26,7 +28,7 @@ class Robot(Protocol):
     """A robot, real or simulated, in two functions."""
 
     def observe(self) -> State:
-        """The newest state, with its time; returns at once."""
+        """The newest state, with its time; returns at once. Its arrays are copied, so they may be used again."""
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``, which is held until the next one; a simulated robot moves on by one tick."""
@@ -138,7 +140,7 @@ class RobotLoop:
 
     def tick(self) -> np.ndarray | None:
         """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
-        state = self.robot.observe()
+        state = received(self.robot.observe())
         self._clock.see(state.time, self.pace.now)
         timed = self.planner.newest()
         if timed is not None and timed.number != self._number:
@@ -162,27 +164,46 @@ class RobotLoop:
     def run(self, until: Callable[[], bool]) -> RealTimeReport:
         """Tick until told to stop; whatever ends it, the last command is the safe one.
 
+        In the main thread, which alone hears signals, that holds for Ctrl-C, SIGTERM and SIGHUP, too. It takes more
+        than a tick where ``agent.slew`` or a brake does.
+
         Args:
             until: Whether to stop, asked after every tick.
+
+        Raises:
+            SystemExit: On SIGTERM or SIGHUP, where the program does not handle them itself.
         """
         if not self._ticks:  # a loop that goes on has no time for it
             gc.collect()
         gc.freeze()  # collecting what was built before takes longer than a tick
         start = time.monotonic()
         self.pace.start()
-        try:
-            while True:
-                self.tick()
-                if until():
-                    break
-                self.pace.wait()
-        finally:
-            gc.unfreeze()
-            self.wall += time.monotonic() - start
-            safe = self.agent.safe()
-            if safe is not None:
-                self.robot.apply(safe)
+        with Signals() as signals:
+            try:
+                try:
+                    self._tick_until(until)
+                finally:
+                    signals.hold()
+            finally:
+                gc.unfreeze()
+                self.wall += time.monotonic() - start
+                self._stop()
         return self.report()
+
+    def _tick_until(self, until: Callable[[], bool]) -> None:
+        while True:
+            self.tick()
+            if until():
+                return
+            self.pace.wait()
+
+    def _stop(self) -> None:
+        """Send the safe command, at ticks until it is the one that may stay."""
+        for count, safe in enumerate(self.agent.stop()):
+            if count:
+                self.pace.wait()
+            self._last = safe
+            self.robot.apply(safe)
 
     def report(self) -> RealTimeReport:
         """What came of it so far."""

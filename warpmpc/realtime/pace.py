@@ -11,7 +11,7 @@ import numpy as np
 LONGEST = 200_000
 """Newest ticks whose lateness is kept."""
 WINDOW = 1.0
-"""Newest observations that the robot's clock is read from [s]."""
+"""Newest observations that the robot's clock is read from, and how far ahead of it they may be [s]."""
 BEHIND = 0.1
 """Wall time by which a simulated robot may be behind and still catch up [s]; beyond it, its clock slips."""
 
@@ -36,7 +36,7 @@ class Pace:
         self.late: deque[float] = deque(maxlen=LONGEST)
         self.missed, self.slipped = 0, 0.0
         self._tick = 0
-        self._begin = time.monotonic()
+        self._begin: float | None = None  # when tick 0 was due, on the monotonic clock [s]
 
     @property
     def now(self) -> float:
@@ -44,8 +44,12 @@ class Pace:
         return self._tick * self.period
 
     def start(self) -> None:
-        """The present tick is now."""
-        self._begin = time.monotonic() - self._tick * self.period / self.speed
+        """The present tick is now; a real robot's clock went on since it was started before."""
+        now, wall = time.monotonic(), self.period / self.speed
+        if self.skip and self._begin is not None:
+            self._tick = max(self._tick, int((now - self._begin) / wall))
+        else:
+            self._begin = now - self._tick * wall
 
     def wait(self) -> float:
         """Wait for the next tick; returns :attr:`now`."""
@@ -74,13 +78,16 @@ class RobotClock:
     """Tells the robot's time at a tick, from the times of its observations.
 
     Observations take their time, some more than others. The robot's clock is where the least delayed of the last
-    second says: it may start anywhere, drift and slip, but a delay that never ends cannot be told from a slip.
+    second says: it may start anywhere, drift and slip, but a delay that never ends cannot be told from a slip. Ticks
+    are those of this host's monotonic clock: a time that goes back, or ahead of them by more than a second, is not
+    believed, unless all of a second are off by as much. Then the robot's clock was set.
     """
 
     def __init__(self):
         self._seen: deque[tuple[float, float]] = deque()  # tick, and by how much the robot's clock was ahead of it
         self._newest = -np.inf
         self._ahead = 0.0
+        self._doubted: list[tuple[float, float]] = []  # tick and time of those not believed: the first, the newest
 
     def see(self, time: float, tick: float) -> None:
         """Take note of an observation's time, if it is a new one.
@@ -89,13 +96,33 @@ class RobotClock:
             time: Time of the observation [s].
             tick: Time of the tick that saw it [s].
         """
-        if not np.isfinite(time) or time <= self._newest:
+        if not np.isfinite(time) or time == self._newest:
             return
+        ahead = time - tick
+        if self._seen and not (time > self._newest and ahead <= self._ahead + WINDOW):
+            if not self._was_set(time, tick):
+                return
+            self._seen.clear()
         self._newest = time
+        self._doubted.clear()
         while self._seen and self._seen[0][0] < tick - WINDOW:
             self._seen.popleft()
-        self._seen.append((tick, time - tick))
+        self._seen.append((tick, ahead))
         self._ahead = max(ahead for _, ahead in self._seen)
+
+    def _was_set(self, time: float, tick: float) -> bool:
+        """Whether times that are not believed, this one the newest, tell of a clock that was set."""
+        if self._doubted:
+            begin, first = self._doubted[0]
+            if abs(time - first - (tick - begin)) > WINDOW:
+                self._doubted.clear()
+            elif time > self._doubted[-1][1]:
+                self._doubted[1:] = [(tick, time)]
+                return tick - begin >= WINDOW
+            else:
+                return False
+        self._doubted.append((tick, time))
+        return False
 
     def at(self, tick: float) -> float:
         """The robot's time at a tick [s]."""

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,9 +65,12 @@ class Planning:
         self._warm_up()
 
     def _warm_up(self) -> None:
-        """Make two plans and forget them: the first compiles kernels, the second is recorded for later ones."""
-        start = State.start(self.controller.layout)
+        """Predict and plan twice and forget it: at first kernels are compiled, then they are recorded for later."""
+        layout = self.controller.layout
+        start, rest = State.start(layout), np.zeros(layout.nu, dtype=np.float32)
         for _ in range(2):
+            if self._predict is not None:
+                self._predict(replace(start, time=0.0), lambda _: rest, self._predict.dt)
             self.controller.step(start)
         self.controller.reset()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planning loop in a process of its own, which is started again whenever it dies."""
+"""The planning loop in a process of its own, which is started again whenever it dies or hangs."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
 from .mailbox import Mailbox
 
 if TYPE_CHECKING:
+    from ctypes import c_ulong
     from multiprocessing.connection import Connection
 
     from ..cost.term import UserTerm
@@ -37,6 +38,12 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("warpmpc")
 
+SILENCE = 10.0
+"""Wall time without a sign of life, beside that for which a plan is followed, after which a planner hangs [s]."""
+LONGEST_START = 60.0
+"""Wall time, or three times that of the first start, after which one that is started again hangs [s]."""
+LOOK = 0.1
+"""Wall time between looks for signs of life [s]."""
 FIRST_PAUSE, LONGEST_PAUSE = 1.0, 30.0
 """Wall time before a planner that died young is started again [s]: it doubles from the first to the longest."""
 GROWN_UP = 10.0
@@ -64,9 +71,10 @@ class _Order:
 class PlannerProcess:
     """Plans in another process, so that the robot's loop never waits for a plan, nor for Python's lock.
 
-    The processes share memory for observations and plans, nothing else. One that dies is started again, for as long as
-    this is open; why it died is logged. Programs that use it have their entry below ``if __name__ == "__main__":``, as
-    with all processes that are spawned.
+    The processes share memory for observations, plans and signs of life, nothing else. One that dies is started again,
+    for as long as this is open; why it died is logged. One that gives no sign of life is killed first: between two
+    plans, and while it waits for observations, a planner gives one every 10 ms. Programs that use it have their entry
+    below ``if __name__ == "__main__":``, as with all processes that are spawned.
 
         >>> with warpmpc.PlannerProcess(scene) as planner:
         ...     warpmpc.RobotLoop(scene, robot, planner).run(until=lambda: robot.done)
@@ -116,6 +124,9 @@ class PlannerProcess:
         self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
         self._seen = Mailbox(self._context, self._sightings.capacity)
         self._planned = Mailbox(self._context, self._plans.capacity)
+        self._beats = self._context.RawValue("L")  # signs of life
+        self._silence = SILENCE + scene.agent.plan_timeout / speed
+        self._longest_start: float | None = None  # the first takes the time that it takes: it may compile
         self._timed: TimedPlan | None = None
         self._closed = threading.Event()
         self._starting = threading.Lock()  # nothing is started any more once it is closed
@@ -128,6 +139,7 @@ class PlannerProcess:
             ValueError: If the engine or device is unknown or not to be had here.
             RuntimeError: If the process died.
         """
+        begin = time.monotonic()
         self._start()
         try:
             self._await()
@@ -137,6 +149,7 @@ class PlannerProcess:
                 self._folder.cleanup()
             raise
         self._born = time.monotonic()
+        self._longest_start = max(LONGEST_START, 3.0 * (self._born - begin))
         self._keeper = threading.Thread(target=self._keep, daemon=True)
         self._keeper.start()
         return self
@@ -186,7 +199,7 @@ class PlannerProcess:
     def _start(self) -> None:
         self._ready, theirs = self._context.Pipe(duplex=False)
         self._words = LastWords(self._context)
-        arguments = (self._order, self._seen, self._planned, theirs, self._words.writer)
+        arguments = (self._order, self._seen, self._planned, self._beats, theirs, self._words.writer)
         self._process = self._context.Process(target=_plan, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
@@ -195,6 +208,9 @@ class PlannerProcess:
     def _await(self) -> None:
         """Wait until the process plans, or raise what kept it from that."""
         try:
+            if not self._ready.poll(self._longest_start):
+                self._process.kill()
+                raise TimeoutError(f"no plan after {self._longest_start:g} s")
             failed = self._ready.recv()
         except EOFError:
             self._process.join()
@@ -207,16 +223,17 @@ class PlannerProcess:
         return "\n  ".join([f"exit code {self._process.exitcode}", *self._words.lines()])
 
     def _keep(self) -> None:
-        """Start the process again whenever it dies, after pauses that grow while it dies young."""
+        """Start the process again whenever it dies or hangs, after pauses that grow while it does so young."""
         pause, why = 0.0, None
         while True:
-            self._process.join()
+            hangs = self._outlive()
             if self._closed.is_set():
                 return
             if time.monotonic() - self._born >= GROWN_UP:
                 pause = 0.0
             when = f" in {pause:g} s" if pause else ""
-            logger.warning("the planner's process died (%s); starting another%s", why or self._why(), when)
+            end = f"hung: no sign of life for {self._silence:g} s" if hangs else "died"
+            logger.warning("the planner's process %s (%s); starting another%s", end, why or self._why(), when)
             if self._closed.wait(pause):
                 return
             pause = min(max(FIRST_PAUSE, 2.0 * pause), LONGEST_PAUSE)
@@ -225,6 +242,19 @@ class PlannerProcess:
                     return
                 self._start()
             why = self._does_not_start()
+
+    def _outlive(self) -> bool:
+        """Wait until the process is dead, and kill it when it hangs; whether it did."""
+        beats, silent = None, 0  # looks, for a host that sleeps is silent, too
+        while self._process.exitcode is None:
+            self._process.join(LOOK)
+            silent = silent + 1 if self._beats.value == beats else 0
+            beats = self._beats.value
+            if silent * LOOK > self._silence:
+                self._process.kill()
+                self._process.join()
+                return True
+        return False
 
     def _does_not_start(self) -> str | None:
         """Wait until the process plans; what kept it from that, None for nothing."""
@@ -237,7 +267,7 @@ class PlannerProcess:
             self._born = time.monotonic()
 
 
-def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, words: Connection) -> None:
+def _plan(order: _Order, seen: Mailbox, planned: Mailbox, beats: c_ulong, ready: Connection, words: Connection) -> None:
     """What the process does: its parent alone hears it, it leaves Ctrl-C to its parent and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(words.fileno(), 2)
@@ -272,7 +302,11 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, ready: Connection, wor
     def publish(timed: TimedPlan) -> None:
         planned.write(plans.encode(timed))
 
-    planning.run(newest, publish, lambda: not parent.is_alive())
+    def stopped() -> bool:
+        beats.value += 1
+        return not parent.is_alive()
+
+    planning.run(newest, publish, stopped)
 
 
 def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from ..model.compiled import CompiledScene, compile_scene
@@ -23,6 +23,7 @@ def simulated_robot(
     seed: int = 0,
     task: Task | None = None,
     terms: Sequence[UserTerm] = (),
+    watch: Collection[str] = (),
     compiled: CompiledScene | None = None,
 ) -> Plant:
     """The scene's plant, moved on by one tick of ``agent.rate`` with every command; physics steps are not longer.
@@ -31,7 +32,8 @@ def simulated_robot(
         scene: The scene.
         seed: Seed of the plant's properties and noise.
         task: What the run wants, shared with the planner (``planner.task``); one of its own if None.
-        terms: Users' own cost terms that success or phases name.
+        terms: Users' own cost terms that success, failures, phases or ``watch`` name.
+        watch: Cost terms whose values the plant's ``terms`` shall have.
         compiled: The scene compiled earlier, to save doing it again.
 
     Raises:
@@ -47,4 +49,4 @@ def simulated_robot(
             "plant": scene.plant.model_copy(update={"substeps": substeps}),
         }
     )
-    return Plant(faster, seed=seed, task=task, terms=terms, compiled=compiled)
+    return Plant(faster, seed=seed, task=task, terms=terms, watch=watch, compiled=compiled)

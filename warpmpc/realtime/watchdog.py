@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.state import State
 from ..scene.errors import SceneError
 from .letters import TimedPlan
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
-    from ..model.state import State
     from ..scene.schema import Scene
 
 
@@ -24,6 +24,7 @@ class FaultKind(StrEnum):
     OBSERVATION_OLD = "old observation"
     OBSERVATION_FROZEN = "frozen observation"
     OBSERVATION_BACK = "observation back in time"
+    OBSERVATION_AHEAD = "observation ahead of the clock"
     PLAN_MISSING = "no fresh plan"
     PLAN_DIVERGED = "every rollout diverged"
     PLAN_INVALID = "plan not finite or out of range"
@@ -39,8 +40,24 @@ SLACK = 1e-6
 """What a lapse of time may exceed its limit by [s]: times are sums of ticks."""
 
 
+def received(state: State) -> State:
+    """A copy of an observation, for drivers use their arrays again; what is no number in it is NaN."""
+    act, mocap = (None if part is None else _numbers(part) for part in (state.act, state.mocap))
+    time = _numbers(state.time)
+    moment = float(time.reshape(())) if time.size == 1 else np.nan
+    return State(_numbers(state.joint_q), _numbers(state.joint_qd), time=moment, act=act, mocap=mocap)
+
+
+def _numbers(part: object) -> np.ndarray:
+    try:
+        found = np.array(part)
+        return found if found.dtype.kind in "fiu" else found.astype(float)
+    except (TypeError, ValueError):  # rows of several lengths, words
+        return np.array(np.nan)
+
+
 class Watchdog:
-    """Looks at every observation and every plan.
+    """Looks at every observation, every plan and every command.
 
     Args:
         scene: The scene, whose ``agent`` says how old things may be.
@@ -52,7 +69,9 @@ class Watchdog:
 
     def __init__(self, scene: Scene, layout: Layout):
         self._settings, self._layout = scene.agent, layout
-        self._range = BEYOND * (layout.control_upper - layout.control_lower)
+        self._shapes = {"joint_q": (layout.nq,), "joint_qd": (layout.nv,), "act": (layout.na,), "mocap": (layout.nm, 7)}
+        beyond = BEYOND * (layout.control_upper - layout.control_lower)
+        self._lower, self._upper = layout.control_lower - beyond, layout.control_upper + beyond
         self.state = None
         self._newest = -np.inf  # largest time of an observation
         self._moved = -np.inf  # when joint positions changed last, on the robot's clock
@@ -62,7 +81,7 @@ class Watchdog:
         """Why an observation cannot be trusted, None where it can.
 
         Args:
-            state: The observation, with its time.
+            state: The observation, with its time, as :func:`received`: it is remembered.
             now: The robot's clock [s].
         """
         fault = self._observation_fault(state, now)
@@ -70,21 +89,28 @@ class Watchdog:
         return fault
 
     def _observation_fault(self, state: State, now: float) -> Finding | None:
-        layout, limit = self._layout, self._settings.observation_timeout + SLACK
-        parts = (state.joint_q, state.joint_qd, state.act, state.mocap, state.time)
-        if np.shape(state.joint_q) != (layout.nq,) or np.shape(state.joint_qd) != (layout.nv,):
-            return (
-                FaultKind.OBSERVATION_INVALID,
-                f"the observation has not {layout.nq} joint coordinates and {layout.nv} velocities",
-            )
-        if not all(part is None or np.isfinite(part).all() for part in parts):
-            return FaultKind.OBSERVATION_INVALID, "the observation is not finite"
-        back = self._newest - state.time
+        limit = self._settings.observation_timeout + SLACK
+        for name, shape in self._shapes.items():
+            part = getattr(state, name)
+            if part is None:
+                continue
+            if np.shape(part) != shape:
+                why = f"the observation's {name} is {list(np.shape(part))}, not {list(shape)}"
+                return FaultKind.OBSERVATION_INVALID, why
+            if not np.isfinite(part).all():
+                return FaultKind.OBSERVATION_INVALID, "the observation is not finite"
+        if not np.isfinite(state.time):
+            return FaultKind.OBSERVATION_INVALID, "the observation has no finite time"
+        if now < self._newest:  # the clock was set
+            self._newest, self._moved = -np.inf, now
+        age, back = now - state.time, self._newest - state.time
+        if not age >= -SLACK:
+            return FaultKind.OBSERVATION_AHEAD, f"the observation is {-age:.3f} s ahead of the clock"
         if back > SLACK:
             return FaultKind.OBSERVATION_BACK, f"the observation went back in time by {back:.3f} s"
         self._newest = state.time
-        if now - state.time > limit:
-            return FaultKind.OBSERVATION_OLD, f"the observation is {now - state.time:.3f} s old"
+        if not age <= limit:
+            return FaultKind.OBSERVATION_OLD, f"the observation is {age:.3f} s old"
         if self._joint_q is None or not np.array_equal(state.joint_q, self._joint_q):
             self._joint_q, self._moved = state.joint_q, now
         if now - self._moved > limit and np.max(np.abs(state.joint_qd), initial=0.0) > MOVING:
@@ -105,17 +131,31 @@ class Watchdog:
             return FaultKind.PLAN_MISSING, "there is no plan yet"
         if not timed.survived:
             return FaultKind.PLAN_DIVERGED, "every rollout diverged"
-        age = now - timed.observed
-        if age > self._settings.plan_timeout + SLACK:  # whether it came long ago or took long to make
+        age, limit, plan = now - timed.observed, self._settings.plan_timeout + SLACK, timed.plan
+        if not age >= -SLACK:
+            return FaultKind.PLAN_INVALID, f"the plan is from what will be observed in {-age:.3f} s"
+        if not age <= limit:  # whether it came long ago or took long to make
             return FaultKind.PLAN_MISSING, f"the newest plan is from what was observed {age:.3f} s ago"
-        knots, layout = timed.plan.knots, self._layout
-        if not np.isfinite(knots).all():
+        if not np.isfinite(plan.times).all():
             return FaultKind.PLAN_INVALID, "the plan is not finite"
-        outside = (knots < layout.control_lower - self._range) | (knots > layout.control_upper + self._range)
+        begins = plan.times[0] - now  # a little from now where it was made sooner than expected
+        if not begins <= limit:
+            return FaultKind.PLAN_INVALID, f"the plan begins in {begins:.3f} s"
+        return self._controls_fault(plan.knots, "plan")
+
+    def command_fault(self, control: np.ndarray) -> Finding | None:
+        """Why what a plan comes to ``[nu]`` is not to be sent, None where it is."""
+        return self._controls_fault(control[None], "plan's command")
+
+    def _controls_fault(self, controls: np.ndarray, what: str) -> Finding | None:
+        """Why controls ``[N, nu]`` are none of this robot."""
+        if not np.isfinite(controls).all():
+            return FaultKind.PLAN_INVALID, f"the {what} is not finite"
+        outside = (controls < self._lower) | (controls > self._upper)
         if outside.any():
             row, column = np.argwhere(outside)[0]
-            name, value = layout.control_name[column], knots[row, column]
-            return FaultKind.PLAN_INVALID, f"the plan is out of range: {name} = {value:.4g}"
+            name, value = self._layout.control_name[column], controls[row, column]
+            return FaultKind.PLAN_INVALID, f"the {what} is out of range: {name} = {value:.4g}"
         return None
 
 
@@ -143,8 +183,12 @@ class Bounds:
         """The control ``[nu]`` that may be sent in place of another; one that is not finite is the one before."""
         if not np.isfinite(control).all():
             control = np.zeros_like(self._lower) if self._last is None else self._last
-        control = np.clip(control, self._lower, self._upper)
+        control = self.clip(control)
         if self._step is not None and self._last is not None:
             control = np.clip(control, self._last - self._step, self._last + self._step)
         self._last = np.asarray(control, dtype=np.float32)
         return self._last.copy()
+
+    def clip(self, control: np.ndarray) -> np.ndarray:
+        """A control ``[nu]`` inside its limits."""
+        return np.clip(control, self._lower, self._upper).astype(np.float32)

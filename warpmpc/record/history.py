@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..model.npz import read_npz
 from ..realtime.real_time_log import RealTimeLog
+from .files import replacing
 from .plan_log import PlanLog, PlanLogger
 from .tick_log import TickLog
 
@@ -111,6 +113,8 @@ class History:
     def save(self, path: str | Path) -> None:
         """Write a file: ``.csv``, the :meth:`columns` with empty cells for NaN, or ``.npz``, the fields by their names.
 
+        A file that is there is replaced when the new one is whole, and stays as it is where that fails.
+
         Raises:
             ValueError: If the file's name ends in neither.
             OSError: If it cannot be written.
@@ -118,11 +122,11 @@ class History:
         path = history_file(path)
         if path.suffix == ".npz":
             arrays = {name: np.array(getattr(self, name)) for name in NAMES}
-            with open(path, "wb") as file:
+            with replacing(path, "wb") as file:
                 np.savez_compressed(file, **arrays, **self._logs())
             return
         columns = self.columns()
-        with open(path, "w", encoding="utf-8", newline="") as file:
+        with replacing(path, encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(columns)
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
@@ -142,13 +146,13 @@ class History:
             OSError: If it cannot be read.
         """
         try:
-            with np.load(path) as data:
+            with read_npz(path) as data:
                 plans, states = len(data["control"]), len(data["time"])
                 later = {"beta": np.full(plans, np.nan), "eta": np.full(plans, np.nan)}
                 later |= {"goal_error": np.zeros((states, 0)), "error_names": np.zeros(0, dtype=str)}
                 found = {name: data[name] if name in data or name not in later else later[name] for name in NAMES}
                 logs = {name: kind.from_arrays(data) for name, kind in LOGS.items()}
-        except (KeyError, ValueError, AttributeError, TypeError) as error:
+        except ValueError as error:
             raise ValueError(f"{path}: is no history of a run: {error}") from None
         return cls(**{name: tuple(a.tolist()) if name.endswith("_names") else a for name, a in found.items()}, **logs)
 
@@ -248,7 +252,7 @@ def names_of(plant: Plant, turns: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def turning(scene: Scene) -> list[str]:
     """The turns that a scene's goal or success asks for: ``yaw`` or ``rotation``."""
-    wanted = [scene.success] if scene.goal is None else [scene.goal, scene.success]
+    wanted = [where for where in (scene.goal, scene.success) if where is not None]
     return [name for name in ("yaw", "rotation") if any(getattr(w, name) is not None for w in wanted)]
 
 

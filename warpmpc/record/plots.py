@@ -192,7 +192,7 @@ def _errors(history: History, scene: Scene | None) -> Figure:
     """A figure of how far the goal is, with what counts as success."""
     figure = _rows(history, history.error_names, history.goal_error)
     for axes, name in zip(figure.axes, history.error_names, strict=True):
-        tolerance = None if scene is None else getattr(scene.success, "distance" if name == "position" else name)
+        tolerance = getattr(scene and scene.success, "distance" if name == "position" else name, None)
         if tolerance is not None:
             axes.axhline(tolerance, color="tab:green", lw=1.0, ls="--")
         axes.set_ylabel(f"{name} [{'m' if name == 'position' else 'rad'}]", rotation=90, ha="center", va="bottom")

@@ -19,8 +19,9 @@ from ..task.goal import GOAL
 from .blueprint import blueprint
 from .forces import FORCE_COLOR, arrows
 from .history import turning
+from .rerun_shapes import body_path, entity_path
 from .scene_drawing import draw_scene, writable
-from .shapes import ContactPoints, body_path, entity_path, scene_bounds, thinned
+from .shapes import ContactPoints, scene_bounds, thinned
 from .ways import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, predicted_lanes, ways_of
 
 if TYPE_CHECKING:

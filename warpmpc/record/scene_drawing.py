@@ -12,7 +12,8 @@ import rerun as rr
 
 from ..model.heightfields import heightfields
 from ..model.layout import IDENTITY, WORLD
-from .shapes import GHOST, body_path, draw_shape, entity_path, resized, shown_shapes, terrain
+from .rerun_shapes import body_path, draw_shape, entity_path, terrain
+from .shapes import GHOST, resized, shown_shapes
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shapes of a scene as rerun draws them, and where they are."""
+"""The shapes of a scene that are drawn, and where they are."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import rerun as rr
 
 from ..model.layout import WORLD
 
 if TYPE_CHECKING:
-    from ..model.heightfields import Surface
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..model.properties import Properties
     from ..scene.schema_cloud import Cloud
@@ -21,19 +19,6 @@ GROUND_COLOR = (0.32, 0.34, 0.37)
 DEFAULT_COLOR = (0.7, 0.7, 0.7)
 GHOST = 0.35
 """Opacity of the goal."""
-
-
-def entity_path(*parts: str) -> str:
-    """Entity path of these parts; a slash inside a part does not start a child."""
-    return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
-
-
-def body_path(layout: Layout, body: int) -> str:
-    """Entity path of a body, ``/scene/robot/link`` or ``/scene/object``; no body is the child of another."""
-    owner = next((e.name for e in layout.entities if body in e.bodies), "")
-    name = layout.body_name[body]
-    link = name.removeprefix(f"{owner}/") if owner else name
-    return entity_path("scene", owner, link) if owner and name != owner else entity_path("scene", name)
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -103,94 +88,6 @@ def scene_bounds(layout: Layout, body_q: np.ndarray, goal: np.ndarray) -> tuple[
             at = body_q[shape.body, :3] + rotate(body_q[shape.body, 3:], at)
         low, high = np.minimum(low, at - radius), np.maximum(high, at + radius)
     return 0.5 * (low + high), max(0.5, 0.5 * float(np.linalg.norm(high - low)))
-
-
-def draw_shape(
-    recording: rr.RecordingStream, at: str, shape: ShapeInfo, layout: Layout, *, reach: float, opacity: float = 1.0
-) -> None:
-    """Log a shape once, for all times, as a child of the entity it is fixed to.
-
-    Args:
-        recording: The recording.
-        at: Entity path of the shape.
-        shape: The shape.
-        layout: The scene's layout, which holds the meshes.
-        reach: Half the edge of the square that stands for a plane [m].
-        opacity: 1 is solid.
-    """
-    pose = rr.Transform3D(translation=shape.pose[:3], quaternion=shape.pose[3:])
-    recording.log(at, pose, _geometry(shape, layout, reach, opacity), static=True)
-
-
-def _geometry(shape: ShapeInfo, layout: Layout, reach: float, opacity: float) -> rr.AsComponents:
-    a, b, _ = shape.scale
-    ground = shape.kind == "plane" and shape.entity == "ground"
-    color = [*(GROUND_COLOR if ground else shape.color or DEFAULT_COLOR), opacity]
-    look = {
-        "colors": [color],
-        "fill_mode": rr.components.FillMode.Solid if opacity == 1.0 else "TransparentFillMajorWireframe",
-    }
-    match shape.kind:
-        case "box":
-            return rr.Boxes3D(half_sizes=[shape.scale], **look)
-        case "sphere":
-            return rr.Ellipsoids3D(half_sizes=[(a, a, a)], **look)
-        case "ellipsoid":
-            return rr.Ellipsoids3D(half_sizes=[shape.scale], **look)
-        case "cylinder":
-            return rr.Cylinders3D(lengths=[2.0 * b], radii=[a], **look)
-        case "capsule":  # rerun's capsules start at their origin
-            return rr.Capsules3D(lengths=[2.0 * b], radii=[a], translations=[(0.0, 0.0, -b)], **look)
-        case "plane":
-            points, triangles = _square(reach)
-        case "cone":
-            points, triangles = _cone(a, b)
-        case _:
-            points, triangles = layout.meshes[shape.mesh] if shape.mesh is not None else _square(0.0)
-            points = points * np.array(shape.scale, dtype=np.float32)
-    return rr.Mesh3D(
-        vertex_positions=points,
-        triangle_indices=triangles,
-        vertex_normals=_normals(points, triangles),
-        albedo_factor=color,
-    )
-
-
-def terrain(surface: Surface) -> rr.Mesh3D:
-    """A heightfield as rerun draws it, in the world."""
-    return rr.Mesh3D(
-        vertex_positions=surface.points,
-        triangle_indices=surface.triangles,
-        vertex_normals=_normals(surface.points, surface.triangles),
-        albedo_factor=[*GROUND_COLOR, 1.0],
-    )
-
-
-def _square(reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """A square at z = 0, a little below, so that a grid drawn there stays visible."""
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=np.float32) * reach
-    return np.column_stack([corners, np.full(4, -1e-3 * reach)]).astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def _cone(radius: float, half: float, sides: int = 32) -> tuple[np.ndarray, np.ndarray]:
-    """A cone along z around its middle, apex up."""
-    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    rim = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, -half)])
-    i = np.arange(sides)
-    j, apex, base = (i + 1) % sides, np.full(sides, sides), np.full(sides, sides + 1)
-    points = np.vstack([rim, [[0.0, 0.0, half], [0.0, 0.0, -half]]]).astype(np.float32)
-    return points, np.vstack([np.column_stack([i, j, apex]), np.column_stack([j, i, base])])
-
-
-def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Vertex normals ``[n, 3]``, the area-weighted mean over each vertex' triangles."""
-    corner = points[triangles]
-    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    index = triangles.ravel()
-    normal = np.column_stack(
-        [np.bincount(index, weights=np.repeat(face[:, k], 3), minlength=len(points)) for k in range(3)]
-    )
-    return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)).astype(np.float32)
 
 
 class ContactPoints:

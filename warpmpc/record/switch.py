@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..plant.plant import Plant
     from .recorder import Recorder
+
+
+def rerun_missing() -> str:
+    """The cure in one line where rerun is not installed, else nothing."""
+    return "" if find_spec("rerun") else 'a recording needs rerun: pip install "warpmpc[record]"'
 
 
 class RecordingSwitch:
@@ -43,8 +49,10 @@ class RecordingSwitch:
 
         Raises:
             OSError: If the file cannot be written.
-            ValueError: If the file's name does not end in ``.rrd``.
+            ValueError: If the file's name does not end in ``.rrd``, or rerun is not installed.
         """
+        if missing := rerun_missing():
+            raise ValueError(missing)
         from .recorder import Recorder  # slow to import
 
         self.stop()

@@ -12,8 +12,9 @@ import rerun.blueprint as rrb
 
 from ..task.goal import GOAL
 from .blueprint import scene_view, series
+from .rerun_shapes import body_path, entity_path
 from .scene_drawing import draw_scene, writable
-from .shapes import body_path, entity_path, scene_bounds
+from .shapes import scene_bounds
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant

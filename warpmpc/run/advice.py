@@ -54,7 +54,7 @@ def slow_plans(plan_ms: float, control_dt: float, *, speed: float = 1.0) -> str 
 
 
 def _times(scene: Scene) -> Iterator[str]:
-    hold, timeout, planner = scene.success.hold, scene.timing.timeout, scene.planner
+    hold, timeout, planner = scene.success.hold if scene.success else 0.0, scene.timing.timeout, scene.planner
     if hold > timeout:
         yield f"success.hold = {hold:g} s is longer than timing.timeout = {timeout:g} s: no run can succeed"
     if planner.knots is not None and planner.knots > planner.horizon:

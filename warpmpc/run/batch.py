@@ -14,8 +14,8 @@ from ..scene.draw import draw_task
 from ..scene.errors import SceneError
 from ..scene.overrides import split_key
 from ..task.task import Task
-from .choose_engine import choose_engine
-from .episode import EpisodeResult, Tally
+from .choose_engine import check_plan_time, choose_engine
+from .episode import EpisodeResult, Tally, watched
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ class Batch:
             scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled
         )
         scene = fit_samples(scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled)
+        check_plan_time(scene, self.compiled, device, envs=self.envs, terms=terms, engine=engine)
         self.controller = Controller(
             scene, engine=engine, device=device, seed=self.seeds[0], envs=self.envs, terms=terms, compiled=self.compiled
         )
@@ -104,6 +105,7 @@ class Batch:
             seeds=[seed for seed, _, _ in filled],
             task=controller.task,
             terms=self.terms,
+            watch=watched(tasks[0][1]),
             compiled=self.compiled,
         )
         controller.reset()

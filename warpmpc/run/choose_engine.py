@@ -20,6 +20,7 @@ from ..engine.registry import resolve
 from ..model.compiled import cache_folder, compile_scene
 from ..scene.errors import SceneError
 from ..scene.schema import SampleCount
+from .plan_budget import require_short_plans
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
@@ -101,7 +102,19 @@ def plan_time(
     terms: Sequence[UserTerm],
     engine: str = "auto",
 ) -> float:
-    """Median wall time [s] of a plan from the start state, compilation not counted."""
+    """Median wall time [s] of a plan from the start state, compilation not counted.
+
+    Raises:
+        SceneError: If the engine cannot simulate the scene, or a plan would take minutes.
+    """
+    check_plan_time(scene, compiled, device, envs=envs, terms=terms, engine=engine)
+    return _timed(scene, compiled, device, envs=envs, terms=terms, engine=engine)
+
+
+def _timed(
+    scene: Scene, compiled: CompiledScene, device: str, *, envs: int, terms: Sequence[UserTerm], engine: str
+) -> float:
+    """Median wall time [s] of a plan, however long."""
     from ..controller.controller import Controller
     from ..model.state import State
 
@@ -116,6 +129,27 @@ def plan_time(
         times.append(time.perf_counter() - start)
     controller.engine.close()
     return float(np.median(times))
+
+
+def check_plan_time(
+    scene: Scene,
+    compiled: CompiledScene | None,
+    device: str,
+    *,
+    envs: int = 1,
+    terms: Sequence[UserTerm] = (),
+    engine: str = "auto",
+) -> None:
+    """Refuse a scene whose plans would take minutes here (:func:`require_short_plans`).
+
+    Raises:
+        SceneError: If they would.
+    """
+
+    def time(smaller: Scene) -> float:
+        return _timed(smaller, compiled or compile_scene(scene), device, envs=envs, terms=terms, engine=engine)
+
+    require_short_plans(scene, time, envs=envs)
 
 
 def with_samples(scene: Scene, count: int = USUAL) -> Scene:

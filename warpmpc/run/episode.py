@@ -13,7 +13,7 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
-from .choose_engine import choose_engine, with_samples
+from .choose_engine import check_plan_time, choose_engine, with_samples
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ class EpisodeResult:
     seed: int
     engine: str
     device: str
-    success: bool
+    success: bool | None
+    """Whether the goal was reached; None where the scene does not say when it is."""
     reason: str
     """Its end: ``goal reached``, ``failed: NAME``, ``timeout``, ``the plant's physics diverged``, ``interrupted``."""
     sim_time: float
@@ -83,6 +84,14 @@ class EpisodeResult:
     """Phases that ended because what they wait for had come, the last one with the success; None without phases."""
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
+    mean_cost: float | None = None
+    """Mean over all controls of what the cost terms come to in the plant, with their weights; None where the scene has
+    a ``success``."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the episode ended as it should: see :func:`passed`."""
+        return passed(self.success, self.reason)
 
     @property
     def time_to_goal(self) -> float | None:
@@ -120,6 +129,8 @@ class EpisodeResult:
             data["reached"] = self.reached
         if self.drawn:
             data["drawn"] = self.drawn
+        if self.success is None:
+            data["mean_cost"] = self.mean_cost
         return plain(data)
 
 
@@ -172,7 +183,7 @@ class Tally:
             seed=self.seed,
             engine=controller.engine.name,
             device=controller.device,
-            success=plant.success,
+            success=plant.success if scene.success else None,
             reason=plant.reason if plant.success else reason or plant.reason,
             sim_time=plant.time,
             steps=plant.steps,
@@ -188,10 +199,11 @@ class Tally:
             horizon=controller.shape.horizon,
             fallbacks=self._fallbacks,
             envs=controller.envs,
-            axis_error=None if error is None else error.worst_axis(scene.success),
+            axis_error=error.worst_axis(scene.success) if error and scene.success else None,
             phases=tuple(plant.monitor.phases),
             reached=plant.monitor.reached if scene.phase else None,
             drawn=self.drawn,
+            mean_cost=None if scene.success else plant.mean_cost,
         )
 
 
@@ -231,10 +243,12 @@ class Episode:
         engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
         fitted = fit_samples(scene, engine=engine, device=device, terms=terms, compiled=compiled)
         self.scene = with_samples(self.scene, fitted.planner.samples)
+        check_plan_time(self.scene, compiled, device, terms=terms, engine=engine)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )
-        self.plant = Plant(self.scene, seed=seed, task=self.controller.task, terms=terms, compiled=compiled)
+        keys = {"seed": seed, "terms": terms, "watch": watched(self.scene), "compiled": compiled}
+        self.plant = Plant(self.scene, task=self.controller.task, **keys)
         self._tally = Tally(self.scene, seed, self.drawn, self.controller, self.plant)
 
     def run(
@@ -310,6 +324,21 @@ def run_episode(
     episode = Episode(scene, seed=seed, engine=engine, device=device, terms=terms, compiled=compiled)
     made = recorder(episode.controller, episode.plant) if recorder else None
     return episode.run(recorder=made, on_step=on_step)
+
+
+def passed(success: bool | None, reason: str) -> bool:
+    """Whether an episode ended as it should: with success or, where the scene does not say what that is, in time.
+
+    Args:
+        success: Whether the goal was reached, None where the scene does not say.
+        reason: Why the episode ended.
+    """
+    return reason == "timeout" if success is None else success
+
+
+def watched(scene: Scene) -> list[str]:
+    """Cost terms that an episode's plant watches: all where the run's cost is its result."""
+    return scene.cost_labels if scene.success is None else []
 
 
 def draws_bodies(scene: Scene) -> bool:

@@ -11,8 +11,8 @@ from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
 from ..realtime.robot import simulated_robot
 from ..scene.draw import draw_task
-from .choose_engine import choose_engine, with_samples
-from .episode import compile_shared, plain
+from .choose_engine import check_plan_time, choose_engine, with_samples
+from .episode import compile_shared, passed, plain, watched
 from .fit_samples import fit_samples
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ class RealTimeResult:
     scene: str
     variant: str | None
     seed: int
-    success: bool
+    success: bool | None
+    """Whether the goal was reached; None where the scene does not say when it is."""
     reason: str
     """Its end: ``goal reached``, ``failed: NAME``, ``timeout``, ``the plant's physics diverged``, ``interrupted``."""
     sim_time: float
@@ -43,10 +44,19 @@ class RealTimeResult:
     """Rates, jitter, latencies, faults."""
     made: RealTimeLog | None = None
     """What the plans were made from, where it was to be logged."""
+    mean_cost: float | None = None
+    """Mean over all ticks of what the cost terms come to in the plant, with their weights; None where the scene has a
+    ``success``."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the episode ended as it should: see :func:`~warpmpc.run.episode.passed`."""
+        return passed(self.success, self.reason)
 
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys."""
         report = self.report
+        cost = {"mean_cost": self.mean_cost} if self.success is None else {}
         return plain(
             {
                 "scene": self.scene,
@@ -67,6 +77,7 @@ class RealTimeResult:
                 "latency_ms": report.latency_ms,
                 "plan_ms": report.plan_ms,
                 "faults": [asdict(fault) for fault in report.faults],
+                **cost,
             }
         )
 
@@ -108,14 +119,18 @@ def run_real_time(
     engine, device = choose_engine(scene, engine=engine, device=device, terms=made, compiled=shared)
     fitted = fit_samples(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], fitted.planner.samples)
+    check_plan_time(drawn, shared, device, terms=made, engine=engine)
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
     with PlannerProcess(drawn, speed=speed, log=log, **options) as planner:
-        robot = simulated_robot(drawn, seed=seed, task=planner.task, terms=made, compiled=planner.compiled)
+        keys = {"seed": seed, "terms": made, "watch": watched(scene), "compiled": planner.compiled}
+        robot = simulated_robot(drawn, task=planner.task, **keys)
         made_recorder = recorder(robot) if recorder else None
         loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True, recorder=made_recorder)
+        ends = []  # success, reason and time as the robot is before it is stopped
 
         def over() -> bool:
             check()
+            ends[:] = [robot.success, robot.reason, robot.time]
             return robot.done
 
         reason = None
@@ -124,16 +139,18 @@ def run_real_time(
         except KeyboardInterrupt:
             reason = "interrupted"
         report = loop.report()
+    success, why, moment = ends or (robot.success, robot.reason, robot.time)
     return RealTimeResult(
         scene=scene.name,
         variant=scene.variant,
         seed=seed,
-        success=robot.success,
-        reason=robot.reason if robot.success else reason or robot.reason,
-        sim_time=robot.time,
+        success=success if scene.success else None,
+        reason=why if success else reason or why,
+        sim_time=moment,
         speed=speed,
         wall_time=loop.wall,
         period=scene.timing.control_dt,
         report=report,
         made=planner.log,
+        mean_cost=None if scene.success else robot.mean_cost,
     )

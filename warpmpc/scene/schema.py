@@ -174,7 +174,7 @@ class Scene(Section):
     cloud: tuple[Cloud, ...] = ()
     """Point clouds that are seen, values of the task."""
     goal: Goal | None = None
-    """Where an object or a frame shall be; a scene without one says what it wants in ``success.conditions``."""
+    """Where an object or a frame shall be; without one ``success`` has ``conditions`` alone."""
     target: tuple[Target, ...] = ()
     """Further named poses."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
@@ -197,8 +197,8 @@ class Scene(Section):
     """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()
     """What is drawn anew for every episode."""
-    success: Success
-    """When the run has reached what it wants."""
+    success: Success | None = None
+    """When the run has reached what it wants; it goes on to ``timing.timeout`` and has a cost when left out."""
     failure: Annotated[tuple[Failure, ...], OneOrMore] = ()
     """What ends the run without success, each in a table."""
     path: Path | None = Field(None, exclude=True)
@@ -245,6 +245,14 @@ class Scene(Section):
             seen[cost.label] = seen.get(cost.label, 0) + 1
             labels.append(cost.label if seen[cost.label] == 1 else f"{cost.label}_{seen[cost.label]}")
         return labels
+
+    @property
+    def judged_terms(self) -> set[str]:
+        """Cost terms, by these names, that success, failures or ends of phases look at."""
+        rows = [*self.success.conditions] if self.success else []
+        rows += [condition for phase in self.phase for condition in phase.until]
+        rows += [condition for failure in self.failure for condition in failure.conditions]
+        return {condition.term for condition in rows if condition.term is not None}
 
     @property
     def name(self) -> str:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 PLAN_STEPS = 200_000_000
 """Most physics steps of a plan: a small scene's take minutes on two cores, seconds on the largest GPU."""
+PLAN_ROUNDS = 1000
+"""Most iterations of a plan: each of them is prepared, however few its samples are."""
 RUN_CONTROLS = 100_000_000
 """Most controls of a run."""
 SHORTEST = 1e-6
@@ -46,14 +48,15 @@ def check_sizes(scene: Scene) -> None:
         if substeps is not None and length / substeps < SHORTEST:
             what = f"physics steps of {length / substeps:.1g} s are too short: {SHORTEST:g} s at least"
             raise SceneError(what, key=key, found=substeps, allowed=f"at most {max(1, math.floor(length / SHORTEST))}")
-    sizes = {name: getattr(planner, name) for name in _USUAL}
-    if planner.samples is SampleCount.AUTO:
-        sizes["samples"] = _USUAL["samples"]
+    sizes = plan_sizes(scene)
     steps = math.prod(sizes.values()) * (engine.substeps or 1)
     if steps > PLAN_STEPS:
-        name = max(sizes, key=lambda name: sizes[name] / _USUAL[name])
+        name = farthest(sizes)
         what = f"a plan would take {steps:.1e} physics steps, more than {PLAN_STEPS:.0e}: lower this"
         raise SceneError(what, key=f"planner.{name}", found=sizes[name])
+    if planner.iterations > PLAN_ROUNDS:
+        what = f"more than {PLAN_ROUNDS} rounds of a plan take minutes however few their samples: lower this"
+        raise SceneError(what, key="planner.iterations", found=planner.iterations)
     if engine.threads > THREADS:
         allowed = f"at most {THREADS}, or 0 for one on each core"
         raise SceneError("no machine has so many cores", key="engine.threads", found=engine.threads, allowed=allowed)
@@ -61,6 +64,17 @@ def check_sizes(scene: Scene) -> None:
         if cloud.capacity > POINTS:
             key = f"cloud.{cloud.name}.capacity"
             raise SceneError("is too large", key=key, found=cloud.capacity, allowed=f"at most {POINTS}")
+
+
+def plan_sizes(scene: Scene) -> dict[str, int]:
+    """What a plan's work is the product of, by keys of the planner; the usual where a number is left to the machine."""
+    sizes = {name: getattr(scene.planner, name) for name in _USUAL}
+    return sizes | {name: _USUAL[name] for name, value in sizes.items() if value is SampleCount.AUTO}
+
+
+def farthest(sizes: dict[str, int]) -> str:
+    """The key of :func:`plan_sizes` that is farthest from what is usual."""
+    return max(sizes, key=lambda name: sizes[name] / _USUAL[name])
 
 
 def _shortest_step(scene: Scene) -> float:

@@ -51,11 +51,19 @@ def _unit(q: tuple[float, ...]) -> tuple[float, ...]:
     return q if abs(norm - 1.0) < 1e-12 else tuple(c / norm for c in q)
 
 
+def _single(value: float) -> float:
+    """Accept what single precision holds, and products with other numbers of a scene with it."""
+    if abs(value) > LARGEST:
+        raise ValueError(f"must fit into single precision: at most {LARGEST:g}")
+    return value
+
+
 def _plain(value: object) -> object:
     """Accept what a file can say (numbers, text, true, false, lists, tables), every number finite."""
     if isinstance(value, float):
         if not math.isfinite(value):
             raise ValueError("must be finite")
+        _single(value)
     elif isinstance(value, list | tuple):
         for item in value:
             _plain(item)
@@ -67,9 +75,12 @@ def _plain(value: object) -> object:
     return value
 
 
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False), AfterValidator(abs)]  # -0 is 0
+LARGEST = 1e30
+"""Largest size of a number: single precision ends at 3.4e38, and sums of many must fit, too."""
+Single = AfterValidator(_single)
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False), Single]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False), Single]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False), Single, AfterValidator(abs)]  # -0 is 0
 Fraction = Annotated[float, Field(strict=True, ge=0.0, lt=1.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, gt=0.0, le=1.0, allow_inf_nan=False)]
 Channel = Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)]

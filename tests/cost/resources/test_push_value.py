@@ -2,6 +2,7 @@
 """The least work to push an object to its goal, of every place and side: against plain value iteration."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from warpmpc.cost.resources.push_path import (
     PushRequest,
     push_value,
 )
+from warpmpc.cost.resources.push_value import Search
 from warpmpc.scene.draw import signed_distance
 
 GOALS = [(0.0, 0.0, 0.0), (0.13, -0.27, 0.7), (-0.342, 0.561, -2.0)]
@@ -272,3 +274,16 @@ def test_a_goal_outside_the_area_is_on_the_border_of_the_grid(point, yaw, part):
 def test_without_obstacles_there_is_nothing_near_anywhere():
     moved, _ = make_grid().turned(np.array([0.123, 0.456]), 0.3)
     assert np.isinf(moved.clearance).all()
+
+
+def test_the_process_executes_nothing_of_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "numpy.py").write_text("open('executed', 'w')")
+    search = Search()
+    search.begin(3, [])
+    end = time.monotonic() + 120.0
+    while not (done := search.finished()) and time.monotonic() < end:
+        time.sleep(0.05)
+    search.stop()
+    assert done == [(3, [])]
+    assert not (tmp_path / "executed").exists()

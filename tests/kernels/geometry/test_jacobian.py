@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 from jacobians import mujoco_jacobians
+from needs import need
 from scipy.spatial.transform import Rotation
 from small_scenes import chain_scene, compiled, make_scene, random_state
 
@@ -93,7 +94,9 @@ def test_jacobians_are_mujocos(name, seed, device):
 
 @pytest.mark.parametrize("name", [name for name, (asset, _) in ROBOTS.items() if asset.endswith(".urdf")])
 def test_jacobians_are_pinocchios(name):
-    pinocchio = pytest.importorskip("pinocchio")
+    need("pinocchio")
+    import pinocchio
+
     asset, link = ROBOTS[name]
     scene = scene_of(asset)
     layout = compiled(scene).layout

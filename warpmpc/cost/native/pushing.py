@@ -11,6 +11,7 @@ from ...bake.number import angle, direction
 from ...kernels.geometry.fields import ATAN_HALF
 from ...kernels.terms.pushing import (
     BESIDE_CORNER,
+    COAST_RANGE,
     EPSILON,
     SWIVEL_PLAY,
     SWIVEL_PRICE,
@@ -47,13 +48,19 @@ def push_path(code: TermCode, p: Any) -> Operand:
     o = box.position
     if p.lead > 0.0:
         velocity, _ = state.velocity(p.object)
-        o = [lines.sum(x, (f"{params}.lead", v)) for x, v in zip(o, velocity, strict=True)]
+        if not p.through:
+            o = [lines.sum(x, (f"{params}.lead", v)) for x, v in zip(o, velocity, strict=True)]
     total = variable(code, "work", "(T)0.0f")
     c, s = heading(code, goal.columns[0])
     lines.add("{ // in the goal's frame")
-    for name, v in (("off", lines.difference(o, goal.position)), ("arm", lines.difference(pusher.position, o))):
+    vectors = [("off", lines.difference(o, goal.position)), ("arm", lines.difference(pusher.position, o))]
+    if p.through:
+        vectors.append(("roll", velocity))
+    for name, v in vectors:
         x, y = text(v[0]), text(v[1])
-        lines.add(f"const T {name}_x = {c} * {x} + {s} * {y}, {name}_y = {c} * {y} - {s} * {x};")
+        lines.add(f"T {name}_x = {c} * {x} + {s} * {y}, {name}_y = {c} * {y} - {s} * {x};")
+    if p.through:
+        lines.add(_COAST.format(params=params, **_COAST_NUMBERS))
     lines.add("const T apart = VSQRT(arm_x * arm_x + arm_y * arm_y);")
     lines.add(direction("arm_y", "arm_x", "bearing"))
     lines.add(f"T tolerance = (T){params}.tolerance, turning = (T)0.0f;")
@@ -87,6 +94,18 @@ const T nearby = VMAX(apart, {literal(1e-30)});
 const T across = VSELECT(apart > 0.0f, arm_x * side_c + arm_y * side_s, side_c) / VSELECT(apart > 0.0f, nearby, 1.0f);
 {_SIDE.format(params=params, **_SIDE_NUMBERS)}"""
 
+
+_COAST = """{{ const float lead = {params}.lead, within = {params}.tolerance;
+const T along = off_x * roll_x + off_y * roll_y, speed = VMAX(roll_x * roll_x + roll_y * roll_y, {epsilon});
+const T nearest = VMIN(VMAX(-along / speed, 0.0f), lead);
+const T outside_x = VMAX(VABS(off_x + nearest * roll_x) - within, 0.0f);
+const T outside_y = VMAX(VABS(off_y + nearest * roll_y) - within, 0.0f);
+const T past = VMIN(VSQRT(outside_x * outside_x + outside_y * outside_y) * {per_range}, 1.0f);
+const T time = nearest * (1.0f - past) + lead * past;
+off_x = off_x + time * roll_x; off_y = off_y + time * roll_y;
+arm_x = arm_x - time * roll_x; arm_y = arm_y - time * roll_y; }}"""
+"""``pushing.coasting_time``, and both places after it."""
+_COAST_NUMBERS = {"epsilon": literal(float(EPSILON)), "per_range": literal(1.0 / float(COAST_RANGE))}
 
 _SWIVEL = """tolerance = tolerance * (1.0f + {play} * VMIN(size, 1.0f));
 const T aside = (off_x * side_c + off_y * side_s) / VMAX({params}.tolerance, {epsilon});

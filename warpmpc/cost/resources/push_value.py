@@ -155,7 +155,7 @@ class Search:
 
 def _feed(jobs: queue.SimpleQueue, search: weakref.ref[Search]) -> None:
     """Hand jobs to the process in turn and gather what it finds, until told to stop."""
-    command = [sys.executable, "-m", __name__]
+    command = [sys.executable, "-P", "-m", __name__]  # nothing of the working directory is imported
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def owner() -> Search | None:

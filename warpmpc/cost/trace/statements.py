@@ -135,6 +135,8 @@ class Statements(Accessors):
         """Write a loop out, or as a loop of C where it has many iterations."""
         bounds = [self.value(a, env) for a in node.iter.args]
         fixed = all(map(plain, bounds))
+        if any(not plain(bound) and self.kind(bound) != "i" for bound in bounds):
+            raise Refused("a loop whose length differs between worlds")
         if fixed and (len(range(*bounds)) <= UNROLL or not self._rolled_if_it_can(node, bounds, env)):
             stop = env["%stop"]
             self._iterate(node, list(range(*bounds)), env)

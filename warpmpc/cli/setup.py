@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands share: exit codes, errors as one line, and a scene made ready for its episodes."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import typer
+
+from ..scene.errors import SceneError
+from ..scene.load import load_scene
+from ..scene.schema import EngineName
+from .terms import load_terms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..cost.term import UserTerm
+    from ..model.compiled import CompiledScene
+    from ..run.batch import Batch
+    from ..run.episode import Episode
+    from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
+
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+"""Exit codes, besides that of an interrupted run."""
+WHILE_RUNNING = (SceneError, OSError)
+"""What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
+
+
+@contextmanager
+def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
+    """Turn wrong input into one line on stderr and exit code 2.
+
+    Args:
+        kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
+    """
+    try:
+        yield
+    except kinds as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from None
+
+
+@contextmanager
+def results_only() -> Iterator[TextIO]:
+    """The real standard output, as a file; meanwhile whatever else is printed there goes to stderr."""
+    sys.stdout.flush()
+    real = os.dup(1)
+    os.dup2(2, 1)
+    with open(os.dup(real), "w", encoding="utf-8") as out:
+        try:
+            yield out
+        finally:
+            out.flush()
+            sys.stdout.flush()
+            os.dup2(real, 1)
+            os.close(real)
+
+
+def start_warp() -> None:
+    """Start Warp without its banner, its reports of loaded modules and its complaint about a missing GPU.
+
+    Raises:
+        typer.Exit: If its folder of compiled kernels cannot be made; one line on stderr says so.
+    """
+    import warp as wp
+
+    from ..compiling import native_output
+    from ..kernel_cache import refusal
+
+    logging.getLogger("newton").setLevel(logging.WARNING)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
+    wp.config.log_level = wp.LOG_WARNING
+    try:
+        with native_output() as said:  # the complaint comes from native code
+            wp.init()
+    except OSError as error:
+        with user_errors():
+            raise refusal(error) from error
+    except BaseException:
+        print(*said, sep="\n", file=sys.stderr)
+        raise
+
+
+class Setup:
+    """A scene with everything that its episodes share.
+
+    Args:
+        source: Scene and variant.
+        overrides: ``KEY=VALUE`` texts.
+        term_files: Python files of cost terms.
+        engine: Engine of the rollouts.
+        device: Device of the rollouts.
+
+    Raises:
+        SceneError: If the scene is wrong.
+        ValueError: If engine or device is unknown, or a file of terms cannot be used.
+    """
+
+    def __init__(self, source: str, *, overrides: Sequence[str], term_files: Sequence[Path], engine: str, device: str):
+        self.engine, self.device = engine, device
+        self.scene: Scene = load_scene(source, overrides=overrides)
+        if engine not in list(EngineName):
+            raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName)}")
+        start_warp()
+        from ..run.episode import compile_shared
+
+        self.compiled: CompiledScene | None = compile_shared(self.scene)
+        self.terms: list[UserTerm] = load_terms(term_files)
+
+    def episode(self, seed: int) -> Episode:
+        """The episode of a seed, ready to run."""
+        from ..run.episode import Episode
+
+        return Episode(
+            self.scene,
+            seed=seed,
+            engine=self.engine,
+            device=self.device,
+            terms=self.terms,
+            compiled=self.compiled,
+        )
+
+    def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
+        """What of the scene is hardly meant, or too slow for its controls.
+
+        Args:
+            plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].
+            compiled: The scene compiled; None where every episode has bodies of its own.
+        """
+        from ..run.advice import advise, slow_plans
+
+        late = slow_plans(plan_ms, self.scene.timing.control_dt)
+        return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
+
+    def batch(self, seeds: Sequence[int], envs: int) -> Batch:
+        """The episodes of several seeds, ready to run on one controller."""
+        from ..run.batch import Batch
+
+        return Batch(
+            self.scene,
+            seeds,
+            envs=envs,
+            engine=self.engine,
+            device=self.device,
+            terms=self.terms,
+            compiled=self.compiled,
+        )

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Warp's compiled kernels on disk: a checksum beside each, damaged ones are built again, bad folders are named."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import warp as wp
+
+_ROOM = 1 << 20
+"""Bytes that a folder must take before a compiler writes there, which may end the process where it cannot."""
+_ELF = b"\x7fELF"
+_load = wp.Module.load
+"""Warp's own."""
+
+
+@dataclass(frozen=True)
+class Cached:
+    """Files of a module for one device; Warp tells their names by no public function."""
+
+    code: Path
+    """Object code, or a program of a GPU."""
+    meta: Path
+    """What is in it, as JSON."""
+
+    @classmethod
+    def of(cls, module: wp.Module, device: wp.Device, block_dim: int) -> Cached:
+        """Where Warp keeps a module, there or not."""
+        folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
+        code = folder / module._get_compile_output_name(device, block_dim=block_dim)
+        return cls(code, folder / module._get_meta_name(block_dim=block_dim))
+
+    @property
+    def _told(self) -> Path:
+        return self.code.with_name(f"{self.code.name}.sha256")
+
+    def _sum(self, code: bytes) -> str:
+        """The checksum in the format of ``sha256sum``."""
+        return f"{hashlib.sha256(code).hexdigest()}  {self.code.name}\n"
+
+    def intact(self) -> bool:
+        """Whether the files are there as they were written; without a checksum, whether they look whole."""
+        try:
+            code = self.code.read_bytes()
+            json.loads(self.meta.read_bytes())
+            return self._told.read_text() == self._sum(code) if self._told.exists() else _whole(code)
+        except (OSError, ValueError):
+            return False
+
+    def sign(self) -> None:
+        """Write the checksum, unless it is there or the folder takes none."""
+        if self._told.exists():
+            return
+        with suppress(OSError):
+            part = self._told.with_name(f"{self._told.name}.{os.getpid()}")
+            part.write_text(self._sum(self.code.read_bytes()))
+            part.replace(self._told)
+
+    def discard(self) -> None:
+        """Delete the files, so that Warp builds them again.
+
+        Raises:
+            OSError: If the folder cannot be changed.
+        """
+        try:
+            for file in (self.code, self.meta, self._told):
+                file.unlink(missing_ok=True)
+        except OSError as error:
+            raise refusal(error) from error
+
+
+def refusal(error: OSError) -> OSError:
+    """The error for a folder of kernels that cannot be made or written."""
+    folder, why = wp.config.kernel_cache_dir, error.strerror or error
+    return OSError(f"compiled kernels cannot be kept in {folder}: {why}; make room there, or set WARP_CACHE_PATH")
+
+
+def watch() -> None:
+    """Look at what is loaded from Warp's folder from now on, by any library of this process."""
+    wp.Module.load = _checked
+
+
+def _checked(
+    module: wp.Module,
+    device: wp.DeviceLike,
+    block_dim: int | None = None,
+    binary_path: os.PathLike | None = None,
+    **rest: object,
+) -> object:
+    """``wp.Module.load`` with a look at the files before and a checksum after.
+
+    Raises:
+        OSError: If the module must be built and the folder cannot be written.
+    """
+    device = wp.get_device(device)
+    threads = module.options["block_dim"] if block_dim is None else block_dim
+    if binary_path is not None or not wp.config.cache_kernels or (device.context, threads) in module.execs:
+        return _load(module, device, block_dim, binary_path, **rest)
+    cached = Cached.of(module, device, threads)
+    kept = cached.intact()
+    if not kept:
+        cached.discard()
+        _require_room()
+    try:
+        loaded = _load(module, device, block_dim, **rest)
+    except OSError as error:
+        raise refusal(error) from error
+    except Exception:
+        if not kept:
+            raise
+        cached.discard()  # it looked well and is not
+        _require_room()
+        loaded = _load(module, device, block_dim, **rest)
+    cached.sign()
+    return loaded
+
+
+def _require_room() -> None:
+    """Refuse a folder that cannot be written.
+
+    Raises:
+        OSError: If it cannot.
+    """
+    try:
+        with tempfile.TemporaryFile(dir=wp.config.kernel_cache_dir) as file:
+            file.write(bytes(_ROOM))
+    except OSError as error:
+        raise refusal(error) from error
+
+
+def _whole(code: bytes) -> bool:
+    """Whether an object file ends where its header says, or a program of a GPU is no object file and not empty."""
+    if not code.startswith(_ELF):
+        return b".version" in code[:4096]  # PTX
+    at, size, count = (int.from_bytes(code[i:j], "little") for i, j in ((40, 48), (58, 60), (60, 62)))
+    return len(code) >= max(64, at + size * count)

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of joints, tendons, controls and forces, of which files may say that there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+UNBOUNDED = 1e30
+"""Limits from here on are none: files say infinity, or a number as large as they can."""
+
+
+def within(limits: np.ndarray) -> np.ndarray:
+    """Limits as numbers that single precision holds."""
+    return np.clip(limits, -UNBOUNDED, UNBOUNDED)
+
+
+def bounds(limits: np.ndarray) -> bool:
+    """Whether a lower and an upper limit leave anything out."""
+    return bool((np.abs(limits) < UNBOUNDED).any())
