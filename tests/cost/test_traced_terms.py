@@ -114,5 +114,5 @@ def test_a_term_that_cannot_be_traced_is_evaluated_on_the_record_and_the_log_say
     assert_costs(mpc, expected_totals(mpc))
     (said,) = [r.getMessage() for r in caplog.records if "not inside the launch" in r.getMessage()]
     assert said.startswith(
-        "cost term 'long' is evaluated on recorded rollouts, not inside the launch: a loop of unknown"
+        "cost term 'long' is evaluated on recorded rollouts, not inside the launch: a loop whose length"
     )
