@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 import warp as wp
 
-import warpmpc.engine
+import warpmpc.physics
 from warpmpc.bake import number
 from warpmpc.physics.meshes import Hulls
 
-NATIVE = Path(warpmpc.engine.__file__).parent / "fused" / "native"
+NATIVE = Path(warpmpc.physics.__file__).parent / "native"
 EXTRA = ""
 """More compiler flags, to try them."""
 MOST = 12

@@ -8,6 +8,7 @@ from small_scenes import layout_of
 
 from warpmpc import Scene
 from warpmpc.cost.stack import CostStack, Judge
+from warpmpc.cost.trial import try_terms
 from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.layout import Layout
@@ -24,6 +25,7 @@ class Judging:
         self.layout = layout_of(scene) if layout is None else layout
         self.task = Task(scene, envs=shape.envs)
         self.stack = CostStack(scene, self.layout, self.task, terms=terms, device=device)
+        try_terms(self.stack, scene)
         self.trajectory = Trajectory.allocate(shape, self.layout, len(self.stack.pairs), device)
         self.control = self.trajectory.control
         self.state = ObservedState.allocate(self.layout, self.task, device)

@@ -42,7 +42,7 @@ def test_a_program_that_is_told_to_end_sends_the_safe_command_last(number, tmp_p
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     while program.stdout.readline() not in ("driving\n", ""):
         pass
