@@ -8,6 +8,7 @@ any variable; the rest of a block is guarded by them.
 from __future__ import annotations
 
 import ast
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -26,12 +27,12 @@ UNWRITTEN = (Refused, TypeError, AttributeError, IndexError, KeyError, ValueErro
 """Errors of something that cannot be written as it was tried."""
 
 
-class Statements(Accessors):
+class Statements(Accessors, ABC):
     """Writes the statements of a function; a subclass evaluates expressions (:meth:`value`)."""
 
+    @abstractmethod
     def value(self, node: ast.expr, env: dict) -> Any:
         """Evaluate an expression."""
-        raise NotImplementedError
 
     def block(self, body: list[ast.stmt], env: dict) -> None:
         """Write statements, the rest of them guarded once some lanes have left."""
