@@ -84,6 +84,6 @@ def gone(process: int) -> bool:
     """Whether a process has ended; one that nobody has waited for counts."""
     try:
         state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the second: it ended between opening the file and reading it
         return True
     return state == "Z"
