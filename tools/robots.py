@@ -44,7 +44,7 @@ class Row:
     """Meshes of its shapes, drawn and colliding."""
     engine: str = ""
     """Engine of the plan that ran; empty where none was tried."""
-    mended: tuple[str, ...] = ()
+    repaired: tuple[str, ...] = ()
     error: str = ""
     """Why it does not load or plan."""
     refused: bool = True
@@ -96,8 +96,8 @@ def try_robot(package: str, root: Path, path: Path, *, engine: str | None = None
         compiled = compile_scene(scene)
         compiled.spec().compile()
         layout = compiled.layout
-        mended = tuple(line.removeprefix("robot: ") for line in compiled.mended)
-        known |= {"loads": True, "dof": layout.nv, "meshes": len(layout.meshes), "mended": mended}
+        repaired = tuple(line.removeprefix("robot: ") for line in compiled.repaired)
+        known |= {"loads": True, "dof": layout.nv, "meshes": len(layout.meshes), "repaired": repaired}
         if engine:
             controller = Controller(scene, engine=engine)
             command = controller.step(Plant(scene, task=controller.task).observe())
@@ -120,12 +120,12 @@ def table(rows: list[Row], roots: dict[str, Path]) -> str:
         return text if len(text) <= TEXT else f"{text[: TEXT - 3]}..."
 
     lines = [
-        "| robot | loads | DoF | meshes | plan | what was mended, or why it is refused |",
+        "| robot | loads | DoF | meshes | plan | what was repaired, or why it is refused |",
         "|---|---|---|---|---|---|",
     ]
     for row in rows:
-        more = f" (and {len(row.mended) - 1} more)" if len(row.mended) > 1 else ""
-        said = short(row.error) if row.error else short(row.mended[0]) + more if row.mended else ""
+        more = f" (and {len(row.repaired) - 1} more)" if len(row.repaired) > 1 else ""
+        said = short(row.error) if row.error else short(row.repaired[0]) + more if row.repaired else ""
         numbers = f"{row.dof} | {row.meshes}" if row.loads else "- | -"
         engine = row.engine or ("fails" if row.loads and row.error else "not tried" if row.loads else "-")
         lines.append(f"| {row.file} | {'yes' if row.loads else 'no'} | {numbers} | {engine} | {said} |")
@@ -135,13 +135,13 @@ def table(rows: list[Row], roots: dict[str, Path]) -> str:
 def page(rows: list[Row], roots: dict[str, Path], engine: str) -> str:
     """The page of all robots, planned for with an engine."""
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in VERSIONS if _installed(name))
-    loads, plans, mended = (
-        sum(map(bool, found)) for found in zip(*((r.loads, r.engine, r.mended) for r in rows), strict=True)
+    loads, plans, repaired = (
+        sum(map(bool, found)) for found in zip(*((r.loads, r.engine, r.repaired) for r in rows), strict=True)
     )
     parts = [
         "# Robots: what loads",
         f"Every robot of the PyPI packages example-robot-data and mjlab, written by `tools/robots.py` with {versions}.",
-        f"{loads} of {len(rows)} load, {mended} of them mended with a warning; a plan was made with {plans}. Each "
+        f"{loads} of {len(rows)} load, {repaired} of them repaired with a warning; a plan was made with {plans}. Each "
         "stands alone in a scene without a floor, with a drive on every joint where its file brings no actuators. "
         f"`plan` names the engine of the plan, of 8 samples (`--engine {engine}`, on a CPU of {os.cpu_count()} cores).",
     ]

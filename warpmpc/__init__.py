@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         step_time,
         task_scalar,
     )
-    from .model.exchange import MujocoStates, NewtonStates
+    from .model.conversion import MujocoStates, NewtonStates
     from .model.state import Info, State
     from .planner.plan import Plan
     from .plant.monitor import Monitor
@@ -146,8 +146,8 @@ _HOME = {
     "HistoryRecorder": "record.history",
     "Info": "model.state",
     "Monitor": "plant.monitor",
-    "MujocoStates": "model.exchange",
-    "NewtonStates": "model.exchange",
+    "MujocoStates": "model.conversion",
+    "NewtonStates": "model.conversion",
     "Plan": "planner.plan",
     "PlanLog": "record.plan_log",
     "Replay": "record.replay",

@@ -66,13 +66,13 @@ def replace_posture_kernel(
     cost: wp.array2d[float],  # [E, S] of the last plan
     first: int,  # sample that the first row is
     rows: int,  # rows of one posture
-    ripe: int,  # plans that a posture is left to find its way
+    min_age: int,  # plans for which a posture stays at least
     near: float,  # [m and rad] a posture whose pose is farther off than this has not found it
     miss: wp.array2d[float],  # [E, M] how far off poses are [m and rad]
     # outputs
     age: wp.array2d[int],  # [E, M] plans since a posture was begun; 0 begins it
 ):
-    """One thread: let the posture of one environment whose best row cost most give way, among those that are ripe.
+    """One thread: let the posture of one environment whose best row cost most give way, among those of that age.
 
     Those that have not found the pose by then go first; of the others the best stays.
     """
@@ -81,10 +81,10 @@ def replace_posture_kernel(
         return
     worst = int(-1)
     most = float(-wp.inf)
-    ripe_count = int(0)
+    old_enough = int(0)
     for m in range(age.shape[1]):
-        if age[e, m] >= ripe:
-            ripe_count += 1
+        if age[e, m] >= min_age:
+            old_enough += 1
             least = float(wp.inf)
             for k in range(rows):
                 least = wp.min(least, cost[e, first + m * rows + k])
@@ -94,7 +94,7 @@ def replace_posture_kernel(
                 most = least
                 worst = m
     for m in range(age.shape[1]):
-        goes = m == worst and (ripe_count > 1 or most == wp.inf)
+        goes = m == worst and (old_enough > 1 or most == wp.inf)
         age[e, m] = wp.where(goes, 0, age[e, m] + 1)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF files that MuJoCo refuses: mended with a warning, or one line with file, element and cure."""
+"""MJCF files that MuJoCo refuses: repaired with a warning, or one line with file, element and cure."""
 
 import logging
 
@@ -50,8 +50,8 @@ def test_an_inertia_that_breaks_the_triangle_is_mended_with_a_warning(compiled, 
     key = '<keyframe><key name="home" qpos="0.3"/></keyframe>'
     with caplog.at_level(logging.WARNING, logger="warpmpc"):
         scene = compiled(arm=inertial(inertia) + BALL, more=key)
-    assert "body 'arm': no body has the principal inertias" in scene.mended[0]
-    assert scene.mended[0] in caplog.text
+    assert "body 'arm': no body has the principal inertias" in scene.repaired[0]
+    assert scene.repaired[0] in caplog.text
     model = scene.spec().compile()
     body = next(b for b in range(model.nbody) if model.body(b).name.endswith("arm"))
     found, before = np.sort(model.body_inertia[body]), np.linalg.eigvalsh(matrix(given))
@@ -77,12 +77,12 @@ def test_what_mujoco_takes_is_left_as_it_is(compiled, arm, more):
     scene = compiled(arm=arm, more=more)
     expected = mujoco.MjModel.from_xml_string(FILE.format(joint="", arm=arm, more=more))
     np.testing.assert_allclose(scene.spec().compile().body_inertia[-1], expected.body_inertia[-1], rtol=1e-6)
-    assert scene.mended == ()
+    assert scene.repaired == ()
 
 
 def test_a_force_range_of_nothing_limits_nothing(compiled):
     scene = compiled(joint='actuatorfrclimited="true"')
-    assert "joint 'swing': an actuatorfrcrange of 0 is taken as none" in scene.mended[0]
+    assert "joint 'swing': an actuatorfrcrange of 0 is taken as none" in scene.repaired[0]
     assert not scene.spec().compile().jnt_actfrclimited.any()
 
 
@@ -91,7 +91,7 @@ def test_a_force_range_of_nothing_limits_nothing(compiled):
     [
         ("", "", r"'arm' \(line 3\): it moves, and its mass or an inertia is not above zero: give it an <inertial>"),
         ("", inertial('diaginertia="0 0 0"'), r"'arm' \(line 3\): it moves, and its mass or an inertia"),
-        ('limited="true"', BALL, r"'swing' \(line 3\): its range must begin below its end: mend range, or"),
+        ('limited="true"', BALL, r"'swing' \(line 3\): its range must begin below its end: correct range, or"),
         ('actuatorfrclimited="true" actuatorfrcrange="2 1"', BALL, r"'swing' \(line 3\): its actuatorfrcrange must"),
         ('axis="0 0 0"', BALL, r"'swing' \(line 3\): its axis has no length"),
         ("", '<geom name="ball" size="-1"/>', r"'ball' \(line 3\): its sizes must be above zero"),

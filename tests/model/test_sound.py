@@ -7,7 +7,7 @@ import pytest
 from small_scenes import CHAIN, compiled, make_scene
 
 from warpmpc.model.compiled import compile_scene
-from warpmpc.model.sound import require_sound
+from warpmpc.model.validate import validate_layout
 from warpmpc.scene.errors import SceneError
 
 KEY = '<keyframe><key name="start" qpos="{}"/></keyframe></mujoco>'
@@ -45,11 +45,11 @@ def test_a_urdf_that_makes_no_sense_is_refused(tmp_path, change, says):
 def test_limits_the_wrong_way_round_are_refused_whatever_the_asset_is():
     scene = make_scene()
     layout = compiled(scene).layout
-    require_sound(layout, scene)
+    validate_layout(layout, scene)
     with pytest.raises(
         SceneError, match=r"robot\.base\.asset: the lower limit of joint 'base/.*' is above its upper one"
     ):
-        require_sound(replace(layout, dof_lower=layout.dof_upper + 1.0), scene)
+        validate_layout(replace(layout, dof_lower=layout.dof_upper + 1.0), scene)
 
 
 def test_a_keyframe_of_what_is_no_number_is_refused(tmp_path):

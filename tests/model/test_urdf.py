@@ -91,7 +91,7 @@ def test_a_visual_mesh_that_is_missing_or_broken_is_warned_of_every_time(tmp_pat
 def test_a_good_file_is_not_warned_of(tmp_path, caplog):
     (tmp_path / "part.obj").write_text(MESH)
     compiled = compile_scene(scene(tmp_path, arm=BALL + shape("visual", "part.obj") + shape("collision", "part.obj")))
-    assert not compiled.mended
+    assert not compiled.repaired
     assert not caplog.messages
     assert model_of(compiled).nmesh == 1
 
@@ -131,23 +131,23 @@ def test_an_inertia_that_breaks_the_triangle_is_mended_with_a_warning(tmp_path):
     bad = BALL.replace("izz='.1'", "izz='.3'")
     compiled = compile_scene(scene(tmp_path, arm=bad))
     np.testing.assert_allclose(np.sort(model_of(compiled).body("r_arm").inertia), [0.15, 0.15, 0.3], rtol=1e-3)
-    assert len(compiled.mended) == 1
-    assert "link 'arm'" in compiled.mended[0]
-    assert "A + B ≥ C" in compiled.mended[0]
+    assert len(compiled.repaired) == 1
+    assert "link 'arm'" in compiled.repaired[0]
+    assert "A + B ≥ C" in compiled.repaired[0]
 
 
 def test_a_flat_plate_is_left_alone(tmp_path):
     plate = BALL.replace("izz='.1'", "izz='.2'")
     compiled = compile_scene(scene(tmp_path, arm=plate))
     np.testing.assert_allclose(np.sort(model_of(compiled).body("r_arm").inertia), [0.1, 0.1, 0.2], rtol=1e-4)
-    assert not compiled.mended
+    assert not compiled.repaired
 
 
 def test_a_link_without_mass_between_joints_gets_next_to_none(tmp_path):
     links, joints = f"<link name='hand'>{BALL}</link>", joint("arm") + joint("hand", parent="arm")
     compiled = compile_scene(scene(tmp_path, arm="", links=links, joints=joints))
     assert model_of(compiled).body("r_arm").mass[0] == pytest.approx(1e-6, rel=1e-3)
-    assert ["link 'arm'" in line and "no mass" in line for line in compiled.mended] == [True]
+    assert ["link 'arm'" in line and "no mass" in line for line in compiled.repaired] == [True]
 
 
 def test_a_link_that_moves_nothing_is_refused_with_file_link_and_cure(tmp_path):
@@ -159,11 +159,11 @@ def test_a_mass_without_inertia_and_shapes_without_inertial_are_told(tmp_path):
     compiled = compile_scene(scene(tmp_path, arm="<inertial><mass value='1'/></inertial>"))
     radius = (3.0 / (4.0 * np.pi * 1000.0)) ** (1.0 / 3.0)
     np.testing.assert_allclose(model_of(compiled).body("r_arm").inertia, 0.4 * radius**2, rtol=1e-3)
-    assert "no inertia" in compiled.mended[0]
+    assert "no inertia" in compiled.repaired[0]
     box = "<collision><geometry><box size='.1 .1 .1'/></geometry></collision>"
     compiled = compile_scene(scene(tmp_path, arm=box))
     assert model_of(compiled).body("r_arm").mass[0] == pytest.approx(1.0, rel=1e-3)
-    assert "1000 kg/m³" in compiled.mended[0]
+    assert "1000 kg/m³" in compiled.repaired[0]
 
 
 @pytest.mark.parametrize(
@@ -196,8 +196,8 @@ def test_limits_that_say_nothing_limit_nothing(tmp_path, kind, limit, limited, t
     compiled = compile_scene(scene(tmp_path, joints=joint("arm", kind=kind, inside=limit)))
     assert bool(model_of(compiled).joint("r_to_arm").limited[0]) is limited
     assert compiled.layout.dof_speed[0] > 0.0
-    assert len(compiled.mended) == len(told)
-    assert all(part in line for part, line in zip(told, compiled.mended, strict=True))
+    assert len(compiled.repaired) == len(told)
+    assert all(part in line for part, line in zip(told, compiled.repaired, strict=True))
 
 
 def test_a_range_that_ends_before_it_begins_is_refused(tmp_path):
@@ -211,7 +211,7 @@ def test_a_fixed_joint_mimics_nothing(tmp_path):
     joints = joint("arm") + joint("tip", parent="arm", kind="fixed", inside=mimic)
     compiled = compile_scene(scene(tmp_path, joints=joints, links="<link name='tip'/>"))
     assert compiled.layout.nv == 1
-    assert "joint 'to_tip' is fixed" in compiled.mended[0]
+    assert "joint 'to_tip' is fixed" in compiled.repaired[0]
 
 
 def test_a_joint_of_no_link_is_refused_by_name(tmp_path):

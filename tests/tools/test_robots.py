@@ -11,7 +11,7 @@ from needs import need
 
 PAGE = Path(__file__).parents[2] / "docs" / "robots.md"
 FOUND = {str(path.relative_to(root)): (package, root, path) for package, root, path in robots.robots()}
-TROUBLE = {  # file → joint velocities, or what it is refused with; what is mended
+TROUBLE = {  # file → joint velocities, or what it is refused with; what is repaired
     "allegro_hand_description/urdf/allegro_right_hand.urdf": (16, "A + B ≥ C"),
     "double_pendulum_description/urdf/double_pendulum.urdf": (2, "has no range"),
     "human_description/robots/human.urdf": (36, "has no mass"),
@@ -38,7 +38,7 @@ def known(file: str):
 
 @pytest.mark.parametrize("file", sorted(TROUBLE))
 def test_the_troublesome_ones_load_or_are_refused(file):
-    wanted, mended = TROUBLE[file]
+    wanted, repaired = TROUBLE[file]
     row = robots.try_robot(*known(file))
     assert row.refused
     if isinstance(wanted, str):
@@ -47,9 +47,9 @@ def test_the_troublesome_ones_load_or_are_refused(file):
         assert "Error" not in row.error  # none of MuJoCo's own
     else:
         assert (row.loads, row.error, row.dof) == (True, "", wanted)
-        assert bool(row.mended) == bool(mended)
-        assert all(line.startswith(("link '", "joint '")) for line in row.mended)
-        assert any(mended in line for line in row.mended) or not mended
+        assert bool(row.repaired) == bool(repaired)
+        assert all(line.startswith(("link '", "joint '")) for line in row.repaired)
+        assert any(repaired in line for line in row.repaired) or not repaired
 
 
 def test_the_page_has_a_row_for_every_robot_and_no_path_of_a_machine():
@@ -65,11 +65,11 @@ def test_the_page_has_a_row_for_every_robot_and_no_path_of_a_machine():
 def test_a_page_counts_what_loads_plans_and_was_mended(tmp_path):
     rows = [
         robots.Row("mjlab", "a.xml", loads=True, dof=3, meshes=2, engine="fused"),
-        robots.Row("mjlab", "b.urdf", loads=True, dof=1, mended=("one | two", "three")),
+        robots.Row("mjlab", "b.urdf", loads=True, dof=1, repaired=("one | two", "three")),
         robots.Row("mjlab", "c.urdf", error=f"{tmp_path}/c.urdf: " + "long " * 60),
     ]
     text = robots.page(rows, {"mjlab": tmp_path}, "mujoco")
-    assert "2 of 3 load, 1 of them mended with a warning; a plan was made with 1." in text
+    assert "2 of 3 load, 1 of them repaired with a warning; a plan was made with 1." in text
     assert "| a.xml | yes | 3 | 2 | fused |  |" in text
     assert "| b.urdf | yes | 1 | 0 | not tried | one / two (and 1 more) |" in text
     assert str(tmp_path) not in text

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import time
 
-from .rows import Row
+from .mujoco_states import Row
 
 _CONTEXT = multiprocessing.get_context("spawn")
 

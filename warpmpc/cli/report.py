@@ -130,8 +130,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         fact("robot", f"{robot.name}: {dofs} DoF, {len(entity.bodies)} links, from {robot.asset}")
     for note in controller.compiled.notes:
         fact("as written", note)
-    for line in controller.compiled.mended:
-        fact("mended", line)
+    for line in controller.compiled.repaired:
+        fact("repaired", line)
     for item in scene.object:
         fact("object", f"{item.name}: {_shape(item)}, {item.mass:g} kg")
     for item in scene.obstacle:

@@ -209,7 +209,7 @@ def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
             file=scene.path,
             found=True,
         )
-    if not compiled.natives:
+    if not compiled.mjcf_robots:
         return
     layout, model = compiled.layout, compiled.spec().compile()
     found = {

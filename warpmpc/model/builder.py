@@ -36,7 +36,7 @@ from .layout import (
     ShapeInfo,
     accelerator,
 )
-from .native import NativeRobots, add_native
+from .mjcf_robot import MjcfRobots, add_mjcf_robot
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -60,11 +60,11 @@ class World:
 
     builder: newton.ModelBuilder
     layout: Layout
-    natives: NativeRobots
+    mjcf_robots: MjcfRobots
     """Its MJCF robots."""
     actuator_name: tuple[str, ...]
     """Actuator of an MJCF file behind each control, empty for controls of drives."""
-    mended: tuple[str, ...]
+    repaired: tuple[str, ...]
     """What is not as the assets' files say."""
 
 
@@ -89,11 +89,11 @@ def _build(scene: Scene) -> World:
     entities: list[Entity] = []
     axes: list[str] = []
     frames: dict[str, tuple[int, tuple[float, ...]]] = {}
-    actuators, natives = Actuators(), NativeRobots()
-    mended: list[str] = []
+    actuators, mjcf_robots = Actuators(), MjcfRobots()
+    repaired: list[str] = []
 
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, natives, mended))
+        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, mjcf_robots, repaired))
     for item in scene.object:
         entities.append(_add_object(builder, item, scene))
         frames[item.name] = (entities[-1].bodies[0], IDENTITY)
@@ -111,17 +111,17 @@ def _build(scene: Scene) -> World:
         )
         entities.append(Entity("ground", "ground", shapes=(plane,)))
     _filter_ground(builder, scene, entities)
-    layout = _layout(builder, entities, frames, actuators, axes, natives)
-    return World(builder, layout, natives, actuators.own(), (*mended, *natives.mended))
+    layout = _layout(builder, entities, frames, actuators, axes, mjcf_robots)
+    return World(builder, layout, mjcf_robots, actuators.own(), (*repaired, *mjcf_robots.repaired))
 
 
-def build_rest(scene: Scene, natives: Collection[str]) -> World | None:
+def build_rest(scene: Scene, mjcf_robots: Collection[str]) -> World | None:
     """A world of everything but some robots, or None if nothing is left; Newton translates no world without a joint.
 
     Raises:
         SceneError: As :func:`build_world`.
     """
-    left = tuple(robot for robot in scene.robot if robot.name not in natives)
+    left = tuple(robot for robot in scene.robot if robot.name not in mjcf_robots)
     if not (left or scene.object or scene.obstacle or scene.ground is not None):
         return None
     return _build(scene.model_copy(update={"robot": left}))
@@ -134,18 +134,18 @@ def _add_robot(
     frames: dict,
     actuators: Actuators,
     axes: list[str],
-    natives: NativeRobots,
-    mended: list[str],
+    mjcf_robots: MjcfRobots,
+    repaired: list[str],
 ) -> Entity:
     key = f"robot.{robot.name}"
     base = scene.path.parent if scene.path else None
     path = resolve_asset(robot.asset, base=base, key=f"{key}.asset", file=scene.path)
     kind = asset_kind(path, key=f"{key}.asset", file=scene.path)
     if kind is AssetKind.MJCF:
-        return add_native(builder, new_builder(), robot, path, scene, frames, actuators, axes, natives)
+        return add_mjcf_robot(builder, new_builder(), robot, path, scene, frames, actuators, axes, mjcf_robots)
     _refuse_mjcf_keys(robot, kind, scene)
     part, lines = import_links(path, kind, robot, file=scene.path)
-    mended += lines
+    repaired += lines
     if not part.body_count:
         raise SceneError("this asset has no links", key=f"{key}.asset", file=scene.path, found=str(path))
 
@@ -285,7 +285,7 @@ def _layout(
     frames: dict,
     actuators: Actuators,
     robot_axes: list[str],
-    natives: NativeRobots,
+    mjcf_robots: MjcfRobots,
 ) -> Layout:
     axes = np.array(builder.joint_axis, dtype=np.float32).reshape(-1, 3)
     dims = np.array(builder.joint_dof_dim, dtype=np.int32).reshape(-1, 2)
@@ -301,7 +301,7 @@ def _layout(
     shapes = tuple(_shape_info(builder, i, owner.get(i, ""), meshes) for i in range(builder.shape_count))
     poses = [np.array(x, dtype=np.float32) for x in (builder.joint_X_p, builder.joint_X_c)]
     start = {name: np.array(getattr(builder, name), dtype=np.float32) for name in ("joint_q", "joint_qd")}
-    natives.activations += [accelerator(a["dof"]) for a in actuators.actuator if a["mode"] == "acceleration"]
+    mjcf_robots.activations += [accelerator(a["dof"]) for a in actuators.actuator if a["mode"] == "acceleration"]
     return Layout(
         joint_name=tuple(builder.joint_label),
         joint_type=np.array(builder.joint_type, dtype=np.int32),
@@ -330,7 +330,7 @@ def _layout(
         frame_pose=np.array([pose for _, pose in frames.values()], dtype=np.float32),
         meshes=tuple(meshes),
         **actuators.arrays(),
-        **natives.arrays(start, len(actuators.control)),
+        **mjcf_robots.arrays(start, len(actuators.control)),
     )
 
 

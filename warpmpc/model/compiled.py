@@ -31,14 +31,14 @@ from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .layout import Layout
 from .movable import with_movable
-from .sound import require_sound
+from .validate import validate_layout
 
 if TYPE_CHECKING:
     import mujoco
 
     from ..scene.schema import Scene
     from .builder import World
-    from .mjcf import Native
+    from .mjcf import MjcfRobot
 
 logger = logging.getLogger("warpmpc")
 
@@ -59,13 +59,13 @@ class CompiledScene:
     """MuJoCo name of each joint dof."""
     actuator_name: tuple[str, ...] = ()
     """Actuator of an MJCF file behind each control, empty for controls of drives."""
-    natives: tuple[Native, ...] = ()
+    mjcf_robots: tuple[MjcfRobot, ...] = ()
     """The MJCF robots, whose files go into the MuJoCo model as they are."""
     notes: tuple[str, ...] = ()
     """What was taken over from MJCF files and what was not."""
     timestep: float | None = None
     """Physics step that the first MJCF file asks for [s]."""
-    mended: tuple[str, ...] = ()
+    repaired: tuple[str, ...] = ()
     """What of the assets is not as their files say, which is warned of every time."""
 
     def spec(self) -> mujoco.MjSpec:
@@ -73,7 +73,7 @@ class CompiledScene:
         from .compose import compose
 
         shapes = zip(self.layout.shapes, self.geom_name, strict=True)
-        return compose(self.mjcf, self.natives, {name for shape, name in shapes if name and shape.collides})
+        return compose(self.mjcf, self.mjcf_robots, {name for shape, name in shapes if name and shape.collides})
 
     def substeps(self, wanted: int | None, control_dt: float, default: int) -> int:
         """Physics steps per control.
@@ -99,15 +99,15 @@ def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
         SceneError: If an asset is missing or broken, or lacks a joint or link the scene names.
     """
     compiled = _compiled(scene, _cache_key(scene) if cache else None)
-    if compiled.mended:
-        logger.warning("%s", _warning(compiled.mended))
+    if compiled.repaired:
+        logger.warning("%s", _warning(compiled.repaired))
     return compiled
 
 
-def _warning(mended: Sequence[str]) -> str:
-    """One line about what was mended."""
-    more = len(mended) - 1
-    return mended[0] + (f" (and {more} more mended: warpmpc check lists all)" if more else "")
+def _warning(repaired: Sequence[str]) -> str:
+    """One line about what was repaired."""
+    more = len(repaired) - 1
+    return repaired[0] + (f" (and {more} more repaired: warpmpc check lists all)" if more else "")
 
 
 def _compiled(scene: Scene, key: str | None) -> CompiledScene:
@@ -149,10 +149,10 @@ def _compile(scene: Scene) -> CompiledScene:
     from .builder import build_world
 
     world = build_world(scene)
-    require_sound(world.layout, scene)
-    if not world.natives.robots:
-        return CompiledScene(world.layout, *_derive(world), world.actuator_name, mended=world.mended)
-    return _compile_natives(scene, world)
+    validate_layout(world.layout, scene)
+    if not world.mjcf_robots.robots:
+        return CompiledScene(world.layout, *_derive(world), world.actuator_name, repaired=world.repaired)
+    return _compile_mjcf(scene, world)
 
 
 def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
@@ -231,14 +231,14 @@ def _without_helper(mjcf: str) -> str:
     return spec.to_xml()
 
 
-def _compile_natives(scene: Scene, world: World) -> CompiledScene:
+def _compile_mjcf(scene: Scene, world: World) -> CompiledScene:
     """A scene with MJCF robots: what else stands in it is derived from a Newton world of its own."""
     from .builder import build_rest
     from .compose import differences, needs_implicit, options_that_differ
     from .mjcf import compile_mjcf, read_mjcf
 
-    layout, natives = world.layout, tuple(world.natives.robots)
-    names = {native.robot.name for native in natives}
+    layout, mjcf_robots = world.layout, tuple(world.mjcf_robots.robots)
+    names = {mjcf_robot.robot.name for mjcf_robot in mjcf_robots}
     bodies, joints = list(layout.body_name), [""] * layout.nv
     geoms = [shape.name if shape.collides else "" for shape in layout.shapes]
     mjcf, rest = "", build_rest(scene, names)
@@ -258,25 +258,25 @@ def _compile_natives(scene: Scene, world: World) -> CompiledScene:
                 first, start = rest.layout.joint_qd_start[own], layout.joint_qd_start[there]
                 for k in range(int(layout.joint_dof_dim[there].sum())):
                     joints[start + k] = found[2][first + k]
-    notes = list(world.natives.notes)
-    files = [read_mjcf(native, file=scene.path) for native in natives]
+    notes = list(world.mjcf_robots.notes)
+    files = [read_mjcf(mjcf_robot, file=scene.path) for mjcf_robot in mjcf_robots]
     names = (tuple(bodies), tuple(geoms))
-    model = CompiledScene(layout, mjcf, *names, (), natives=natives).spec().compile()
-    for native, file in zip(natives, files, strict=True):
-        name = native.robot.name
-        own = compile_mjcf(file, native, file=scene.path)
+    model = CompiledScene(layout, mjcf, *names, (), mjcf_robots=mjcf_robots).spec().compile()
+    for mjcf_robot, file in zip(mjcf_robots, files, strict=True):
+        name = mjcf_robot.robot.name
+        own = compile_mjcf(file, mjcf_robot, file=scene.path)
         for j in range(own.njnt):
             start = layout.joint_qd_start[layout.entity(name).joints[0]] + own.jnt_dofadr[j]
             joints[start] = f"{name}/{own.joint(j).name}"
         notes += differences(own, model, name)
         if differ := options_that_differ(files[0].spec, file.spec):
             notes.append(f"{name}: options of the first MJCF file hold instead of its own: {', '.join(differ)}")
-    if needs_implicit(files[0].spec, natives):
+    if needs_implicit(files[0].spec, mjcf_robots):
         notes.append("the servos of drives are integrated by implicitfast, unless engine.integrator says otherwise")
     timestep = float(files[0].spec.option.timestep)
     joints = tuple(joints)
     return CompiledScene(
-        layout, mjcf, *names, joints, world.actuator_name, natives, tuple(notes), timestep, world.mended
+        layout, mjcf, *names, joints, world.actuator_name, mjcf_robots, tuple(notes), timestep, world.repaired
     )
 
 
@@ -290,19 +290,23 @@ def _fetch(folder: Path, key: str) -> CompiledScene:
     if entry["digest"] != _digest(entry["names"], folder / f"{key}.npz", folder / f"{key}.xml"):
         raise ValueError("a damaged cache entry")
     layout, mjcf = Layout.load(folder / f"{key}.npz"), (folder / f"{key}.xml").read_text()
-    *names, natives, notes, timestep, mended = entry["names"]
-    return CompiledScene(layout, mjcf, *map(tuple, names), _natives(natives), tuple(notes), timestep, tuple(mended))
+    *names, mjcf_robots, notes, timestep, repaired = entry["names"]
+    return CompiledScene(
+        layout, mjcf, *map(tuple, names), _mjcf_robots(mjcf_robots), tuple(notes), timestep, tuple(repaired)
+    )
 
 
-def _natives(entries: list[dict]) -> tuple[Native, ...]:
+def _mjcf_robots(entries: list[dict]) -> tuple[MjcfRobot, ...]:
     """What :func:`_store` wrote about MJCF robots."""
     if not entries:
         return ()
     from ..scene.schema_bodies import Robot
-    from .mjcf import Native, Servo
+    from .mjcf import MjcfRobot, Servo
 
     return tuple(
-        Native(e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**s) for s in e["servos"]), tuple(e["place"]))
+        MjcfRobot(
+            e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**s) for s in e["servos"]), tuple(e["place"])
+        )
         for e in entries
     )
 
@@ -319,7 +323,12 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         compiled.layout.save(parts / "npz.npz")
         (parts / "xml").write_text(compiled.mjcf)
         names = [compiled.body_name, compiled.geom_name, compiled.joint_name, compiled.actuator_name]
-        names += [[_entry(native) for native in compiled.natives], compiled.notes, compiled.timestep, compiled.mended]
+        names += [
+            [_entry(mjcf_robot) for mjcf_robot in compiled.mjcf_robots],
+            compiled.notes,
+            compiled.timestep,
+            compiled.repaired,
+        ]
         entry = {"names": names, "digest": _digest(names, parts / "npz.npz", parts / "xml")}
         (parts / "json").write_text(json.dumps(entry))
         os.replace(parts / "npz.npz", folder / f"{key}.npz")
@@ -327,10 +336,10 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
         os.replace(parts / "json", folder / f"{key}.json")
 
 
-def _entry(native: Native) -> dict:
-    servos = [asdict(servo) for servo in native.servos]
-    robot = native.robot.model_dump(mode="json")
-    return {"path": native.path, "robot": robot, "servos": servos, "place": native.place}
+def _entry(mjcf_robot: MjcfRobot) -> dict:
+    servos = [asdict(servo) for servo in mjcf_robot.servos]
+    robot = mjcf_robot.robot.model_dump(mode="json")
+    return {"path": mjcf_robot.path, "robot": robot, "servos": servos, "place": mjcf_robot.place}
 
 
 def _cache_key(scene: Scene) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema import DriveMode
-from .mjcf import Native, is_floor, read_mjcf
+from .mjcf import MjcfRobot, is_floor, read_mjcf
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -25,40 +25,40 @@ _BITS = range(31)
 """Collision bits: MuJoCo's are signed integers of 32 bits."""
 
 
-def compose(mjcf: str, natives: Sequence[Native], solid: Collection[str]) -> mujoco.MjSpec:
+def compose(mjcf: str, mjcf_robots: Sequence[MjcfRobot], solid: Collection[str]) -> mujoco.MjSpec:
     """The MuJoCo model of a scene, to be compiled.
 
     Args:
         mjcf: The model that Newton derives from everything but MJCF robots; empty when there is nothing else.
-        natives: The MJCF robots.
+        mjcf_robots: The MJCF robots.
         solid: Its geoms that collide; Newton leaves out the bits of those that meet nothing in its own model.
 
     Raises:
         SceneError: If a file cannot be read, or the files use too many collision bits.
     """
     spec = mujoco.MjSpec.from_string(mjcf) if mjcf else mujoco.MjSpec()
-    if not natives:
+    if not mjcf_robots:
         return spec
-    children = [read_mjcf(native).spec for native in natives]
-    _share_bits(spec, solid, children, natives)
+    children = [read_mjcf(mjcf_robot).spec for mjcf_robot in mjcf_robots]
+    _share_bits(spec, solid, children, mjcf_robots)
     take_options(spec, children[0])
-    if needs_implicit(children[0], natives):
+    if needs_implicit(children[0], mjcf_robots):
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    for child, native in zip(children, natives, strict=True):
-        _keep_floors(child, native.place)
-        *position, x, y, z, w = native.place
+    for child, mjcf_robot in zip(children, mjcf_robots, strict=True):
+        _keep_floors(child, mjcf_robot.place)
+        *position, x, y, z, w = mjcf_robot.place
         frame = spec.worldbody.add_frame(pos=position, quat=[w, x, y, z])
         _copy(spec.option, child.option)  # MuJoCo warns of settings that differ; the notes tell of those that matter
         _copy(spec.visual, child.visual)
         for name in _SIZES:
             setattr(child, name, getattr(spec, name))
-        spec.attach(child, prefix=f"{native.robot.name}/", frame=frame)
+        spec.attach(child, prefix=f"{mjcf_robot.robot.name}/", frame=frame)
     return spec
 
 
-def needs_implicit(first: mujoco.MjSpec, natives: Sequence[Native]) -> bool:
+def needs_implicit(first: mujoco.MjSpec, mjcf_robots: Sequence[MjcfRobot]) -> bool:
     """Whether stiff servos of drives replace what a file's explicit integrator was chosen for."""
-    stiff = any(drive.mode is not DriveMode.EFFORT for native in natives for drive in native.robot.drive)
+    stiff = any(drive.mode is not DriveMode.EFFORT for mjcf_robot in mjcf_robots for drive in mjcf_robot.robot.drive)
     return stiff and first.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
 
 
@@ -106,7 +106,7 @@ def _copy(source: object, target: object) -> None:
 
 
 def _share_bits(
-    spec: mujoco.MjSpec, solid: Collection[str], children: Sequence[mujoco.MjSpec], natives: Sequence[Native]
+    spec: mujoco.MjSpec, solid: Collection[str], children: Sequence[mujoco.MjSpec], mjcf_robots: Sequence[MjcfRobot]
 ) -> None:
     """Set collision bits so that the scene's geoms meet the files' and every file keeps its own rule.
 
@@ -121,7 +121,7 @@ def _share_bits(
     for geom in spec.geoms:
         used |= geom.contype
     moved = [bit for bit in _BITS if used >> bit & 1]
-    quiet = [i for i, native in enumerate(natives) if native.robot.self_collision is False]
+    quiet = [i for i, mjcf_robot in enumerate(mjcf_robots) if mjcf_robot.robot.self_collision is False]
     if len(free) < len(moved) + 2 + len(quiet):
         raise SceneError(
             "the MJCF files use so many collision bits (contype, conaffinity) that none are left for the scene",
@@ -136,8 +136,8 @@ def _share_bits(
             is_plane = geom.type == mujoco.mjtGeom.mjGEOM_PLANE
             geom.contype = _moved(geom.contype, place) | (plane if is_plane else body)
             geom.conaffinity = _moved(geom.conaffinity, place)
-    for i, (child, native) in enumerate(zip(children, natives, strict=True)):
-        answers = body | (plane if native.robot.ground_contact else 0)
+    for i, (child, mjcf_robot) in enumerate(zip(children, mjcf_robots, strict=True)):
+        answers = body | (plane if mjcf_robot.robot.ground_contact else 0)
         others = sum(bit for j, bit in shown.items() if j != i)
         static = {geom.name for geom in child.worldbody.geoms}
         for geom in child.geoms:

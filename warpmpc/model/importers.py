@@ -73,7 +73,7 @@ def import_links(
         said = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"this asset cannot be read: {said}", key=key, file=file, found=str(path)) from error
     said = [" ".join(str(warning.message).split()) for warning in caught if _is_about_assets(warning)]
-    return part, [f"{robot.name}: {line}" for line in dict.fromkeys([*(urdf.mended if urdf else ()), *said])]
+    return part, [f"{robot.name}: {line}" for line in dict.fromkeys([*(urdf.repaired if urdf else ()), *said])]
 
 
 def _import_urdf(urdf: Urdf, robot: Robot, options: dict) -> newton.ModelBuilder:

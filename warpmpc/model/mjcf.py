@@ -11,7 +11,7 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import Robot
-from .mjcf_physics import mend_spec, refusal
+from .mjcf_physics import refusal, repair_spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -36,7 +36,7 @@ class Servo:
 
 
 @dataclass(frozen=True)
-class Native:
+class MjcfRobot:
     """A robot whose MJCF file goes into the MuJoCo model as it is."""
 
     path: str
@@ -72,32 +72,32 @@ class Mjcf:
     """Number of actuators in the file."""
     left_out: tuple[str, ...]
     """What was not taken over, and why."""
-    mended: tuple[str, ...]
+    repaired: tuple[str, ...]
     """What is not as the file says, one line each."""
 
 
-def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
+def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
     """Read an MJCF file and change what the scene changes: root, servos, friction, self-collision, gravity.
 
     Args:
-        native: The robot.
+        mjcf_robot: The robot.
         file: Scene file, for errors.
 
     Raises:
         SceneError: If MuJoCo cannot read or compile the file, or it has a root that can be neither welded nor freed.
     """
-    robot, key = native.robot, f"robot.{native.robot.name}"
+    robot, key = mjcf_robot.robot, f"robot.{mjcf_robot.robot.name}"
     try:
-        spec = mujoco.MjSpec.from_file(native.path)
+        spec = mujoco.MjSpec.from_file(mjcf_robot.path)
         spec.compiler.fusestatic = spec.compiler.discardvisual = False  # every body and geom keeps its name
         left_out = _drop_broken_sensors(spec)
         _name_everything(spec)
-        mended = mend_spec(spec)
+        repaired = repair_spec(spec)
         keys = _take_keys(spec)
         _set_root(spec, robot, key, file)
     except ValueError as error:
         raise SceneError(
-            f"this asset cannot be read: {refusal(error)}", key=f"{key}.asset", file=file, found=native.path
+            f"this asset cannot be read: {refusal(error)}", key=f"{key}.asset", file=file, found=mjcf_robot.path
         ) from error
     if robot.friction is not None:
         for geom in spec.geoms:
@@ -112,9 +112,9 @@ def read_mjcf(native: Native, *, file: Path | None = None) -> Mjcf:
     if robot.drive:
         for actuator in list(spec.actuators):
             spec.delete(actuator)
-        for servo in native.servos:
+        for servo in mjcf_robot.servos:
             _add_servo(spec, servo)
-    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(mended))
+    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(repaired))
 
 
 def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[float, ...]:
@@ -146,7 +146,7 @@ def is_floor(kind: int) -> bool:
     return int(kind) in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
-def compile_mjcf(mjcf: Mjcf, native: Native, *, file: Path | None = None) -> mujoco.MjModel:
+def compile_mjcf(mjcf: Mjcf, mjcf_robot: MjcfRobot, *, file: Path | None = None) -> mujoco.MjModel:
     """The file's own model, alone in its world.
 
     Raises:
@@ -157,9 +157,9 @@ def compile_mjcf(mjcf: Mjcf, native: Native, *, file: Path | None = None) -> muj
     except ValueError as error:
         raise SceneError(
             f"this asset cannot be compiled: {refusal(error)}",
-            key=f"robot.{native.robot.name}.asset",
+            key=f"robot.{mjcf_robot.robot.name}.asset",
             file=file,
-            found=native.path,
+            found=mjcf_robot.path,
         ) from error
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertias and limits of an MJCF file that MuJoCo refuses: mended, or said with a cure."""
+"""Inertias and limits of an MJCF file that MuJoCo refuses: repaired, or said with a cure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from .urdf_physics import nearest_inertia
 
 _TRIANGLE = 1e-9
-"""Share of an inertia by which A + B ≥ C may miss before it is mended."""
+"""Share of an inertia by which A + B ≥ C may miss before it is repaired."""
 _AXES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 """Rows and columns of the six numbers of ``fullinertia``."""
 
@@ -21,34 +21,34 @@ _CURES = {
         "or no joint"
     ),
     "range[0] should be smaller than range[1]": (
-        "its range must begin below its end: mend range, or leave limited out where it has none"
+        "its range must begin below its end: correct range, or leave limited out where it has none"
     ),
     "actfrcrange[0] should be smaller than actfrcrange[1]": (
-        "its actuatorfrcrange must begin below its end: mend it, or leave actuatorfrclimited out where it has none"
+        "its actuatorfrcrange must begin below its end: correct it, or leave actuatorfrclimited out where it has none"
     ),
     "axis too small": "its axis has no length: give it one",
-    "must be positive in geom": "its sizes must be above zero: mend size",
-    "invalid control range": "its ctrlrange must begin below its end: mend it, or leave ctrllimited out",
-    "invalid force range": "its forcerange must begin below its end: mend it, or leave forcelimited out",
+    "must be positive in geom": "its sizes must be above zero: correct size",
+    "invalid control range": "its ctrlrange must begin below its end: correct it, or leave ctrllimited out",
+    "invalid force range": "its forcerange must begin below its end: correct it, or leave forcelimited out",
 }
 """What MuJoCo says of an element → what is wrong and what to do about it."""
 _ELEMENT = re.compile(r"^(.*?);? Element name '([^']*)', id \d+(?:, line (\d+))?", re.DOTALL)
 
 
-def mend_spec(spec: mujoco.MjSpec) -> list[str]:
+def repair_spec(spec: mujoco.MjSpec) -> list[str]:
     """Mend what stands for nothing known: inertias that no body has, limits of 0 for the force on a joint.
 
     Args:
         spec: The file, all bodies and joints named; changed in place.
 
     Returns:
-        What was mended, one line each.
+        What was repaired, one line each.
     """
     inferred = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     said = []
     for body in spec.bodies[1:]:
         if body.explicitinertial and not spec.compiler.balanceinertia and not (inferred and body.geoms):
-            said += _mend_inertia(body)
+            said += _repair_inertia(body)
     for joint in spec.joints:
         if joint.actfrclimited == mujoco.mjtLimited.mjLIMITED_TRUE and not np.any(joint.actfrcrange):
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -56,7 +56,7 @@ def mend_spec(spec: mujoco.MjSpec) -> list[str]:
     return said
 
 
-def _mend_inertia(body: mujoco.MjsBody) -> list[str]:
+def _repair_inertia(body: mujoco.MjsBody) -> list[str]:
     full = np.isfinite(body.fullinertia).all()
     given = np.diag(body.inertia).astype(float)
     if full:

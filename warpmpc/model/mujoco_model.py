@@ -121,9 +121,9 @@ def make_world(
 def _set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options, timestep: float) -> None:
     option = spec.option
     option.timestep = timestep
-    if options.iterations is not None or not compiled.natives:
+    if options.iterations is not None or not compiled.mjcf_robots:
         option.iterations = 20 if options.iterations is None else options.iterations
-    if options.tolerance is not None or not compiled.natives:
+    if options.tolerance is not None or not compiled.mjcf_robots:
         option.tolerance = 1e-6 if options.tolerance is None else options.tolerance
     if options.integrator is not None:
         option.integrator = _INTEGRATORS[options.integrator]

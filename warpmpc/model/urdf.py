@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A URDF file as the importer gets it: every mesh found, what no physics can be made of mended, and that said."""
+"""A URDF file as the importer gets it: every mesh found, what no physics can be made of repaired, and that said."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from ..scene.errors import SceneError
 from .assets import find_mesh
-from .urdf_physics import Impossible, mend_inertias, mend_joints
+from .urdf_physics import Impossible, repair_inertias, repair_joints
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,11 +55,11 @@ class Urdf:
             raise self.error(f"is not valid XML: {error}") from error
         if self.root.find("link") is None:
             raise self.error("this asset has no links")
-        self.mended: list[str] = []
+        self.repaired: list[str] = []
         """What is not as the file says, one line each."""
         self.meshes = list(self._find_meshes())
         try:
-            self.mended += [*mend_inertias(self.root, floating=floating), *mend_joints(self.root)]
+            self.repaired += [*repair_inertias(self.root, floating=floating), *repair_joints(self.root)]
         except Impossible as error:
             raise self.error(str(error)) from error
 
@@ -84,10 +84,10 @@ class Urdf:
                 continue
             what = f"link '{mesh.link}': the {mesh.element.tag} mesh {mesh.path} cannot be read"
             if mesh.collides:
-                raise self.error(f"{what}; mend the file or take the <collision> out of the URDF", mesh.uri)
+                raise self.error(f"{what}; correct the file or take the <collision> out of the URDF", mesh.uri)
             self._drop(mesh)
             self.meshes.remove(mesh)
-            self.mended.append(f"{what}; it is not drawn")
+            self.repaired.append(f"{what}; it is not drawn")
             dropped = True
         return dropped
 
@@ -116,7 +116,7 @@ class Urdf:
             )
         if mesh.element in list(link):  # or it went with another mesh of the same <visual>
             link.remove(mesh.element)
-        self.mended.append(f"{what}; it is not drawn")
+        self.repaired.append(f"{what}; it is not drawn")
 
     def _drop(self, mesh: MeshUse) -> None:
         for link in self.root.iter("link"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Masses, inertias and joint limits of a URDF file that no physics can be made of: mended, or refused with a cure."""
+"""Masses, inertias and joint limits of a URDF file that no physics can be made of: repaired, or refused with a cure."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 
 class Impossible(Exception):
-    """A link or joint that cannot be mended: which, why, and the cure."""
+    """A link or joint that cannot be repaired: which, why, and the cure."""
 
 
-def mend_inertias(root: Element, *, floating: bool) -> list[str]:
+def repair_inertias(root: Element, *, floating: bool) -> list[str]:
     """Give every link the inertia of some distribution of mass, and every moving one a mass.
 
     Args:
@@ -35,13 +35,13 @@ def mend_inertias(root: Element, *, floating: bool) -> list[str]:
         floating: Whether its root moves freely.
 
     Returns:
-        What was mended, one line each.
+        What was repaired, one line each.
 
     Raises:
         Impossible: If mass or inertia are no numbers, or a joint moves nothing that has a mass.
     """
     links = {link.get("name", ""): link for link in root.findall("link")}
-    said = [line for link in links.values() if (line := _mend_inertia(link))]
+    said = [line for link in links.values() if (line := _repair_inertia(link))]
     children: dict[str, list[tuple[str, bool]]] = {name: [] for name in links}
     below = set()
     for joint in root.findall("joint"):
@@ -51,7 +51,7 @@ def mend_inertias(root: Element, *, floating: bool) -> list[str]:
     _require_no_loop(children)
     for name in links:
         if name not in below:
-            said += _mend_massless(name, links, children, moves=floating, moving=floating)
+            said += _repair_massless(name, links, children, moves=floating, moving=floating)
     return said
 
 
@@ -80,7 +80,7 @@ def _require_no_loop(children: dict[str, list[tuple[str, bool]]]) -> None:
         ) from None
 
 
-def _mend_massless(name: str, links: dict, children: dict, *, moves: bool, moving: bool) -> list[str]:
+def _repair_massless(name: str, links: dict, children: dict, *, moves: bool, moving: bool) -> list[str]:
     """Mend a link and what hangs on it.
 
     Args:
@@ -102,7 +102,7 @@ def _mend_massless(name: str, links: dict, children: dict, *, moves: bool, movin
         _set_inertial(link, *_LIGHT)
         said.append(f"link '{name}' moves and has no mass: {_LIGHT[0]:g} kg are taken")
     for child, fixed in children[name]:
-        said += _mend_massless(child, links, children, moves=not fixed, moving=moving or not fixed)
+        said += _repair_massless(child, links, children, moves=not fixed, moving=moving or not fixed)
     return said
 
 
@@ -139,7 +139,7 @@ def _set_inertial(link: Element, mass: float, inertia: float) -> None:
     link.append(inertial)
 
 
-def _mend_inertia(link: Element) -> str | None:
+def _repair_inertia(link: Element) -> str | None:
     """Make a link's inertia that of some distribution of mass; returns what is to be said."""
     name, mass = link.get("name"), _number(link, "mass", "value")
     if mass < 0.0:
@@ -184,14 +184,14 @@ def nearest_inertia(inertia: np.ndarray) -> np.ndarray:
     return np.sum(moments) * np.eye(3) - (axes * moments) @ axes.T
 
 
-def mend_joints(root: Element) -> list[str]:
+def repair_joints(root: Element) -> list[str]:
     """Take limits of joints for what they mean.
 
     Continuous joints have no range, whatever their ``<limit>`` says. A range from 0 to 0 or none at all, a speed or an
     effort of 0 stand for nothing known.
 
     Returns:
-        What was mended, one line each.
+        What was repaired, one line each.
 
     Raises:
         Impossible: If a joint's range ends before it begins.

@@ -12,7 +12,7 @@ from ..derivatives.rollouts import Policy
 from ..derivatives.tangent import Tangent
 from ..kernels.planning.splines import KNOT_TOLERANCE
 from ..model.mujoco_model import make_world
-from ..model.rows import MujocoRows
+from ..model.mujoco_states import MujocoStates
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -25,14 +25,14 @@ class StateSpace:
 
     tangent: Tangent
     """Where MuJoCo's states are."""
-    rows: MujocoRows
+    rows: MujocoStates
     """Turns a scene's states into MuJoCo's."""
 
     @classmethod
     def of(cls, compiled: CompiledScene) -> StateSpace:
         """That of a compiled scene."""
         world = make_world(compiled, timestep=1.0)  # nothing is simulated
-        return cls(Tangent(world.model), MujocoRows(compiled.layout, world))
+        return cls(Tangent(world.model), MujocoStates(compiled.layout, world))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.exchange import (
+from ..kernels.worlds.packing import (
     REPORT,
     report_kernel,
     survey_kernel,
@@ -50,8 +50,8 @@ class PlanGraph:
         widths += [state.proposed.shape[1], plan.costs.task.block.shape[1]]
 
         reported = self._nu + int(REPORT) + terms + self._knots[1] * self._nu + 1
-        self._packed, self._in = self._exchanged(envs, sum(widths))
-        self._report, self._out = self._exchanged(envs, reported)
+        self._packed, self._in = self._packed_arrays(envs, sum(widths))
+        self._report, self._out = self._packed_arrays(envs, reported)
         self._lanes = step_lanes(LANES, self.device)
         self._best = wp.zeros(envs, dtype=int, device=self.device)
         self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
@@ -106,7 +106,7 @@ class PlanGraph:
             wp.synchronize_device(self.device)
         return self._learned
 
-    def _exchanged(self, envs: int, columns: int) -> tuple[np.ndarray, wp.array]:
+    def _packed_arrays(self, envs: int, columns: int) -> tuple[np.ndarray, wp.array]:
         """A block ``[E, columns]`` that host and device both see: a GPU reads and writes the host's pinned memory."""
         host = wp.zeros((envs, columns), dtype=float, device="cpu", pinned=self.device.is_cuda)
         self._kept.append(host)

@@ -67,7 +67,7 @@ class PostureRows:
     ):
         wanted, device, envs = scene.planner.postures, cost.device, cost.shape[0]
         self._state, self._null, self._cost, self._first, self._seed = state, null, cost, first, seed
-        self._steps, self._ripe, self._time = wanted.steps, wanted.ripe, spline.time
+        self._steps, self._min_age, self._time = wanted.steps, wanted.min_age, spline.time
         self._launch, postures = Launcher(device), envs * wanted.count
         self._reach = _reach(scene, layout, postures, str(device))
         self._duration = wp.array(wanted.durations, dtype=float, device=device)
@@ -95,7 +95,7 @@ class PostureRows:
         state, reach, observed = self._state, self._reach, self._state.observed
         envs, count = self._age.shape
         self._launch(advance_counter_kernel, envs, [observed], [self._counter])
-        replaced = [observed, self._cost, self._first, len(self._duration), self._ripe, NEAR, self._miss]
+        replaced = [observed, self._cost, self._first, len(self._duration), self._min_age, NEAR, self._miss]
         self._launch(replace_posture_kernel, envs, replaced, [self._age])
         inputs = [observed, state.joint_q, state.pose, reach, self._age, self._counter, self._seed]
         self._launch(

@@ -87,7 +87,7 @@ class Worlds:
             pairs=(*watching, *self.pairs, *self.touching),
             properties=_stacked(self.draws) if self.draws else None,
             threads=1 if len(seeds) == 1 else 0,
-            options=Options.of(scene.engine, **({} if compiled.natives else _SOLVER)),
+            options=Options.of(scene.engine, **({} if compiled.mjcf_robots else _SOLVER)),
             pushed=True,
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ..model.exchange import MujocoStates
+from ..model.conversion import MujocoStates
 from ..model.mujoco_model import make_world
 from ..scene.errors import SceneError
 

@@ -36,7 +36,7 @@ _ALLOWED = {"bool_type": ("true", "false")}
 
 
 class SceneError(ValueError):
-    """A mistake in a scene: which file, which key, what was found, what is allowed and how to mend it.
+    """A mistake in a scene: which file, which key, what was found, what is allowed and how to correct it.
 
     Args:
         message: What is wrong, in one sentence.

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -42,6 +42,8 @@ class Covariance(Section):
 class Postures(Section):
     """Samples that bring a frame to a pose: straight ways of the joints to postures in which it is there."""
 
+    renamed: ClassVar = {"ripe": "min_age"}
+
     of: str
     """Frame of a robot."""
     to: str = "goal"
@@ -52,8 +54,8 @@ class Postures(Section):
     """How long the ways take [s]: one sample for each of these to every posture."""
     steps: Count = 3
     """Steps of damped least squares towards the pose in every plan."""
-    ripe: Count = 12
-    """Plans after which a posture may be the one that makes room."""
+    min_age: Count = 12
+    """Plans for which a posture stays at least, before it may make room for another."""
     margin: Fraction = 0.05
     """Share of the range of every joint that postures keep away from its limits, both ends together."""
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .layout import Layout
 
 
-def require_sound(layout: Layout, scene: Scene) -> None:
+def validate_layout(layout: Layout, scene: Scene) -> None:
     """Refuse a layout no state can be planned from.
 
     Raises:
@@ -31,17 +31,17 @@ def require_sound(layout: Layout, scene: Scene) -> None:
             ("place", np.array([place[j] for place in places])),
         ):
             if not np.isfinite(values).all():
-                raise _unsound(f"the {what} of joint '{name}' is not finite", name, scene)
+                raise _invalid(f"the {what} of joint '{name}' is not finite", name, scene)
         if np.isnan(layout.dof_lower[dofs]).any() or np.isnan(layout.dof_upper[dofs]).any():
-            raise _unsound(f"a limit of joint '{name}' is no number", name, scene)
+            raise _invalid(f"a limit of joint '{name}' is no number", name, scene)
         if np.any(layout.dof_lower[dofs] > layout.dof_upper[dofs]):
-            raise _unsound(f"the lower limit of joint '{name}' is above its upper one", name, scene)
+            raise _invalid(f"the lower limit of joint '{name}' is above its upper one", name, scene)
     for name, centre in zip(layout.body_name, layout.body_com, strict=True):
         if not np.isfinite(centre).all():
-            raise _unsound(f"the centre of mass of '{name}' is not finite", name, scene)
+            raise _invalid(f"the centre of mass of '{name}' is not finite", name, scene)
 
 
-def _unsound(message: str, name: str, scene: Scene) -> SceneError:
+def _invalid(message: str, name: str, scene: Scene) -> SceneError:
     """The error for a joint or body, by the robot that its name begins with."""
     owner = next((r for r in scene.robot if name.startswith(f"{r.name}/")), scene.robot[0])
     return SceneError(message, key=f"robot.{owner.name}.asset", file=scene.path, found=owner.asset)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.kernels.worlds.exchange import REPORT, report_kernel, survey_kernel, unpack_kernel
+from warpmpc.kernels.worlds.packing import REPORT, report_kernel, survey_kernel, unpack_kernel
 
 HIGH, LOW = 1 << 30 | 1 << 17, 1 << 2 | 1
 

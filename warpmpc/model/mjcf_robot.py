@@ -15,7 +15,7 @@ from newton import JointTargetMode, JointType
 from ..scene.errors import SceneError
 from .controls import Actuators, add_own_controls, drive_robot
 from .layout import IDENTITY, WORLD, Entity, Keyframe
-from .mjcf import Key, Mjcf, Native, Servo, compile_mjcf, origin_of, read_mjcf
+from .mjcf import Key, Mjcf, MjcfRobot, Servo, compile_mjcf, origin_of, read_mjcf
 from .mjcf_links import add_links, pose
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ class _Row:
 
 
 @dataclass
-class NativeRobots:
+class MjcfRobots:
     """The MJCF robots of a scene and what their files bring beyond joints and bodies, gathered robot by robot."""
 
-    robots: list[Native] = field(default_factory=list)
+    robots: list[MjcfRobot] = field(default_factory=list)
     activations: list[str] = field(default_factory=list)
     mocap: dict[str, int] = field(default_factory=dict)
     """Mocap body → its index among the bodies of the scene."""
@@ -53,7 +53,7 @@ class NativeRobots:
     rows: list[_Row] = field(default_factory=list)
     chosen: list[_Row] = field(default_factory=list)
     """Keyframes that robots start in."""
-    mended: list[str] = field(default_factory=list)
+    repaired: list[str] = field(default_factory=list)
     """What is not as the files say."""
     notes: list[str] = field(default_factory=list)
     """What was taken over from the files and what was not."""
@@ -98,7 +98,7 @@ def _keyframe(row: _Row, start: dict[str, np.ndarray]) -> Keyframe:
     return Keyframe(row.name, **{name: tuple(values.tolist()) for name, values in whole.items()})
 
 
-def add_native(
+def add_mjcf_robot(
     builder: newton.ModelBuilder,
     part: newton.ModelBuilder,
     robot: Robot,
@@ -107,7 +107,7 @@ def add_native(
     frames: dict,
     actuators: Actuators,
     axes: list[str],
-    natives: NativeRobots,
+    mjcf_robots: MjcfRobots,
 ) -> Entity:
     """Add an MJCF robot to the builder of a scene.
 
@@ -120,15 +120,15 @@ def add_native(
         frames: Takes the robot's bodies and sites.
         actuators: Takes its controls.
         axes: Takes the names of its joint velocities.
-        natives: Takes what else the file brings.
+        mjcf_robots: Takes what else the file brings.
 
     Raises:
         SceneError: If the file cannot be taken over, or the scene names what it lacks.
     """
     name, first_body = robot.name, builder.body_count
-    native = Native(str(path), robot)
-    mjcf = read_mjcf(native, file=scene.path)
-    model = compile_mjcf(mjcf, native, file=scene.path)
+    mjcf_robot = MjcfRobot(str(path), robot)
+    mjcf = read_mjcf(mjcf_robot, file=scene.path)
+    model = compile_mjcf(mjcf, mjcf_robot, file=scene.path)
     origin = origin_of(robot, model, next((key for key in mjcf.keys if key.name == robot.keyframe), None))
     place = wp.transform(wp.vec3(*origin[:3]), wp.quat(*origin[3:]))
     links = add_links(part, model, robot, place, file=scene.path)
@@ -136,9 +136,9 @@ def add_native(
     first = {
         "joint_q": builder.joint_coord_count,
         "joint_qd": builder.joint_dof_count,
-        "act": len(natives.activations),
+        "act": len(mjcf_robots.activations),
         "control": len(actuators.control),
-        "mocap": 7 * len(natives.mocap),
+        "mocap": 7 * len(mjcf_robots.mocap),
     }
     rows = [_row(part, model, robot, place, key, first) for key in mjcf.keys]
     if robot.keyframe is not None:
@@ -152,8 +152,8 @@ def add_native(
                 allowed=[key.name for key in mjcf.keys],
             )
         part.joint_q[:], part.joint_qd[:] = (row.values[n][1].tolist() for n in ("joint_q", "joint_qd"))
-        natives.chosen.append(row)
-    natives.rows += rows
+        mjcf_robots.chosen.append(row)
+    mjcf_robots.rows += rows
     axes += [f"{name}/{axis}" if axis else "" for axis in links.axes]
     drive_robot(part, robot, links.axes, scene, actuators, first_coord=first["joint_q"], first_dof=first["joint_qd"])
     servos: tuple[Servo, ...] = ()
@@ -162,20 +162,20 @@ def add_native(
     else:
         add_own_controls(model, robot, scene, actuators, first_coord=first["joint_q"])
         for a in range(model.nu):
-            natives.activations += [f"{name}/{model.actuator(a).name}"] * int(model.actuator_actnum[a])
+            mjcf_robots.activations += [f"{name}/{model.actuator(a).name}"] * int(model.actuator_actnum[a])
     for b in links.mocap:
         at = wp.transform(*part.joint_X_p[part.joint_child.index(b)])
-        natives.mocap[f"{name}/{bodies[b]}"] = first_body + b
-        natives.mocap_pose.append((*at.p, *at.q))
-    natives.sensors += [(f"{name}/{model.sensor(s).name}", int(model.sensor_dim[s])) for s in range(model.nsensor)]
-    native = Native(str(path), robot, servos, origin)
-    natives.robots.append(native)
+        mjcf_robots.mocap[f"{name}/{bodies[b]}"] = first_body + b
+        mjcf_robots.mocap_pose.append((*at.p, *at.q))
+    mjcf_robots.sensors += [(f"{name}/{model.sensor(s).name}", int(model.sensor_dim[s])) for s in range(model.nsensor)]
+    mjcf_robot = MjcfRobot(str(path), robot, servos, origin)
+    mjcf_robots.robots.append(mjcf_robot)
 
     first_shape, first_joint = builder.shape_count, builder.joint_count
     builder.add_builder(part)
     clashes = _add_frames(frames, model, robot, place, scene, first_body, bodies)
-    natives.mended += [f"{name}: {line}" for line in mjcf.mended]
-    natives.notes += _notes(model, mjcf, native, links.left_out, clashes)
+    mjcf_robots.repaired += [f"{name}: {line}" for line in mjcf.repaired]
+    mjcf_robots.notes += _notes(model, mjcf, mjcf_robot, links.left_out, clashes)
     return Entity(
         name,
         "robot",
@@ -279,9 +279,11 @@ def _add_frames(
     return clashes
 
 
-def _notes(model: mujoco.MjModel, mjcf: Mjcf, native: Native, left_out: list[str], clashes: list[str]) -> list[str]:
+def _notes(
+    model: mujoco.MjModel, mjcf: Mjcf, mjcf_robot: MjcfRobot, left_out: list[str], clashes: list[str]
+) -> list[str]:
     """What was taken over from a file and what was not, one line each."""
-    robot = native.robot
+    robot = mjcf_robot.robot
     counts = {
         "body": model.nbody - 1,
         "joint": model.njnt,

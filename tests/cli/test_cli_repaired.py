@@ -49,12 +49,12 @@ def test_what_was_mended_is_shown_every_time_and_listed_by_check(files, command)
         done = command("check", "r.toml")
         assert done.returncode == 0, done.stderr
         listed = " ".join(done.stdout.split())
-        assert listed.count("mended r: ") == 3
+        assert listed.count("repaired r: ") == 3
         assert all(part in listed for part in ("package://foo/x.stl", "A + B ≥ C", "limit of 0 for effort"))
         shown.append([line for line in done.stderr.splitlines() if line.startswith("warning: ")])
     assert shown[0] == shown[1]
     assert len(shown[0]) == 1
-    assert "and 2 more mended" in shown[0][0]
+    assert "and 2 more repaired" in shown[0][0]
 
 
 def test_a_missing_collision_mesh_is_one_line_with_file_link_and_path(files, command):
