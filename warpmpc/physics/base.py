@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..bake.lines import Matrix, Operand, Vector
-from .mujoco_states import Rows
+from .rows import Rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

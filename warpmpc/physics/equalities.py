@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from .limits import UNBOUNDED, bounds
-from .mujoco_states import Rows
+from .rows import Rows
 
 if TYPE_CHECKING:
     from .base import Structure

@@ -26,7 +26,7 @@ from .base import (
 from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
 from .limits import bounds
-from .mujoco_states import Rows
+from .rows import Rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

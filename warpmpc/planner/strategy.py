@@ -18,9 +18,9 @@ from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian
 from .fixed_rows import FixedRows
 from .moments import SampleMoments
-from .mujoco_states import BestRows, NullRows, ProposedRows, SequenceRows
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureRows
+from .rows import BestRows, NullRows, ProposedRows, SequenceRows
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import WeightingState, weighting_of
