@@ -16,7 +16,7 @@ from ..cost.stack import Judge
 from ..engine.crew import Crew
 from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
-from ..model.mujoco_states import MujocoStates
+from ..model.state_rows import StateRows
 from ..model.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class StepWorlds(ABC):
         judge = Judge(costs, self._whole, self._whole.control, request.state, longer, np.array([-dt, 0.0, dt]))
         self._view = judge.view
         self._state = request.state
-        self.world, self.rows = world, MujocoStates(layout, world)
+        self.world, self.rows = world, StateRows(layout, world)
         self.residuals = wp.zeros((self.shape.worlds, residuals.width), dtype=float, device=device)
         self._on_gpu = wp.get_device(device).is_cuda
 

@@ -12,7 +12,7 @@ from ..derivatives.rollouts import Policy
 from ..derivatives.tangent import Tangent
 from ..kernels.planning.splines import KNOT_TOLERANCE
 from ..model.mujoco_model import make_world
-from ..model.mujoco_states import MujocoStates
+from ..model.state_rows import StateRows
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -25,14 +25,14 @@ class StateSpace:
 
     tangent: Tangent
     """Where MuJoCo's states are."""
-    rows: MujocoStates
+    rows: StateRows
     """Turns a scene's states into MuJoCo's."""
 
     @classmethod
     def of(cls, compiled: CompiledScene) -> StateSpace:
         """That of a compiled scene."""
         world = make_world(compiled, timestep=1.0)  # nothing is simulated
-        return cls(Tangent(world.model), MujocoStates(compiled.layout, world))
+        return cls(Tangent(world.model), StateRows(compiled.layout, world))
 
 
 @dataclass(frozen=True)

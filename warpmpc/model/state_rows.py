@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .mujoco_model import MujocoWorld
 
 
-class MujocoStates:
+class StateRows:
     """Turns joint coordinates and velocities into MuJoCo's.
 
     Args:
