@@ -15,7 +15,7 @@ import warpmpc
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.model.compiled import compile_scene
 
-from .mujoco_states import CORE, MOST_WORLDS, PLAN, WARP, Row
+from .rows import CORE, MOST_WORLDS, PLAN, WARP, Row
 
 SKIPPED = 10
 """Plans at the start of a run that do not count."""

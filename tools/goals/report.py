@@ -6,7 +6,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from .mujoco_states import PLAN
+from .rows import PLAN
 
 _FLOOR = {"newton": "MuJoCo Warp's graph", "mujoco": "mujoco.rollout"}
 

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import time
 
-from .mujoco_states import Row
+from .rows import Row
 
 _CONTEXT = multiprocessing.get_context("spawn")
 

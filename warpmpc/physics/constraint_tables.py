@@ -64,7 +64,7 @@ class ConstraintTables:
             ]
         if self.model.dry:
             m, inverse = self.model.mj, self.model.array("dof_invweight0")
-            soft = [self.model.mujoco_states(m.dof_solref[i], m.dof_solimp[i]).slipping for i in self.model.dry]
+            soft = [self.model.rows(m.dof_solref[i], m.dof_solimp[i]).slipping for i in self.model.dry]
             out += [
                 ints("dry_dof", self.model.dry),
                 floats("dry_force", m.dof_frictionloss[self.model.dry]),

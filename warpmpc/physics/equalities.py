@@ -61,17 +61,17 @@ def find_constraints(model: Structure) -> list[Constraint]:
     balls = (m.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)) & (m.jnt_limited != 0)
     for j in np.flatnonzero(balls & (m.jnt_range.max(axis=1) < UNBOUNDED)) if limited else ():
         dof = int(m.jnt_dofadr[j])
-        rows = model.mujoco_states(m.jnt_solref[j], m.jnt_solimp[j])
+        rows = model.rows(m.jnt_solref[j], m.jnt_solimp[j])
         inverse = model.array("dof_invweight0")[:, dof]
         out.append(Constraint("ball", int(j), (dof, dof + 1, dof + 2), rows, (inverse,), high=0.0))
     for t in range(m.ntendon):
         dofs, inverse = model.tendon_dofs[t], model.array("tendon_invweight0")[:, t]
         loss = float(m.tendon_frictionloss[t])
         if loss > 0.0 and frictional:
-            rows = model.mujoco_states(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
+            rows = model.rows(m.tendon_solref_fri[t], m.tendon_solimp_fri[t]).slipping
             out.append(Constraint("friction", t, dofs, rows, (inverse,), -loss, loss))
         if m.tendon_limited[t] and limited and bounds(m.tendon_range[t]):
-            rows = model.mujoco_states(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
+            rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
             out.append(Constraint("limit", t, dofs, rows, (inverse,), high=0.0))
     return out
 
@@ -86,7 +86,7 @@ def ends(m: mujoco.MjModel, e: int) -> tuple[int, int]:
 
 def _equality(model: Structure, e: int) -> Constraint:
     m, kind = model.mj, int(model.mj.eq_type[e])
-    rows = model.mujoco_states(m.eq_solref[e], m.eq_solimp[e])
+    rows = model.rows(m.eq_solref[e], m.eq_solimp[e])
     first, second = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
     if kind == JOINT:
         dofs = tuple(int(m.jnt_dofadr[j]) for j in (first, second) if j >= 0)
