@@ -81,5 +81,5 @@ def test_the_place_of_a_robot_comes_back_from_the_cache(walker, tmp_path, monkey
     scene = native_scene(walker, position=(1.0, 2.0, 0.3))
     first, second = compile_scene(scene), compile_scene(scene)
     assert first is not second
-    assert first.mjcf_robots == second.natives
+    assert first.mjcf_robots == second.mjcf_robots
     assert first.mjcf_robots[0].place[2] == pytest.approx(0.3 - 0.445)
