@@ -48,7 +48,9 @@ def distance(s: StepView, p: DistanceParams) -> float:
     With ``near`` it saturates, 1 - exp(-d/near): a pull that acts close to the target alone. With ``lead`` it is
     measured from p_a + lead · ṗ_a, so that what rolls or slides on after the horizon is seen to do so.
     """
-    a = frame_position(s, p.first) + p.lead * frame_velocity(s, p.first)
+    a = frame_position(s, p.first)
+    if p.lead != 0.0:
+        a += p.lead * frame_velocity(s, p.first)
     b = frame_position(s, p.second)
     d = wp.length(a - b)
     if p.planar != 0:

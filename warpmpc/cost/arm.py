@@ -201,8 +201,8 @@ def _smoothness(keys: dict[str, Any], b: Binding) -> costs.SmoothnessParams:
 
 
 TERMS = (
-    CostTerm("pose", costs.pose, costs.PoseParams, _pose, Pose, native.pose),
-    CostTerm("stop", costs.stop, costs.StopParams, _stop, Stop, native.stop),
+    CostTerm("pose", costs.pose, costs.PoseParams, _pose, Pose),
+    CostTerm("stop", costs.stop, costs.StopParams, _stop, Stop),
     CostTerm(
         "manipulability",
         costs.manipulability,
@@ -217,7 +217,6 @@ TERMS = (
         costs.JointBoundsParams,
         _joint_bounds,
         JointBounds,
-        native.joint_bounds,
     ),
     CostTerm(
         "null_posture",
@@ -225,7 +224,6 @@ TERMS = (
         costs.NullPostureParams,
         _null_posture,
         NullPosture,
-        native.null_posture,
     ),
     CostTerm(
         "path_deviation",
@@ -233,9 +231,8 @@ TERMS = (
         costs.PathDeviationParams,
         _path_deviation,
         PathDeviation,
-        native.path_deviation,
     ),
-    CostTerm("speed", costs.speed, costs.SpeedParams, _speed, Speed, native.speed),
-    CostTerm("smoothness", costs.smoothness, costs.SmoothnessParams, _smoothness, Smoothness, native.smoothness),
+    CostTerm("speed", costs.speed, costs.SpeedParams, _speed, Speed),
+    CostTerm("smoothness", costs.smoothness, costs.SmoothnessParams, _smoothness, Smoothness),
 )
 """Terms of an arm."""

@@ -41,8 +41,6 @@ from .keys import (
     Yaw,
 )
 from .native import clearance as native_clearance
-from .native import general as native
-from .native import grasping as native_grasping
 from .native import pushing as native_pushing
 from .resources.geodesic import convex_outline, obstacle_outlines, outline
 from .resources.guide import Guides
@@ -264,17 +262,15 @@ BUILTIN = {
             costs.DistanceParams,
             _distance,
             Distance,
-            native.distance,
             residual=components.DISTANCE,
         ),
-        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, native.yaw_error, residual=components.YAW),
+        CostTerm("yaw", costs.yaw_error, costs.YawParams, _yaw, Yaw, residual=components.YAW),
         CostTerm(
             "push_alignment",
             pushing.push_alignment,
             pushing.PushAlignmentParams,
             _push_alignment,
             PushAlignment,
-            native_pushing.push_alignment,
         ),
         CostTerm(
             "push_path", pushing.push_path, pushing.PushPathParams, _push_path, PushPath, native_pushing.push_path
@@ -285,7 +281,6 @@ BUILTIN = {
             costs.ContactForceParams,
             _contact_force,
             ContactForce,
-            native.contact_cost,
         ),
         CostTerm(
             "control_effort",
@@ -293,7 +288,6 @@ BUILTIN = {
             costs.ControlParams,
             _controls,
             Robots,
-            native.control_effort,
             residual=components.CONTROL_EFFORT,
         ),
         CostTerm(
@@ -302,7 +296,6 @@ BUILTIN = {
             costs.ControlParams,
             _controls,
             Robots,
-            native.control_rate,
             residual=components.CONTROL_RATE,
         ),
         CostTerm(
@@ -311,7 +304,6 @@ BUILTIN = {
             costs.JointLimitParams,
             _joint_limit,
             JointLimit,
-            native.joint_limit,
             residual=components.JOINT_LIMIT,
         ),
         CostTerm(
@@ -320,19 +312,15 @@ BUILTIN = {
             costs.JointVelocityParams,
             _joint_velocity,
             Joints,
-            native.joint_velocity,
             residual=components.JOINT_VELOCITY,
         ),
-        CostTerm(
-            "posture", costs.posture, costs.PostureParams, _posture, Joints, native.posture, residual=components.POSTURE
-        ),
+        CostTerm("posture", costs.posture, costs.PostureParams, _posture, Joints, residual=components.POSTURE),
         CostTerm(
             "obstacle_clearance",
             clearance.obstacle_clearance,
             clearance.ObstacleClearanceParams,
             _obstacle_clearance,
             ObstacleClearance,
-            native_clearance.obstacle_clearance,
         ),
         CostTerm(
             "outline_clearance",
@@ -348,28 +336,23 @@ BUILTIN = {
             clearance.OutlineDistanceParams,
             _outline_distance,
             OutlineDistance,
-            native_clearance.outline_distance,
         ),
-        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach, native_grasping.approach),
+        CostTerm("approach", grasping.approach, grasping.ApproachParams, _approach, Approach),
         CostTerm(
             "finger_alignment",
             grasping.finger_alignment,
             grasping.FingerAlignmentParams,
             _finger_alignment,
             FingerAlignment,
-            native_grasping.finger_alignment,
         ),
-        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper, native_grasping.gripper),
-        CostTerm(
-            "height", costs.height, costs.HeightParams, _height, Height, native.height, residual=components.HEIGHT
-        ),
+        CostTerm("gripper", grasping.gripper, grasping.GripperParams, _gripper, Gripper),
+        CostTerm("height", costs.height, costs.HeightParams, _height, Height, residual=components.HEIGHT),
         CostTerm(
             "orientation",
             costs.orientation,
             costs.OrientationParams,
             _orientation,
             Orientation,
-            native.orientation,
             residual=components.ORIENTATION,
         ),
         *arm.TERMS,

@@ -10,7 +10,6 @@ from pydantic import Field
 from ..kernels.terms import gait as costs
 from ..scene.errors import SceneError
 from ..scene.types import Finite, Floats, NonNegative, Section
-from .native import gait as native
 from .norms import NormKey, NormKind
 from .residual_keys import Wanted
 from .term import CostTerm, Residual, parse_keys
@@ -63,7 +62,6 @@ TERMS = (
         costs.GaitParams,
         _gait,
         Gait,
-        native.gait,
         residual=Residual(costs.gait_component, lambda p: p.foot.shape[0]),
     ),
 )

@@ -11,7 +11,6 @@ from ..kernels.terms import numbers as costs
 from ..scene.errors import SceneError
 from .joints import joint_dofs, robot_range
 from .keys import Joints, Robots
-from .native import numbers as native
 from .residual_keys import Contact, ContactForceNumbers, Controls, JointNumbers, PostureNumbers, Sensors
 from .term import CostTerm, Residual, parse_keys
 from .wanted import wanted
@@ -99,7 +98,7 @@ def _count(p: costs.NumbersParams) -> int:
 
 def _term(function: wp.Function, bind: Callable, keys: type[Section]) -> CostTerm:
     residual = Residual(costs.numbers_component, _count)
-    return CostTerm(function.key, function, costs.NumbersParams, bind, keys, native.numbers, residual=residual)
+    return CostTerm(function.key, function, costs.NumbersParams, bind, keys, residual=residual)
 
 
 TERMS = (

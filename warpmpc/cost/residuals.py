@@ -11,7 +11,6 @@ import warp as wp
 
 from ..kernels.terms import residuals as costs
 from ..scene.errors import SceneError
-from .native import residuals as native
 from .places import Point, massive, place_points, points_struct
 from .residual_keys import (
     AngularVelocity,
@@ -106,7 +105,6 @@ TERMS = (
         costs.SpatialParams,
         _position,
         Position,
-        native.position,
         residual=Residual(costs.position_component, _axes),
     ),
     CostTerm(
@@ -115,7 +113,6 @@ TERMS = (
         costs.SpatialParams,
         _velocity,
         Velocity,
-        native.velocity,
         residual=Residual(costs.velocity_component, _axes),
     ),
     CostTerm(
@@ -124,7 +121,6 @@ TERMS = (
         costs.SpatialParams,
         _angular_velocity,
         AngularVelocity,
-        native.angular_velocity,
         residual=Residual(costs.angular_velocity_component, _axes),
     ),
     CostTerm(
@@ -133,7 +129,6 @@ TERMS = (
         costs.RotationParams,
         _rotation,
         RotationKeys,
-        native.rotation,
         residual=Residual(costs.rotation_component, lambda p: 3 * p.axis.shape[0]),
     ),
     CostTerm(
@@ -142,7 +137,6 @@ TERMS = (
         costs.SpatialParams,
         _momentum,
         Momentum,
-        native.velocity,
         residual=Residual(costs.velocity_component, _axes),
     ),
     CostTerm(
@@ -151,7 +145,6 @@ TERMS = (
         costs.AngularMomentumParams,
         _angular_momentum,
         Momentum,
-        native.angular_momentum,
         residual=Residual(costs.angular_momentum_component, lambda p: p.own.axis.shape[0], norm=attrgetter("own.norm")),
     ),
 )

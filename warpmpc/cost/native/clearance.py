@@ -6,55 +6,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ...bake.lines import Operand, known, literal, text
-from ...kernels.terms.clearance import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
+from ...bake.lines import Operand, literal, text
 from .variables import heading, variable
 
 if TYPE_CHECKING:
     from ..code.state import TermCode
-
-_TURN = " ".join(
-    f"const T l{axis} = ob[{3 * i}] * px + ob[{3 * i + 1}] * py + ob[{3 * i + 2}] * pz + ob[{9 + i}];"
-    for i, axis in enumerate("xyz")
-)
-"""A point in the frame of the shape ``ob``, a rotation by rows and a position; its size follows."""
-_OUTER = "VSQRT(VMAX(qx, 0.0f) * VMAX(qx, 0.0f) + {0} + VMAX(qz, 0.0f) * VMAX(qz, 0.0f))"
-_SURFACE = {
-    int(SPHERE): "const T d = VSQRT(lx * lx + ly * ly + lz * lz) - ob[12];",
-    int(CAPSULE): "const T qz = lz - VMIN(VMAX(lz, -ob[13]), ob[13]);"
-    " const T d = VSQRT(lx * lx + ly * ly + qz * qz) - ob[12];",
-    int(PLANE): "const T d = lz;",
-    int(BOX): "const T qx = VABS(lx) - ob[12], qy = VABS(ly) - ob[13], qz = VABS(lz) - ob[14];"
-    f" const T d = {_OUTER.format('VMAX(qy, 0.0f) * VMAX(qy, 0.0f)')} + VMIN(VMAX(qx, VMAX(qy, qz)), 0.0f);",
-    int(CYLINDER): "const T qx = VSQRT(lx * lx + ly * ly) - ob[12], qz = VABS(lz) - ob[13];"
-    f" const T d = {_OUTER.format('0.0f')} + VMIN(VMAX(qx, qz), 0.0f);",
-}
-"""Distance ``d`` from a shape's surface, as in ``clearance.shape_distance``."""
-_CENTRE = "const T d = VSQRT(lx * lx + ly * ly + lz * lz);"
-
-
-def obstacle_clearance(code: TermCode, p: Any) -> Operand:
-    """``clearance.obstacle_clearance``: a loop over the obstacles of each kind, whose places are written out."""
-    total, add = variable(code, "nearness", "(T)0.0f"), code.lines.add
-    position = ", ".join(f"p{a} = {text(x)}" for a, x in zip("xyz", code.state.frame(p.of).position, strict=True))
-    kinds, poses, sizes = p.kind.numpy(), p.pose.numpy(), p.size.numpy()
-    # distances from centres are the same for all kinds
-    groups = [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)] if p.surface else [np.arange(len(kinds))]
-    add(f"{{ const T {position};")
-    for which in filter(len, groups):
-        rows: list[float] = []
-        for k in which:
-            turn = Rotation.from_quat(poses[k, 3:]).as_matrix().ravel()
-            rows += [*known(turn), *poses[k, :3].tolist(), *sizes[k].tolist()]
-        distance = _SURFACE[int(kinds[which[0]])] if p.surface else _CENTRE
-        add(f"{{ const float obstacles[{len(rows)}] = {{{', '.join(map(literal, rows))}}};")
-        add(f"for (int n = 0; n < {len(which)}; ++n) {{ const float* ob = obstacles + 15 * n;")
-        add(f"{_TURN} {distance}")
-        add(f"{total} = {total} + 1.0f / VMAX(d - {code.params}.radius, {code.params}.least); }} }}")
-    add("}")
-    return total
 
 
 def outline_clearance(code: TermCode, p: Any) -> Operand:
@@ -115,24 +72,3 @@ def _inverse_lengths(p: Any) -> np.ndarray:
         outline = corner[first : first + count].astype(float)
         out.append(1.0 / np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1))
     return np.concatenate(out)
-
-
-def outline_distance(code: TermCode, p: Any) -> Operand:
-    """``clearance.outline_distance``: the shape's place in its object is written out."""
-    lines = code.lines
-    at, shape = code.state.frame(p.of).position, code.state.frame(p.object)
-    away = lines.difference(at, shape.position)
-    pose = np.array(p.pose, dtype=float)
-    rows = Rotation.from_quat(pose[3:]).as_matrix()
-    local = [lines.dot(column, away) for column in shape.columns]
-    x, y = (
-        text(lines.sum(float(shift), *zip(known(row), local, strict=True)))
-        for row, shift in zip(rows[:2], pose[:2], strict=True)
-    )
-    if p.kind == int(BOX):
-        qx, qy = (lines.let(f"VABS({v}) - {code.params}.size[{i}]") for i, v in enumerate((x, y)))
-        ox, oy = (lines.let(f"VMAX({q}, 0.0f)") for q in (qx, qy))
-        d = lines.let(f"VSQRT({ox} * {ox} + {oy} * {oy}) + VMIN(VMAX({qx}, {qy}), 0.0f)")
-    else:
-        d = lines.let(f"VSQRT({x} * {x} + {y} * {y}) - {code.params}.size[0]")
-    return lines.let(f"VSELECT({d} < 0.0f, -{code.params}.inside * {d}, {d})")

@@ -55,18 +55,3 @@ def detour(code: TermCode, index: int, at: list[Operand]) -> str:
     code.lines.add(f"{{ {field(code, index)}")
     code.lines.add(f"{longer} = VMAX(look({x}, {y}) - away({x}, {y}) - 0.25f * cell, 0.0f); }}")
     return longer
-
-
-def way_out(code: TermCode, index: int, at: list[Operand], straight: list[Operand]) -> list[str]:
-    """Direction in which the way to a target leaves a point (``paths.way_out``); looked for where any lane detours."""
-    x, y = text(at[0]), text(at[1])
-    way = [variable(code, f"way_{axis}", text(d)) for axis, d in zip("xy", straight, strict=True)]
-    code.lines.add(f"{{ {field(code, index)}")
-    code.lines.add(f"const T longer = look({x}, {y}) - away({x}, {y});")
-    code.lines.add("if (VANY(longer > cell)) {")
-    steps = (f"look({x} {{0}} cell, {y})", f"look({x}, {y} {{0}} cell)")
-    for own, step in zip(way, steps, strict=True):
-        rise = f"({step.format('-')} - {step.format('+')}) / (2.0f * cell)"
-        code.lines.add(f"{own} = VSELECT(longer > cell, {rise}, {own});")
-    code.lines.add("} }")
-    return way

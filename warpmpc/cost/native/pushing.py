@@ -19,26 +19,11 @@ from ...kernels.terms.pushing import (
     WHOLE_SIDE,
     WHOLE_TURN,
 )
-from .general import fading, length
-from .paths import BETWEEN, PLACE, detour, way_out
+from .paths import BETWEEN, PLACE, detour
 from .variables import heading, variable
 
 if TYPE_CHECKING:
     from ..code.state import TermCode
-
-
-def push_alignment(code: TermCode, p: Any) -> Operand:
-    """``pushing.push_alignment``."""
-    lines, params = code.lines, code.params
-    r, o, g = (code.state.frame(i).position for i in (p.pusher, p.object, p.goal))
-    to_pusher, straight = lines.difference(r, o)[:2], lines.difference(g, o)[:2]
-    to_goal = way_out(code, p.field, o, straight) if p.field >= 0 else straight
-    scale = lines.let(f"VMAX({length(code, to_pusher)} * {length(code, to_goal)}, {literal(float(EPSILON))})")
-    along = lines.let(f"{text(lines.dot(to_pusher, to_goal))} / {scale}")
-    value = lines.let(f"VMAX({along} + 1.0f - {params}.slack, 0.0f)")
-    if p.near == 0.0:
-        return value
-    return lines.let(f"{value} * (1.0f - {fading(code, length(code, straight), f'{params}.near')})")
 
 
 def push_path(code: TermCode, p: Any) -> Operand:
