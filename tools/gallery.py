@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Run shipped scenes and draw them: a picture and a short animation of each, from one real run.
+"""Run shipped scenes and draw them: a short animation of each, from one real run.
 
     MUJOCO_GL=osmesa python tools/gallery.py                     # every scene, into docs/gallery
     MUJOCO_GL=egl python tools/gallery.py push_t pendulum --out /tmp/gallery
@@ -60,8 +60,6 @@ class Shot:
     """Nearer than what shows all, for scenes with much around."""
     follow: bool = False
     """Whether the camera goes along with the robot."""
-    at: float = 0.4
-    """Which part of the run the picture shows."""
     plain: bool = False
     """Whether the robot has one colour, for assets whose shapes have none of their own."""
     longest: float = 20.0
@@ -70,15 +68,15 @@ class Shot:
 
 SHOTS = {
     "acrobot": Shot(azimuth=90.0, elevation=-8.0),
-    "box_carry": Shot(azimuth=130.0, elevation=-16.0, at=0.3, plain=True, closer=1.15),
+    "box_carry": Shot(azimuth=130.0, elevation=-16.0, plain=True, closer=1.15),
     "cartpole_swingup": Shot(azimuth=90.0, elevation=-8.0),
     "panda_reach": Shot(plain=True),
-    "push_t": Shot(at=0.1, closer=0.85),
+    "push_t": Shot(closer=0.85),
     "quadrotor": Shot(follow=True, closer=1.7),
     "storm_cloud": Shot(azimuth=35.0, closer=1.15),
     "pendulum": Shot(azimuth=90.0, elevation=-8.0),
-    "g1_walk": Shot(azimuth=110.0, elevation=-10.0, follow=True, longest=5.0, at=0.8),
-    "go2_jump": Shot(azimuth=150.0, elevation=-14.0, longest=1.2, at=0.38),
+    "g1_walk": Shot(azimuth=110.0, elevation=-10.0, follow=True, longest=5.0),
+    "go2_jump": Shot(azimuth=150.0, elevation=-14.0, longest=1.2),
     "go2_walk": Shot(azimuth=110.0, elevation=-14.0, follow=True, longest=3.0),
     "hand_cube": Shot(azimuth=75.0, elevation=-50.0, closer=1.15, longest=4.0),
     "humanoid_stand": Shot(longest=4.0),
@@ -167,7 +165,6 @@ def draw(name: str, folder: Path, *, engine: str, wall: float) -> str:
         return drawn.resize((width, width * SIZE[1] // SIZE[0]), Image.Resampling.LANCZOS)
 
     folder.mkdir(parents=True, exist_ok=True)
-    image(moments[int(shot.at * (len(moments) - 1))], SIZE[0] // 2).save(folder / f"{name}.png", optimize=True)
     pictures = [image(moment, WIDTH) for moment in frames]
     stage.close()
     size = animate(pictures, folder / f"{name}.webp")
@@ -197,7 +194,7 @@ def page() -> str:
     ]
     for name in shipped_scenes():
         title = warpmpc.load_scene(name).title
-        parts.append(f"## {name}\n\n{title}.\n\n![{title}](gallery/{name}.webp)\n")
+        parts.append(f"## {name}\n\n{title}.\n\n![{name}](gallery/{name}.webp)\n")
         parts.append(f"```bash\nwarpmpc run {name}\n```\n")
     return "\n".join(parts)
 

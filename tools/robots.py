@@ -27,7 +27,7 @@ from warpmpc.model.compiled import compile_scene
 
 PACKAGES = ("example-robot-data", "mjlab")
 VERSIONS = (*PACKAGES, "warpmpc", "newton", "mujoco")
-TEXT = 160
+TEXT = 70
 """Longest text of a cell."""
 
 
@@ -40,8 +40,6 @@ class Row:
     """Path within its package."""
     loads: bool = False
     dof: int = 0
-    meshes: int = 0
-    """Meshes of its shapes, drawn and colliding."""
     engine: str = ""
     """Engine of the plan that ran; empty where none was tried."""
     repaired: tuple[str, ...] = ()
@@ -95,9 +93,8 @@ def try_robot(package: str, root: Path, path: Path, *, engine: str | None = None
         scene = scene_of(path)
         compiled = compile_scene(scene)
         compiled.spec().compile()
-        layout = compiled.layout
         repaired = tuple(line.removeprefix("robot: ") for line in compiled.repaired)
-        known |= {"loads": True, "dof": layout.nv, "meshes": len(layout.meshes), "repaired": repaired}
+        known |= {"loads": True, "dof": compiled.layout.nv, "repaired": repaired}
         if engine:
             controller = Controller(scene, engine=engine)
             command = controller.step(Plant(scene, task=controller.task).observe())
@@ -120,15 +117,13 @@ def table(rows: list[Row], roots: dict[str, Path]) -> str:
         return text if len(text) <= TEXT else f"{text[: TEXT - 3]}..."
 
     lines = [
-        "| robot | loads | DoF | meshes | plan | what was repaired, or why it is refused |",
-        "|---|---|---|---|---|---|",
+        "| robot | DoF | what was repaired, or why it is refused |",
+        "|---|---|---|",
     ]
     for row in rows:
         more = f" (and {len(row.repaired) - 1} more)" if len(row.repaired) > 1 else ""
         said = short(row.error) if row.error else short(row.repaired[0]) + more if row.repaired else ""
-        numbers = f"{row.dof} | {row.meshes}" if row.loads else "- | -"
-        engine = row.engine or ("fails" if row.loads and row.error else "not tried" if row.loads else "-")
-        lines.append(f"| {row.file} | {'yes' if row.loads else 'no'} | {numbers} | {engine} | {said} |")
+        lines.append(f"| {row.file} | {row.dof if row.loads else '-'} | {said} |")
     return "\n".join(lines)
 
 
@@ -143,7 +138,7 @@ def page(rows: list[Row], roots: dict[str, Path], engine: str) -> str:
         f"Every robot of the PyPI packages example-robot-data and mjlab, written by `tools/robots.py` with {versions}.",
         f"{loads} of {len(rows)} load, {repaired} of them repaired with a warning; a plan was made with {plans}. Each "
         "stands alone in a scene without a floor, with a drive on every joint where its file brings no actuators. "
-        f"`plan` names the engine of the plan, of 8 samples (`--engine {engine}`, on a CPU of {os.cpu_count()} cores).",
+        f"A plan has 8 samples (`--engine {engine}`, on a CPU of {os.cpu_count()} cores).",
     ]
     for package in roots:
         parts += [f"## {package}", table([row for row in rows if row.package == package], roots)]
