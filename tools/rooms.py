@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = (
     ("cli",),
     ("live",),
-    ("run", "record"),
+    ("run", "record", "doctor"),
     ("realtime",),
     ("controller", "plant"),
     ("planner",),

@@ -46,10 +46,12 @@ def check(
                 for _ in range(2):  # the first plan compiles kernels
                     episode.controller.step(observation)
 
+            from ..doctor.examine import examine
             from .report import print_check
 
             controller = episode.controller
-            print_check(episode, out, advice=setup.advice(controller.info.plan_ms, controller.compiled))
+            advice = setup.advice(controller.info.plan_ms, controller.compiled)
+            print_check(episode, out, advice=[*advice, *map(str, examine(controller))])
         except KeyboardInterrupt:
             return interrupts.code
     return SUCCESS

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes that a scene can make without being refused, each with its cure."""

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about cost terms: those that no control can change, and samples that all cost the same."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import warp as wp
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .contacts import collides
+from .subject import Finding, some
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ..controller.controller import Controller
+    from .subject import Subject
+
+PROBES = 24
+"""Samples of a plan whose terms are compared."""
+SAME = 1e-6
+"""Share of a term's cost by which samples must differ, or it counts as the same in all: float32 has seven digits."""
+SHORT = 0.1
+"""Look-ahead below which plans see little of what follows from a control [s]."""
+
+
+def controlled(subject: Subject) -> np.ndarray:
+    """Bodies that a control can move ``[nbody]``: by actuators, constraints and tendons between trees, contacts."""
+    model = subject.world.model
+    trees = model.ntree
+    links = [(a, b) for a, b in _coupled(model) if a >= 0 and b >= 0]
+    solid = [g for g in range(model.ngeom) if model.body_treeid[model.geom_bodyid[g]] >= 0]
+    kinds = {}  # one geom of each tree and pair of bits stands for all
+    for g in solid:
+        key = int(model.body_treeid[model.geom_bodyid[g]]), int(model.geom_contype[g]), int(model.geom_conaffinity[g])
+        kinds.setdefault(key, g)
+    some_geoms = list(kinds.values())
+    for i, g in enumerate(some_geoms):
+        for h in some_geoms[:i]:
+            if collides(model, g, h):
+                links.append(tuple(int(model.body_treeid[model.geom_bodyid[x]]) for x in (g, h)))
+    links += [
+        tuple(int(model.body_treeid[model.geom_bodyid[g]]) for g in pair)
+        for pair in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    ]
+    links = [(a, b) for a, b in links if a >= 0 and b >= 0]
+    graph = coo_matrix((np.ones(len(links)), tuple(np.array(links).T) if links else ([], [])), shape=(trees, trees))
+    _, group = connected_components(graph, directed=False)
+    driven = {int(group[tree]) for tree in _driven(model) if tree >= 0}
+    return np.array([tree >= 0 and int(group[tree]) in driven for tree in model.body_treeid])
+
+
+def _driven(model: mujoco.MjModel) -> set[int]:
+    """Kinematic trees with an actuator."""
+    kinds, found = mujoco.mjtTrn, set()
+    for a in range(model.nu):
+        kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
+        if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+            bodies = [int(model.jnt_bodyid[target])]
+        elif kind == kinds.mjTRN_TENDON:
+            bodies = _tendon_bodies(model, target)
+        elif kind in (kinds.mjTRN_SITE, kinds.mjTRN_SLIDERCRANK):
+            bodies = [int(model.site_bodyid[target])]
+        else:
+            bodies = [target]
+        found |= {int(model.body_treeid[body]) for body in bodies}
+    return found
+
+
+def _tendon_bodies(model: mujoco.MjModel, tendon: int) -> list[int]:
+    first = int(model.tendon_adr[tendon])
+    bodies = []
+    for w in range(first, first + int(model.tendon_num[tendon])):
+        kind, target = int(model.wrap_type[w]), int(model.wrap_objid[w])
+        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
+            bodies.append(int(model.jnt_bodyid[target]))
+        elif kind == mujoco.mjtWrap.mjWRAP_SITE:
+            bodies.append(int(model.site_bodyid[target]))
+    return bodies
+
+
+def _coupled(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Pairs of trees that a tendon or an equality constraint couples, -1 for the world."""
+    tree = model.body_treeid
+    for t in range(model.ntendon):
+        bodies = _tendon_bodies(model, t)
+        yield from ((int(tree[a]), int(tree[b])) for a, b in pairwise(bodies))
+    kinds = mujoco.mjtEq
+    for e in range(model.neq):
+        first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        if int(model.eq_type[e]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            of = model.site_bodyid if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE else np.arange(model.nbody)
+            yield int(tree[of[first]]), int(tree[of[second]])
+        elif model.eq_type[e] == kinds.mjEQ_JOINT and second >= 0:
+            yield int(tree[model.jnt_bodyid[first]]), int(tree[model.jnt_bodyid[second]])
+
+
+def _names(value: object) -> set[str]:
+    """All text in the keys of a term."""
+    if isinstance(value, str):
+        return {value}
+    if isinstance(value, dict):
+        return set().union(*map(_names, value.values()), set())
+    return set().union(*map(_names, value), set()) if isinstance(value, list | tuple) else set()
+
+
+def reach_findings(subject: Subject) -> Iterator[Finding]:
+    """Terms, goals and conditions about bodies that no control can move."""
+    layout, model = subject.compiled.layout, subject.world.model
+    moved = controlled(subject)
+    frames = {}  # frame → whether a control can move it; frames that no physics moves are left out
+    for name, body in zip(layout.frame_name, layout.frame_body, strict=True):
+        if body >= 0:
+            there = model.body(subject.compiled.body_name[body]).id
+            if model.body_treeid[there] >= 0 or model.body_mocapid[model.body_rootid[there]] >= 0:
+                frames[name] = bool(moved[there])
+    asked = [(f"cost.{cost.name or cost.term}", _names(cost.params)) for cost in subject.scene.cost]
+    if subject.scene.goal is not None:
+        asked.append(("goal", {subject.scene.goal.target}))
+    mocap = {subject.compiled.body_name[b] for b in layout.mocap_body.tolist()}
+    for key, names in asked:
+        about = [name for name in sorted(names) if name in frames]
+        if about and not any(frames[name] for name in about):
+            hint = ": a mocap body leads it, and plans move no mocap bodies" if mocap else ""
+            yield Finding(
+                key,
+                f"no control can move {some(about)}{hint}",
+                "drive the joints that carry it (robot.NAME.drive, or actuators in MJCF), or let something that is "
+                "driven touch it",
+            )
+
+
+def plan_findings(controller: Controller) -> Iterator[Finding]:
+    """Samples that all cost the same, weights below zero, and plans that look ahead too short.
+
+    Args:
+        controller: It has made a plan.
+    """
+    ahead = float(controller.planner.grid.t[-1])
+    if ahead < SHORT:
+        yield Finding(
+            "planner.horizon",
+            f"plans look {ahead:.3g} s ahead: little of what follows from a control is seen",
+            "raise planner.horizon, or planner.dt to two or three controls a step; about 1 s suits most robots",
+        )
+    costs = term_costs(controller)
+    if len(costs) < 2:
+        return
+    spread = np.ptp(costs, axis=0)
+    weights = np.array([float(np.ravel(controller.task[label])[0]) for label in controller.costs.labels])
+    for label, weight in zip(controller.costs.labels, weights, strict=True):
+        if weight < 0.0:
+            yield Finding(
+                f"cost.{label}.weight", f"weight {weight:g} rewards a large {label}", "weights of costs are positive"
+            )
+    counts = (weights != 0.0) & (spread > SAME * np.abs(costs).max(axis=0))
+    if not counts.any():
+        yield Finding(
+            "cost",
+            f"all {len(costs)} samples that were compared cost the same: plans have nothing to choose by",
+            "raise planner.noise.sigma, look further ahead, or add a term that leads to the goal",
+        )
+        return
+
+
+def term_costs(controller: Controller) -> np.ndarray:
+    """Cost that each term added to samples of the last plan ``[n, terms]``; samples that diverged are left out."""
+    engine, costs = controller.engine, controller.engine.cost.numpy()[0]
+    chosen = [int(k) for k in np.unique(np.linspace(0, len(costs) - 1, PROBES).astype(int)) if np.isfinite(costs[k])]
+    rows = []
+    for k in chosen:
+        engine.explain(wp.array(np.full(controller.envs, k), dtype=wp.int32, device=engine.device))
+        rows.append(engine.term_cost.numpy()[0].copy())
+    return np.array(rows, dtype=float).reshape(len(rows), -1)
