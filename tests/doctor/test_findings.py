@@ -2,6 +2,7 @@
 """Planted mistakes: each is found, at its key, with its cure, and a scene without one has no finding."""
 
 import pytest
+from needs import need_scene
 
 from warpmpc.controller.controller import Controller
 from warpmpc.doctor.contacts import contact_findings
@@ -234,3 +235,9 @@ def test_a_hand_that_a_mocap_body_leads_is_found(tmp_path):
 def test_a_mistake_of_plans_is_found(tmp_path, key, text, scene):
     findings = planned(scene_of(tmp_path, scene=scene))
     assert [f for f in findings if f.key == key and text in f.text], findings
+
+
+@pytest.mark.parametrize("name", ["omni_push_box", "panda_reach", "quadruped_walk", "pendulum", "hand_cube"])
+def test_shipped_scenes_have_no_finding(name):
+    need_scene(name)
+    assert still(load_scene(name)) == []

@@ -113,9 +113,10 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
     """Terms, goals and conditions about bodies that no control can move."""
     layout, model = subject.compiled.layout, subject.world.model
     moved = controlled(subject)
+    robots = {robot.name for robot in subject.scene.robot}
     frames = {}  # frame → whether a control can move it; frames that no physics moves are left out
     for name, body in zip(layout.frame_name, layout.frame_body, strict=True):
-        if body >= 0:
+        if body >= 0 and name not in robots:  # the name of a robot stands for all of it in terms of contacts
             there = model.body(subject.compiled.body_name[body]).id
             if model.body_treeid[there] >= 0 or model.body_mocapid[model.body_rootid[there]] >= 0:
                 frames[name] = bool(moved[there])
