@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare strategies at equal wall-clock: closed-loop cost of tasks × strategies, over seeds.
 
-    python tools/planners.py --ms 5 --jobs 16 --limit 460 --into docs/planners.md
+    python tools/planners.py --ms 5 --jobs 16 --limit 460
     python tools/planners.py --tasks pendulum push_t --strategies mppi icem --runs 2
 
 For every task and strategy it first finds the number of samples whose plans take --ms on one thread of this machine,
@@ -30,7 +30,7 @@ from pathlib import Path
 
 from bench import machine
 from equal_time.cells import STRATEGIES, Cell, fit, run
-from equal_time.tables import put_into, summary, tables
+from equal_time.tables import summary, tables
 from progress import Bar
 
 from warpmpc.cli.setup import start_warp
@@ -96,7 +96,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--limit", type=float, default=DAY, help="stop after so many seconds")
-    parser.add_argument("--into", type=Path, help="page to put the tables into")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     args = parser.parse_args(arguments)
     until = time.monotonic() + args.limit
@@ -113,8 +112,6 @@ def main(arguments: list[str] | None = None) -> int:
         text = tables(rows, ms=args.ms, seconds=args.seconds)
         about = {"machine": machine(), "ms": args.ms, "seconds": args.seconds, "strategies": STRATEGIES}
         (args.out / "planners.json").write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
-        if args.into:
-            put_into(args.into, text)
     except (ValueError, OSError) as error:
         parser.error(str(error))
     print(text, end="")

@@ -117,13 +117,13 @@ def table(rows: list[Row], roots: dict[str, Path]) -> str:
         return text if len(text) <= TEXT else f"{text[: TEXT - 3]}..."
 
     lines = [
-        "| robot | DoF | what was repaired, or why it is refused |",
+        "|robot|DoF|what was repaired, or why it is refused|",
         "|---|---|---|",
     ]
     for row in rows:
         more = f" (and {len(row.repaired) - 1} more)" if len(row.repaired) > 1 else ""
         said = short(row.error) if row.error else short(row.repaired[0]) + more if row.repaired else ""
-        lines.append(f"| {row.file} | {row.dof if row.loads else '-'} | {said} |")
+        lines.append(f"|{row.file}|{row.dof if row.loads else '-'}|{said}|")
     return "\n".join(lines)
 
 

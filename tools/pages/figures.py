@@ -100,7 +100,7 @@ def rewritten(text: str) -> str:
 
 
 def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    return f"|{'|'.join(cells)}|"
 
 
 def _sources(groups: list[Group]) -> list[str]:
@@ -124,7 +124,7 @@ def _suite() -> str:
     from dm_tasks.table import read as episodes
     from dm_tasks.table import table as suite
 
-    return suite(episodes([DATA / f"{EPISODES}.json"])) + "\n"
+    return re.sub(r" ?\| ?", "|", suite(episodes([DATA / f"{EPISODES}.json"]))) + "\n"
 
 
 def main(arguments: list[str] | None = None) -> int:

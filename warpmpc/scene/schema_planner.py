@@ -300,7 +300,7 @@ class Planner(Section):
     discount: Share = 0.95
     """Factor γ per step of a rollout [P5]."""
     terminal: NonNegative = 1.0
-    """Factor on the last step's cost besides: what is left to be done counts more (STORM's terminal cost, S3)."""
+    """Factor on the last step's cost, besides its discount."""
     noise: Noise = Noise()
     """What samples differ from the mean by."""
     temperature: Temperature = Temperature()
