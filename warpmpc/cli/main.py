@@ -292,6 +292,111 @@ def plot(
 
 
 @app.command()
+def bench(
+    scene: SceneArgument,
+    engine: Annotated[
+        list[str], typer.Option("--engine", metavar="ENGINE", help="Engine of the rollouts, as for run; repeatable.")
+    ] = ["auto"],  # noqa: B006
+    samples: Annotated[
+        list[int], typer.Option("--samples", min=2, help="Number of samples, the scene's when left out; repeatable.")
+    ] = [],  # noqa: B006
+    against: Annotated[
+        list[str],
+        typer.Option(
+            "--against",
+            metavar="'KEY=VALUE ...'",
+            help="Another setting to compare with, such as planner.samples=128; repeatable.",
+        ),
+    ] = [],  # noqa: B006
+    plans: Annotated[int, typer.Option(min=5, help="Plans of every setting that count.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+    device: DeviceOption = "auto",
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Time plans in closed loop: median and tails, several settings beside each other at the same states.
+
+    The settings plan in turn at every observation, so that the machine's drifts meet all alike; ratios are taken plan
+    by plan, to the first setting.
+    """
+    from .bench import bench as cli_bench
+
+    raise typer.Exit(
+        cli_bench(
+            scene,
+            engines=engine,
+            samples=samples,
+            against=against,
+            plans=plans,
+            seed=seed,
+            overrides=overrides,
+            term_files=terms,
+            device=device,
+            json_lines=json,
+        )
+    )
+
+
+@app.command()
+def tune(
+    scenes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE...", help="Shipped scenes or TOML files; several are tuned together."),
+    ],
+    keys: Annotated[
+        list[str],
+        typer.Option(
+            "--key",
+            metavar="KEY=SPEC",
+            help="What to search, or a file of such lines: LOW..HIGH, LOW..HIGH:log, xLOW..HIGH (a factor) or A|B|C; "
+            "weights, noise, horizon, knots and temperature within factors of the scene's when left out.",
+        ),
+    ] = [],  # noqa: B006
+    trials: Annotated[int, typer.Option(min=1, help="Trials that the study holds in the end.")] = 50,
+    episodes: Annotated[int, typer.Option(min=1, help="Seeds of a trial, for each scene.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, max=999, help="First of them; tuning has seeds 0 to 999.")] = 0,
+    jobs: Annotated[str, typer.Option(metavar="WHERE", help="Where episodes run, as for warpmpc run.")] = "1",
+    study: Annotated[
+        Path | None, typer.Option(metavar="FILE.db", help="Keep the study; the same command goes on with it.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.toml", help="Write the scene with the best values.")
+    ] = None,
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+    engine: EngineOption = "auto",
+    device: DeviceOption = "auto",
+    contact_penalty: Annotated[
+        float, typer.Option(min=0.0, metavar="SECONDS", help="Price of a hard contact with an obstacle.")
+    ] = 5.0,
+) -> None:
+    """Search weights and planner settings over seeds, and print what is best as a change of the scene's file.
+
+    The first trial is the scene as it is. A trial is worth the mean time to the goal, failures at least twice the
+    timeout; in a scene without success, the mean cost. Ctrl-C ends the search and keeps the best so far.
+    """
+    from .tune import tune as cli_tune
+
+    raise typer.Exit(
+        cli_tune(
+            scenes,
+            keys=keys,
+            trials=trials,
+            seeds=range(seed, seed + episodes),
+            jobs=jobs,
+            study_file=study,
+            out=output,
+            overrides=overrides,
+            term_files=terms,
+            engine=engine,
+            device=device,
+            contact_penalty=contact_penalty,
+        )
+    )
+
+
+@app.command()
 def live(
     scene: SceneArgument,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,

@@ -50,24 +50,14 @@ def save(path: Path, variant: str | None, texts: Sequence[str], *, to: Path) -> 
         SceneError: If the result would not be the scene that runs, or would not compile; nothing is written.
         OSError: If it cannot be written.
     """
-    import tomlkit
-
-    document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
-    data = document.unwrap()
-    patch = data.pop("variants", {}).get(variant, {})
-    varied = {full for leaf in leaves(patch) for full in expand(data, leaf)}
-    data = merge(data, patch)
-    for key, value in _changes(data, texts):
-        inside = any(all(a == b for a, b in zip(key, other, strict=False)) for other in varied)
-        _put(document["variants"][variant] if inside else document, key, value)
-        data = merge(data, nest(key, value))
+    text = edited(path, variant, texts)
     file, ending = to.resolve(), "" if variant is None else f":{variant}"
     handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{to.stem}_", suffix=".toml")
     written = Path(name)
     tried = to.with_name(written.name)  # assets are beside the link, if it is one
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(tomlkit.dumps(document))
+            stream.write(text)
         if not tried.exists():
             tried.symlink_to(written)
         saved, wanted = load_scene(f"{tried}{ending}"), load_scene(f"{path}{ending}", overrides=texts)
@@ -79,6 +69,22 @@ def save(path: Path, variant: str | None, texts: Sequence[str], *, to: Path) -> 
     finally:
         tried.unlink(missing_ok=True)
         written.unlink(missing_ok=True)
+
+
+def edited(path: Path, variant: str | None, texts: Sequence[str]) -> str:
+    """The text of a scene's file with changes, as :func:`save` writes it."""
+    import tomlkit
+
+    document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    data = document.unwrap()
+    patch = data.pop("variants", {}).get(variant, {})
+    varied = {full for leaf in leaves(patch) for full in expand(data, leaf)}
+    data = merge(data, patch)
+    for key, value in _changes(data, texts):
+        inside = any(all(a == b for a, b in zip(key, other, strict=False)) for other in varied)
+        _put(document["variants"][variant] if inside else document, key, value)
+        data = merge(data, nest(key, value))
+    return tomlkit.dumps(document)
 
 
 def _changes(data: dict, texts: Sequence[str]) -> Iterator[tuple[Key, object]]:

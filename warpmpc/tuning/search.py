@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search: trials side by side, each judged episode by episode, kept in a file and taken up again."""
+"""The search: trials side by side, each evaluated episode by episode, kept in a file and taken up again."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import optuna
-from jobs import Job, submit
 from optuna.trial import FrozenTrial, TrialState
 
-from warpmpc import Scene, SceneError, load_scene
-from warpmpc.run.code import scene_digest
-from warpmpc.run.workers import Workers
+from ..run.code import scene_digest
+from ..scene.errors import SceneError
+from ..scene.load import load_scene
+from ..scene.schema import Scene
+from .score import Outcome
+from .space import Parameter
 
-from .objective import score
-from .space import Choice, Range
-
+Submit = Callable[[str, int, tuple[str, ...]], Future[Outcome]]
+"""Starts an episode, given its scene's source, its seed and the tuned values as overrides."""
 DONE = (TrialState.COMPLETE, TrialState.PRUNED)
 START = "start"
 """Attribute of the trial of the scenes' present values."""
@@ -48,13 +49,11 @@ class Task:
 
     scenes: dict[str, Scene]
     """Source, as for ``load_scene`` → scene with its overrides."""
-    space: list[Range | Choice]
+    space: list[Parameter]
     start: dict[str, object]
     """The scenes' present values by key."""
     seeds: list[int]
     overrides: list[str] = field(default_factory=list)
-    engine: str = "auto"
-    device: str = "auto"
     contact_penalty: float
     """Price of contact beyond a graze [s]."""
 
@@ -73,22 +72,16 @@ class Task:
             "contact_penalty": self.contact_penalty,
         }
 
-    def changes(self, values: dict[str, object]) -> list[str]:
+    def changes(self, values: dict[str, object]) -> tuple[str, ...]:
         """Overrides that set values by key."""
-        return [f"{parameter.key}={parameter.text(values[parameter.key])}" for parameter in self.space]
-
-    def job(self, values: dict[str, object], episode: tuple[str, int]) -> Job:
-        """One episode of a trial."""
-        source, seed = episode
-        overrides = (*self.overrides, *self.changes(values))
-        return Job(scene=source, seed=seed, overrides=overrides, engine=self.engine, device=self.device)
+        return tuple(f"{parameter.key}={parameter.text(values[parameter.key])}" for parameter in self.space)
 
 
-def open_study(path: Path, task: Task, *, seed: int = 0) -> optuna.Study:
+def open_study(path: Path | None, task: Task, *, seed: int = 0) -> optuna.Study:
     """Make a study, or take one up: what ran when it was interrupted is tried again.
 
     Args:
-        path: SQLite file of the study.
+        path: SQLite file of the study; None for a study in memory.
         task: What is tuned.
         seed: Seed of the sampler.
 
@@ -96,10 +89,11 @@ def open_study(path: Path, task: Task, *, seed: int = 0) -> optuna.Study:
         ValueError: If the file holds a study of something else, or none.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    path.absolute().parent.mkdir(parents=True, exist_ok=True)
+    if path is not None:
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
     try:
         study = optuna.create_study(
-            storage=f"sqlite:///{path.absolute()}",
+            storage=None if path is None else f"sqlite:///{path.absolute()}",
             study_name="tune",
             load_if_exists=True,
             pruner=LatestMedianPruner(n_startup_trials=4),
@@ -136,10 +130,26 @@ class _Running:
     reached: int = 0
 
 
+def best(study: optuna.Study, task: Task) -> tuple[FrozenTrial, FrozenTrial | None, dict[str, object]] | None:
+    """The best trial, that of the scenes' own values, and the best one's values; None before one is complete."""
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if not complete:
+        return None
+    found = min(complete, key=lambda trial: trial.value)
+    rounded = {p.key: float(f"{v:.6g}") if isinstance(v := found.params[p.key], float) else v for p in task.space}
+    return found, next((trial for trial in complete if START in trial.user_attrs), None), rounded
+
+
 def search(
-    study: optuna.Study, task: Task, workers: Workers, *, trials: int, on_trial: Callable[[FrozenTrial], None]
+    study: optuna.Study,
+    task: Task,
+    submit: Submit,
+    *,
+    parallel: int,
+    trials: int,
+    on_trial: Callable[[FrozenTrial], None],
 ) -> None:
-    """Run trials until the study holds as many, as many side by side as there are workers.
+    """Run trials until the study holds as many, some side by side.
 
     After every episode a trial whose mean is worse than the median of the others' is pruned. Values that make no
     scene count as pruned at once.
@@ -147,7 +157,8 @@ def search(
     Args:
         study: The study.
         task: What is tuned.
-        workers: Run the episodes.
+        submit: Starts an episode.
+        parallel: Trials that run side by side.
         trials: Number of trials the study shall hold.
         on_trial: Called after each.
 
@@ -159,37 +170,35 @@ def search(
     running: dict[Future, _Running] = {}
     left = trials - len(done(study))
     while running or left > 0:
-        while left > 0 and len(running) < workers.count:
+        while left > 0 and len(running) < parallel:
             left -= 1
             trial = study.ask()
             current = _Running(trial, {parameter.key: parameter.suggest(trial) for parameter in task.space})
             try:
                 for source in task.scenes:
                     load_scene(source, overrides=[*task.overrides, *task.changes(current.values)])
-                running[submit(workers, task.job(current.values, task.episodes[0]))] = current
+                running[submit(*task.episodes[0], task.changes(current.values))] = current
             except SceneError as error:
                 _refuse(study, trial, error)
                 on_trial(study.trials[trial.number])
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             current = running.pop(future)
-            following = _judge(study, task, current, future)
-            if following is not None:
-                running[submit(workers, following)] = current
+            if (following := _note(study, task, current, future)) is not None:
+                running[submit(*following, task.changes(current.values))] = current
             else:
                 on_trial(study.trials[current.trial.number])
 
 
-def _judge(study: optuna.Study, task: Task, current: _Running, future: Future) -> Job | None:
+def _note(study: optuna.Study, task: Task, current: _Running, future: Future[Outcome]) -> tuple[str, int] | None:
     """Take an episode's result into account; returns the trial's next episode, None when it is over."""
     trial, step = current.trial, len(current.scores)
-    source, _ = task.episodes[step]
     try:
-        run = future.result()
+        outcome = future.result()
     except SceneError as error:
         _refuse(study, trial, error)
         return None
-    current.scores.append(score(run, task.scenes[source], contact_penalty=task.contact_penalty))
-    current.reached += run["result"]["success"]
+    current.scores.append(outcome.value)
+    current.reached += outcome.passed
     average = float(np.mean(current.scores))
     trial.report(average, step)
     trial.set_user_attr("scores", current.scores)
@@ -200,7 +209,7 @@ def _judge(study: optuna.Study, task: Task, current: _Running, future: Future) -
     if START not in trial.user_attrs and trial.should_prune():
         study.tell(trial, state=TrialState.PRUNED)
         return None
-    return task.job(current.values, task.episodes[step + 1])
+    return task.episodes[step + 1]
 
 
 def _refuse(study: optuna.Study, trial: optuna.Trial, error: SceneError) -> None:

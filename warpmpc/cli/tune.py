@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``warpmpc tune``: search values of scene keys over seeds, print them as a change of the scene's file."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import sys
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from ..run.workers import LostJob, check_jobs, one_thread, open_workers
+from ..scene.load import load_scene
+from .interrupts import Interrupts
+from .progress import Bar, Messages
+from .setup import FAILURE, SUCCESS, Setup, results_only, start_warp, user_errors
+from .spread import Order, portable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optuna import Study
+    from optuna.trial import FrozenTrial
+
+    from ..scene.schema import Scene
+    from ..tuning.score import Outcome
+    from ..tuning.search import Submit, Task
+
+LAST_SEED = 999
+"""Tuning has seeds 0 to 999: results are reported on seeds above them."""
+
+
+def tune(
+    sources: Sequence[str],
+    *,
+    keys: Sequence[str],
+    trials: int,
+    seeds: range,
+    jobs: str,
+    study_file: Path | None,
+    out: Path | None,
+    overrides: Sequence[str],
+    term_files: Sequence[Path],
+    engine: str,
+    device: str,
+    contact_penalty: float,
+) -> int:
+    """Run or go on with a study, print what it found, and return the exit code.
+
+    Args:
+        sources: Scenes and variants that are tuned together.
+        keys: Keys with their ranges, or files of such; derived from the scenes if empty.
+        trials: Trials that the study holds in the end.
+        seeds: Seeds of the episodes of a trial.
+        jobs: Where episodes run; one at a time in this process for ``1``.
+        study_file: SQLite file of the study; None for none.
+        out: Scene file to write.
+        overrides: ``KEY=VALUE`` texts.
+        term_files: Python files of cost terms.
+        engine: Engine of the roll-outs.
+        device: Device of the roll-outs.
+        contact_penalty: Price of contact beyond a graze [s].
+    """
+    with (
+        results_only() as printed,
+        Messages(notices=True, warnings=False),
+        Interrupts() as interrupts,
+        ExitStack() as end,
+    ):
+        try:
+            with user_errors():
+                if importlib.util.find_spec("optuna") is None:
+                    raise ValueError('tuning needs optuna: pip install "warpmpc[tune]"')
+                check_jobs(jobs)
+                if seeds[-1] > LAST_SEED:
+                    raise ValueError(f"--seed, --episodes: tuning has seeds 0 to {LAST_SEED}, not {seeds[-1]}")
+                options = {"term_files": term_files, "engine": engine, "device": device}
+                setups = {source: Setup(source, overrides=overrides, **options) for source in sources}
+                scenes = {source: setup.scene for source, setup in setups.items()}
+                base = _file_to_change(scenes, out)
+                from ..tuning.search import Task, open_study
+                from ..tuning.space import bind_space, derive_space, parse_space
+
+                space = parse_space(keys or list(dict.fromkeys(t for s in scenes.values() for t in derive_space(s))))
+                space, start = bind_space(space, scenes, list(overrides))
+                task = Task(
+                    scenes=scenes,
+                    space=space,
+                    start=start,
+                    seeds=list(seeds),
+                    overrides=list(overrides),
+                    contact_penalty=contact_penalty,
+                )
+                study = open_study(study_file, task)
+            for parameter in space:
+                print(f"--key {parameter.key}={parameter}", file=sys.stderr)
+            with user_errors():
+                submit, parallel = _submitter(setups, task, jobs, end, **options)
+                _search(study, task, submit, parallel, trials)
+        except LostJob as error:
+            print(f"error: {error}", file=sys.stderr)
+            return FAILURE
+        except KeyboardInterrupt:
+            with user_errors():
+                _report(study, task, base, out, printed)
+            return interrupts.code
+        with user_errors():
+            _report(study, task, base, out, printed)
+    return SUCCESS
+
+
+def run_trial(order: Order, changes: tuple[str, ...], seed: int, contact_penalty: float) -> Outcome:
+    """Run one episode of a trial.
+
+    Raises:
+        SceneError: If the values make no scene.
+        ValueError: If the engine or device is not to be had here.
+    """
+    from ..tuning.score import Score
+
+    episode = _setup(replace(order, overrides=(*order.overrides, *changes))).episode(seed)
+    own = load_scene(order.source, overrides=order.overrides)
+    score = Score(own, episode.plant, contact_penalty=contact_penalty)
+    try:
+        return score.outcome(episode.run(on_step=score))
+    finally:
+        episode.controller.engine.close()
+
+
+@lru_cache(maxsize=1)
+def _setup(order: Order) -> Setup:
+    return Setup(
+        order.source,
+        overrides=order.overrides,
+        term_files=order.term_files,
+        engine=order.engine,
+        device=order.device,
+    )
+
+
+def _submitter(
+    setups: dict[str, Setup],
+    task: Task,
+    jobs: str,
+    end: ExitStack,
+    *,
+    term_files: Sequence[Path],
+    engine: str,
+    device: str,
+) -> tuple[Submit, int]:
+    """What starts an episode, and how many run side by side."""
+    workers = None
+    if jobs != "1":
+        workers, device = open_workers(jobs, device=device, prepare=start_warp)
+        end.enter_context(workers)
+    orders = {
+        source: Order(
+            source=portable(source, setup),
+            overrides=tuple(task.overrides) if workers is None else one_thread(workers, task.overrides),
+            term_files=tuple(path.absolute() for path in term_files),
+            engine=engine,
+            device=device,
+            histories=False,
+        )
+        for source, setup in setups.items()
+    }
+
+    def submit(source: str, seed: int, changes: tuple[str, ...]) -> Future[Outcome]:
+        call = (orders[source], changes, seed, task.contact_penalty)
+        if workers is not None:
+            return workers.submit(run_trial, *call)
+        done: Future[Outcome] = Future()
+        try:
+            done.set_result(run_trial(*call))
+        except Exception as error:
+            done.set_exception(error)
+        return done
+
+    return submit, 1 if workers is None else workers.count
+
+
+def _search(study: Study, task: Task, submit: Submit, parallel: int, trials: int) -> None:
+    """Search with a bar and a line for every trial."""
+    from ..tuning.search import best, done, search
+
+    with Bar(trials, shown=True) as bar:
+
+        def on_trial(trial: FrozenTrial) -> None:
+            line, found = f"trial {trial.number}: {_described(trial, task)}", best(study, task)
+            if bar.console:
+                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            else:
+                print(line, file=sys.stderr)
+            count = len(done(study))
+            bar.draw(f"{count}/{trials} trials", count, f"best {found[0].value:.4g}" if found else "")
+
+        bar.draw(f"{len(done(study))}/{trials} trials", len(done(study)), "")
+        search(study, task, submit, parallel=parallel, trials=trials, on_trial=on_trial)
+
+
+def _described(trial: FrozenTrial, task: Task) -> str:
+    """A trial's value in a line."""
+    if refused := trial.user_attrs.get("refused"):
+        return f"refused: {refused}"
+    scores = trial.user_attrs["scores"]
+    average, total = sum(scores) / len(scores), len(task.episodes)
+    cut = f", pruned after {len(scores)} of {total} episodes" if len(scores) < total else ""
+    unit = "s" if all(scene.success for scene in task.scenes.values()) else "cost"
+    return f"{average:.4g} {unit}, {trial.user_attrs['reached']} of {len(scores)} passed{cut}"
+
+
+def _file_to_change(scenes: dict[str, Scene], out: Path | None) -> tuple[Path, str | None] | None:
+    """The file and the variant that the values go into; None where the scenes stand in several files.
+
+    Raises:
+        ValueError: If such a file shall be written.
+    """
+    paths = {scene.path for scene in scenes.values()}
+    if len(paths) > 1 and out is not None:
+        raise ValueError(f"--output {out}: the scenes stand in several files: tune those of one, or leave it out")
+    first = next(iter(scenes.values()))
+    return None if len(paths) > 1 else (first.path, first.variant if len(scenes) == 1 else None)
+
+
+def _report(study: Study, task: Task, base: tuple[Path, str | None] | None, out: Path | None, printed: TextIO) -> None:
+    """Print the best trial beside the scenes' own values, and its values as a change of the file; write it if asked to.
+
+    Raises:
+        SceneError: If the file would not be the scene that was tuned.
+        OSError: If it cannot be written.
+    """
+    from ..live.saving import edited, save
+    from ..tuning.search import best
+
+    if (found := best(study, task)) is None:
+        print("no trial was completed", file=printed)
+        return
+    trial, first, values = found
+    if first:
+        print(f"start  trial {first.number}: {_described(first, task)}", file=printed)
+    print(f"best   trial {trial.number}: {_described(trial, task)}", file=printed)
+    print(
+        f"tuned on {', '.join(task.scenes)}, seeds {task.seeds[0]} to {task.seeds[-1]}: report other seeds",
+        file=printed,
+    )
+    if trial is first:
+        print("no trial was better than the scene's own values", file=printed)
+        return
+    changes = task.changes(values)
+    if base is None:
+        print("", *(f"--set {change}" for change in changes), sep="\n", file=printed)
+        return
+    path, variant = base
+    before, after = path.read_text(encoding="utf-8-sig"), edited(path, variant, changes)
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), path.name, "tuned", n=1, lineterm="")
+    print("", *lines, sep="\n", file=printed)
+    if out is not None:
+        save(path, variant, changes, to=out)
+        print(f"wrote {out}", file=printed)
