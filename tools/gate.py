@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from progress import Bar
+from shared.progress import Bar
 
 PLANS = 20
 SEEDS = (0, 1)

@@ -23,7 +23,6 @@ COMMANDS = {
     "dm_control": 'pip install -e ".[bench]"',
     "g++": "apt-get install g++",
     "gymnasium_robotics": "pip install --no-deps gymnasium-robotics",
-    "mink": "pip install mink daqp",
     "mjlab": 'pip install --no-deps "mjlab==1.6.0"',
     "mkdocs_autorefs": 'pip install -e ".[docs]"',
     "pinocchio": "pip install pin",

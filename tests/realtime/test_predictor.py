@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from latency import delayed_episode
 from small_scenes import compiled, layout_of, make_scene
+from studies.latency import delayed_episode
 
 from warpmpc import Controller, load_scene, simulated_robot
 from warpmpc.realtime.letters import Sighting

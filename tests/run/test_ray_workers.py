@@ -17,12 +17,12 @@ pytest.importorskip("ray", reason=reason("ray"))
 from concurrent.futures import wait
 
 import ray
-import reproduce
 import warp as wp
-from jobs import Job, run_job
 from program import SCENE, TINY
 from program import untimed as without_times
 from ray.cluster_utils import Cluster
+from shared.jobs import Job, run_job
+from studies import reproduce
 
 from warpmpc.cli.main import app
 from warpmpc.run import ray_workers

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from clutter import run
+from studies.clutter import run
 
 import warpmpc
 from warpmpc import Controller, Plant

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from measure import Meter
+from shared.measure import Meter
 
 import warpmpc
 from warpmpc.run.episode import Episode

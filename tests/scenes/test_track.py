@@ -2,7 +2,7 @@
 """An arm that follows what moves: how closely, without touching anything, and never stuck at what it cannot reach."""
 
 import pytest
-from track import run
+from studies.track import run
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ pytest -m slow tests/tools/test_agreement.py. On a CUDA device: pytest -m gpu te
 """
 
 import pytest
-from agreement import differences
+from benches.agreement import differences
 from needs import CUDA, need, need_scene
 
 from warpmpc.scene.load import load_scene, shipped_scenes

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tools that time engines: rows of the goals, the process that measures them, plots of several machines' files."""
+"""The tools that time engines: rows of the goals, the process that measures them."""
 
 import json
-import sys
 
-import bench_plans
-import pytest
-from goals.report import told, verdict
-from goals.rows import CORE, PLAN, WARP, Row, rows_here
-from goals.worker import Worker
-from plot_engines import plot_rows, where
+from benches import plans
+from benches.goals.report import told, verdict
+from benches.goals.rows import CORE, PLAN, WARP, Row, rows_here
+from benches.goals.worker import Worker
 
 from warpmpc.scene.load import load_scene
 
@@ -80,30 +77,9 @@ def test_results_are_written_row_by_row(tmp_path, monkeypatch):
             written.append(len(json.loads(out.read_text())["rows"]) if out.exists() else 0)
             return {"plan_ms": {"p50": 1.0, "p99": 2.0}, "plans": 5} if row.kind == PLAN else {"error": "refused"}
 
-    monkeypatch.setattr(bench_plans, "Worker", Fake)
-    monkeypatch.setattr(sys, "argv", ["bench_plans.py", "--on", "cpu", "--json", str(out)])
-    bench_plans.main()
+    monkeypatch.setattr(plans, "Worker", Fake)
+    plans.main(["--on", "cpu", "--json", str(out)])
     assert written == list(range(len(written)))
     rows = json.loads(out.read_text())["rows"]
     assert len(rows) == len(written) > 0
     assert all("goal" in row and "took_s" in row for row in rows)
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_plot_puts_machines_side_by_side(count, tmp_path, monkeypatch):
-    row = {"scene": "s", "engine": "fused", "case": "", "samples": 16, "plan_ms": {"p50": 1.0}, "floor_ms": None}
-    rows = [row | {"device": "A CPU", "cores": 2}, row | {"device": "NVIDIA H200", "cores": None}]
-    rows += [row | {"device": "A CPU", "cores": 2, "engine": "mujoco", "floor_ms": 3.0}]
-    assert [where(r) for r in rows] == ["2 cores", "H200", "2 cores"]
-    drawn = []
-    import matplotlib.axes
-
-    def loglog(axes, *args, label, **keys):
-        drawn.append(label)
-
-    monkeypatch.setattr(matplotlib.axes.Axes, "loglog", loglog)
-    monkeypatch.setattr(matplotlib.axes.Axes, "legend", lambda *args, **keys: None)
-    plot_rows(rows[:count] if count == 1 else rows, tmp_path / "out.png")
-    assert (tmp_path / "out.png").is_file()
-    lines = ["fused, 2 cores", "fused, H200", "mujoco, 2 cores", "mujoco.rollout, bare, 2 cores"]
-    assert drawn == (lines[:1] if count == 1 else lines)

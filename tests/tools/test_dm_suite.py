@@ -13,15 +13,15 @@ import pytest
 
 pytest.importorskip("dm_control")
 
-import dm_suite
-import seeds
 from dm_tasks.environment import Eyes, load, save_model
 from dm_tasks.play import Episode, names, play, scene_of, split
 from dm_tasks.table import read, table
+from shared import seeds
+from studies import dm_suite
 
 from warpmpc.model.compiled import compile_scene
 
-TOOL = Path(__file__).parents[2] / "tools" / "dm_suite.py"
+TOOL = Path(__file__).parents[2] / "tools" / "study.py"
 
 
 def test_rewards_and_physics_are_the_suites_own():
@@ -221,7 +221,7 @@ def test_episodes_played_already_are_not_played_again(tmp_path):
     ],
 )
 def test_bad_input_is_one_clear_error(arguments, said):
-    done = subprocess.run([sys.executable, TOOL, *arguments], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, TOOL, "dm_suite", *arguments], capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert done.stderr.startswith("error:")
     assert said in done.stderr

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from same_seeds import compared, mean_difference, rate_difference
 from scipy import stats
+from studies.same_seeds import compared, mean_difference, rate_difference
 
 
 def episode(success, time):

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import pytest
-import soak
+from benches import soak
 from small_scenes import make_scene
 
 TENTHS = [soak.Tenth(plans=k, memory=500.0, p50=2.0, p99=3.0, worst=9.0, faults=0) for k in range(1, 11)]

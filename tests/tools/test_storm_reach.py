@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from needs import needs
-from reach.arm import Arm
-from reach.poses import CLEARANCE, Reachable, draw_pose
-from reach.reference import quickest
-from reach.runs import planned, pose_miss
+from studies.reach.arm import Arm
+from studies.reach.poses import CLEARANCE, Reachable, draw_pose
+from studies.reach.reference import quickest
+from studies.reach.runs import planned, pose_miss
 
 import warpmpc
 from warpmpc.model.compiled import compile_scene

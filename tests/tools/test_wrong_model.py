@@ -3,9 +3,9 @@
 
 import numpy as np
 import pytest
-import wrong_model
-from equal_time.cells import drive
-from wrong_model import NOMINAL, Episode, lines, run, settings
+from studies import wrong_model
+from studies.equal_time.cells import drive
+from studies.wrong_model import NOMINAL, Episode, lines, run, settings
 
 import warpmpc
 from warpmpc.run.records import Records

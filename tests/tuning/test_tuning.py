@@ -12,7 +12,7 @@ import warpmpc
 from warpmpc.scene.load import shipped_scenes
 from warpmpc.task.goal import GoalError
 from warpmpc.tuning.score import Outcome, Score
-from warpmpc.tuning.space import Choice, Factor, Range, bind_space, derive_space, parse_parameter, parse_space
+from warpmpc.tuning.space import Choice, Factor, Range, bind_space, derive_space, parse_parameter, parse_space, present
 
 pytest.importorskip("optuna", reason="tuning needs optuna")
 from optuna.trial import TrialState
@@ -99,6 +99,11 @@ def test_a_space_follows_from_every_scene_and_holds_what_the_scene_has(name):
     for parameter in free:
         for end in (parameter.low, parameter.high):
             warpmpc.load_scene(name, overrides=[f"{parameter.key}={parameter.text(end)}"])
+
+
+def test_a_key_holds_what_the_scene_says():
+    scene = warpmpc.load_scene("omni_push_box")
+    assert present(scene, "robot.base.joint_q.1") == {"robot.base.joint_q.1": 2.0}
 
 
 @pytest.mark.parametrize(

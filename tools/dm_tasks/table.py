@@ -6,11 +6,10 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from math import sqrt
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import mean
 
-from scipy.stats import t
+from shared.intervals import mean as estimate
 
 from .play import Played
 from .published import TD_MPC2
@@ -32,7 +31,7 @@ def read(paths: Sequence[Path]) -> list[dict]:
         try:
             rows = [asdict(Played(**row)) for row in json.loads(path.read_text(encoding="utf-8"))]
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: no episodes as tools/dm_suite.py --json writes them: {error}") from None
+            raise ValueError(f"{path}: no episodes as tools/study.py dm_suite --json writes them: {error}") from None
         played += [row for row in rows if row not in played]
     return played
 
@@ -56,18 +55,14 @@ def table(played: list[dict]) -> str:
     return "\n".join([_HEAD, *(_row(name, rows) for name, rows in tasks.items()), "", _summary(means, played)])
 
 
-def interval(values: Sequence[float]) -> float:
-    """Half of the 95 % interval of a mean, by Student's t."""
-    return float(t.ppf(0.975, len(values) - 1)) * stdev(values) / sqrt(len(values))
-
-
 def _row(name: str, rows: list[dict]) -> str:
     first, returns = rows[0], [row["reward"] for row in rows]
+    found = estimate(returns)
     samples = f"{first['samples']}" + (f" × {first['iterations']}" if first["iterations"] > 1 else "")
     p50, p99 = (max(row["plan_ms"][q] for row in rows) for q in ("p50", "p99"))
     cells = (
         name.replace("_", " "),
-        f"**{mean(returns):.0f}**" + (f" ± {interval(returns):.0f}" if len(returns) > 1 else ""),
+        f"**{mean(returns):.0f}**" + ("" if found.high is None else f" ± {found.high - found.value:.0f}"),
         f"{min(returns):.0f}",
         f"{len(returns)}",
         f"{TD_MPC2[name]}" if name in TD_MPC2 else "-",

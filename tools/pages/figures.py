@@ -8,7 +8,7 @@
 A table stands between ``<!-- data: NAME -->`` and ``<!-- end -->``; ``docs/data/NAME.json`` has its columns
 and groups of rows that were measured together, each with its machine, date and command. ``<!-- data: NAME readme -->``
 takes the rows that a group names under ``readme`` and leaves out where they are from. The episodes of
-``control_suite.json`` are those of ``tools/dm_suite.py --json``. Exit code 2 for bad figures.
+``control_suite.json`` are those of ``tools/study.py dm_suite --json``. Exit code 2 for bad figures.
 """
 
 from __future__ import annotations

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Balance a ball on a tray that an arm holds, the ball seen 30 times a second with noise: STORM's Fig. 6.
+
+    python tools/study.py balance --runs 20 --seed 100 --out docs/storm_balance.png   # runs, a line each, and a picture
+    python tools/study.py balance --scene storm_balance:moving --runs 10
+
+Every run begins with the ball at rest somewhere off the centre. What is seen of it goes through a Kalman filter in the
+tray's frame, which knows the rolling ball's model, too. Joints are seen as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import warpmpc
+from warpmpc.cli.setup import start_warp
+
+if TYPE_CHECKING:
+    from warpmpc import Plant, State
+
+START = (0.06, 0.11)
+"""How far from the centre the ball begins [m]."""
+SETTLED = 4.0
+"""Time after which the ball shall stay near the centre [s]."""
+NEAR = 0.02
+"""[m]"""
+GRAVITY = np.array([0.0, 0.0, -9.81])
+SHARE = 5.0 / 7.0
+"""Of the acceleration that a frictionless point would have, for a solid ball."""
+SLACK = 1e-6
+"""What a lapse of time may lack [s]: times are sums of steps."""
+
+
+class Tray:
+    """Where tray and ball of a plant are.
+
+    Args:
+        plant: A plant with the frame ``panda/tray`` and the object ``ball``.
+    """
+
+    def __init__(self, plant: Plant):
+        self.plant, layout = plant, plant.layout
+        self._tray, self._ball = (int(layout.frame_body[layout.frame(name)]) for name in ("panda/tray", "ball"))
+        joint = int(np.flatnonzero(layout.joint_child == self._ball)[0])
+        self.q, self.qd = int(layout.joint_q_start[joint]), int(layout.joint_qd_start[joint])
+        """First joint coordinate and velocity of the ball."""
+
+    def pose(self) -> np.ndarray:
+        """Pose of the tray ``[7]``."""
+        return self.plant.body_q[self._tray].astype(float)
+
+    def centre(self) -> np.ndarray:
+        """Place of the ball in the world ``[3]`` [m]."""
+        return self.plant.body_q[self._ball, :3].astype(float)
+
+    def ball(self) -> np.ndarray:
+        """Place of the ball in the tray's frame ``[3]`` [m]."""
+        pose = self.pose()
+        return Rotation.from_quat(pose[3:]).inv().apply(self.centre() - pose[:3])
+
+
+class Sight:
+    """Observes the ball and estimates where it is and how fast, in the tray's frame.
+
+    A Kalman filter for x and one for y, whose input is (5/7) (Rᵀ(g - a))_xy, R and a of the tray.
+
+    Args:
+        tray: Tray and ball.
+        dt: Length of a control [s].
+        rate: Observations a second.
+        noise: Standard deviation of every coordinate [m].
+        seed: Seed of that noise.
+        unknown: Standard deviation of what accelerates the ball besides, over a control [m/s²].
+    """
+
+    def __init__(self, tray: Tray, dt: float, *, rate: float, noise: float, seed: int, unknown: float = 0.3):
+        self._tray, self._dt, self._rate, self._noise = tray, dt, rate, noise
+        self._rng, self._frame = np.random.default_rng([seed, 4]), -1
+        self._move = np.array([[1.0, dt], [0.0, 1.0]])
+        push = np.array([0.5 * dt * dt, dt])
+        self._process, self._push = unknown**2 * np.outer(push, push), push
+        self._x: np.ndarray | None = None  # place and velocity [2, 2], a column for each axis
+        self._spread = np.diag([noise**2, 0.05**2])
+        self._last: tuple[np.ndarray, np.ndarray] | None = None  # place and velocity of the tray [m, m/s]
+
+    def __call__(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Joint coordinates and velocities with the estimated ball in place of the true one.
+
+        Args:
+            time: The time [s].
+            state: The true state.
+        """
+        pose = self._tray.pose()
+        turn, before = Rotation.from_quat(pose[3:]), self._last
+        velocity = np.zeros(3) if before is None else (pose[:3] - before[0]) / self._dt
+        if self._x is not None and before is not None:
+            acceleration = (velocity - before[1]) / self._dt
+            pull = SHARE * turn.inv().apply(GRAVITY - acceleration)[:2]
+            self._x = self._move @ self._x + np.outer(self._push, pull)
+            self._spread = self._move @ self._spread @ self._move.T + self._process
+        self._last = pose[:3], velocity
+        if (frame := int((time + SLACK) * self._rate)) > self._frame:
+            self._frame = frame
+            seen = self._tray.centre() + self._rng.normal(0.0, self._noise, 3)
+            self._correct(turn.inv().apply(seen - pose[:3])[:2])
+        return self._written(state, pose, turn, velocity)
+
+    def _correct(self, seen: np.ndarray) -> None:
+        if self._x is None:
+            self._x = np.array([seen, np.zeros(2)])
+            return
+        gain = self._spread[:, 0] / (self._spread[0, 0] + self._noise**2)
+        self._x = self._x + np.outer(gain, seen - self._x[0])
+        self._spread = self._spread - np.outer(gain, self._spread[0])
+
+    def _written(
+        self, state: State, pose: np.ndarray, turn: Rotation, velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        q, qd, tray = state.joint_q.copy(), state.joint_qd.copy(), self._tray
+        height = tray.plant.layout.shapes[tray.plant.layout.entity("ball").shapes[0]].scale[0]
+        q[tray.q : tray.q + 3] = pose[:3] + turn.apply([*self._x[0], height])
+        qd[tray.qd : tray.qd + 3] = velocity + turn.apply([*self._x[1], 0.0])
+        return q, qd
+
+
+@dataclass(frozen=True)
+class Run:
+    """What became of one ball."""
+
+    seed: int
+    path: np.ndarray
+    """Place in the tray's frame after every control ``[n, 3]`` [m]."""
+    dt: float
+    """[s]"""
+    hand: np.ndarray
+    """Distance of the tray from its goal ``[n]`` [m]."""
+
+    @property
+    def distance(self) -> np.ndarray:
+        """From the centre ``[n]`` [m]."""
+        return np.linalg.norm(self.path[:, :2], axis=1)
+
+    def to_json(self) -> dict[str, object]:
+        """What is printed."""
+        late = self.distance[round(SETTLED / self.dt) :]
+        outside = np.flatnonzero(self.distance > NEAR)
+        lost = self.path[-1, 2] < 0.0
+        return {
+            "seed": self.seed,
+            "lost": bool(lost),
+            "start_m": round(float(self.distance[0]), 4),
+            "within_2cm_from_s": round((int(outside.max(initial=-1)) + 1) * self.dt, 2),
+            "furthest_after_4s_m": None if lost or not len(late) else round(float(late.max()), 4),
+            "rms_after_4s_m": None if lost or not len(late) else round(float(np.sqrt(np.mean(late**2))), 4),
+            "hand_median_m": round(float(np.median(self.hand)), 4),
+        }
+
+
+def balance(name: str, seed: int, overrides: list[str], args: argparse.Namespace) -> Run:
+    """One run from a start drawn from its seed."""
+    rng = np.random.default_rng([seed, 3])
+    scene = warpmpc.load_scene(name, overrides=overrides)
+    (x, y, z), turn, away = scene.object[0].position, rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*START)
+    start = [x + away * math.cos(turn), y + away * math.sin(turn), z]
+    scene = warpmpc.load_scene(name, overrides=[*overrides, f"object.ball.position={start}"])
+    mpc = warpmpc.Controller(scene, seed=seed)
+    plant = warpmpc.Plant(scene, seed=seed, task=mpc.task)
+    tray = Tray(plant)
+    sight = Sight(tray, scene.timing.control_dt, rate=args.rate, noise=args.noise, seed=seed)
+    path, hand = [tray.ball()], []
+    for _ in range(round(args.time / scene.timing.control_dt)):
+        state = plant.observe()
+        if args.noise > 0.0:
+            q, qd = sight(plant.time, state)
+            state = replace(state, joint_q=q, joint_qd=qd)
+        plant.apply(mpc.step(state))
+        path.append(tray.ball())
+        hand.append(float(np.linalg.norm(tray.pose()[:3] - plant.goal[:3])))
+        if path[-1][2] < 0.0:
+            break
+    return Run(seed, np.array(path), scene.timing.control_dt, np.array(hand))
+
+
+def picture(runs: list[Run], half: float, out: Path) -> None:
+    """Draw the paths in the tray's frame, and the distances from its centre over time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), dpi=90)
+    left.add_patch(plt.Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color="0.4"))
+    for radius, style in ((NEAR, "-"), (0.04, ":")):
+        left.add_patch(plt.Circle((0.0, 0.0), radius, fill=False, ls=style, color="tab:red", zorder=4))
+        right.axhline(radius, ls=style, color="tab:red", label=f"{100 * radius:.0f} cm")
+    for run in runs:
+        time = run.dt * np.arange(len(run.path))
+        (line,) = left.plot(*run.path[:, :2].T, lw=0.8)
+        left.plot(*run.path[0, :2], "o", ms=4, color=line.get_color())
+        right.plot(time, run.distance, lw=0.8, color=line.get_color())
+    left.set_aspect("equal")
+    left.set_xlabel("x of the tray [m]")
+    left.set_ylabel("y of the tray [m]")
+    right.set_xlabel("time [s]")
+    right.set_ylabel("ball from the centre [m]")
+    right.set_ylim(bottom=0.0)
+    right.legend(frameon=False)
+    figure.tight_layout()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out)
+
+
+def main(arguments: list[str]) -> None:
+    """Command line of this tool."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="storm_balance")
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--time", type=float, default=10.0, help="length of a run [s] (default 10)")
+    parser.add_argument("--rate", type=float, default=30.0, help="observations of the ball a second (default 30)")
+    parser.add_argument("--noise", type=float, default=0.005, help="their standard deviation [m]; 0: all is seen")
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--out", type=Path, help="PNG file")
+    args = parser.parse_args(arguments)
+
+    start_warp()
+    runs = []
+    for seed in range(args.seed, args.seed + args.runs):
+        runs.append(balance(args.scene, seed, args.overrides, args))
+        print(json.dumps(runs[-1].to_json()), flush=True)
+    furthest = [run.to_json()["furthest_after_4s_m"] for run in runs]
+    near = sum(value is not None and value <= NEAR for value in furthest)
+    print(f"within 2 cm from {SETTLED:g} s on: {near} of {len(runs)}")
+    if args.out:
+        picture(runs, 0.15, args.out)

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tables of Pezzato et al., *Sampling-Based MPC Leveraging Parallelizable Physics Simulations* (RA-L 2025).
+
+Beside them stands what Bhardwaj et al., *STORM* (CoRL 2021), show in figures.
+Each table is a list of cells: scenes, changes to them, what is measured and what the paper reports. The paper's
+figures are (mean,) or (mean, standard deviation) in the metric's unit, rates as fractions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One row of a table."""
+
+    name: str
+    title: str
+    scenes: tuple[str, ...]
+    """Scenes whose runs are put together."""
+    overrides: tuple[str, ...] = ()
+    """Changes ``KEY=VALUE``; a ``*`` stands for the entries that have the key."""
+    paper: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Metric → the paper's figure."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """One table."""
+
+    title: str
+    metrics: tuple[str, ...]
+    """Names in :data:`metrics.METRICS`, in the order of the columns."""
+    runs: int
+    """Seeds per scene when the command line does not say."""
+    cells: tuple[Cell, ...]
+    note: str = ""
+    """What else the paper reports."""
+
+
+def _cell(name: str, title: str, scene: str, **more: object) -> Cell:
+    return Cell(name=name, title=title, scenes=(scene,), **more)
+
+
+def _pushes() -> tuple[Cell, ...]:
+    """The five objects of Table III, each pushed to three goals."""
+    success = {"A": 1.0, "B": 0.933, "C": 0.967, "D": 1.0, "E": 0.667}
+    return tuple(
+        Cell(
+            name=name,
+            title=f"object {name}",
+            scenes=tuple(f"panda_push_objects:{name}_{goal}" for goal in ("left", "centre", "right")),
+            paper={"success": (share,), "time": (3.0,)},
+        )
+        for name, share in success.items()
+    )
+
+
+PER_STEP = ("planner.knots=false", "planner.spline=linear", "planner.noise.shape=identity")
+"""A noise of its own for every step of the horizon."""
+
+
+def _paper_terms(metric: str) -> str:
+    """The paper's cost of the omnidirectional push, weights too, in place of the scene's terms."""
+    return (
+        f'cost=[{{term="distance", between=["base/tip", "box"], weight=0.2, {metric}}}, '
+        f'{{name="bring", term="distance", between=["box", "goal"], weight=2.0, {metric}}}, '
+        '{term="yaw", of="box", to="goal", weight=3.0}, '
+        f'{{term="push_alignment", pusher="base/tip", object="box", goal="goal", weight=0.6, {metric}}}, '
+        '{name="base_contact", term="contact_force", between=["base", "obstacles"], weight=10.0}, '
+        '{name="box_contact", term="contact_force", between=["box", "obstacles"], weight=10.0}]'
+    )
+
+
+STRAIGHT = 'metric="straight"'
+GEODESIC = 'metric="geodesic", inflation=0.36'
+"""Around the obstacles, grown for base and box alike."""
+
+PAPER_PLANNER = (
+    "planner.samples=300",
+    "planner.horizon=8",
+    "planner.dt=false",
+    "planner.knots=false",
+    "planner.spline=zero",
+    "planner.noise.source=halton",
+    "planner.noise.shape=bspline",
+    "planner.noise.sigma=[0.71, 0.71, 1.34]",
+    "planner.noise.spread=[1.0, 1.0]",
+    "planner.noise.constant=0.0",
+    "planner.noise.redraw=false",
+    "planner.temperature.eta=[5.0, 10.0]",
+)
+"""The paper's settings of the omnidirectional push: Σ = diag(.5, .5, 1.8), 300 samples, 8 steps of 0.04 s."""
+
+
+def _ablations() -> tuple[Cell, ...]:
+    """The omnidirectional push with one thing less at a time, and with the paper's terms and planner."""
+    less = {
+        "full": ("as shipped", ()),
+        "random": (
+            "pseudo-random normals for every step: no Halton splines",
+            ("planner.noise.source=random", *PER_STEP),
+        ),
+        "beta": ("β fixed", ("planner.temperature.eta=false",)),
+        "worlds": ("every rollout in the nominal world: no randomization", ("planner.randomize=false",)),
+        "redraw": ("the same samples at every plan", ("planner.noise.redraw=false",)),
+        "geodesic": ("the paper's terms with geodesic distances", (_paper_terms(GEODESIC),)),
+        "terms": ("the paper's terms", (_paper_terms(STRAIGHT),)),
+        "paper": ("the paper's terms and planner", (_paper_terms(STRAIGHT), *PAPER_PLANNER)),
+    }
+    return tuple(
+        _cell(f"{variant}_{name}", f"start {variant}, {title}", f"omni_push_box:{variant}", overrides=overrides)
+        for variant in "AB"
+        for name, (title, overrides) in less.items()
+    )
+
+
+def _sampling() -> tuple[Cell, ...]:
+    """The four ways to draw samples of STORM's Fig. 3."""
+    shapes, sources = {"comb": "comb filter", "bspline": "B-spline"}, {"random": "pseudo-random", "halton": "Halton"}
+    return tuple(
+        _cell(
+            f"{source}_{shape}",
+            f"{points}, {how}",
+            "holonomic_2d",
+            overrides=(f"planner.noise.source={source}", f"planner.noise.shape={shape}"),
+        )
+        for shape, how in shapes.items()
+        for source, points in sources.items()
+    )
+
+
+TABLES = {
+    "table1": Table(
+        title="Table I: motion planning among five random spheres",
+        metrics=("success", "free", "time", "solver", "path", "clearance"),
+        runs=100,
+        cells=(
+            _cell("point", "point robot", "point_reach", paper={"time": (2.7,), "solver": (55.0,)}),
+            _cell("panda", "Panda", "panda_reach", paper={"time": (0.8,), "solver": (63.0,)}),
+        ),
+        note="The paper's other methods, point robot and Panda: optimization fabrics 7.4 and 9.6 s to the goal, "
+        "1.0 and 1.4 ms a plan; ForcesPro MPC 6.1 and 4.2 s, 2.5 and 51 ms.",
+    ),
+    "table2": Table(
+        title="Table II: the Panda pushes a block to two poses",
+        metrics=("success", "cost", "time", "solver"),
+        runs=10,
+        cells=(
+            _cell("pose_1", "pose 1", "panda_push:pose_1", paper={"cost": (0.029, 0.09), "time": (8.0,)}),
+            _cell("pose_2", "pose 2", "panda_push:pose_2", paper={"cost": (0.03, 0.12), "time": (8.0,)}),
+        ),
+        note="Final cost: 1.5 (|ex| + |ey|) + 0.01 |eψ|, in metres and radians. The paper's baseline, a learned "
+        "model: .057 and .079, about four minutes.",
+    ),
+    "table3": Table(
+        title="Table III: the Panda pushes five objects to three goals",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=_pushes(),
+        note="The paper's baseline over objects A to E: 93.5, 90.9, 93.9, 91.6 and 89.5 %, 24 s a push.",
+    ),
+    "table4": Table(
+        title="Table IV: non-prehensile pushing by mobile bases",
+        metrics=("success", "time", "solver"),
+        runs=5,
+        cells=(
+            _cell("box_A", "omnidirectional base, box, start A", "omni_push_box:A", paper={"time": (9.66, 0.84)}),
+            _cell("box_B", "omnidirectional base, box, start B", "omni_push_box:B", paper={"time": (12.84, 0.56)}),
+            _cell("sphere_A", "omnidirectional base, sphere, A", "omni_push_sphere:A", paper={"time": (8.76, 0.38)}),
+            _cell("sphere_B", "omnidirectional base, sphere, B", "omni_push_sphere:B", paper={"time": (7.45, 0.59)}),
+            _cell("diff_drive", "differential drive, box", "diff_push_box", paper={"time": (18.31,)}),
+        ),
+    ),
+    "pick": Table(
+        title="Whole-body pick and place with a mobile manipulator",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=(
+            _cell("pick", "mobile manipulator", "mobile_pick", paper={"time": (15.67, 7.21)}),
+            _cell("knocked", "the cube knocked away", "mobile_pick:knocked"),
+        ),
+    ),
+    "ablations": Table(
+        title="What each part is worth: the omnidirectional push with one thing less",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=_ablations(),
+    ),
+    "disturbances": Table(
+        title="Disturbances: the omnidirectional push, kicked, shoved and with noisy observations",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=(
+            _cell("kicked", "box kicked", "omni_push_box:kicked"),
+            _cell("shoved", "base pushed away", "omni_push_box:shoved"),
+            _cell("noisy", "noisy, late observations", "omni_push_box:noisy"),
+        ),
+    ),
+    "sampling": Table(
+        title="STORM, Fig. 3: four ways to draw samples",
+        metrics=("success", "free", "time", "path", "jerk", "rate", "clearance"),
+        runs=50,
+        cells=_sampling(),
+        note="Bhardwaj et al. (CoRL 2021) show one run of each, without figures.",
+    ),
+}
+"""Tables by name."""

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Repeat the experiments of the paper's tables and compare.
+
+    python tools/study.py reproduce table4 --jobs 2               # all cells, as many runs as the paper
+    python tools/study.py reproduce table1/point --runs 20        # one cell
+    python tools/study.py reproduce table4 --set planner.samples=300 --out build/samples300
+    python tools/study.py reproduce table1 --jobs gpus            # a process for each GPU of this machine
+    python tools/study.py reproduce table4 --jobs ray             # the Ray cluster that this machine belongs to
+
+Every finished run is added to OUT/TABLE.jsonl and never repeated while scene, overrides, seed, engine and device are
+the same: run the same command again to go on after an interruption. OUT then holds TABLE.md, TABLE.json and TABLE.png.
+Exit codes: 0 when all runs were made, whatever became of them, 1 when a run's process died
+every time, 2 for bad input, 130 for Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import shlex
+import sys
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from studies.experiments.tables import TABLES, Cell
+from warpmpc.run.workers import FORMS, LostJob, check_jobs
+
+if TYPE_CHECKING:
+    from studies.experiments.report import Report
+
+
+def chosen(names: list[str]) -> dict[str, list[Cell]]:
+    """Tables and their cells from ``TABLE`` and ``TABLE/CELL``.
+
+    Raises:
+        ValueError: If there is no such table or cell.
+    """
+    out: dict[str, list[Cell]] = {}
+    for name in names:
+        table, _, cell = name.partition("/")
+        _known("table", table, list(TABLES))
+        cells = TABLES[table].cells
+        if cell:
+            _known(f"cell of {table}", cell, [c.name for c in cells])
+        wanted = [c for c in cells if cell in ("", c.name)]
+        have = out.setdefault(table, [])
+        have += [c for c in wanted if c not in have]
+    return out
+
+
+def _known(what: str, name: str, names: list[str]) -> None:
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f". Did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"no such {what}: {name!r}; there is: {', '.join(names)}{hint}")
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    tables = "\n".join(f"  {name:13} {', '.join(cell.name for cell in t.cells)}" for name, t in TABLES.items())
+    parser.epilog = f"tables and their cells:\n{tables}"
+    parser.add_argument("tables", nargs="+", metavar="TABLE[/CELL]")
+    parser.add_argument("--runs", type=int, help="seeds per scene; as many as in the paper by default")
+    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--engine", default="auto", help="engine of the rollouts")
+    parser.add_argument("--device", default="auto", help="device of the rollouts")
+    parser.add_argument(
+        "--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1); several runs at a time take a thread each"
+    )
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--out", type=Path, default=Path("build/results"), help="folder of the results (default build/results)"
+    )
+    args = parser.parse_args(arguments)
+    if args.runs is not None and args.runs < 1:
+        parser.error("--runs must be at least 1")
+    if args.seed < 0:
+        parser.error("--seed must not be below 0")
+    return args
+
+
+def reproduce(args: argparse.Namespace, command: str) -> None:
+    """Plan all runs of all tables, make those that are missing, and report.
+
+    Raises:
+        ValueError: If a table, a scene, an override, the engine or the device is wrong.
+    """
+    selection = chosen(args.tables)  # a mistyped name need not wait for imports
+    from shared.jobs import check_engine
+    from shared.machine import machine
+    from shared.progress import Bar
+
+    from studies.experiments.report import Report, Row
+    from studies.experiments.runs import Run, make_runs, plan_runs
+    from warpmpc.origin import code_digest
+    from warpmpc.run.records import Records
+
+    check_jobs(args.jobs)
+    check_engine(args.engine)
+    plans = {}
+    for name, cells in selection.items():
+        seeds = range(args.seed, args.seed + (args.runs or TABLES[name].runs))
+        options = {"overrides": args.overrides, "engine": args.engine, "device": args.device}
+        plans[name] = plan_runs(name, cells, seeds=seeds, **options)
+    kept = {name: Records(args.out / f"{name}.jsonl") for name in plans}
+    here = machine()
+    circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
+    try:
+        with Bar(sum(run.key not in kept[name].by_key for name, runs in plans.items() for run in runs)) as bar:
+
+            def on_done(run: Run, record: dict) -> None:
+                if not record["result"]["success"]:
+                    bar.say(f"{run.table}/{run.cell} seed {run.job.seed}: {record['result']['reason']}")
+                bar.step(f"{run.cell} seed {run.job.seed}")
+
+            for name, runs in plans.items():
+                make_runs(
+                    runs,
+                    kept[name],
+                    jobs=args.jobs,
+                    device=args.device,
+                    circumstances=circumstances,
+                    on_done=on_done,
+                )
+    finally:
+        for name, runs in plans.items():
+            made = [(run, kept[name].by_key[run.key]) for run in runs if run.key in kept[name].by_key]
+            rows = [Row(cell, [item for item in made if item[0].cell == cell.name]) for cell in selection[name]]
+            if made:
+                today = date.today().isoformat()
+                publish(Report(name, TABLES[name], rows, command, here, today, circumstances["code"]), args.out)
+
+
+def publish(report: Report, folder: Path) -> None:
+    """Write a table's page, data and picture to a folder, and print it."""
+    from rich.console import Console
+
+    from studies.experiments.plots import plot
+
+    (folder / f"{report.name}.md").write_text(report.markdown(), encoding="utf-8")
+    data = json.dumps(report.to_json(), indent=2, ensure_ascii=False)
+    (folder / f"{report.name}.json").write_text(data + "\n", encoding="utf-8")
+    plot(report, folder / f"{report.name}.png")
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    console.print(report.grid())
+    for line in report.failure_lines():
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def main(arguments: list[str]) -> int:
+    """Command line of this tool; returns the exit code."""
+    try:
+        reproduce(parse(arguments), shlex.join(["python", "tools/study.py", "reproduce", *arguments]))
+    except LostJob as error:
+        print(f"error: {error}; the same command goes on", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
