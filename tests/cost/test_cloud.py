@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 import warp as wp
+from arm_collisions import centres, judging, moving_spheres
 from arms import arm_scene
 from judging import Judging
 from scipy.spatial import cKDTree
 from small_scenes import layout_of
-from test_collision import centres, judging, moving_spheres
 
 from warpmpc import Controller, SceneError, State
 from warpmpc.cost.resources.cloud import CloudVolume, PointClouds

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from arm_collisions import SHAPE, centres, judging, moving_spheres, place
 from arms import FOLDED, HOME, arm_scene
 from judging import Judging
 from scipy.spatial.transform import Rotation
@@ -14,14 +15,10 @@ from small_scenes import layout_of
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.joints import joint_table
-from warpmpc.model.link_pairs import moving_bodies, self_pairs
+from warpmpc.model.link_pairs import self_pairs
 from warpmpc.model.spheres import fit_spheres
 from warpmpc.task.task import Task
 
-SHAPE = BatchSize(1, 16, 1, 4)
 TURNED = (0.1, -0.5, 0.2, 0.8)
 OBSTACLES = [
     {"name": "block", "shape": "box", "size": (0.2, 0.3, 0.4), "position": (0.5, 0.1, 0.4), "rotation": TURNED},
@@ -29,41 +26,6 @@ OBSTACLES = [
     {"name": "post", "shape": "cylinder", "size": (0.08, 0.9), "position": (0.1, -0.5, 0.5), "rotation": TURNED},
     {"name": "bar", "shape": "capsule", "size": (0.05, 0.6), "position": (-0.4, -0.3, 0.5), "rotation": TURNED},
 ]
-
-
-def judging(name: str, cost: dict, seed: int = 0, *, device="cpu", pull: float = 1.0, **sections) -> Judging:
-    """Postures drawn within limits; with less pull they follow one another more closely."""
-    cost = {"weight": 1.0, **cost}
-    until = {"conditions": {"term": cost["term"], "below": 0.1}}
-    j = Judging(arm_scene(name, cost=[cost], success=until, **sections), SHAPE, device=device)
-    layout = j.layout
-    span = layout.dof_upper - layout.dof_lower
-    bounded = (span > 0.0) & (span < 1e6)
-    q = np.random.default_rng(seed).uniform(
-        np.where(bounded, layout.dof_lower, -1.0),
-        np.where(bounded, layout.dof_upper, 1.0),
-        (5, SHAPE.worlds, layout.nv),
-    )
-    place(j, q[:1] + pull * (q - q[:1]))
-    return j
-
-
-def place(j: Judging, q: np.ndarray) -> None:
-    """Put the rollouts' bodies where joint coordinates [5, W, nq] have them."""
-    q = np.broadcast_to(np.asarray(q, dtype=np.float32), (5, SHAPE.worlds, j.layout.nq))
-    out, table = j.trajectory, joint_table(j.layout, j.device, worlds=SHAPE.worlds)
-    out.joint_q.assign(q)
-    inputs = [table, out.joint_q, out.joint_qd]
-    wp.launch(forward_kinematics_kernel, q.shape[:2], inputs, [out.body_q, out.body_qd], device=j.device)
-
-
-def centres(j: Judging, spheres) -> np.ndarray:
-    """World positions of spheres ``[5, W, n, 3]`` in float64."""
-    pose = j.trajectory.body_q.numpy().astype(np.float64)[:, :, spheres.body]
-    turned = Rotation.from_quat(pose[..., 3:].reshape(-1, 4)).apply(
-        np.broadcast_to(spheres.centre.astype(np.float64), pose[..., :3].shape).reshape(-1, 3)
-    )
-    return turned.reshape(pose[..., :3].shape) + pose[..., :3]
 
 
 def deepest(j: Judging, spheres, pairs) -> np.ndarray:
@@ -107,10 +69,6 @@ def distance(obstacle: dict, points: np.ndarray) -> np.ndarray:
             q = np.abs(p) - 0.5 * size
             d = np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
     return d.reshape(shape)
-
-
-def moving_spheres(j: Judging):
-    return fit_spheres(j.layout, sorted(moving_bodies(j.layout)))
 
 
 def nearest(j: Judging, obstacles=OBSTACLES, share: float = 0.0) -> np.ndarray:

@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
+from arm_references import CASES as ARM_CASES
+from outlines import RING, outline_clearance
 from rollouts import SHAPE, Rollouts, heading
 from scipy.interpolate import RegularGridInterpolator
-from test_arm import CASES as ARM_CASES
-from test_outline_clearance import RING, outline_clearance
 
 from warpmpc import SceneError
 from warpmpc.cost import cloud, collision, gait, learned, numbers, residuals, rolling

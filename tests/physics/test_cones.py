@@ -4,26 +4,14 @@
 import mujoco
 import numpy as np
 import pytest
+from cones import ELLIPSE, PYRAMID, rubbing
 from fused_models import CONTACTS, compile_model, controls, starts
 from fused_steps import step_differences, visit
 
 from warpmpc.physics.rollout import PlainRollout
 
-PYRAMID, ELLIPSE = int(mujoco.mjtCone.mjCONE_PYRAMIDAL), int(mujoco.mjtCone.mjCONE_ELLIPTIC)
 STEADY = 1e-4
 """States where MuJoCo C's own step changes more by rounding are left out [m/s, rad/s]."""
-
-
-def rubbing(cone: int, impratio: float, condims: tuple[int, ...], seed: int = 1) -> mujoco.MjModel:
-    """The shapes that touch, with friction of all kinds, and a gap, which changes no force."""
-    model, rng = compile_model(CONTACTS), np.random.default_rng(seed)
-    model.opt.cone, model.opt.impratio = cone, impratio
-    rubs = model.geom_condim != 1
-    model.geom_condim[rubs] = rng.permutation(np.resize(condims, rubs.sum()))
-    model.geom_friction[:, 1] *= rng.uniform(1.0, 20.0, model.ngeom)
-    model.geom_friction[:, 2] *= rng.uniform(10.0, 400.0, model.ngeom)
-    model.geom_gap[:] = 0.01
-    return model
 
 
 def visited(model: mujoco.MjModel, seed: int):

@@ -3,7 +3,6 @@
 
 import functools
 
-import bench_models
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from constraint_models import EQUALITIES, PAIRS, SWIMMERS, TENDONS
 from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
 from needs import need, needs
+from shared.models import hand_with_block, spread
 from warp_lanes import LaneRollout
 
 from warpmpc.physics.missing import missing
@@ -141,10 +141,10 @@ def test_parts_of_the_physics_are_left_out_as_mujoco_does(name, integrator, part
 def test_single_steps_of_a_hand_are_those_of_mujoco():
     """The Shadow hand with a block: 44 limits of tendons, 24 joints with friction, contacts without torsion."""
     need("gymnasium_robotics")
-    model = bench_models.hand_with_block()
+    model = hand_with_block()
     for condim in (model.geom_condim, model.pair_dim):
         condim[:] = np.minimum(condim, 3)
-    q, v, u = bench_models.spread(model, 12, seconds=0.3)
+    q, v, u = spread(model, 12, seconds=0.3)
     states = visit([model], q, v, np.repeat(u[None], 60, axis=0), every=4)
     found = step_differences(model, states)
     assert states.contacts.mean() > 1.0

@@ -6,9 +6,10 @@ import time
 import mujoco
 import numpy as np
 import pytest
+from bricks import BRICK, STACK
+from collide_pairs import MESH, draw
 from collide_world import compare, make_kernel, mesh_tables, model, ours, theirs
 from fused_steps import turned
-from test_collide import MESH, draw
 
 from warpmpc.bake.number import native_lanes
 from warpmpc.physics.model import PhysicsModel
@@ -24,8 +25,6 @@ CALLS = (
     "box_mesh",
     "mesh_mesh",
 )
-CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (0.12, 0.1, 0.08)
-BRICK = f'<mesh name="mesh" vertex="{" ".join(f"{x:.3f}" for x in CORNERS.ravel())}"/>'
 ASSETS = {"brick": BRICK, "stone": MESH}
 
 
@@ -100,16 +99,6 @@ def test_a_poisoned_world_changes_no_bit_of_the_others(kernels):
         for i, (x, y) in enumerate(zip(ours(compiled["brick"], k, poses, lanes), clean, strict=True)):
             if i % 7 != 3:
                 np.testing.assert_array_equal(x, y)
-
-
-STACK = f"""
-<mujoco><option timestep="0.004" integrator="implicitfast"/><asset>{BRICK}</asset><worldbody>
-  <geom type="box" size=".5 .5 .1" pos="0 0 -.1"/>
-  <body pos="-.3 0 .06"><freejoint/><geom type="cylinder" size=".08 .06" mass="1"/></body>
-  <body pos=".2 .2 .08"><freejoint/><geom type="mesh" mesh="mesh" mass="1"/></body>
-  <body pos=".2 .21 .2"><freejoint/><geom type="cylinder" size=".07 .04" mass=".5"/></body>
-  <body pos=".2 -.3 .05" quat="1 0 1 0"><freejoint/><geom type="cylinder" size=".05 .1" mass=".5"/></body>
-</worldbody></mujoco>"""
 
 
 def test_stacks_stand_as_in_mujoco():

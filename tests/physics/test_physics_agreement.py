@@ -8,12 +8,12 @@ these states are counted and left out.
 
 import functools
 
-import bench_fused
 import numpy as np
 import pytest
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from fused_scenes import Comparison
 from fused_steps import step_differences, visit
+from shared.models import OWN, spread
 
 from warpmpc.physics.rollout import PlainRollout
 
@@ -57,10 +57,10 @@ def test_single_steps_of_made_up_trees_are_those_of_mujoco(text, integrator):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", bench_fused.OWN)
+@pytest.mark.parametrize("name", OWN)
 def test_single_steps_of_robots_are_those_of_mujoco(name):
-    model = bench_fused.OWN[name]()
-    q, v, u = bench_fused.spread(model, 24, seconds=0.2)
+    model = OWN[name]()
+    q, v, u = spread(model, 24, seconds=0.2)
     found = step_differences(model, visit([model], q, v, np.repeat(u[None], 120, axis=0), every=3))
     assert (found.visited.rows > 0).mean() > 0.5, found
     most = found.v.max(axis=1)

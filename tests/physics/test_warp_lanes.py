@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 import warp as wp
+from bricks import STACK
+from cones import ELLIPSE, PYRAMID, rubbing
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from needs import needs
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
-from test_cones import ELLIPSE, PYRAMID, rubbing
-from test_manifold import STACK
 from warp_lanes import LaneRollout, Lanes
 
 from warpmpc.engine.fused_simulator import FusedSimulator

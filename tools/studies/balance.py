@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Balance a ball on a tray that an arm holds, the ball seen 30 times a second with noise: STORM's Fig. 6.
 
-    python tools/study.py balance --runs 20 --seed 100 --out docs/storm_balance.png   # runs, a line each, and a picture
+    python tools/study.py balance --runs 20 --seed 100             # runs, a line each
     python tools/study.py balance --scene storm_balance:moving --runs 10
 
 Every run begins with the ball at rest somewhere off the centre. What is seen of it goes through a Kalman filter in the
@@ -14,7 +14,6 @@ import argparse
 import json
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -189,35 +188,6 @@ def balance(name: str, seed: int, overrides: list[str], args: argparse.Namespace
     return Run(seed, np.array(path), scene.timing.control_dt, np.array(hand))
 
 
-def picture(runs: list[Run], half: float, out: Path) -> None:
-    """Draw the paths in the tray's frame, and the distances from its centre over time."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), dpi=90)
-    left.add_patch(plt.Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color="0.4"))
-    for radius, style in ((NEAR, "-"), (0.04, ":")):
-        left.add_patch(plt.Circle((0.0, 0.0), radius, fill=False, ls=style, color="tab:red", zorder=4))
-        right.axhline(radius, ls=style, color="tab:red", label=f"{100 * radius:.0f} cm")
-    for run in runs:
-        time = run.dt * np.arange(len(run.path))
-        (line,) = left.plot(*run.path[:, :2].T, lw=0.8)
-        left.plot(*run.path[0, :2], "o", ms=4, color=line.get_color())
-        right.plot(time, run.distance, lw=0.8, color=line.get_color())
-    left.set_aspect("equal")
-    left.set_xlabel("x of the tray [m]")
-    left.set_ylabel("y of the tray [m]")
-    right.set_xlabel("time [s]")
-    right.set_ylabel("ball from the centre [m]")
-    right.set_ylim(bottom=0.0)
-    right.legend(frameon=False)
-    figure.tight_layout()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out)
-
-
 def main(arguments: list[str]) -> None:
     """Command line of this tool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -228,7 +198,6 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--rate", type=float, default=30.0, help="observations of the ball a second (default 30)")
     parser.add_argument("--noise", type=float, default=0.005, help="their standard deviation [m]; 0: all is seen")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--out", type=Path, help="PNG file")
     args = parser.parse_args(arguments)
 
     start_warp()
@@ -239,5 +208,3 @@ def main(arguments: list[str]) -> None:
     furthest = [run.to_json()["furthest_after_4s_m"] for run in runs]
     near = sum(value is not None and value <= NEAR for value in furthest)
     print(f"within 2 cm from {SETTLED:g} s on: {near} of {len(runs)}")
-    if args.out:
-        picture(runs, 0.15, args.out)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare strategies at equal wall-clock: closed-loop cost of tasks × strategies, over seeds.
 
-    python tools/study.py planners --ms 5 --jobs 16 --limit 460 --into docs/planners.md
+    python tools/study.py planners --ms 5 --jobs 16 --limit 460
     python tools/study.py planners --tasks pendulum push_t --strategies mppi icem --runs 2
 
 For every task and strategy it first finds the number of samples whose plans take --ms on one thread of this machine,
@@ -30,7 +30,7 @@ from shared.machine import machine
 from shared.progress import Bar
 
 from studies.equal_time.cells import STRATEGIES, Cell, fit, run
-from studies.equal_time.tables import put_into, summary, tables
+from studies.equal_time.tables import summary, tables
 from warpmpc.cli.setup import start_warp
 from warpmpc.origin import code_digest
 from warpmpc.run.records import Records
@@ -94,7 +94,6 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--limit", type=float, default=DAY, help="stop after so many seconds")
-    parser.add_argument("--into", type=Path, help="page to put the tables into")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     args = parser.parse_args(arguments)
     until = time.monotonic() + args.limit
@@ -111,8 +110,6 @@ def main(arguments: list[str]) -> int:
         text = tables(rows, ms=args.ms, seconds=args.seconds)
         about = {"machine": machine(), "ms": args.ms, "seconds": args.seconds, "strategies": STRATEGIES}
         (args.out / "planners.json").write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
-        if args.into:
-            put_into(args.into, text)
     except (ValueError, OSError) as error:
         parser.error(str(error))
     print(text, end="")

@@ -8,7 +8,7 @@
     python tools/study.py reproduce table4 --jobs ray             # the Ray cluster that this machine belongs to
 
 Every finished run is added to OUT/TABLE.jsonl and never repeated while scene, overrides, seed, engine and device are
-the same: run the same command again to go on after an interruption. OUT then holds TABLE.md, TABLE.json and TABLE.png.
+the same: run the same command again to go on after an interruption. OUT then holds TABLE.md and TABLE.json.
 Exit codes: 0 when all runs were made, whatever became of them, 1 when a run's process died
 every time, 2 for bad input, 130 for Ctrl-C.
 """
@@ -135,15 +135,12 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
 
 
 def publish(report: Report, folder: Path) -> None:
-    """Write a table's page, data and picture to a folder, and print it."""
+    """Write a table's page and data to a folder, and print it."""
     from rich.console import Console
-
-    from studies.experiments.plots import plot
 
     (folder / f"{report.name}.md").write_text(report.markdown(), encoding="utf-8")
     data = json.dumps(report.to_json(), indent=2, ensure_ascii=False)
     (folder / f"{report.name}.json").write_text(data + "\n", encoding="utf-8")
-    plot(report, folder / f"{report.name}.png")
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(report.grid())
     for line in report.failure_lines():

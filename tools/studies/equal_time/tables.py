@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 from shared.machine import machine
@@ -14,9 +13,6 @@ from studies.experiments.metrics import METRICS, mean, rate, shown
 from warpmpc.run.records import Records
 
 from .cells import Cell
-
-MARKS = ("<!-- planners: written by tools/study.py planners -->", "<!-- end of planners -->")
-"""Lines of a page between which --into puts the tables."""
 
 
 def summary(cells: list[Cell], records: Records) -> list[dict]:
@@ -90,16 +86,3 @@ def tables(rows: list[dict], *, ms: float, seconds: float) -> str:
         table(plan),
     ]
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
-
-
-def put_into(page: Path, text: str) -> None:
-    """Put text between the marks of a page.
-
-    Raises:
-        ValueError: If it has no such marks.
-    """
-    whole = page.read_text()
-    if any(mark not in whole for mark in MARKS):
-        raise ValueError(f"{page}: has no lines '{MARKS[0]}' and '{MARKS[1]}'")
-    before, after = whole.split(MARKS[0])[0], whole.split(MARKS[1])[1]
-    page.write_text(f"{before}{MARKS[0]}\n{text}{MARKS[1]}{after}")

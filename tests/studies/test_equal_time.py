@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from studies import planners
 from studies.equal_time.cells import FEWEST, MOST, SIZE, STRATEGIES, Cell, count_for, run
-from studies.equal_time.tables import MARKS, put_into, summary, tables
+from studies.equal_time.tables import summary, tables
 
 import warpmpc
 from warpmpc.run.records import Records
@@ -66,22 +66,6 @@ def test_tables_have_means_with_intervals_and_tell_what_is_missing(tmp_path):
     assert "| `pendulum` | 64, 5.0 ms | 64, 5.0 ms |" in text
     assert "Fewer seeds: pendulum, cem: 2." in text
     assert "Diverged: pendulum, mppi: 1." in text
-
-
-def test_a_page_takes_the_tables_between_its_marks(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n\n{MARKS[0]}\nold\n{MARKS[1]}\n\nafter\n")
-    for text in ("new\n", "newer\n"):
-        put_into(page, text)
-        assert page.read_text() == f"before\n\n{MARKS[0]}\n{text}{MARKS[1]}\n\nafter\n"
-    page.write_text("no marks")
-    with pytest.raises(ValueError, match="has no lines"):
-        put_into(page, "new\n")
-
-
-def test_the_page_of_planners_has_the_marks():
-    page = planners.Path(planners.__file__).parents[1] / "docs/planners.md"
-    assert all(mark in page.read_text() for mark in MARKS)
 
 
 @pytest.mark.slow

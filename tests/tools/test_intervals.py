@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Differences of two engines over the same seeds."""
+"""Intervals of rates, means and paired differences."""
 
 import numpy as np
 import pytest
 from scipy import stats
-from studies.same_seeds import compared, mean_difference, rate_difference
+from shared.intervals import mean, mean_difference, rate, rate_difference
 
 
-def episode(success, time):
-    return {"success": success, "time_to_goal_s": time if success else None, "plan_ms": {"p50": 1.0}}
+@pytest.mark.parametrize(
+    ("successes", "count", "low", "high"),
+    [(8, 10, 0.4901625, 0.9433178), (0, 10, 0.0, 0.2775328), (100, 100, 0.9630065, 1.0), (1, 2, 0.0945312, 0.9054688)],
+)
+def test_wilson_intervals(successes, count, low, high):
+    found = rate(successes, count)
+    assert (found.low, found.high) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
+
+
+def test_student_intervals():
+    found = mean([1.0, 2.0, 3.0])
+    assert (found.value, found.high - 2.0) == (2.0, pytest.approx(2.4841377))  # 4.302653 / √3
+    assert mean([4.0]).low is None
 
 
 def test_what_both_do_alike_differs_by_nothing_but_is_not_certain():
@@ -35,12 +46,3 @@ def test_an_interval_of_times_is_that_of_a_paired_test():
     expected = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
     assert (mean, low, high) == pytest.approx((values.mean(), expected.low, expected.high))
     assert mean_difference(values[:1]) is None
-
-
-def test_times_are_compared_over_seeds_that_both_reached():
-    first = [episode(True, 2.0), episode(True, 3.0), episode(False, 9.0), episode(True, 5.0)]
-    second = [episode(True, 1.0), episode(True, 1.0), episode(True, 1.0), episode(False, 1.0)]
-    found = compared(first, second)
-    assert found["success"] == [3, 3]
-    assert found["time_difference_s"][0] == pytest.approx(1.5)
-    assert found["time_s"] == pytest.approx([10.0 / 3.0, 1.0])
