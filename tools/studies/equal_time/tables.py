@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
+from shared.intervals import mean, rate
 from shared.machine import machine
 
-from studies.experiments.metrics import METRICS, mean, rate, shown
+from studies.experiments.metrics import METRICS, shown
 from warpmpc.run.records import Records
 
 from .cells import Cell
