@@ -16,7 +16,7 @@ pytest.importorskip("dm_control")
 from dm_tasks.environment import Eyes, load, save_model
 from dm_tasks.play import Episode, names, play, scene_of, split
 from dm_tasks.table import read, table
-from shared import seeds
+from shared import commands, seeds
 from studies import dm_suite
 
 from warpmpc.model.compiled import compile_scene
@@ -150,10 +150,10 @@ def test_files_of_episodes_become_one_table(tmp_path, capsys):
     for name, some in (("a", rows[:2]), ("b", rows[1:])):
         (tmp_path / name).write_text(json.dumps(some))
     assert read([tmp_path / "a", tmp_path / "b"]) == rows
-    assert dm_suite.main(["--table", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert commands.run("studies", "", ["dm_suite", "--table", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
     assert "| walker run | **900** ± 0 | 900 | 3 |" in capsys.readouterr().out
     (tmp_path / "a").write_text('[{"task": "walker_run"}]')
-    assert dm_suite.main(["--table", str(tmp_path / "a")]) == 2
+    assert commands.run("studies", "", ["dm_suite", "--table", str(tmp_path / "a")]) == 2
     assert f"error: {tmp_path / 'a'}: no episodes" in capsys.readouterr().err
 
 
@@ -202,9 +202,9 @@ def test_one_episode_of_each_task_comes_first_and_then_the_longest():
 def test_episodes_played_already_are_not_played_again(tmp_path):
     file = tmp_path / "played.json"
     arguments = ["pendulum_swingup", "--steps", "10", "--engine", "mujoco", "--json", str(file)]
-    assert dm_suite.main([*arguments, "--seeds", "3"]) == 0
+    assert commands.run("studies", "", ["dm_suite", *arguments, "--seeds", "3"]) == 0
     first = read([file])
-    assert dm_suite.main([*arguments, "--seeds", "3", "4"]) == 0
+    assert commands.run("studies", "", ["dm_suite", *arguments, "--seeds", "3", "4"]) == 0
     assert [row["seed"] for row in read([file])] == [3, 4]
     assert read([file])[:1] == first  # to the microsecond of its plans
     (other,) = dm_suite.episodes(dm_suite.parse([*arguments, "--seeds", "3", "--set", "planner.samples=8"]))

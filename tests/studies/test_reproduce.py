@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from shared import commands
 from shared.jobs import Job
-from studies import reproduce
 from studies.experiments.metrics import METRICS, estimate, shown
 from studies.experiments.report import Report, Row
 from studies.experiments.runs import Run, plan_runs, spread
@@ -163,14 +163,14 @@ def test_finished_runs_are_never_repeated(tmp_path, capsys):
     assert "paper 9.66 ± 0.84" in first.stdout
     lines = (tmp_path / "table4.jsonl").read_text().splitlines()
     assert [json.loads(line)["seed"] for line in lines] == [0, 1]
-    assert reproduce.main([*args, "--runs", "3"]) == 0
+    assert commands.run("studies", "", ["reproduce", *args, "--runs", "3"]) == 0
     assert "1/1" in capsys.readouterr().err
     assert (tmp_path / "table4.jsonl").read_text().splitlines()[:2] == lines
     page = (tmp_path / "table4.md").read_text()
     assert "3 × timeout: seeds 0, 1, 2. One alone: `warpmpc run omni_push_box:A --seed 0 --set planner" in page
     (cell,) = json.loads((tmp_path / "table4.json").read_text())["cells"]
     assert (cell["runs"], cell["ours"]["success"]["value"]) == (3, 0.0)
-    assert reproduce.main([*args, "--runs", "3"]) == 0  # nothing left to do
+    assert commands.run("studies", "", ["reproduce", *args, "--runs", "3"]) == 0  # nothing left to do
     assert "0/0" in capsys.readouterr().err
     assert len((tmp_path / "table4.jsonl").read_text().splitlines()) == 3
 
@@ -190,7 +190,7 @@ def test_finished_runs_are_never_repeated(tmp_path, capsys):
 def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, monkeypatch, capsys):
     ghost = Cell(name="walks", title="", scenes=("no_scene_at_all",))
     monkeypatch.setitem(TABLES, "ghost", Table(title="", metrics=("success",), runs=1, cells=(ghost,)))
-    assert reproduce.main([*args, "--out", str(tmp_path)]) == 2
+    assert commands.run("studies", "", ["reproduce", *args, "--out", str(tmp_path)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("error: ")

@@ -8,6 +8,8 @@ import importlib
 import sys
 from pathlib import Path
 
+from warpmpc.run.job import LostJob
+
 FOLDER = Path(__file__).parents[1]
 
 
@@ -19,7 +21,12 @@ def subcommands(package: str) -> dict[str, str]:
 
 
 def run(package: str, about: str, arguments: list[str]) -> int:
-    """Run a subcommand, or say which there are; returns the exit code."""
+    """Run a subcommand, or say which there are.
+
+    Returns:
+        The exit code: the subcommand's own, else 0; 1 when an episode's process died every time, 2 for bad input, 130
+        for Ctrl-C.
+    """
     found, program = subcommands(package), Path(sys.argv[0]).name
     name = arguments[0] if arguments else "--help"
     if name in ("-h", "--help"):
@@ -31,4 +38,13 @@ def run(package: str, about: str, arguments: list[str]) -> int:
         print(f"error: no subcommand '{name}'; there is: {', '.join(found)}", file=sys.stderr)
         return 2
     sys.argv[0] = f"{program} {name}"
-    return importlib.import_module(f"{package}.{name}").main(arguments[1:]) or 0
+    try:
+        return importlib.import_module(f"{package}.{name}").main(arguments[1:]) or 0
+    except LostJob as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130

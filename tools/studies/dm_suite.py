@@ -15,8 +15,7 @@ Seeds 0 to 999 are for tuning. --report draws ten that nobody has looked at and 
 command again goes on with them. Episodes that FILE of --json has already, with the same settings, are not played again.
 
 Standard output has a table in Markdown, beside the returns of a learned agent. Plan times are honest on an idle machine
-alone, with one job. Exit codes: 0 when all episodes were played, 1 when an episode's process died every
-time, 2 for bad input, 130 for Ctrl-C.
+alone, with one job.
 """
 
 from __future__ import annotations
@@ -167,16 +166,6 @@ def _write(path: Path, played: Sequence[dict]) -> None:
     os.replace(new, path)
 
 
-def main(arguments: list[str]) -> int:
-    """Command line of this tool; returns the exit code."""
-    try:
-        run(parse(arguments))
-    except LostJob as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+def main(arguments: list[str]) -> None:
+    """Command line of this study."""
+    run(parse(arguments))

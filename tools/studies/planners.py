@@ -97,20 +97,17 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     args = parser.parse_args(arguments)
     until = time.monotonic() + args.limit
-    try:
-        check_jobs(args.jobs)
-        records = Records(args.out / "planners.jsonl")
-        workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
-        measured = [Cell(task=t, strategy=s, ms=args.ms) for s in args.strategies for t in args.tasks]
-        with workers:
-            whole = gather(fit, measured, records, workers, until=until)
-            cells = episodes(args.tasks, args.strategies, args, records)
-            whole = gather(run, cells, records, workers, until=until) and whole
-        rows = summary(cells, records)
-        text = tables(rows, ms=args.ms, seconds=args.seconds)
-        about = {"machine": machine(), "ms": args.ms, "seconds": args.seconds, "strategies": STRATEGIES}
-        (args.out / "planners.json").write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
-    except (ValueError, OSError) as error:
-        parser.error(str(error))
+    check_jobs(args.jobs)
+    records = Records(args.out / "planners.jsonl")
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    measured = [Cell(task=t, strategy=s, ms=args.ms) for s in args.strategies for t in args.tasks]
+    with workers:
+        whole = gather(fit, measured, records, workers, until=until)
+        cells = episodes(args.tasks, args.strategies, args, records)
+        whole = gather(run, cells, records, workers, until=until) and whole
+    rows = summary(cells, records)
+    text = tables(rows, ms=args.ms, seconds=args.seconds)
+    about = {"machine": machine(), "ms": args.ms, "seconds": args.seconds, "strategies": STRATEGIES}
+    (args.out / "planners.json").write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
     print(text, end="")
     return 0 if whole else 1

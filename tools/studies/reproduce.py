@@ -9,8 +9,6 @@
 
 Every finished run is added to OUT/TABLE.jsonl and never repeated while scene, overrides, seed, engine and device are
 the same: run the same command again to go on after an interruption. OUT then holds TABLE.md and TABLE.json.
-Exit codes: 0 when all runs were made, whatever became of them, 1 when a run's process died
-every time, 2 for bad input, 130 for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from studies.experiments.tables import TABLES, Cell
-from warpmpc.run.workers import FORMS, LostJob, check_jobs
+from warpmpc.run.workers import FORMS, check_jobs
 
 if TYPE_CHECKING:
     from studies.experiments.report import Report
@@ -147,16 +145,6 @@ def publish(report: Report, folder: Path) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def main(arguments: list[str]) -> int:
-    """Command line of this tool; returns the exit code."""
-    try:
-        reproduce(parse(arguments), shlex.join(["python", "tools/study.py", "reproduce", *arguments]))
-    except LostJob as error:
-        print(f"error: {error}; the same command goes on", file=sys.stderr)
-        return 1
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+def main(arguments: list[str]) -> None:
+    """Command line of this study."""
+    reproduce(parse(arguments), shlex.join(["python", "tools/study.py", "reproduce", *arguments]))

@@ -110,17 +110,12 @@ def main(arguments: list[str]) -> int:
     seeds = range(args.seed, args.seed + args.runs)
     plans: dict[str, dict[str, list[Run]]] = {}
     devices = _devices(args.engines, args.device)
-    try:
-        for name in args.scenes or _with_physics():
-            cell = Cell(name=name, title=name, scenes=(name,))
-            plans[name] = {
-                engine: plan_runs(
-                    "same_seeds", [cell], seeds=seeds, overrides=args.overrides, engine=engine, device=device
-                )
-                for engine, device in zip(args.engines, devices, strict=True)
-            }
-    except ValueError as error:
-        parser.error(str(error))
+    for name in args.scenes or _with_physics():
+        cell = Cell(name=name, title=name, scenes=(name,))
+        plans[name] = {
+            engine: plan_runs("same_seeds", [cell], seeds=seeds, overrides=args.overrides, engine=engine, device=device)
+            for engine, device in zip(args.engines, devices, strict=True)
+        }
     records, rows = Records(args.out / "same_seeds.jsonl"), []
     here = machine()
     circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}

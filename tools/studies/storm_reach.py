@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from concurrent.futures import as_completed
 from pathlib import Path
 
 from studies.reach.cells import ABLATIONS, METHODS, Cell
 from studies.reach.poses import CLEARANCE
 from studies.reach.report import line, summary
-from warpmpc.run.workers import FORMS, LostJob, open_workers
+from warpmpc.run.workers import FORMS, open_workers
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -68,16 +67,6 @@ def measure(args: argparse.Namespace) -> None:
             print(summary(cell.name, records), flush=True)
 
 
-def main(arguments: list[str]) -> int:
-    """Command line of this tool; returns the exit code."""
-    try:
-        measure(parse(arguments))
-    except LostJob as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+def main(arguments: list[str]) -> None:
+    """Command line of this study."""
+    measure(parse(arguments))

@@ -127,18 +127,15 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--limit", type=float, default=DAY, help="stop after so many seconds")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     args, now = parser.parse_args(arguments), time.monotonic()
-    try:
-        episodes = [
-            Episode(task=task, strategy=wrong, overrides=(*overrides, *args.overrides), seed=args.seed + i)
-            for i, task in product(range(args.runs), args.scenes)
-            for wrong, overrides in settings(task).items()
-        ]
-        records = Records(args.out / "wrong_model.jsonl")
-        workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
-        with workers:
-            whole = gather(run, episodes, records, workers, until=now + args.limit)
-    except (ValueError, OSError) as error:
-        parser.error(str(error))
+    episodes = [
+        Episode(task=task, strategy=wrong, overrides=(*overrides, *args.overrides), seed=args.seed + i)
+        for i, task in product(range(args.runs), args.scenes)
+        for wrong, overrides in settings(task).items()
+    ]
+    records = Records(args.out / "wrong_model.jsonl")
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    with workers:
+        whole = gather(run, episodes, records, workers, until=now + args.limit)
     here = machine()
     print(f"{here['cpu']}, {here['cores']} cores, seeds from {args.seed} on", "", *lines(episodes, records), sep="\n")
     return 0 if whole else 1
