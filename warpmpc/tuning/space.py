@@ -104,7 +104,8 @@ class Factor:
 
     def text(self, value: float) -> str:
         """A value in TOML."""
-        return repr([float(f"{value * v:.6g}") for v in self.base])
+        values = [float(f"{value * v:.6g}") for v in self.base]
+        return repr(values if len(values) > 1 else values[0])
 
     @property
     def samples(self) -> tuple[str, ...]:
