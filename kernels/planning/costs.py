@@ -21,6 +21,12 @@ TAIL_TOLERANCE = wp.constant(1.0e-4)
 
 
 @wp.func
+def stage_weight(weight: wp.array2d[float], terminal: wp.array[float], e: int, i: int, last: bool) -> float:
+    """Factor on what term i costs at a step: its weight, and at the last step its terminal factor."""
+    return wp.where(last, terminal[i], 1.0) * weight[e, i]
+
+
+@wp.func
 def risk_ratio(x: float) -> float:
     """(e^x - 1)/x."""
     if wp.abs(x) < 0.1:  # the difference below would cancel
@@ -40,30 +46,6 @@ def stage_risk_ratio(stage_cost: wp.array3d[float], t: int, w: int, stage_risk: 
     for i in range(stage_cost.shape[0]):
         x += stage_risk * stage_cost[i, t, w]
     return risk_ratio(x)
-
-
-@wp.kernel
-def sum_cost_kernel(
-    # inputs
-    stage_cost: wp.array3d[float],  # [term, T, W] cost of one term, step and world
-    diverged: wp.array[int],  # [W] nonzero where the physics failed
-    step_weight: wp.array[float],  # [T] γ^t, or whatever the time grid says
-    stage_risk: float,  # R
-    first: int,  # world of thread 0
-    # outputs
-    rollout_cost: wp.array[float],  # [W] +inf where the world diverged
-):
-    """One thread: one world's stage costs over terms and steps, Σ_t γ^t ρ(Σ_i c_i) (Pezzato et al. 2025, Eq. 5)."""
-    w = first + wp.tid()
-
-    total = float(0.0)
-    for t in range(stage_cost.shape[1]):
-        factor = step_weight[t] * stage_risk_ratio(stage_cost, t, w, stage_risk)
-        for i in range(stage_cost.shape[0]):
-            total += factor * stage_cost[i, t, w]
-
-    # a world that diverged must never look cheap
-    rollout_cost[w] = wp.where(wp.isfinite(total) and diverged[w] == 0, total, wp.inf)
 
 
 @wp.func
@@ -95,7 +77,7 @@ def ranked_domain(rollout_cost: wp.array[float], first: int, domains: int, mode:
 
 @wp.func
 def domain_share(rollout_cost: wp.array[float], first: int, domains: int, d: int, mode: int, alpha: float) -> float:
-    """Share of domain d in the cost that ``risk_kernel`` gives its sample; the shares add up to one.
+    """Share of domain d in the cost of its sample (:func:`sample_risk`); the shares add up to one.
 
     Those of the exponential risk are its gradient e^{R S_d}/Σ e^{R S}, the probabilities that it sees.
     """
@@ -113,34 +95,6 @@ def domain_share(rollout_cost: wp.array[float], first: int, domains: int, d: int
     if mode == CVAR:
         tail = wp.max(alpha * float(domains), 1.0)
     return tail_part(rollout_cost, first, domains, d, tail) / tail
-
-
-@wp.kernel
-def explain_cost_kernel(
-    # inputs
-    stage_cost: wp.array3d[float],  # [term, T, W]
-    rollout_cost: wp.array[float],  # [W]
-    best: wp.array[int],  # [E] sample to explain
-    step_weight: wp.array[float],  # [T]
-    stage_risk: float,  # R
-    samples: int,
-    domains: int,
-    mode: int,
-    alpha: float,
-    # outputs
-    term_cost: wp.array2d[float],  # [E, term]
-):
-    """One thread: what one term adds to the cost of one environment's best sample, over its steps and domains."""
-    e, i = wp.tid()
-    first = (e * samples + best[e]) * domains
-    total = float(0.0)
-    for d in range(domains):
-        part = float(0.0)
-        for t in range(stage_cost.shape[1]):
-            ratio = stage_risk_ratio(stage_cost, t, first + d, stage_risk)
-            part += step_weight[t] * ratio * stage_cost[i, t, first + d]
-        total += domain_share(rollout_cost, first, domains, d, mode, alpha) * part
-    term_cost[e, i] = total
 
 
 @wp.func
@@ -197,22 +151,76 @@ def sample_risk(rollout_cost: wp.array[float], first: int, domains: int, mode: i
 
 
 @wp.kernel
-def risk_kernel(
+def finish_kernel(
     # inputs
-    rollout_cost: wp.array[float],  # [W]
+    stage_cost: wp.array3d[float],  # [term, T, W] of terms that are evaluated at every step, on the record
+    on_record: wp.array[int],  # [n] which they are
+    on_the_way: wp.array[int],  # [m] all others, whose total is there already
+    step_weight: wp.array[float],  # [T] γ^t, or whatever the time grid says
+    stage_risk: float,  # R of ρ(l; R); where it is not zero every term is on the record
+    failed: wp.array[int],  # [W] nonzero where the physics failed; empty where there is none
     observed: wp.array[int],  # [E] whether there is an observation to plan from
     domains: int,
     mode: int,
     alpha: float,
-    row: int,  # e·S + s of thread 0
+    first: int,  # e·S + s of thread 0
     # outputs
+    total: wp.array2d[float],  # [term, W] cost of each term over the horizon
+    rollout_cost: wp.array[float],  # [W] S_w = Σ_t γ^t ρ(Σ_i c_i), +inf where it is not finite or the physics failed
+    diverged: wp.array[int],  # [W] nonzero where the physics failed, or without it, where a cost is not finite
     sample_cost: wp.array2d[float],  # [E, S]
 ):
-    """One thread: the cost of one sample. Without an observation it is +inf: nothing is learned from such rollouts."""
-    at = row + wp.tid()
-    e = at // sample_cost.shape[1]
-    risk = sample_risk(rollout_cost, at * domains, domains, mode, alpha)
-    sample_cost[e, at % sample_cost.shape[1]] = wp.where(observed[e] != 0, risk, wp.inf)
+    """One thread: one sample's cost, from the terms' in each of its domains (Pezzato et al. 2025, Eq. 5).
+
+    Without an observation it is +inf: nothing is learned from such rollouts.
+    """
+    row = first + wp.tid()
+    for w in range(row * domains, (row + 1) * domains):
+        cost = float(0.0)
+        if on_record.shape[0] > 0:
+            for n in range(on_record.shape[0]):
+                total[on_record[n], w] = 0.0
+            for t in range(stage_cost.shape[1]):
+                factor = step_weight[t] * stage_risk_ratio(stage_cost, t, w, stage_risk)
+                for n in range(on_record.shape[0]):
+                    i = on_record[n]
+                    part = factor * stage_cost[i, t, w]
+                    total[i, w] = total[i, w] + part
+                    cost += part
+        for n in range(on_the_way.shape[0]):
+            cost += total[on_the_way[n], w]
+        good = wp.isfinite(cost)
+        if failed.shape[0] > 0:
+            good = good and failed[w] == 0
+        else:
+            diverged[w] = wp.where(good, 0, 1)
+        # a world that diverged must never look cheap
+        rollout_cost[w] = wp.where(good, cost, wp.inf)
+    e = row // sample_cost.shape[1]
+    risk = sample_risk(rollout_cost, row * domains, domains, mode, alpha)
+    sample_cost[e, row % sample_cost.shape[1]] = wp.where(observed[e] != 0, risk, wp.inf)
+
+
+@wp.kernel
+def explain_kernel(
+    # inputs
+    total: wp.array2d[float],  # [term, W]
+    rollout_cost: wp.array[float],  # [W]
+    sample: wp.array[int],  # [E]
+    samples: int,
+    domains: int,
+    mode: int,
+    alpha: float,
+    # outputs
+    term_cost: wp.array2d[float],  # [E, term]
+):
+    """One thread: what one term added to the cost of one environment's sample, over its domains."""
+    e, i = wp.tid()
+    first = (e * samples + sample[e]) * domains
+    added = float(0.0)
+    for d in range(domains):
+        added += domain_share(rollout_cost, first, domains, d, mode, alpha) * total[i, first + d]
+    term_cost[e, i] = added
 
 
 @wp.kernel
@@ -220,18 +228,15 @@ def weigh_values_kernel(
     # inputs
     value: wp.array2d[float],  # [T, W] what a term over whole arrays returned
     weight: wp.array2d[float],  # [E, term]
+    terminal: wp.array[float],  # [term] factor on the last step
     term: int,
-    terminal: float,  # factor on the last step
     rollouts: int,  # worlds of an environment
     # outputs
     cost: wp.array3d[float],  # [term, T, W]
 ):
     """One thread: the cost of one step of one world; a term without weight is off, whatever it says."""
     t, w = wp.tid()
-    factor = weight[w // rollouts, term]
-    total = float(0.0)
+    factor = stage_weight(weight, terminal, w // rollouts, term, t == cost.shape[1] - 1)
+    cost[term, t, w] = 0.0
     if factor != 0.0:
-        total = value[t, w] * factor
-        if t == cost.shape[1] - 1:
-            total *= terminal
-    cost[term, t, w] = total
+        cost[term, t, w] = factor * value[t, w]

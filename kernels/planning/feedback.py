@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..terms.norms import Norm, norm_part, norm_total
-from .costs import risk_ratio
+from .costs import risk_ratio, stage_weight
 
 wp.set_module_options({"enable_backward": False})
 
@@ -134,7 +134,7 @@ def add_cost_kernel(
         cost[w] = wp.float64(0.0)
     total = float(0.0)
     for i in range(count.shape[0]):
-        factor = weight[e, i]
+        factor = stage_weight(weight, terminal, e, i, last != 0)
         if factor != 0.0:
             norm = Norm()
             norm.kind = kind[i]
@@ -143,8 +143,6 @@ def add_cost_kernel(
             parts = float(0.0)
             for j in range(count[i]):
                 parts += norm_part(residual[w, begin[i] + j], norm)
-            if last != 0:
-                factor = factor * terminal[i]
             total += factor * norm_total(parts, norm)
     value = wp.float64(step_weight[t] * total * risk_ratio(risk * total))
     if diverged[w] != 0 or not wp.isfinite(value):

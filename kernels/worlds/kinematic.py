@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..geometry.kinematics import JointTable, forward_kinematics
-from .judging import TAPS
+from .evaluation import TAPS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +25,7 @@ class Drives:
 
 @wp.struct
 class KinematicWork:
-    """What rollouts start from, follow, and leave behind, for kernels that judge on the way."""
+    """What rollouts start from, follow, and leave behind, for kernels that evaluate terms on the way."""
 
     knots: wp.array4d[float]  # [E, S, P, nu]
     tap: wp.array3d[int]  # [E, T, TAPS] knots that a step's control depends on

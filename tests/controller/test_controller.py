@@ -102,7 +102,7 @@ def test_when_nothing_survives_it_sends_the_safe_command(mode, why, engine, capl
         command = controller.step(bad)
     safe = [0.3, -0.4, 2.0] if mode == "position" else [0.0, 0.0, 0.0]  # within its limits
     np.testing.assert_allclose(command, safe, atol=1e-6)
-    np.testing.assert_array_equal(controller.planner.state.last_control.numpy()[0], command)
+    np.testing.assert_array_equal(controller.planner.command.numpy()[0], command)
     assert controller.info.fallback
     assert controller.info.cost == np.inf
     assert controller.info.eta == 0.0
@@ -309,7 +309,7 @@ def test_the_terms_add_up_to_the_cost_over_all_domains(risk, share, seed, engine
         assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-5)
         first = info.best
         if engine == "mujoco":
-            cost = controller.engine.judge.cost.numpy()[1].sum(axis=0)
+            cost = controller.engine.evaluator.cost.numpy()[1].sum(axis=0)
         else:
             cost = controller.engine.total.numpy()[1]
         domains = cost[first : first + 4]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from arm_references import CASES, SPEED, bounds, smoothness, stop
 from arm_rollouts import ARM, DT, MOBILE, ROBOTS, SHAPE, ArmRollouts
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import chain_scene
 
@@ -89,7 +89,7 @@ def test_a_ball_joint_has_no_axes_for_a_jacobian(tmp_path):
     scene = chain_scene(tmp_path)
     cost = Cost.model_validate({"term": "manipulability", "of": "chain/head"})
     with pytest.raises(SceneError, match=r"cost\.manipulability\.of: a ball joint moves this frame.*neck"):
-        Judging(scene.model_copy(update={"cost": (cost,)}), SHAPE)
+        Evaluating(scene.model_copy(update={"cost": (cost,)}), SHAPE)
 
 
 @pytest.mark.parametrize(

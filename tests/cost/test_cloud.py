@@ -4,15 +4,15 @@
 import numpy as np
 import pytest
 import warp as wp
-from arm_collisions import centres, judging, moving_spheres
+from arm_collisions import centres, evaluating, moving_spheres
 from arms import arm_scene
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial import cKDTree
 from small_scenes import layout_of
 
 from warpmpc import Controller, SceneError, State
 from warpmpc.cost.resources.cloud import CloudVolume, PointClouds
-from warpmpc.cost.stack import CostStack, Judge
+from warpmpc.cost.stack import CostEvaluator, CostStack
 from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.kernels.geometry.volume import ABREAST, Volume, between_voxels, voxel_distance
 from warpmpc.model.batch_size import BatchSize
@@ -126,7 +126,7 @@ def term(**keys) -> dict:
 
 def seen_by(seed: int, points: np.ndarray, *, device: str, **keys):
     """A Panda in random postures near a cloud."""
-    j = judging("panda", term(**keys), seed, device=device, cloud=[{"name": "seen", **REGION, "reach": 0.3}])
+    j = evaluating("panda", term(**keys), seed, device=device, cloud=[{"name": "seen", **REGION, "reach": 0.3}])
     j.task["seen"] = points
     j.observe()
     return j
@@ -225,10 +225,10 @@ def test_baked_source_costs_what_the_function_says(seed, device):
     assert not engine.records
     out = engine.rollouts(range(shape.worlds))
     whole = BatchSize(2, shape.samples, 1, shape.horizon)
-    judge = Judge(mpc.costs, out, out.control, engine.state, whole, TimeGrid.of(mpc.scene).t)
-    judge.launch()
+    evaluator = CostEvaluator(mpc.costs, out, out.control, engine.state, whole, TimeGrid.of(mpc.scene).t)
+    evaluator.launch()
     weight = mpc.planner.grid.weight
-    expected = (judge.cost.numpy() * weight[None, :, None]).sum(axis=1)
+    expected = (evaluator.cost.numpy() * weight[None, :, None]).sum(axis=1)
     found = engine.total.numpy()
     assert (expected[:4].max(axis=1) > 0.0).all()
     np.testing.assert_allclose(found[1::2][:1], expected[1::2][:1], atol=2.0 * weight.max())  # a step at the border
@@ -259,7 +259,7 @@ def test_a_cloud_changes_between_plans_without_a_new_graph(device):
 
 
 def test_each_environment_sees_its_own_points(device):
-    j = judging_two(device)
+    j = evaluating_two(device)
     j.task["seen"] = [surfaces(0), np.zeros((0, 3))]
     j.observe()
     volume = j.stack.resources.get(PointClouds).volumes["seen"].distance
@@ -272,8 +272,8 @@ def test_each_environment_sees_its_own_points(device):
     assert (both[1] == 0.0).any()
 
 
-def judging_two(device: str):
-    return Judging(planned_scene(), BatchSize(2, 4, 1, 4), device=device)
+def evaluating_two(device: str):
+    return Evaluating(planned_scene(), BatchSize(2, 4, 1, 4), device=device)
 
 
 @pytest.mark.parametrize("wrong", [np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3, 3)), "points", 5.0, [[1, 2, 3], [4]]])

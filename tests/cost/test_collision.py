@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from arm_collisions import SHAPE, centres, judging, moving_spheres, place
+from arm_collisions import SHAPE, centres, evaluating, moving_spheres, place
 from arms import FOLDED, HOME, arm_scene
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import layout_of
 
@@ -28,7 +28,7 @@ OBSTACLES = [
 ]
 
 
-def deepest(j: Judging, spheres, pairs) -> np.ndarray:
+def deepest(j: Evaluating, spheres, pairs) -> np.ndarray:
     """Deepest penetration of any two spheres of paired groups ``[T, W]``."""
     at, radius, groups = centres(j, spheres)[1:], spheres.radius.astype(np.float64), spheres.groups
     depth = np.full(at.shape[:2], -np.inf)
@@ -42,7 +42,7 @@ def deepest(j: Judging, spheres, pairs) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["panda", "ur10", "mobile_panda"])
 def test_self_collision_is_the_deepest_penetration(name, seed, device):
-    j = judging(name, {"term": "self_collision", "margin": 0.03}, seed, device=device)
+    j = evaluating(name, {"term": "self_collision", "margin": 0.03}, seed, device=device)
     spheres = fit_spheres(j.layout, range(j.layout.nb))
     wanted = np.maximum(0.03 + deepest(j, spheres, self_pairs(j.layout, spheres, margin=0.03)), 0.0)
     np.testing.assert_allclose(j.cost()[0], wanted, atol=2e-6)
@@ -71,7 +71,7 @@ def distance(obstacle: dict, points: np.ndarray) -> np.ndarray:
     return d.reshape(shape)
 
 
-def nearest(j: Judging, obstacles=OBSTACLES, share: float = 0.0) -> np.ndarray:
+def nearest(j: Evaluating, obstacles=OBSTACLES, share: float = 0.0) -> np.ndarray:
     """Least distance of any moving link's sphere, so far back on the straight way from the step before ``[T, W]``."""
     spheres = moving_spheres(j)
     at = centres(j, spheres)
@@ -82,7 +82,7 @@ def nearest(j: Judging, obstacles=OBSTACLES, share: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["panda", "ur10", "mobile_panda"])
 def test_world_collision_is_the_least_distance(name, seed, device):
-    j = judging(name, {"term": "world_collision", "margin": 0.1}, seed, device=device, obstacle=OBSTACLES)
+    j = evaluating(name, {"term": "world_collision", "margin": 0.1}, seed, device=device, obstacle=OBSTACLES)
     wanted = np.maximum(0.1 - nearest(j), 0.0)
     np.testing.assert_allclose(j.cost()[0], wanted, atol=3e-6)
     assert (wanted > 0.0).any()
@@ -90,7 +90,7 @@ def test_world_collision_is_the_least_distance(name, seed, device):
 
 def test_the_binary_cost_is_one_where_anything_is_too_close(device):
     cost = {"term": "world_collision", "form": "binary", "margin": 0.02}
-    j = judging("panda", cost, device=device, obstacle=OBSTACLES)
+    j = evaluating("panda", cost, device=device, obstacle=OBSTACLES)
     least = nearest(j)
     assert (np.abs(least - 0.02) > 1e-5).all()
     np.testing.assert_array_equal(j.cost()[0], least < 0.02)
@@ -100,7 +100,7 @@ def test_the_binary_cost_is_one_where_anything_is_too_close(device):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_swept_distance_is_that_of_the_whole_way(seed, device):
     cost = {"term": "world_collision", "margin": 0.1, "swept": True}
-    j = judging("panda", cost, seed, device=device, pull=0.3, obstacle=OBSTACLES)
+    j = evaluating("panda", cost, seed, device=device, pull=0.3, obstacle=OBSTACLES)
     dense = np.maximum(0.1 - np.min([nearest(j, share=share) for share in np.linspace(0.0, 1.0, 201)], axis=0), 0.0)
     found = j.cost()[0]
     radius = moving_spheres(j).radius.max()
@@ -115,7 +115,7 @@ def test_a_thin_wall_is_not_jumped_over(device):
     found = []
     for cost in costs:
         # the first axis turns by 0.5 rad in a step of 0.2 s, its greatest speed being 2.5 rad/s
-        j = judging("panda", {**cost, "links": ["panda_link7"]}, device=device, obstacle=[wall])
+        j = evaluating("panda", {**cost, "links": ["panda_link7"]}, device=device, obstacle=[wall])
         q = np.tile([0.0, 0.9, 0.0, -1.2, 0.0, 2.0, 0.0], (5, SHAPE.worlds, 1))
         q[:, :, 0] = np.linspace(0.2, 0.9, SHAPE.worlds) + 0.5 * np.arange(5)[:, None]
         place(j, q)
@@ -130,7 +130,7 @@ def test_a_thin_wall_is_not_jumped_over(device):
 
 @pytest.mark.parametrize("cost", [{"term": "self_collision"}, {"term": "world_collision", "swept": True}])
 def test_culling_changes_nothing(cost, device):
-    j = judging("panda", {**cost, "margin": 0.05}, device=device, obstacle=OBSTACLES)
+    j = evaluating("panda", {**cost, "margin": 0.05}, device=device, obstacle=OBSTACLES)
     culled = j.cost()
     params = j.stack.terms[0][1]
     params.spheres.bound_radius = wp.full(len(params.spheres.bound_radius), 100.0, dtype=float, device=device)
@@ -139,7 +139,7 @@ def test_culling_changes_nothing(cost, device):
 
 
 def test_a_folded_arm_collides_with_itself_and_one_at_home_does_not(device):
-    j = judging("panda_meshes", {"term": "self_collision"}, device=device)
+    j = evaluating("panda_meshes", {"term": "self_collision"}, device=device)
     fingers = [0.02, 0.02]
     place(j, [*HOME, *fingers])
     np.testing.assert_array_equal(j.cost(), 0.0)
@@ -152,10 +152,10 @@ def test_meshes_and_the_ground_are_obstacles(tmp_path, device):
     rock = {"name": "rock", "shape": "mesh", "mesh": str(tmp_path / "rock.stl"), "position": (0.4, 0.0, 0.5)}
     ball = {"name": "ball", "shape": "sphere", "size": 0.2, "position": (0.4, 0.0, 0.5)}
     cost = {"term": "world_collision", "margin": 0.3}
-    mesh, sphere = (judging("panda", cost, device=device, obstacle=[o]).cost() for o in (rock, ball))
+    mesh, sphere = (evaluating("panda", cost, device=device, obstacle=[o]).cost() for o in (rock, ball))
     np.testing.assert_allclose(mesh, sphere, atol=3e-3)
     assert (mesh > 0.3).any()  # inside, too
-    floor = judging("panda", {**cost, "against": "ground"}, device=device, ground={"height": 0.1})
+    floor = evaluating("panda", {**cost, "against": "ground"}, device=device, ground={"height": 0.1})
     spheres = moving_spheres(floor)
     height = (centres(floor, spheres)[1:, :, :, 2] - spheres.radius).min(axis=2) - 0.1
     np.testing.assert_allclose(floor.cost()[0], np.maximum(0.3 - height, 0.0), atol=3e-6)
@@ -163,7 +163,7 @@ def test_meshes_and_the_ground_are_obstacles(tmp_path, device):
 
 def test_an_obstacle_that_moves_with_the_task_is_seen_where_it_is(device):
     block = {**OBSTACLES[0], "movable": True}
-    j = judging("panda", {"term": "world_collision", "margin": 0.1}, device=device, obstacle=[OBSTACLES[1], block])
+    j = evaluating("panda", {"term": "world_collision", "margin": 0.1}, device=device, obstacle=[OBSTACLES[1], block])
     np.testing.assert_allclose(j.cost()[0], np.maximum(0.1 - nearest(j, OBSTACLES[:2]), 0.0), atol=3e-6)
     moved = {**block, "position": (0.2, -0.3, 0.7), "rotation": (0.0, 0.0, 0.6, 0.8)}
     j.task["block"] = [*moved["position"], *moved["rotation"]]
@@ -174,7 +174,7 @@ def test_an_obstacle_that_moves_with_the_task_is_seen_where_it_is(device):
 def test_given_spheres_replace_those_of_a_link(device):
     spheres = {f"panda_link{i}": [] for i in range(8)} | {"panda_link7": [(0.0, 0.0, 0.1, 0.07)]}
     robot = [{**arm_scene("panda").robot[0].model_dump(mode="json"), "spheres": spheres}]
-    j = judging(
+    j = evaluating(
         "panda", {"term": "world_collision", "margin": 0.5}, device=device, obstacle=OBSTACLES[1:2], robot=robot
     )
     link = j.trajectory.body_q.numpy()[1:, :, j.layout.body_name.index("arm/panda_link7")].astype(np.float64)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from arms import arm_scene
-from judging import Judging
+from evaluating import Evaluating
 from learned.self_distance import SelfDistance
 from learned_weights import elbow_scene, network_output, random_network
 from small_scenes import layout_of
@@ -38,7 +38,7 @@ def written(folder, scene, sizes=(24, 16), **changes):
 def test_the_term_is_what_the_network_says(robot, sizes, tmp_path, device):
     distance = SelfDistance(arm_scene(robot))
     path, weights = written(tmp_path, arm_scene(robot), sizes)
-    j = Judging(arm_scene(robot, cost=[learned(path, margin=0.03)]), SHAPE, device=device)
+    j = Evaluating(arm_scene(robot, cost=[learned(path, margin=0.03)]), SHAPE, device=device)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (5, SHAPE.worlds, j.layout.nq)).astype(np.float32)
     j.trajectory.joint_q.assign(q)
     wanted = np.maximum(0.03 + network_output(weights, q[1:, :, j.layout.dof_coord[distance.dofs]]), 0.0)

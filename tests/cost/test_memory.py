@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import warpmpc
 from warpmpc import Controller, SceneError, State
-from warpmpc.cost.stack import Judge
+from warpmpc.cost.stack import CostEvaluator
 from warpmpc.model.batch_size import BatchSize
 
 BALL = {"term": "rolling_ball", "ball": "ball", "on": "panda/centre"}
@@ -103,9 +103,9 @@ def test_the_kinematic_engine_carries_what_the_plain_kernels_carry(device):
         assert engine.records
         trajectory = engine.rollouts(range(shape.worlds))
         whole = BatchSize(1, shape.samples, 1, shape.horizon)
-        judge = Judge(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
-        judge.launch()
-        expected = (judge.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
+        evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
+        evaluator.launch()
+        expected = (evaluator.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
         assert np.ptp(expected[0]) > 0.1
         np.testing.assert_allclose(engine.total.numpy(), expected, rtol=2e-3, atol=1e-3)
 

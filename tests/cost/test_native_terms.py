@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
-from native_terms import NativeJudge
+from native_terms import NativeEvaluator
 from push_scenes import block
 from rollouts import OBSTACLES, Rollouts
 from scipy.spatial.transform import Rotation
@@ -155,7 +155,7 @@ def level(r: Rollouts) -> None:
 
 
 @functools.cache
-def judged(where: str) -> Rollouts:
+def evaluated(where: str) -> Rollouts:
     """Rollouts, and the terms that judge them."""
     costs, obstacles = {"anywhere": (ANYWHERE, OBSTACLES), "level": (LEVEL, BLOCKS), "space": (SPACE, OBSTACLES)}[where]
     objects, scalar = OBJECTS if where == "level" else OBJECTS[:1], {"a": 0.4, "b": -0.7}
@@ -169,13 +169,13 @@ def judged(where: str) -> Rollouts:
 @functools.cache
 def baked(where: str, lanes: int) -> np.ndarray:
     """What baked source says ``[term, T, W]``."""
-    return NativeJudge(judged(where), lanes).cost()
+    return NativeEvaluator(evaluated(where), lanes).cost()
 
 
 @functools.cache
 def plain(where: str) -> np.ndarray:
     """What the Warp functions say ``[term, T, W]``."""
-    r = judged(where)
+    r = evaluated(where)
     return np.stack([r.cost(i) for i in range(len(r.stack.terms))])
 
 
@@ -192,7 +192,7 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
     expected = plain(where)[term]
     assert np.ptp(expected) > 0.1
     # far away places are known less exactly
-    far = np.abs(judged(where).trajectory.body_q.numpy()[1:]).max(axis=(2, 3))
+    far = np.abs(evaluated(where).trajectory.body_q.numpy()[1:]).max(axis=(2, 3))
     found = baked(where, lanes)[term]
     wrong = ~(np.abs(found - expected) <= 1e-5 * np.abs(expected) + 2e-6 * np.maximum(far, 1.0))
     assert not wrong.any(), (np.argwhere(wrong), found[wrong], expected[wrong])
@@ -203,22 +203,22 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
 )
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
-    module = NativeJudge(judged(where)).kernel.module
+    module = NativeEvaluator(evaluated(where)).kernel.module
     assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
 
 
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_a_world_that_diverged_changes_no_other(where):
-    judging = judged(where)
-    judge = NativeJudge(judging)
-    clean = judge.cost()
-    array = judging.trajectory.body_q
+    evaluating = evaluated(where)
+    evaluator = NativeEvaluator(evaluating)
+    clean = evaluator.cost()
+    array = evaluating.trajectory.body_q
     states = array.numpy().copy()
     for w, value in ((0, np.nan), (5, np.inf), (30, -np.inf), (50, 1e30)):
         poisoned = states.copy()
         poisoned[1:, w] = value
         array.assign(poisoned)
-        judge.read()
+        evaluator.read()
         others = np.delete(np.arange(SHAPE.worlds), w)
-        np.testing.assert_array_equal(judge.cost()[..., others], clean[..., others])
+        np.testing.assert_array_equal(evaluator.cost()[..., others], clean[..., others])
     array.assign(states)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from judging import Judging
+from evaluating import Evaluating
 from push_scenes import YAWS, block
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, layout_of, make_scene
@@ -27,7 +27,7 @@ def pose(x: float, y: float, yaw: float = 0.0) -> list[float]:
     return [x, y, 0.1, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]
 
 
-class Pushing(Judging):
+class Pushing(Evaluating):
     """Two environments of one step, with box and pusher put in place by hand."""
 
     def __init__(self, *costs: dict, obstacles=(), goals=((0.0, 0.0),), device: str = "cpu", **box):

@@ -4,8 +4,8 @@
 import mujoco
 import numpy as np
 import warp as wp
+from evaluating import Evaluating
 from fused_costs import assert_costs, expected_totals, planned
-from judging import Judging
 from small_scenes import chain_scene, compiled, layout_of, make_engine, observed, random_state
 
 from warpmpc import Scene
@@ -53,9 +53,9 @@ def test_fused_sums_what_the_warp_functions_say(tmp_path):
 def test_terminal_counts_at_the_last_step_alone(tmp_path):
     cost = {"term": "control_residual"}
     scene = residual_scene(tmp_path, [cost, {**cost, "terminal": 7.0}, {**cost, "terminal": 0.0}])
-    judging = Judging(scene, BatchSize(1, 3, 1, 5), layout=layout_of(scene))
-    judging.control.assign(np.random.default_rng(0).normal(size=judging.control.shape).astype(np.float32))
-    plain, more, none = judging.cost()
+    evaluating = Evaluating(scene, BatchSize(1, 3, 1, 5), layout=layout_of(scene))
+    evaluating.control.assign(np.random.default_rng(0).normal(size=evaluating.control.shape).astype(np.float32))
+    plain, more, none = evaluating.cost()
     assert (plain > 0.0).all()
     np.testing.assert_array_equal(more[:-1], plain[:-1])
     np.testing.assert_array_equal(none[:-1], plain[:-1])
@@ -70,10 +70,10 @@ def test_centres_of_mass_and_momenta_are_mujocos(tmp_path):
     scene = residual_scene(tmp_path, costs)
     engine, layout = make_engine(scene, samples=1, horizon=1), layout_of(scene)
     states = [random_state(layout, seed) for seed in range(6)]
-    judging = Judging(scene, BatchSize(6, 1, 1, 1), layout=layout)
+    evaluating = Evaluating(scene, BatchSize(6, 1, 1, 1), layout=layout)
     q, qd = (wp.array(np.array([rows]), dtype=float, device="cpu") for rows in zip(*states, strict=True))
-    judging.stack.kinematics(q, qd, judging.trajectory.body_q[1:], judging.trajectory.body_qd[1:])
-    found = judging.cost()[:, 0]
+    evaluating.stack.kinematics(q, qd, evaluating.trajectory.body_q[1:], evaluating.trajectory.body_qd[1:])
+    found = evaluating.cost()[:, 0]
     for e, state in enumerate(states):
         engine.clone(observed(*state))
         data = mujoco.MjData(engine.model)

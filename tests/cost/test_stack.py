@@ -3,21 +3,26 @@
 
 import numpy as np
 import pytest
-from judging import Judging
+import warp as wp
+from evaluating import Evaluating
 from rollouts import Rollouts
-from small_scenes import BOX, WALL, make_scene
+from small_scenes import BOX, WALL, layout_of, make_scene
 from ways import INFLATION, around_corners
 
+import warpmpc
 from warpmpc import SceneError
 from warpmpc.cost.resources.guide import Guides
+from warpmpc.cost.stack import CostStack
+from warpmpc.cost.trial import try_terms
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
+from warpmpc.task.task import Task
 
 SIDE = {"name": "wall", "shape": "box", "size": (0.4, 2.0, 0.5), "position": (0.0, 0.0, 0.25)}
 GEODESIC = {"metric": "geodesic", "inflation": INFLATION}
 
 
-class Scenery(Judging):
+class Scenery(Evaluating):
     """Two environments of one step and one sample, their bodies put in place by hand."""
 
     def __init__(self, *costs: dict, obstacles=(SIDE,)):
@@ -59,6 +64,29 @@ def test_labels_are_unique_and_weights_belong_to_their_terms():
     )
     assert scene.stack.labels == ["height", "height_2", "lift"]
     np.testing.assert_allclose(scene.cost(), [[2.0, 2.0], [-3.0, -3.0], [0.0, 0.0]])
+
+
+@wp.struct
+class BrokenParams:
+    gain: float
+
+
+@warpmpc.cost_term("broken")
+def broken(s: warpmpc.StepView, p: BrokenParams) -> float:
+    return not_there(p.gain)  # noqa: F821
+
+
+@warpmpc.array_cost("raising")
+def raising(batch):
+    raise AssertionError("nobody asked for this")
+
+
+@pytest.mark.parametrize("term", [broken, raising])
+def test_a_stack_neither_compiles_nor_runs_what_users_wrote_and_their_trial_does(term):
+    scene = make_scene(cost=[{"term": term.name}])
+    stack = CostStack(scene, layout_of(scene), Task(scene), terms=[term])
+    with pytest.raises(SceneError, match=rf"cost\.{term.name}: .*test_stack\.py"):
+        try_terms(stack, scene)
 
 
 def test_the_same_terms_in_another_order_are_not_mixed_up():

@@ -281,9 +281,9 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
     d = rollouts.pose("box")[0] - rollouts.pose("goal")[0]
     np.testing.assert_allclose(rollouts.cost(), np.linalg.norm(d, axis=-1), rtol=1e-4)
     flat = rollouts.scene.model_copy(update={"goal": rollouts.scene.goal.model_copy(update={"position": (1.0, 2.0)})})
-    judge = rollouts.judge_with(CostStack(flat, rollouts.layout, rollouts.task))
-    judge.launch()
-    np.testing.assert_allclose(judge.cost.numpy()[0], np.linalg.norm(d[..., :2], axis=-1), rtol=1e-4)
+    evaluator = rollouts.evaluator_of(CostStack(flat, rollouts.layout, rollouts.task))
+    evaluator.launch()
+    np.testing.assert_allclose(evaluator.cost.numpy()[0], np.linalg.norm(d[..., :2], axis=-1), rtol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from judging import Judging
+from evaluating import Evaluating
 from small_scenes import compiled, make_scene
 
 import warpmpc
@@ -113,9 +113,9 @@ def term(name: str, **keys):
     return {"term": name, "gain": 1.0, "count": 2, **keys}
 
 
-def tried(own, **keys) -> Judging:
+def tried(own, **keys) -> Evaluating:
     cost = term(own.name, **keys) if isinstance(own, warpmpc.CostTerm) else {"term": own.name, **keys}
-    return Judging(make_scene(cost=[cost]), BatchSize(1, 4, 1, 3), terms=[own])
+    return Evaluating(make_scene(cost=[cost]), BatchSize(1, 4, 1, 3), terms=[own])
 
 
 def line(function, marker: str) -> int:
@@ -189,7 +189,7 @@ def test_an_index_in_a_function_that_a_term_calls_is_named_there():
 def test_of_several_terms_the_wrong_one_is_named():
     scene = make_scene(cost=[term("before"), {**term("mixed"), "name": "second"}])
     with pytest.raises(SceneError, match=rf"cost\.second: .*:{line(mixed.function.func, 'here')}: Warp cannot compile"):
-        Judging(scene, BatchSize(1, 4, 1, 3), terms=[before, mixed])
+        Evaluating(scene, BatchSize(1, 4, 1, 3), terms=[before, mixed])
 
 
 def test_what_is_right_passes():
@@ -226,12 +226,12 @@ def test_an_exception_in_an_array_cost_names_its_line():
 def test_a_name_of_a_built_in_term_is_taken():
     own = warpmpc.array_cost("distance")(raising)
     with pytest.raises(SceneError, match=r"test_terms_tried\.py:\d+: there is a built-in cost term of this name"):
-        Judging(make_scene(), BatchSize(1, 4, 1, 3), terms=[own])
+        Evaluating(make_scene(), BatchSize(1, 4, 1, 3), terms=[own])
 
 
 def test_who_asks_for_an_unknown_term_hears_of_their_own():
     with pytest.raises(SceneError, match=r"cost\.mine\.term: no such cost term.*--terms FILE\.py"):
-        Judging(make_scene(cost=[{"term": "mine"}]), BatchSize(1, 4, 1, 3))
+        Evaluating(make_scene(cost=[{"term": "mine"}]), BatchSize(1, 4, 1, 3))
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "kinematic"])

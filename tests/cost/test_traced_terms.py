@@ -99,7 +99,7 @@ def scene_of(*terms):
 def test_users_terms_are_part_of_the_launch_and_cost_what_their_functions_say(seed):
     scene = scene_of(*TRACED)
     mpc = planned(scene, seed=seed, envs=2, speed=1.0, terms=TRACED, compiled=compiled(scene))
-    assert mpc.engine._staged.numpy().tolist() == []
+    assert mpc.engine._on_record.numpy().tolist() == []
     assert not mpc.engine.records
     expected = expected_totals(mpc)
     assert (expected.max(axis=1) > expected.min(axis=1)).all()  # each tells samples apart
@@ -110,7 +110,7 @@ def test_a_term_that_cannot_be_traced_is_evaluated_on_the_record_and_the_log_say
     scene = scene_of(upright, data_dependent)
     with caplog.at_level(logging.INFO, logger="warpmpc"):
         mpc = planned(scene, terms=(upright, data_dependent), compiled=compiled(scene))
-    assert [mpc.costs.labels[i] for i in mpc.engine._staged.numpy()] == ["long"]
+    assert [mpc.costs.labels[i] for i in mpc.engine._on_record.numpy()] == ["long"]
     assert_costs(mpc, expected_totals(mpc))
     (said,) = [r.getMessage() for r in caplog.records if "not inside the launch" in r.getMessage()]
     assert said.startswith(

@@ -92,7 +92,7 @@ def test_every_residual_tells_its_numbers_one_by_one():
     for i, (kernel, (term, bound)) in enumerate(zip(kernels, r.stack.terms, strict=True)):
         size = term.residual.dimension(bound)
         out = wp.zeros((size, r.t, r.w), dtype=float, device="cpu")
-        wp.launch(kernel, out.shape, [r.judge.view, bound, r.shape.rollouts], [out], device="cpu")
+        wp.launch(kernel, out.shape, [r.evaluator.view, bound, r.shape.rollouts], [out], device="cpu")
         np.testing.assert_allclose(r.cost(i), 0.5 * (out.numpy().astype(float) ** 2).sum(0), rtol=1e-4, atol=1e-6)
 
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from judging import Judging
+from evaluating import Evaluating
 from needs import CUDA, need
 from rollouts import Rollouts
 from scipy.spatial.transform import Rotation
@@ -144,12 +144,14 @@ def test_an_array_cost_is_weighed_by_environment_and_step_and_without_weight_it_
         return value if device == "cpu" else wp.array(value, dtype=float, device=device)
 
     scene = make_scene(cost=[{"term": "counting", "terminal": 3.0}], planner={"samples": 4, "horizon": 3})
-    judging = Judging(scene, BatchSize(2, 4, 1, 3), terms=[warpmpc.array_cost("counting")(counting)], device=device)
-    judging.state.weight.assign(np.array([[0.0], [2.0]], np.float32))
+    evaluating = Evaluating(
+        scene, BatchSize(2, 4, 1, 3), terms=[warpmpc.array_cost("counting")(counting)], device=device
+    )
+    evaluating.state.weight.assign(np.array([[0.0], [2.0]], np.float32))
     expected = 2.0 * np.arange(24.0).reshape(3, 8)
     expected[2] *= 3.0
     expected[:, :4] = 0.0
-    np.testing.assert_allclose(judging.cost()[0], expected)
+    np.testing.assert_allclose(evaluating.cost()[0], expected)
 
 
 @wp.struct
@@ -170,18 +172,18 @@ def test_a_users_term_knows_the_time_the_step_and_the_tasks_scalars():
         cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "speed"}],
         planner={"samples": 4, "horizon": 3, "dt": (0.04, 0.04, 0.12)},
     )
-    judging = Judging(scene, BatchSize(2, 4, 1, 3), terms=[clock])
-    twist = np.random.default_rng(0).normal(size=judging.trajectory.body_qd.numpy().shape).astype(np.float32)
-    judging.trajectory.body_qd.assign(twist)
-    judging.state.start.assign(np.array([5.0, 9.0], np.float32))
-    body = int(judging.layout.frame_body[judging.layout.frame("base/tip")])
+    evaluating = Evaluating(scene, BatchSize(2, 4, 1, 3), terms=[clock])
+    twist = np.random.default_rng(0).normal(size=evaluating.trajectory.body_qd.numpy().shape).astype(np.float32)
+    evaluating.trajectory.body_qd.assign(twist)
+    evaluating.state.start.assign(np.array([5.0, 9.0], np.float32))
+    body = int(evaluating.layout.frame_body[evaluating.layout.frame("base/tip")])
     start = np.repeat([5.0, 9.0], 4)
     expected = start + np.array([[0.04], [0.08], [0.2]]) + 10.0 * np.array([[0.04], [0.04], [0.12]])
     expected = expected + 3.0 * twist[..., 5].reshape(4, 8, -1)[1:, :, body]
-    np.testing.assert_allclose(judging.cost()[0], expected, rtol=1e-5)
+    np.testing.assert_allclose(evaluating.cost()[0], expected, rtol=1e-5)
 
 
 def test_a_scalar_that_is_not_there_is_named():
     scene = make_scene(scalar={"speed": 3.0}, cost=[{"term": "clock", "frame": "base/tip", "scalar_speed": "sped"}])
     with pytest.raises(SceneError, match=r"cost\.clock\.scalar_speed.*no such scalar.*Did you mean 'speed'"):
-        Judging(scene, BatchSize(1, 4, 1, 3), terms=[clock])
+        Evaluating(scene, BatchSize(1, 4, 1, 3), terms=[clock])

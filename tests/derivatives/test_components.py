@@ -7,7 +7,7 @@ from small_scenes import make_scene
 from stepping import stepping
 
 from warpmpc.derivatives.rollouts import Policy
-from warpmpc.planner.refine import Tried
+from warpmpc.engine.protocol import Proposal
 
 LENGTHS = {"distance": 0.01, "height": 0.01, "orientation": 0.01, "tilt": 0.01, "yaw": 0.01}
 """Terms that are rounded near zero, and by how much at most."""
@@ -37,7 +37,7 @@ def test_norms_of_residuals_are_what_the_terms_cost():
     found = s.residuals.norms(residual)[0].sum(axis=0)
     strategy, engine = s.controller.planner.strategy, s.controller.engine
     strategy.knots.assign(np.repeat(control[:, None], 16, axis=1).astype(np.float32))
-    engine.evaluate(Tried(strategy, 1))
+    engine.evaluate(Proposal(strategy.knots, strategy.offset, 1))
     engine.explain(wp.zeros(1, dtype=int, device="cpu"))
     for label, own, cost in zip(s.controller.costs.labels, found, engine.term_cost.numpy()[0], strict=True):
         assert cost > 0.01, label

@@ -8,7 +8,7 @@ from small_scenes import DISC, make_scene, observed
 
 from warpmpc import Scene
 from warpmpc.engine.fused_simulator import FusedSimulator
-from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.pairs import Pair, collision_pairs
@@ -64,7 +64,7 @@ def test_forces_between_robots_are_those_of_mujoco(scene):
     options = {"substeps": [SUBSTEPS] * STEPS, "timestep": scene.timing.control_dt / SUBSTEPS, "pairs": PAIRS}
     forces = []
     for engine in (
-        MujocoEngine(compiled, shape, threads=1, **options),
+        MujocoSimulator(compiled, shape, threads=1, **options),
         FusedSimulator(scene, compiled, shape, **options),
     ):
         engine.clone(observed(layout.joint_q, layout.joint_qd))

@@ -10,7 +10,7 @@ from native_robots import QUADROTOR, native_scene
 from small_scenes import chain_scene
 
 from warpmpc.engine.fused_simulator import FusedSimulator
-from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.mujoco_model import Options
@@ -43,7 +43,7 @@ def test_both_engines_record_the_same(make, tmp_path):
     )
     common = {"substeps": [2] * SHAPE.horizon, "timestep": 0.004}
     fused = FusedSimulator(scene, compiled, SHAPE, device="cpu", **common)
-    reference = MujocoEngine(compiled, SHAPE, threads=1, options=Options.of(scene.engine), sensors=(), **common)
+    reference = MujocoSimulator(compiled, SHAPE, threads=1, options=Options.of(scene.engine), sensors=(), **common)
     control = rows(rng.uniform(0.2, 1.0, size=(SHAPE.horizon, SHAPE.worlds, layout.nu)))
     for engine in (fused, reference):
         engine.clone(state)

@@ -10,7 +10,7 @@ from small_scenes import BOX, make_scene
 
 import warpmpc
 from warpmpc import Controller, SceneError, State
-from warpmpc.cost.stack import Judge
+from warpmpc.cost.stack import CostEvaluator
 from warpmpc.model.batch_size import BatchSize
 
 ROBOTS = {
@@ -117,15 +117,13 @@ def planned(scene, *, envs: int = 1, terms=(), seed: int = 0, device: str = "cpu
     qd[:, layout.actuator_dof] = rng.normal(0.0, 0.3, (envs, len(driven)))
     state = State(q, qd) if envs > 1 else State(q[0], qd[0])
     mpc.step(state)
-    acting = mpc.planner.state.last_control.numpy().copy()
     mpc.step(state)
-    mpc.planner.state.last_control.assign(acting)  # as the samples saw it
     engine, shape = mpc.engine, mpc.shape
     trajectory = engine.rollouts(range(shape.worlds))
     whole = BatchSize(envs, shape.samples, 1, shape.horizon)
-    judge = Judge(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
-    judge.launch()
-    expected = (judge.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
+    evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
+    evaluator.launch()
+    expected = (evaluator.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
     return mpc, expected
 
 

@@ -25,8 +25,8 @@ from native_robots import (
 )
 
 from warpmpc import SceneError
-from warpmpc.engine.mujoco_warp import MujocoWarpEngine
-from warpmpc.engine.newton import NewtonEngine
+from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
+from warpmpc.engine.newton import NewtonSimulator
 from warpmpc.model.batch_size import BatchSize
 
 STEPS = 50
@@ -52,8 +52,8 @@ def asset_file(name: str, folder):
     return folder / f"{name}.xml"
 
 
-def warp_engine(scene, compiled, model, *, steps=STEPS, samples=1, **options) -> MujocoWarpEngine:
-    return MujocoWarpEngine(
+def warp_engine(scene, compiled, model, *, steps=STEPS, samples=1, **options) -> MujocoWarpSimulator:
+    return MujocoWarpSimulator(
         scene,
         compiled,
         BatchSize(1, samples, 1, steps),
@@ -122,7 +122,7 @@ def test_newtons_other_solvers_name_what_they_lack(tmp_path):
     scene = native_scene(path)
     scene = scene.model_copy(update={"engine": scene.engine.model_copy(update={"solver": "xpbd"})})
     with pytest.raises(SceneError, match=r"actuators of the file.*tendons") as error:
-        NewtonEngine(
+        NewtonSimulator(
             scene, compiled_native(path), BatchSize(1, 1, 1, 2), substeps=[1, 1], timestep=0.005, pairs=(), device="cpu"
         )
     assert error.value.key == "engine.solver"

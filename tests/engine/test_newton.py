@@ -22,8 +22,8 @@ from warpmpc import (
     State,
     load_scene,
 )
-from warpmpc.engine.mujoco_warp import MujocoWarpEngine
-from warpmpc.engine.newton import NewtonEngine
+from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
+from warpmpc.engine.newton import NewtonSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.newton_model import build_model
@@ -50,7 +50,7 @@ def controls(worlds: int, *, seed: int = 0) -> np.ndarray:
 
 
 def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
-    engine = MujocoWarpEngine if scene.engine.solver == "mujoco" else NewtonEngine
+    engine = MujocoWarpSimulator if scene.engine.solver == "mujoco" else NewtonSimulator
     return engine(
         scene,
         compiled(scene),
@@ -69,7 +69,7 @@ def engine(scene, device):
 
 
 def roll_newton(
-    engine: NewtonEngine, control: np.ndarray, q, qd, *, poison: int | None = None
+    engine: NewtonSimulator, control: np.ndarray, q, qd, *, poison: int | None = None
 ) -> dict[str, np.ndarray]:
     """Roll controls [T, W, nu] out from states [E, nq], [E, nv]; returns copies of what was recorded.
 

@@ -9,7 +9,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, SceneError, State
-from warpmpc.engine import fused
+from warpmpc.engine import launched
 from warpmpc.engine.registry import ENGINES, PhysicsSteps, physics_steps, register
 from warpmpc.engine.timegrid import TimeGrid
 
@@ -106,8 +106,10 @@ def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
 @pytest.fixture
 def broken(monkeypatch):
     """Rollouts of the engine `fused` are no C."""
-    make = fused.make_kernel
-    monkeypatch.setattr(fused, "make_kernel", lambda text, *rest: make("int broken = nowhere;\n" + text, *rest))
+    make = launched.make_kernel
+    monkeypatch.setattr(
+        launched, "make_kernel", lambda text, *rest, **more: make("int broken = nowhere;\n" + text, *rest, **more)
+    )
 
 
 @pytest.mark.usefixtures("broken")

@@ -33,7 +33,7 @@ def planned(engine: str, stage_risk: float, **planner) -> Controller:
 @pytest.mark.parametrize("engine", ["mujoco", "fused", "kinematic"])
 def test_samples_cost_the_risk_of_their_steps(engine, stage_risk):
     mpc = planned(engine, stage_risk)
-    stage = mpc.engine.judge.cost.numpy().astype(np.float64)
+    stage = mpc.engine.evaluator.cost.numpy().astype(np.float64)
     assert (stage.max(axis=(1, 2)) > 0.0).all()
     step = np.expm1(stage_risk * stage.sum(axis=0)) / stage_risk
     expected = np.einsum("tw,t->w", step, mpc.planner.grid.weight)

@@ -75,7 +75,7 @@ def test_a_rollout_of_uneven_steps_is_what_mujoco_does_step_by_step(spline):
         controller.step(State(q, qd, time))
     simulator, shape = controller.engine.simulator, controller.shape
     assert tuple(simulator.substeps) == (2, 2, 4, 6, 10)
-    control, out = controller.engine.control.numpy(), simulator.trajectory
+    control, out = controller.engine.recorded.control.numpy(), simulator.trajectory
     for w in range(shape.worlds):
         model = simulator.models[w]
         data = mujoco.MjData(model)

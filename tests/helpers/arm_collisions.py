@@ -4,7 +4,7 @@
 import numpy as np
 import warp as wp
 from arms import arm_scene
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
@@ -16,11 +16,11 @@ from warpmpc.model.spheres import fit_spheres
 SHAPE = BatchSize(1, 16, 1, 4)
 
 
-def judging(name: str, cost: dict, seed: int = 0, *, device="cpu", pull: float = 1.0, **sections) -> Judging:
+def evaluating(name: str, cost: dict, seed: int = 0, *, device="cpu", pull: float = 1.0, **sections) -> Evaluating:
     """Postures drawn within limits; with less pull they follow one another more closely."""
     cost = {"weight": 1.0, **cost}
     until = {"conditions": {"term": cost["term"], "below": 0.1}}
-    j = Judging(arm_scene(name, cost=[cost], success=until, **sections), SHAPE, device=device)
+    j = Evaluating(arm_scene(name, cost=[cost], success=until, **sections), SHAPE, device=device)
     layout = j.layout
     span = layout.dof_upper - layout.dof_lower
     bounded = (span > 0.0) & (span < 1e6)
@@ -33,7 +33,7 @@ def judging(name: str, cost: dict, seed: int = 0, *, device="cpu", pull: float =
     return j
 
 
-def place(j: Judging, q: np.ndarray) -> None:
+def place(j: Evaluating, q: np.ndarray) -> None:
     """Put the rollouts' bodies where joint coordinates [5, W, nq] have them."""
     q = np.broadcast_to(np.asarray(q, dtype=np.float32), (5, SHAPE.worlds, j.layout.nq))
     out, table = j.trajectory, joint_table(j.layout, j.device, worlds=SHAPE.worlds)
@@ -42,7 +42,7 @@ def place(j: Judging, q: np.ndarray) -> None:
     wp.launch(forward_kinematics_kernel, q.shape[:2], inputs, [out.body_q, out.body_qd], device=j.device)
 
 
-def centres(j: Judging, spheres) -> np.ndarray:
+def centres(j: Evaluating, spheres) -> np.ndarray:
     """World positions of spheres ``[5, W, n, 3]`` in float64."""
     pose = j.trajectory.body_q.numpy().astype(np.float64)[:, :, spheres.body]
     turned = Rotation.from_quat(pose[..., 3:].reshape(-1, 4)).apply(
@@ -51,5 +51,5 @@ def centres(j: Judging, spheres) -> np.ndarray:
     return turned.reshape(pose[..., :3].shape) + pose[..., :3]
 
 
-def moving_spheres(j: Judging):
+def moving_spheres(j: Evaluating):
     return fit_spheres(j.layout, sorted(moving_bodies(j.layout)))

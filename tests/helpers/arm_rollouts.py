@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
+from evaluating import Evaluating
 from jacobians import mujoco_jacobians
-from judging import Judging
 from scipy.spatial.transform import Rotation
 from small_scenes import layout_of, make_scene
 
@@ -34,7 +34,7 @@ MOBILE = {
 ROBOTS = {"arm": ARM, "mobile": MOBILE}
 
 
-class ArmRollouts(Judging):
+class ArmRollouts(Evaluating):
     """Random rollouts of a robot whose frame ``arm/tip`` is to come to a goal past a target ``gate``."""
 
     def __init__(

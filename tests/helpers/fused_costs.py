@@ -9,19 +9,15 @@ import numpy as np
 import warp as wp
 
 from warpmpc import Controller, Scene, State
-from warpmpc.cost.stack import Judge
+from warpmpc.cost.stack import CostEvaluator
+from warpmpc.engine.protocol import Proposal
 from warpmpc.model.trajectory import Trajectory
 
 
-class Held:
+def held(knots: np.ndarray, device: str = "cpu") -> Proposal:
     """Knots ``[E, S, P, nu]`` as they are: nothing is sampled."""
-
-    def __init__(self, knots: np.ndarray, device: str = "cpu"):
-        self.knots = wp.array(knots, dtype=float, device=device)
-        self.offset, self.samples = wp.zeros(len(knots), dtype=float, device=device), knots.shape[1]
-
-    def sample(self, first: int, count: int) -> None:
-        """Nothing."""
+    offset = wp.zeros(len(knots), dtype=float, device=device)
+    return Proposal(wp.array(knots, dtype=float, device=device), offset, knots.shape[1])
 
 
 def planned(scene: Scene, *, envs: int = 1, seed: int = 0, plans: int = 2, speed: float = 0.3, **kwargs) -> Controller:
@@ -32,9 +28,7 @@ def planned(scene: Scene, *, envs: int = 1, seed: int = 0, plans: int = 2, speed
     qd[:, layout.actuator_dof] += rng.normal(0.0, speed, (envs, len(layout.actuator_dof)))
     state = State(q, qd) if envs > 1 else State(q[0], qd[0])
     for _ in range(plans):
-        acting = mpc.planner.state.last_control.numpy().copy()
         mpc.step(state)
-    mpc.planner.state.last_control.assign(acting)  # as the samples saw it
     return mpc
 
 
@@ -50,10 +44,10 @@ def recorded(mpc: Controller) -> Trajectory:
 def expected_totals(mpc: Controller) -> np.ndarray:
     """Cost of each term over the horizon ``[term, W]``, by the kernels that judge the records of all engines."""
     out = recorded(mpc)
-    judge = Judge(mpc.costs, out, out.control, mpc.engine.state, mpc.shape, mpc.planner.grid.t)
-    judge.launch()
-    judge.launch_arrays()
-    stage = judge.cost.numpy().astype(np.float64)
+    evaluator = CostEvaluator(mpc.costs, out, out.control, mpc.engine.state, mpc.shape, mpc.planner.grid.t)
+    evaluator.launch()
+    evaluator.launch_arrays()
+    stage = evaluator.cost.numpy().astype(np.float64)
     return (stage * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
 
 

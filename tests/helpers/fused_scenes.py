@@ -10,7 +10,7 @@ import warp as wp
 
 import warpmpc
 from warpmpc.engine.fused_simulator import FusedSimulator
-from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.mujoco_model import Options
@@ -84,7 +84,7 @@ class Comparison:
             "properties": draw_properties(self.scene, self.layout, samples, seed=1),
         }
         self.fused = FusedSimulator(self.scene, self.compiled, self.shape, device="cpu", **common)
-        self.mujoco = MujocoEngine(
+        self.mujoco = MujocoSimulator(
             self.compiled, self.shape, threads=1, options=Options.of(self.scene.engine), sensors=(), **common
         )
         for model in {id(m): m for m in self.mujoco.models}.values():  # on to the minimum
@@ -101,7 +101,7 @@ class Comparison:
             out = controller.engine.simulator.trajectory
             t, w = self.rng.integers(out.joint_q.shape[0], size=8), self.rng.integers(out.joint_q.shape[1], size=8)
             found += list(zip(out.joint_q.numpy()[t, w], out.joint_qd.numpy()[t, w], strict=True))
-            sampled.append(controller.engine.control.numpy()[t % self.scene.planner.horizon, w])
+            sampled.append(controller.engine.recorded.control.numpy()[t % self.scene.planner.horizon, w])
         timestep = controller.engine.simulator.model.opt.timestep
         rows = self.rng.choice(len(found), size=states, replace=len(found) < states)
         given = {item.name: getattr(controller.planner.state, item.name) for item in fields(ObservedState)}
@@ -112,7 +112,7 @@ class Comparison:
         controller.engine.close()
         return ObservedState(**tiled), np.concatenate(sampled), float(timestep)
 
-    def _roll(self, engine: FusedSimulator | MujocoEngine, control: np.ndarray) -> dict[str, np.ndarray]:
+    def _roll(self, engine: FusedSimulator | MujocoSimulator, control: np.ndarray) -> dict[str, np.ndarray]:
         engine.clone(self.state)
         engine.rollout(wp.array(control, dtype=float, device="cpu"))
         out = engine.trajectory

@@ -15,7 +15,7 @@ import warp as wp
 from needs import reason
 
 from warpmpc import Scene
-from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import CompiledScene, compile_scene
 
@@ -169,9 +169,9 @@ def plain_rollout(model: mujoco.MjModel, data: mujoco.MjData, control: np.ndarra
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def mujoco_engine(compiled: CompiledScene, steps: int, timestep: float, **options) -> MujocoEngine:
+def mujoco_engine(compiled: CompiledScene, steps: int, timestep: float, **options) -> MujocoSimulator:
     """The engine ``mujoco`` with one world and one physics step per control."""
-    return MujocoEngine(compiled, BatchSize(1, 1, 1, steps), substeps=[1] * steps, timestep=timestep, **options)
+    return MujocoSimulator(compiled, BatchSize(1, 1, 1, steps), substeps=[1] * steps, timestep=timestep, **options)
 
 
 def roll(engine, compiled: CompiledScene, control: np.ndarray) -> Trajectory:

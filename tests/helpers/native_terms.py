@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
 from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
@@ -101,15 +101,15 @@ class RecordedState(StateCode):
         return FrameCode(turned, self.lines.transform(columns, known(at[:3]), position), None)
 
 
-def write(judging: Judging, lanes: int) -> str:
-    """The body of ``judge(s: StepView, p: Params, k: RecordWork, group: int, groups: int)``."""
-    stack, body = judging.stack, []
+def write(evaluating: Evaluating, lanes: int) -> str:
+    """The body of ``evaluate(s: StepView, p: Params, k: RecordWork, group: int, groups: int)``."""
+    stack, body = evaluating.stack, []
     for i, (term, bound) in enumerate(stack.terms):
         lines = Lines(f"t{i}_")
-        code = TermCode(RecordedState(judging.layout, lines), lines, f"p.p{i}")
+        code = TermCode(RecordedState(evaluating.layout, lines), lines, f"p.p{i}")
         value = write_term(code, term, bound, stack.labels[i])
         if value is None:
-            raise LookupError(f"{term.name} has no baked source for {judging.scene.cost[i].params}")
+            raise LookupError(f"{term.name} has no baked source for {evaluating.scene.cost[i].params}")
         put = f"VSTORE(cost + {i} * steps * WIDTH, {text(value)});"
         body.append(f"if (weight[{i}] != 0.0f) {{\n" + "\n".join((*lines.statements, put)) + "\n}")
     statements = "\n".join(body)
@@ -121,7 +121,7 @@ def write(judging: Judging, lanes: int) -> str:
     was = f"t > 0 ? {_slice('control', 't - 1')} : k.last.data + (size_t)group * k.last.shape[1] * WIDTH"
     controls = "\n".join(
         f"const T c{u} = VLOAD(u_now + {u} * WIDTH), d{u} = VLOAD(u_was + {u} * WIDTH);"
-        for u in range(judging.layout.nu)
+        for u in range(evaluating.layout.nu)
     )
     newline = "\n"
     return f"""{header(lanes)}
@@ -153,12 +153,12 @@ def make_kernel(source: str, params: Any, lanes: int) -> wp.Kernel:
     options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
 
     @wp.func_native(source)
-    def judge(s: StepView, p: params, k: RecordWork, group: int, groups: int): ...
+    def evaluate(s: StepView, p: params, k: RecordWork, group: int, groups: int): ...
 
     @wp.kernel(module="unique", enable_backward=False, module_options=options)
     def native_kernel(s: StepView, p: params, groups: int, k: RecordWork):
         """One thread: all steps of one group."""
-        judge(s, p, k, wp.tid(), groups)
+        evaluate(s, p, k, wp.tid(), groups)
 
     return native_kernel
 
@@ -167,58 +167,58 @@ _SCALAR = re.compile(r"\b(fmaxf|fminf|fabsf|sqrtf|rintf|floorf|exp2f)\(")
 """Functions of one float that Warp's compiler for CPUs knows by another name."""
 
 
-class NativeJudge:
-    """Judges the rollouts of a :class:`Judging` by baked source, all its terms in one kernel.
+class NativeEvaluator:
+    """Costs of the rollouts of an :class:`Evaluating` by baked source, all its terms in one kernel.
 
     Args:
-        judging: Whose rollouts, and whose terms.
+        evaluating: Whose rollouts, and whose terms.
         lanes: Worlds in a number; 1 for what a GPU does.
 
     Raises:
         LookupError: If a term has none.
     """
 
-    def __init__(self, judging: Judging, lanes: int | None = None):
-        self.judging = judging
+    def __init__(self, evaluating: Evaluating, lanes: int | None = None):
+        self.evaluating = evaluating
         self.lanes = native_lanes() if lanes is None else lanes
-        source = write(judging, max(self.lanes, 4))
+        source = write(evaluating, max(self.lanes, 4))
         if self.lanes == 1:
             source = _SCALAR.sub(r"__builtin_\1(", source.replace("#if defined(__CUDA_ARCH__)", "#if 1"))
-        self.kernel = make_kernel(source, judging.stack.code.params, self.lanes)
-        self.groups = -(-judging.shape.rollouts // self.lanes)
+        self.kernel = make_kernel(source, evaluating.stack.code.params, self.lanes)
+        self.groups = -(-evaluating.shape.rollouts // self.lanes)
         self.read()
 
     def read(self) -> None:
         """Take the rollouts over."""
-        judging, out = self.judging, self.judging.trajectory
+        evaluating, out = self.evaluating, self.evaluating.trajectory
         self.work = work = RecordWork()
         flat = {name: getattr(out, name).numpy() for name in ("joint_q", "joint_qd", "body_q", "body_qd")}
-        flat |= {"force": out.contact_force.numpy(), "control": judging.control.numpy()}
+        flat |= {"force": out.contact_force.numpy(), "control": evaluating.control.numpy()}
         for name, values in flat.items():
             setattr(work, name, wp.array(self._grouped(values), dtype=float, device="cpu"))
-        last = np.repeat(judging.state.last_control.numpy(), judging.shape.rollouts, axis=0)
+        last = np.repeat(evaluating.state.last_control.numpy(), evaluating.shape.rollouts, axis=0)
         work.last = wp.array(self._grouped(last[None])[:, 0], dtype=float, device="cpu")
-        terms, steps = len(judging.stack.terms), judging.shape.horizon
-        work.cost = wp.zeros((judging.shape.envs * self.groups, terms, steps, self.lanes), dtype=float, device="cpu")
+        terms, steps = len(evaluating.stack.terms), evaluating.shape.horizon
+        work.cost = wp.zeros((evaluating.shape.envs * self.groups, terms, steps, self.lanes), dtype=float, device="cpu")
 
     def _grouped(self, values: np.ndarray) -> np.ndarray:
         """``[T, W, ...]`` as ``[group, T, n, L]``; the last world of an environment fills its last group up."""
-        shape = self.judging.shape
+        shape = self.evaluating.shape
         values = values.reshape(len(values), shape.envs, shape.rollouts, -1)
         chosen = np.minimum(np.arange(self.groups * self.lanes), shape.rollouts - 1)
         values = values[:, :, chosen].reshape(len(values), shape.envs * self.groups, self.lanes, -1)
         return np.ascontiguousarray(values.transpose(1, 0, 3, 2), dtype=np.float32)
 
     def launch(self) -> None:
-        """Judge."""
-        self.work.weight = self.judging.state.weight
-        inputs = [self.judging.judge.view, self.judging.stack.params, self.groups]
-        wp.launch(self.kernel, self.judging.shape.envs * self.groups, inputs, [self.work], device="cpu")
+        """Evaluate the terms."""
+        self.work.weight = self.evaluating.state.weight
+        inputs = [self.evaluating.evaluator.view, self.evaluating.stack.params, self.groups]
+        wp.launch(self.kernel, self.evaluating.shape.envs * self.groups, inputs, [self.work], device="cpu")
 
     def cost(self) -> np.ndarray:
         """Cost of every term, step and world without its weight ``[term, T, W]``; zero without weight."""
         self.launch()
-        shape, cost = self.judging.shape, self.work.cost.numpy()
+        shape, cost = self.evaluating.shape, self.work.cost.numpy()
         cost = cost.reshape(shape.envs, self.groups, *cost.shape[1:]).transpose(2, 3, 0, 1, 4)
         cost = cost.reshape(*cost.shape[:3], -1)[..., : shape.rollouts]
         return cost.reshape(*cost.shape[:2], -1).astype(np.float64)

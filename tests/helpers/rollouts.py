@@ -2,7 +2,7 @@
 """Random rollouts among obstacles of every shape, judged by cost terms."""
 
 import numpy as np
-from judging import Judging
+from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, DISC, WALL, make_scene
 
@@ -19,7 +19,7 @@ OBSTACLES = [
 SHAPE = BatchSize(2, 3, 2, 5)
 
 
-class Rollouts(Judging):
+class Rollouts(Evaluating):
     """Random rollouts of a small scene, judged by its cost terms."""
 
     def __init__(

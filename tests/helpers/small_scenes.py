@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpmpc import Scene
-from warpmpc.engine.mujoco import MujocoEngine
+from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import CompiledScene, compile_scene
 from warpmpc.task.observed import ObservedState
@@ -87,9 +87,9 @@ def observed(q, qd, *, device: str = "cpu") -> ObservedState:
     )
 
 
-def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, substeps=2, **options) -> MujocoEngine:
+def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, substeps=2, **options) -> MujocoSimulator:
     """An engine over a small scene."""
-    return MujocoEngine(
+    return MujocoSimulator(
         compiled(scene),
         BatchSize(envs, samples, domains, horizon),
         substeps=[substeps] * horizon if isinstance(substeps, int) else substeps,
@@ -98,7 +98,7 @@ def make_engine(scene: Scene, *, envs=1, samples=1, domains=1, horizon=5, subste
     )
 
 
-def roll(engine: MujocoEngine, control: np.ndarray, q, qd):
+def roll(engine: MujocoSimulator, control: np.ndarray, q, qd):
     """Roll controls [T, W, nu] out from states [E, nq], [E, nv]; returns the trajectory."""
     engine.clone(observed(q, qd))
     engine.rollout(wp.array(np.asarray(control, dtype=np.float32), dtype=float, device="cpu"))

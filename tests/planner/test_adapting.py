@@ -6,7 +6,7 @@ import pytest
 from planning import Planning
 
 from warpmpc import SceneError
-from warpmpc.planner.strategy import Round
+from warpmpc.planner.strategy import proposal
 
 FORMS = ("sigma", "diagonal", "knots", "full")
 MPPI = {"method": "mppi", "samples": 24, "horizon": 6, "temperature": {"initial": 0.05, "eta": None}}
@@ -22,7 +22,7 @@ def rounds(planning: Planning):
     planning.strategy.shift()
     for i in range(len(planning.strategy.population)):
         planning.strategy.propose(i)
-        plan.engine.evaluate(Round(planning.strategy, i))
+        plan.engine.evaluate(proposal(planning.strategy, i))
         yield planning.knots.astype(np.float64), planning.cost.astype(np.float64)
         planning.strategy.update(i)
 

@@ -7,8 +7,8 @@ from planning import Planning
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State
-from warpmpc.engine.judging import JudgingEngine
-from warpmpc.planner.strategy import Round
+from warpmpc.engine.launched import LaunchedEngine
+from warpmpc.planner.strategy import proposal
 
 DISC = {"method": "icem", "samples": 64, "horizon": 8, "noise": {"sigma": (0.5,)}, "elites": 4}
 
@@ -23,7 +23,7 @@ def rounds(planning: Planning):
     for i in range(len(strategy.population)):
         mean = strategy.distribution.mean.numpy().copy()
         strategy.propose(i)
-        plan.engine.evaluate(Round(strategy, i))
+        plan.engine.evaluate(proposal(strategy, i))
         strategy.update(i)
         yield mean, planning.knots, planning.cost.copy()
 
@@ -99,8 +99,8 @@ def commands(scene, envs: int = 1) -> np.ndarray:
 def test_commands_are_those_of_a_population_that_is_rolled_out_whole(threads, envs, monkeypatch):
     """What an engine leaves out changes nothing, however its threads share the rest."""
     parts = commands(box_scene("fused", threads), envs=envs)
-    split = JudgingEngine._split
-    monkeypatch.setattr(JudgingEngine, "_split", lambda self, samples: split(self, self.shape.samples))
+    split = LaunchedEngine._split
+    monkeypatch.setattr(LaunchedEngine, "_split", lambda self, samples: split(self, self.shape.samples))
     np.testing.assert_array_equal(commands(box_scene("fused", 1), envs=envs), parts)
     assert np.abs(np.diff(parts, axis=0)).max() > 0.01
 

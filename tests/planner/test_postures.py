@@ -9,7 +9,7 @@ from arms import arm_scene
 from warpmpc import Controller, SceneError, State
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
 from warpmpc.model.joints import joint_table
-from warpmpc.planner.postures import NEAR
+from warpmpc.planner.postures import NEAR, PostureSamples
 from warpmpc.scene.schema import DriveMode
 
 GOAL = {"frame": "arm/panda_link7", "position": (0.45, 0.2, 0.4), "rotation": (1.0, 0.0, 0.0, 0.0)}
@@ -32,7 +32,7 @@ def plan(mpc, times=40, state=None):
     state = state or State(layout.joint_q, np.zeros(layout.nv, dtype=np.float32))
     for _ in range(times):
         mpc.step(state)
-    return mpc.planner.strategy._postures
+    return next(one for one in mpc.planner.strategy._undrawn._proposers if isinstance(one, PostureSamples))
 
 
 def found(postures):

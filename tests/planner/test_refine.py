@@ -256,7 +256,7 @@ def test_controls_are_held_for_as_long_as_they_are_sent():
     assert fine.timing.control_dt == pytest.approx(0.04)
     controller, costs = planned(fine, engine="mujoco", plans=4)
     assert controller.planner.strategy.mean.shape[1] == 10
-    sent = controller.planner.engine.control.numpy()[:, 0]
+    sent = controller.planner.engine.recorded.control.numpy()[:, 0]
     np.testing.assert_array_equal(sent[::2], sent[1::2])
     _, free = planned(with_values(fine, {"timing.control_dt": 0.02}), engine="mujoco", plans=4)
     assert free[-1] <= costs[-1] < 1.05 * free[-1]  # a control for every step can do no worse

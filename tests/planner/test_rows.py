@@ -134,7 +134,7 @@ def test_a_control_for_every_step_becomes_the_nearest_knots(spline, knots, tmp_p
     planning()
     assert planning.knots.shape[2] == knots
     # constants and, but for steps, ramps are in the span of every spline
-    np.testing.assert_allclose(planning.engine.control.numpy()[:, 2:5], steps.swapaxes(0, 1), atol=2e-6)
+    np.testing.assert_allclose(planning.engine.recorded.control.numpy()[:, 2:5], steps.swapaxes(0, 1), atol=2e-6)
 
 
 def test_a_library_of_knots_is_taken_as_it_is(tmp_path):

@@ -7,8 +7,8 @@ import warp as wp
 from small_scenes import WALL, compiled, layout_of, make_engine, make_scene
 
 from warpmpc import Controller, Plant, SceneError, Task
-from warpmpc.engine.mujoco_warp import MujocoWarpEngine
-from warpmpc.engine.newton import NewtonEngine
+from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
+from warpmpc.engine.newton import NewtonSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 from warpmpc.scene.load import check_scene
@@ -87,10 +87,10 @@ def rolled_out(engine, scene, gate: tuple) -> np.ndarray:
     return engine.trajectory.joint_q.numpy()[-1, :, 0]
 
 
-def warp_engine(scene) -> MujocoWarpEngine:
+def warp_engine(scene) -> MujocoWarpSimulator:
     device, pairs = ("cuda:0" if wp.is_cuda_available() else "cpu"), (Pair("base", "gate"),)
     shape, model = BatchSize(1, 2, 1, 20), compiled(scene)
-    return MujocoWarpEngine(scene, model, shape, substeps=[2] * 20, timestep=0.02, pairs=pairs, device=device)
+    return MujocoWarpSimulator(scene, model, shape, substeps=[2] * 20, timestep=0.02, pairs=pairs, device=device)
 
 
 @pytest.mark.parametrize("make", [lambda scene: make_engine(scene, samples=2, horizon=20), warp_engine])
@@ -104,7 +104,7 @@ def test_rollouts_run_into_obstacles_where_the_task_has_them(make):
 def test_solvers_that_do_not_move_obstacles_say_so():
     scene = gate_scene(engine={"name": "newton", "solver": "xpbd"})
     with pytest.raises(SceneError, match="does not move obstacles") as error:
-        NewtonEngine(scene, compiled(scene), BatchSize(1, 1, 1, 2), substeps=[1, 1], timestep=0.02, device="cpu")
+        NewtonSimulator(scene, compiled(scene), BatchSize(1, 1, 1, 2), substeps=[1, 1], timestep=0.02, device="cpu")
     assert error.value.key == "obstacle.gate.movable"
 
 

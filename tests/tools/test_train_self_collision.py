@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 from arms import arm_scene
-from judging import Judging
+from evaluating import Evaluating
 from learned.network import Network
 from learned.self_distance import SelfDistance
 from learned_weights import elbow_scene
@@ -20,7 +20,7 @@ SHAPE = BatchSize(1, 64, 1, 4)
 
 def geometric(scene, distance: SelfDistance, q: np.ndarray) -> np.ndarray:
     """What the scene's one cost term says of configurations ``[T · W, joints]``."""
-    j = Judging(scene, SHAPE)
+    j = Evaluating(scene, SHAPE)
     full = np.tile(j.layout.joint_q, (5, SHAPE.worlds, 1))
     full[1:, :, j.layout.dof_coord[distance.dofs]] = q.reshape(4, SHAPE.worlds, -1)
     out = j.trajectory

@@ -78,7 +78,7 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
     found: dict[str, list[np.ndarray]] = {quantity: [] for quantity in QUANTITIES}
     for state in visited(scene, compiled, seconds=seconds, count=states):
         reference.step(state)
-        control = wp.clone(reference.engine.control, device=other.engine.device)
+        control = wp.clone(reference.engine.recorded.control, device=other.engine.device)
         ours = recorded(reference)
         if engine == ROUNDED:
             state = replace(

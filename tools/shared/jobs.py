@@ -29,8 +29,8 @@ def check_engine(name: str) -> None:
     Raises:
         ValueError: If there is no such engine.
     """
-    if name not in list(EngineName):
-        raise ValueError(f"--engine: no engine '{name}'; there is: {', '.join(EngineName)}")
+    if name not in EngineName.names():
+        raise ValueError(f"--engine: no engine '{name}'; there is: {', '.join(EngineName.names())}")
 
 
 def run_job(job: Job) -> dict:

@@ -108,8 +108,8 @@ class Setup:
     def __init__(self, source: str, *, overrides: Sequence[str], term_files: Sequence[Path], engine: str, device: str):
         self.engine, self.device = engine, device
         self.scene: Scene = load_scene(source, overrides=overrides)
-        if engine not in list(EngineName):
-            raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName)}")
+        if engine not in EngineName.names():
+            raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName.names())}")
         start_warp()
         from ..run.episode import compile_shared
 

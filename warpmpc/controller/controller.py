@@ -159,7 +159,7 @@ class Controller:
 
     @property
     def info(self) -> Info | tuple[Info, ...] | None:
-        """What the last plan did, one per environment when there are several; None before the first."""
+        """Numbers of the last plan, one per environment when there are several; None before the first."""
         if self._info is None and self._last is not None:
             state, report, fallback, plan_ms = self._last
             infos = tuple(self._describe(report, e, bool(fallback[e]), plan_ms) for e in range(self.envs))
@@ -168,7 +168,7 @@ class Controller:
 
     @property
     def command(self) -> np.ndarray | None:
-        """What the last :meth:`step` returned, a copy; None before the first."""
+        """Control that the last :meth:`step` returned, a copy; None before the first."""
         return None if self._command is None else self._command.copy()
 
     @property
@@ -263,7 +263,7 @@ class Controller:
         if fallback.any():
             command[fallback] = self._safe_command(fallback)
             with capturing:
-                self.planner.state.last_control.assign(command)
+                self.planner.command.assign(command)
             why = "the observation is not finite" if not seen.fresh.all() else self._why_none(report, fallback)
             logger.warning("t = %.2f s: %s; sending the safe command", np.max(seen.now), why)
         plan_ms = 1e3 * (time.perf_counter() - start)
@@ -308,7 +308,7 @@ class Controller:
 
     @one_thread
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:
-        """What one sample of the last plan came to: states, controls and knots over the horizon.
+        """Rollout of one sample of the last plan: states, controls and knots over the horizon.
 
         Args:
             sample: Which one; the cheapest if None. Sample 0 is the mean as it was before this plan moved it.
@@ -354,7 +354,7 @@ class Controller:
         )
 
     def _no_report(self) -> PlanReport:
-        """What there is to say without a plan."""
+        """Report without a plan."""
         envs, nothing = self.envs, np.full(self.envs, np.nan)
         mean = self.planner.strategy.mean.numpy()
         zero = np.zeros(envs)

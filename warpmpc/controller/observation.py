@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller has observed: the newest finite numbers of every environment in one block, and when it was."""
+"""Observations of a controller: the newest finite numbers of every environment in one block, and when it was."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Observation:
     block: np.ndarray
     """Joint coordinates, joint velocities, activations and mocap poses side by side ``[E, nq + nv + na + 7 nm]``."""
     fresh: np.ndarray
-    """Whether the newest observation was finite ``[E]``."""
+    """True where the newest observation was finite ``[E]``."""
     seen: np.ndarray
-    """Whether there has been a finite one ``[E]``."""
+    """True where there has been a finite one ``[E]``."""
     now: np.ndarray
     """Time of the newest observation, finite or not, ``[E]`` [s]; NaN before the first."""
     elapsed: np.ndarray

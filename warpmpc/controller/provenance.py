@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a controller's plans come from, as plain data."""
+"""Provenance of a controller's plans, as plain data."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan expects: the rollout of one of its samples, as host arrays."""
+"""Expectation of a plan: the rollout of one of its samples, as host arrays."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Rollout:
     knots: np.ndarray
     """Spline control points that the controls come from ``[P, nu]``."""
     cost: float
-    """What the sample cost; infinite where it diverged."""
+    """Cost of the sample; infinite where it diverged."""
     layout: Layout
-    """Which number is which joint, body and frame."""
+    """Names and places of joints, bodies and frames."""
 
     def frame(self, name: str) -> np.ndarray:
         """Poses of a frame (``robot/frame``, ``robot/link``, an object) ``[T+1, 7]``.

@@ -11,31 +11,32 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from ..kernels.planning.costs import stage_weight
 from ..kernels.terms.view import StepView
 
 if TYPE_CHECKING:
     from .term import CostTerm
 
-GENERATED = "<judge "
+GENERATED = "<terms "
 """How the names of files begin that are written here."""
 
 _SOURCE = '''
 @wp.struct
-class JudgeParams:
+class TermParams:
     """Parameters of all terms."""
 
 {fields}
 
 
 @wp.func
-def judge_step(s: StepView, p: JudgeParams, weight: wp.array2d[float], cost: wp.array3d[float]):
+def evaluate_step(s: StepView, p: TermParams, weight: wp.array2d[float], cost: wp.array3d[float]):
     """Weighted cost of every term at one step of one world."""
     last = s.t == s.controls.shape[0]
 {calls}
 
 
 @wp.func
-def advance_step(s: StepView, p: JudgeParams):
+def advance_step(s: StepView, p: TermParams):
     """Carry the terms' numbers on to one step of one world, in the order of the steps from 0 on."""
 {advances}
 
@@ -44,7 +45,7 @@ def advance_step(s: StepView, p: JudgeParams):
 def advance_kernel(
     # inputs
     view: StepView,
-    p: JudgeParams,
+    p: TermParams,
     rollouts: int,  # per environment
     steps: int,
     first: int,  # world of thread 0
@@ -59,10 +60,10 @@ def advance_kernel(
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def judge_kernel(
+def evaluate_kernel(
     # inputs
     view: StepView,
-    p: JudgeParams,
+    p: TermParams,
     weight: wp.array2d[float],  # [E, term]
     rollouts: int,  # per environment
     first: int,  # world of thread 0
@@ -75,35 +76,35 @@ def judge_kernel(
     s.t = t + 1
     s.w = first + thread
     s.e = s.w // rollouts
-    judge_step(s, p, weight, cost)
+    evaluate_step(s, p, weight, cost)
 '''
 
 
 @dataclass(frozen=True)
-class JudgeCode:
+class EvaluationCode:
     """What was written for a list of terms."""
 
     params: Any
     """``wp.struct`` of all their parameters, fields ``p0``, ``p1``, ..."""
     step: wp.Function
-    """``(s: StepView, p: params, weight [E, term], cost [term, T, W])``, for kernels that judge on the way."""
+    """``(s: StepView, p: params, weight [E, term], cost [term, T, W])``, for kernels that evaluate terms on the way."""
     kernel: wp.Kernel
     """One thread per step and world."""
     advance: wp.Function
-    """``(s: StepView, p: params)`` at the steps 0, 1, ... of a world, before any of them is judged."""
+    """``(s: StepView, p: params)`` at the steps 0, 1, ... of a world, before any of them is evaluated."""
     advance_kernel: wp.Kernel
     """One thread per world."""
     advances: bool
     """Whether any term carries numbers along."""
 
 
-def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
+def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:
     """Write and load the kernel that evaluates terms.
 
     Args:
         terms: Row in the cost array of each term, and the term.
     """
-    names: dict[str, Any] = {"wp": wp, "StepView": StepView}
+    names: dict[str, Any] = {"wp": wp, "StepView": StepView, "stage_weight": stage_weight}
     fields, calls, advances = ["    none: int"], [], []
     # Warp knows what it has cached by this source and by the functions in it, each once: one function has one name
     called: dict[wp.Function, str] = {}
@@ -116,7 +117,7 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
         calls.append(f"    if weight[s.e, {i}] != 0.0:")
-        factor = f"wp.where(last, s.terminal[{i}], 1.0) * weight[s.e, {i}]"
+        factor = f"stage_weight(weight, s.terminal, s.e, {i}, last)"
         calls.append(f"        cost[{i}, s.t - 1, s.w] = {factor} * {function}(s, p.p{i})")
     names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
@@ -126,5 +127,5 @@ def judge_code(terms: Sequence[tuple[int, CostTerm]]) -> JudgeCode:
     file = f"{GENERATED}{hashlib.sha256(about.encode()).hexdigest()[:12]}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     exec(compile(source, file, "exec", dont_inherit=True), names)
-    made = ("JudgeParams", "judge_step", "judge_kernel", "advance_step", "advance_kernel")
-    return JudgeCode(*(names[name] for name in made), advances=bool(advances))
+    made = ("TermParams", "evaluate_step", "evaluate_kernel", "advance_step", "advance_kernel")
+    return EvaluationCode(*(names[name] for name in made), advances=bool(advances))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All cost terms of a scene, bound once, and judges that apply them to the rollouts of an engine."""
+"""All cost terms of a scene, bound once, and evaluators that apply them to the rollouts of an engine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +15,13 @@ from ..kernels.planning.costs import weigh_values_kernel
 from ..kernels.terms.view import StepView
 from ..launch import Launcher
 from ..model.joints import joint_table
+from ..registry import TERMS
 from ..scene.errors import SceneError
 from .binding import Binding
 from .blame import complaint, raised
 from .builtin import BUILTIN
 from .deadline import deadline
-from .kernel import JudgeCode, judge_code
+from .kernel import EvaluationCode, evaluation_code
 from .term import ArrayCost, CostTerm, UserTerm
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class CostStack:
     ):
         costs = scene.cost if costs is None else costs
         self.layout, self.device, self.task, self.file = layout, device, task, scene.path
-        known = {**BUILTIN, **_users(terms, scene)}
+        known = {**TERMS, **BUILTIN, **_users(terms, scene)}
         self.labels = scene.cost_labels if costs is scene.cost else [cost.label for cost in costs]
         self.terms: list[tuple[CostTerm | ArrayCost, Any]] = []
         """Each term with its parameters."""
@@ -87,18 +88,28 @@ class CostStack:
         self._table = joint_table(layout, device)
         for resource in self.resources:
             resource.allocate(task.envs, device)
-        kernels = [(i, term, bound) for i, (term, bound) in enumerate(self.terms) if isinstance(term, CostTerm)]
-        self.code = judge_code([(i, term) for i, term, _ in kernels])
+        self.code, self.params = self.code_of(
+            [i for i, (term, _) in enumerate(self.terms) if isinstance(term, CostTerm)]
+        )
+        """Code of all terms that are kernels, and their parameters."""
         self.memory = sum(binding.memory.values())
         """Numbers that terms carry along every rollout."""
-        self.params = self.code.params()
-        """Parameters of all terms that are kernels, as :attr:`code` takes them."""
-        for i, _, bound in kernels:
-            setattr(self.params, f"p{i}", bound)
         task.on_change(self._on_task_change)
         self._on_task_change(frozenset(task))
         self.users = [i for i, (term, _) in enumerate(self.terms) if term.name not in BUILTIN]
         """Terms that users wrote."""
+
+    def code_of(self, numbers: Collection[int]) -> tuple[EvaluationCode, Any]:
+        """Code of some terms that are kernels, and their parameters as it takes them; nothing is compiled.
+
+        Args:
+            numbers: Which terms.
+        """
+        code = evaluation_code([(i, self.terms[i][0]) for i in numbers])
+        params = code.params()
+        for i in numbers:
+            setattr(params, f"p{i}", self.terms[i][1])
+        return code, params
 
     def _on_task_change(self, names: frozenset[str]) -> None:
         for resource in self.resources:
@@ -106,7 +117,7 @@ class CostStack:
 
     @property
     def capturable(self) -> bool:
-        """Whether every term is a kernel, so that a CUDA graph can hold them all."""
+        """True where every term is a kernel, so that a CUDA graph can hold them all."""
         return not any(isinstance(term, ArrayCost) for term, _ in self.terms)
 
     def reset(self) -> None:
@@ -148,7 +159,7 @@ def _users(terms: Sequence[UserTerm], scene: Scene) -> dict[str, CostTerm | Arra
     return {term.name: term for term in terms}
 
 
-class Judge:
+class CostEvaluator:
     """Evaluates the terms of a stack over the recorded rollouts of one engine.
 
     Args:
@@ -206,7 +217,7 @@ class Judge:
         count = self.shape.worlds - first if count is None else count
         self.launch_with(self.stack.code, self.stack.params, first, count)
 
-    def launch_with(self, code: JudgeCode, params: Any, first: int = 0, count: int | None = None) -> None:
+    def launch_with(self, code: EvaluationCode, params: Any, first: int = 0, count: int | None = None) -> None:
         """Evaluate other code than that of the whole stack, such as some of its terms, as :meth:`launch` does.
 
         Args:
@@ -275,5 +286,5 @@ class Judge:
             value = wp.from_dlpack(value)
             if value.dtype is not wp.float32:
                 raise complaint(label, term, "on a GPU an array cost returns numbers of type float32", file=file)
-        inputs = [value, self._state.weight, i, self.stack.terminal[i], self.shape.rollouts]
+        inputs = [value, self._state.weight, self.view.terminal, i, self.shape.rollouts]
         self._launch(weigh_values_kernel, wanted, inputs, [self.cost])

@@ -59,9 +59,9 @@ class CostTerm:
     """Types of those keys, for help texts and errors; derived from the struct for users' terms."""
     native: Callable[[TermCode, Any], Operand | None] | None = None
     """Writes the term as baked source, given its filled parameter struct; returns the value, or None where the
-    parameters ask for what only :attr:`function` can do. Engines that judge on the way prefer it."""
+    parameters ask for what only :attr:`function` can do. Engines that evaluate terms on the way prefer it."""
     advance: wp.Function | None = None
-    """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any of them is judged: writes
+    """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any is evaluated: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
     residual: Residual | None = None
     """What the term is a norm of, if it is one."""
@@ -99,7 +99,7 @@ def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -
     Args:
         name: What scene files call the term.
         advance: Dynamics of the term's own: a function of the same two arguments that writes its numbers at the steps
-            0, 1, ... of every rollout, before any of them is judged. The numbers begin at the field ``memory``
+            0, 1, ... of every rollout, before any of them is evaluated. The numbers begin at the field ``memory``
             of the struct, which is set for it.
         numbers: How many numbers that are.
 

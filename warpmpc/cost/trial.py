@@ -15,8 +15,7 @@ from ..task.observed import ObservedState
 from .blame import complaint, raised_at, refused, require_returns
 from .deadline import TooLong, deadline
 from .interpret import OutOfRange, as_python, watched
-from .kernel import judge_code
-from .stack import CostStack, Judge
+from .stack import CostEvaluator, CostStack
 from .term import ArrayCost, CostTerm
 
 if TYPE_CHECKING:
@@ -29,9 +28,9 @@ if TYPE_CHECKING:
 SAMPLES, STEPS = 4, 2
 """Rollouts of an environment, the first of which stays at the start, and their steps."""
 LONGEST = 5.0
-"""How long a term may take in Python for one step of one world [s]: far longer than any that a plan could wait for."""
+"""Longest time of a term in Python for one step of one world [s]: far longer than any that a plan could wait for."""
 LONGEST_FIRST = 60.0
-"""How long a term over whole arrays may take [s]: its first call may import or compile what it computes with."""
+"""Longest time of a term over whole arrays [s]: its first call may import or compile what it computes with."""
 
 
 def try_terms(stack: CostStack, scene: Scene) -> None:
@@ -58,14 +57,14 @@ def try_terms(stack: CostStack, scene: Scene) -> None:
     state.weight.fill_(1.0)
     trajectory = _near_start(stack, shape)
     step_end = scene.timing.control_dt * np.arange(STEPS + 1)
-    judge = Judge(stack, trajectory, trajectory.control, state, shape, step_end)
-    _watch_indices(stack, scene, judge.view, users)
-    _launch(stack, scene, judge, users)
+    evaluator = CostEvaluator(stack, trajectory, trajectory.control, state, shape, step_end)
+    _watch_indices(stack, scene, evaluator.view, users)
+    _launch(stack, scene, evaluator, users)
     for i in users:
         term, label = stack.terms[i][0], stack.labels[i]
         if isinstance(term, ArrayCost):
-            judge.evaluate_array(i, longest=LONGEST_FIRST)
-        value = judge.cost.numpy()[i]
+            evaluator.evaluate_array(i, longest=LONGEST_FIRST)
+        value = evaluator.cost.numpy()[i]
         if not np.isfinite(value[:, :: shape.rollouts]).all():
             found = "NaN" if np.isnan(value[:, :: shape.rollouts]).any() else "infinite"
             raise complaint(label, term, f"the cost is {found} at the start state", file=scene.path)
@@ -102,23 +101,20 @@ def _valid(layout: Layout, q: np.ndarray) -> np.ndarray:
     return q
 
 
-def _launch(stack: CostStack, scene: Scene, judge: Judge, users: Collection[int]) -> None:
+def _launch(stack: CostStack, scene: Scene, evaluator: CostEvaluator, users: Collection[int]) -> None:
     """Compile users' terms that are kernels, without any others, and evaluate them."""
-    kernels = [(i, *stack.terms[i]) for i in users if isinstance(stack.terms[i][0], CostTerm)]
+    kernels = [i for i in users if isinstance(stack.terms[i][0], CostTerm)]
     if not kernels:
         return
-    code = judge_code([(i, term) for i, term, _ in kernels])
-    params = code.params()
-    for i, _, bound in kernels:
-        setattr(params, f"p{i}", bound)
+    code, params = stack.code_of(kernels)
     said: list[str] = []
     try:
         with native_output() as said:  # a C++ compiler speaks of code that no user has seen
-            judge.launch_with(code, params)
+            evaluator.launch_with(code, params)
     except Exception as error:
         blamed = refused(error, stack.labels, [term for term, _ in stack.terms], file=scene.path)
         if blamed is None:
-            i, term, _ = kernels[0]
+            i, term = kernels[0], stack.terms[kernels[0]][0]
             why = next((line.partition("error: ")[2] for line in said if "error: " in line), str(error))
             blamed = complaint(stack.labels[i], term, f"Warp cannot compile this: {why}", file=scene.path)
         raise blamed from None

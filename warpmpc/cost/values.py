@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..task.observed import ObservedState
-from .stack import CostStack, Judge
+from .stack import CostEvaluator, CostStack
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -54,7 +54,7 @@ class TermValues:
         self._state = ObservedState.allocate(layout, task, "cpu")
         self._state.weight.fill_(1.0)
         self._task = task
-        self._judge: Judge | None = None
+        self._evaluator: CostEvaluator | None = None
         self.pairs = self._stack.pairs
         """Contacts that the terms watch; the trajectory's first ones."""
         self.sensors = self._stack.sensors
@@ -71,7 +71,7 @@ class TermValues:
         """
         self._trajectory, self._control = trajectory, control
         self._before = control.numpy()[0].copy()
-        self._judge = Judge(self._stack, trajectory, control, self._state, shape, np.array([0.0, dt]))
+        self._evaluator = CostEvaluator(self._stack, trajectory, control, self._state, shape, np.array([0.0, dt]))
 
     def __call__(self, times: Sequence[float]) -> list[dict[str, float]]:
         """Value of every term after the last control, by environment.
@@ -90,7 +90,7 @@ class TermValues:
         self._before = self._control.numpy()[0].copy()
         self._stack.refresh()
         self._stack.before_plan(state)
-        self._judge.launch()
-        self._judge.launch_arrays()
-        values = self._judge.cost.numpy()[:, 0]
+        self._evaluator.launch()
+        self._evaluator.launch_arrays()
+        values = self._evaluator.cost.numpy()[:, 0]
         return [dict(zip(self._labels, map(float, values[:, e]), strict=True)) for e in range(envs)]

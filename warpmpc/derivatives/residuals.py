@@ -41,7 +41,7 @@ def residual_kernel(
 
 
 class Residuals:
-    """What the terms of a scene are norms of.
+    """Residuals that the terms of a scene are norms of.
 
     A term that is no norm of a residual takes part as one whose residual is √(2c) and whose norm is half its square:
     its value and gradient are its own, and its Gauss-Newton Hessian is ∇c ∇cᵀ / 2c, which is never negative.

@@ -35,7 +35,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the candidates."""
+    """States, controls and costs of the candidates."""
 
     state: np.ndarray
     """``[E, N, T+1, nx]``, the start first."""
@@ -89,7 +89,7 @@ class PolicyRollouts:
         norms = [wp.clone(array, device=device) for array in residuals.norm_arrays]
         terminal = wp.array(costs.terminal, dtype=float, device=device)
         step_weight = wp.array(request.grid.weight, dtype=float, device=device)
-        self._judged = [*norms, request.state.weight, terminal, step_weight, request.scene.planner.stage_risk]
+        self._costing = [*norms, request.state.weight, terminal, step_weight, request.scene.planner.stage_risk]
         self._replays = worlds.replays(self._roll)
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -141,7 +141,7 @@ class PolicyRollouts:
             if t < self._horizon:
                 worlds.take(part)
                 last = int(t + 1 == self._horizon)
-                inputs = [t, first, self._candidates, last, worlds.residuals, *self._judged, worlds.diverged]
+                inputs = [t, first, self._candidates, last, worlds.residuals, *self._costing, worlds.diverged]
                 self._launch(add_cost_kernel, count, inputs, [self._cost])
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class Tangent:
 
     @property
     def rows(self) -> list[tuple[bool, int, int]]:
-        """Whether it is a quaternion, its first number in a state, and in a difference, of all that is subtracted."""
+        """True for a quaternion, its first number in a state, and in a difference, of all that is subtracted."""
         plain = [(False, int(i), int(j)) for i, j in zip(self._plain, self._straight, strict=True)]
         rest = [(False, self.nq + i, self.nv + i) for i in range(self.nv + self.na)]
         turns = zip(self._quaternion[:, 0], self._turn[:, 0], strict=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What worlds that take one control step, each from a state of its own, have in common."""
+"""Base of worlds that take one control step, each from a state of its own."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..cost.stack import Judge
-from ..engine.crew import Crew
+from ..cost.stack import CostEvaluator
+from ..engine.thread_pool import ThreadPool
 from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
 from ..model.state_rows import StateRows
@@ -57,16 +57,20 @@ class StepWorlds(ABC):
         layout, costs, dt = request.costs.layout, request.costs, float(request.grid.dt[0])
         longer = replace(self.shape, horizon=LEAD + 1)
         self._whole = Trajectory.allocate(longer, layout, len(costs.pairs), device)
-        judge = Judge(costs, self._whole, self._whole.control, request.state, longer, np.array([-dt, 0.0, dt]))
-        self._view = judge.view
+        evaluator = CostEvaluator(
+            costs, self._whole, self._whole.control, request.state, longer, np.array([-dt, 0.0, dt])
+        )
+        self._view = evaluator.view
         self._state = request.state
         self.world, self.rows = world, StateRows(layout, world)
         self.residuals = wp.zeros((self.shape.worlds, residuals.width), dtype=float, device=device)
         self._on_gpu = wp.get_device(device).is_cuda
 
-    def _bind(self, starts: wp.array, ends: wp.array, parts: Sequence[tuple[int, int]], crew: Crew | None) -> None:
+    def _bind(
+        self, starts: wp.array, ends: wp.array, parts: Sequence[tuple[int, int]], pool: ThreadPool | None
+    ) -> None:
         """Say where states are on the device, and who takes which worlds; a GPU takes all at once."""
-        self.starts, self.ends, self.parts, self._crew = starts, ends, parts, crew
+        self.starts, self.ends, self.parts, self._pool = starts, ends, parts, pool
 
     def replays(self, sequence: Callable[[int], None]) -> list[Replay]:
         """Launches for each of :attr:`parts`, as :meth:`run` takes them."""
@@ -111,8 +115,8 @@ class StepWorlds(ABC):
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads or on the GPU."""
-        if self._crew:
-            self._crew.run(replays)
+        if self._pool:
+            self._pool.run(replays)
             return
         with capturing:
             for replay in replays:
@@ -123,8 +127,8 @@ class StepWorlds(ABC):
 
     def close(self) -> None:
         """Stop the threads."""
-        if self._crew:
-            self._crew.close()
+        if self._pool:
+            self._pool.close()
 
-    def _judge(self, first: int, count: int) -> None:
+    def _write_residuals(self, first: int, count: int) -> None:
         self._residuals.launch(self._view, self.shape.rollouts, first, count, self.residuals)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What turns a state and controls into trajectories."""
+"""Engines: from a state and knots to costs and trajectories."""

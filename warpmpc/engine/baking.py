@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of a scene's cost terms become part of an engine's source."""
+"""Choice of the cost terms that become part of an engine's source."""
 
 from __future__ import annotations
 

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..compiling import compile_kernel
-from ..cost.kernel import judge_code
 from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.judging import TAPS
+from ..kernels.worlds.evaluation import TAPS
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
-from ..physics.kernel import WARP, RolloutWork
+from ..physics.kernel import WARP, RolloutWork, options
 from ..scene.errors import SceneError
 from .baking import bake
-from .fused_kernel import make_kernel
 from .fused_simulator import FusedSimulator
 from .fused_state import PhysicsState, evaluation
-from .judging import JudgingEngine
+from .launch_kernel import RECORDS_ALONE
+from .launched import LaunchedEngine
 
 if TYPE_CHECKING:
     from ..physics.source import Evaluation
@@ -33,12 +31,12 @@ KNOTS = {int(ZERO): 1, int(LINEAR): 2}
 """Most knots that a control depends on, by the kind of spline; :data:`TAPS` for all others."""
 
 
-class FusedEngine(JudgingEngine):
-    """Rolls knots out with physics and judges them in the same launch.
+class FusedEngine(LaunchedEngine):
+    """Rolls knots out with physics and evaluates the terms in the same launch.
 
-    Terms with baked source are summed after every control, for all worlds of a number at once, and nothing is recorded.
-    For other terms all worlds are, and the launch judges the record at its end; so it does with all terms on a GPU, but
-    that another launch judges where each world has one thread.
+    Terms with source are summed after every control, for all worlds of a number at once, and nothing is recorded. For
+    other terms all worlds are recorded, and the launch evaluates the record at its end; so it does with all terms on a
+    GPU, but that another launch evaluates them where each world has one thread.
 
     Args:
         request: What the engine is built for.
@@ -59,73 +57,46 @@ class FusedEngine(JudgingEngine):
                 allowed=["auto", "mujoco", "newton"],
             )
         self.simulator = simulator = FusedSimulator(
-            request.scene,
-            request.compiled,
-            request.shape,
-            substeps=steps.count,
-            timestep=steps.length[0],
-            pairs=request.costs.pairs,
-            properties=request.properties,
-            device=request.device,
+            request.scene, request.compiled, request.shape, device=request.device, **request.worlds(steps)
         )
-        work = RolloutWork()
-        super().__init__(request, work)
-        self._failed = self.diverged
+        super().__init__(request, RolloutWork)
+        work = self._work
         work.act, work.pose, work.domains = self.state.act, self.state.pose, self.shape.domains
         work.diverged, work.overflow = self.diverged, self.overflow
-        written, staged = self._bake()
-        judge = self._stage(staged)
-        self._apart = self._on_gpu and simulator.sharing == 1
-        """Whether terms are judged in a launch of their own: a thread for each step keeps a GPU busier than one for all
-        steps of a world, as rollouts have it here."""
-        if self._apart:
-            judge = None
+        written, on_record = self._bake()
+        # a thread for each step keeps a GPU busier than one for all steps of a world, as rollouts have it then
+        self._allocate_record(on_record, apart=self._on_gpu and simulator.sharing == 1)
         work.records, work.force = int(self.records), self.recorded.contact_force
         work.record_act = self.recorded.act
         source = simulator.source(evaluation=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
         simulator.fill(work)
-        baked = self.costs.code if written else judge_code([])
-        params = self.costs.params if written else baked.params()
-        self._kernel = make_kernel(source, self.lanes, simulator.sharing, baked.params, judge)
-        compile_kernel(self._kernel, self.device, WARP, f"the rollouts of {request.scene.name}")
-        self._seen = [self.judge.view, params, *([self._own] if judge else [])]
-        self._judged = judge is not None
+        code, params = (self.costs.code, self.costs.params) if written else self.costs.code_of([])
+        shared = {"sharing": simulator.sharing, "threads": WARP, "options": options(self.lanes)}
+        self._compile(source, (code.params, params), **shared)
 
     def _bake(self) -> tuple[Evaluation | None, list[int]]:
         """Terms that are part of the source, and the numbers of all others."""
         if self._on_gpu:
             return None, list(range(len(self.costs.terms)))
         writer = PhysicsState(self.layout, self.simulator.map)
-        terms, staged = bake(self.costs, writer, stage_risk=self._stage_risk)
-        return evaluation(writer, terms) if terms else None, staged
-
-    def _roll(self, first: int, groups: int) -> None:
-        self._start(self._work, first, groups)
-        if self._apart:
-            self.judge.launch()
-
-    def _start(self, work: RolloutWork, first: int, groups: int) -> None:
-        """Launch the kernel for some groups of lanes, on a GPU for worlds."""
-        inputs, outputs = [*self._seen, first], [work, self._sums]
-        if self._judged:
-            inputs.append(self._groups)
-            outputs.append(self.judge.cost)
-        self._launch(self._kernel, groups * self.simulator.sharing, inputs, outputs, threads=WARP)
+        terms, on_record = bake(self.costs, writer, stage_risk=self._stage_risk)
+        return evaluation(writer, terms) if terms else None, on_record
 
     def record(self, worlds: Sequence[int]) -> Trajectory:
-        """What became of some worlds in the last evaluation, on the host: if it was not recorded, once more."""
+        """States and controls of some worlds in the last evaluation, on the host; rolled out again if not recorded."""
         if self.records:
-            return self.recorded.of_worlds(worlds)
+            return super().record(worlds)
         rows, place = self._side_by_side(worlds)
         shape, layout, pairs = self.shape, self.layout, len(self.costs.pairs)
         with capturing:
             out = Trajectory.allocate(BatchSize(1, len(rows), 1, shape.horizon), layout, pairs, self.device)
             if rows:
-                self._start(self._recording(rows, out), 0, len(rows) // (1 if self._on_gpu else self.lanes))
+                groups = len(rows) // (1 if self._on_gpu else self.lanes)
+                self._start(self._recording(rows, out), 0, groups, RECORDS_ALONE)
         return out.of_worlds(place)
 
     def _recording(self, rows: list[int], out: Trajectory) -> RolloutWork:
-        """What a launch takes that does nothing but record worlds."""
+        """Work of a launch that does nothing but record worlds."""
         work = RolloutWork()
         for name in RolloutWork.vars:
             setattr(work, name, getattr(self._work, name))
@@ -154,5 +125,5 @@ class FusedEngine(JudgingEngine):
         return rows, place.tolist()
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed."""
+        """A sentence about what overflowed."""
         return "more contacts at once than the engine fused has room for: try the engine mujoco"

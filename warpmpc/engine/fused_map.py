@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the physics keeps the numbers that the layout of a scene names."""
+"""Places of a scene's numbers in the physics."""
 
 from __future__ import annotations
 

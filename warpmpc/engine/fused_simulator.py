@@ -14,7 +14,7 @@ import warp as wp
 from ..bake.lines import OutOfRange
 from ..bake.number import native_lanes
 from ..compiling import compile_kernel
-from ..kernels.worlds.judging import TAPS
+from ..kernels.worlds.evaluation import TAPS
 from ..launch import Launcher
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import Pair
@@ -42,7 +42,7 @@ one each. Five models from 7 to 27 degrees of freedom took equally long at 155 t
 
 
 def shares(model: mujoco.MjModel, worlds: int) -> bool:
-    """Whether on a GPU a warp shares a world, rather than each thread having one."""
+    """Tell if on a GPU a warp shares a world, rather than each thread having one."""
     return worlds <= SHARED_PER_DOF * model.nv
 
 
@@ -120,12 +120,12 @@ class FusedSimulator:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """What :meth:`rollout` records."""
+        """Record of :meth:`rollout`."""
         return Trajectory.allocate(self.shape, self.layout, len(self.pairs), self.device)
 
     @property
     def work(self) -> RolloutWork:
-        """What rollouts of given controls start from; the controls of a step are its own knots."""
+        """Work of rollouts of given controls; the controls of a step are its own knots."""
         return self._ready[1]
 
     @cached_property
@@ -178,7 +178,7 @@ class FusedSimulator:
 
 
 def refuse(scene: Scene, world: MujocoWorld) -> None:
-    """What a scene has and this engine lacks is an error.
+    """Refuse a scene that has what this engine lacks.
 
     Raises:
         SceneError: If there is such a thing.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What baked cost terms know about a state of the physics: where bodies are and how they move comes from the world."""
+"""A state of the physics as cost terms in the source see it: poses and twists of bodies come from the world."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class PhysicsState(StateCode):
 
 @dataclass(frozen=True)
 class BodyPlace(Place):
-    """Where a body of the world is, or a pose that is fixed to it."""
+    """Place of a body of the world, or of a pose that is fixed to it."""
 
     body: int = -1
 
@@ -138,7 +138,7 @@ class PhysicsTree(Tree):
         self._axes: dict[int, list[Axis]] = {}
 
     def place(self, body: int) -> Place:
-        """Where a body is; -1 is the world."""
+        """Place of a body; -1 is the world."""
         if body not in self._places:
             row, let = self._rows[body], self.lines.let
             columns = [[let(f"w.bmat[{row}][{3 * k + axis}]") for k in range(3)] for axis in range(3)]

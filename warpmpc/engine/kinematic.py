@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``kinematic``: no physics; joints follow the controls, and rollouts are judged on the way (STORM).
+"""The engine ``kinematic``: no physics; joints follow the controls, and terms are evaluated on the way (STORM).
 
 Thousands of samples take less than a millisecond: one launch takes them from knots to costs, with the robot and most
 terms written out as straight-line source (``warpmpc.bake``). Terms without such a form are called in the same launch on
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..compiling import compile_kernel
+from ..bake.number import WIDE
 from ..cost.code.state import StateCode, moving_dofs
 from ..kernels.worlds.kinematic import (
     ACCELERATION,
@@ -30,10 +30,9 @@ from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from .baking import bake
-from .judging import JudgingEngine
-from .kinematic_kernel import make_kernel
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
+from .launched import LaunchedEngine
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
@@ -42,8 +41,8 @@ if TYPE_CHECKING:
 MODES = {"velocity": int(VELOCITY), "position": int(POSITION), "acceleration": int(ACCELERATION)}
 
 
-class KinematicEngine(JudgingEngine):
-    """Rolls knots out by kinematics alone and judges them in the same launch.
+class KinematicEngine(LaunchedEngine):
+    """Rolls knots out by kinematics alone and evaluates the terms in the same launch.
 
     Args:
         request: What the engine is built for.
@@ -56,24 +55,21 @@ class KinematicEngine(JudgingEngine):
 
     def __init__(self, request: EngineRequest):
         _refuse(request)
-        super().__init__(request, KinematicWork())
+        super().__init__(request, KinematicWork)
+        self._no_physics = self._zeros(0, dtype=int)
         writer = StateCode(self.layout, moving_dofs(self.layout), quaternions=True)
-        baked, staged = bake(self.costs, writer, stage_risk=self._stage_risk)
+        baked, on_record = bake(self.costs, writer, stage_risk=self._stage_risk)
         spline = request.spline
-        source = RolloutSource(writer, baked, spline.kind, len(spline.time), self.lanes, bool(staged))
-        judge = self._stage(staged)
-        self._judges = judge is not None
-        self._kernel = make_kernel(source.write(), self.costs.code.params, self.lanes, judge)
-        compile_kernel(self._kernel, self.device, 256, f"the rollouts of {request.scene.name}")
+        source = RolloutSource(writer, baked, spline.kind, len(spline.time), self.lanes, bool(on_record)).write()
+        self._allocate_record(on_record)
+        options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if self.lanes == 16 else {}
+        shared = {"sharing": WARP if self._on_gpu else 1, "threads": 256, "options": options}
+        self._compile(source, (self.costs.code.params, self.costs.params), **shared)
 
-    def _roll(self, first: int, groups: int) -> None:
-        inputs, outputs = [self.judge.view, self.costs.params], [self._work, self._sums]
-        if self._judges:
-            inputs += [self._own, first, self._groups, self.shape.samples]
-            outputs.append(self.judge.cost)
-        else:
-            inputs.append(first)
-        self._launch(self._kernel, groups * WARP if self._on_gpu else groups, inputs, outputs)
+    @property
+    def _failed(self) -> wp.array:
+        """None: there is no physics."""
+        return self._no_physics
 
     def rollouts(self, worlds: Sequence[int]) -> Trajectory:
         """Some rollouts of the last evaluation, by the plain kernels that the baked source is tested against.
@@ -92,16 +88,12 @@ class KinematicEngine(JudgingEngine):
         return out
 
     def record(self, worlds: Sequence[int]) -> Trajectory:
-        """What became of some worlds in the last evaluation, on the host."""
+        """States and controls of some worlds in the last evaluation, on the host."""
         return self.rollouts(worlds).of_worlds(range(len(worlds)))
-
-    def overflow_message(self, bits: int) -> str:
-        """Nothing can overflow."""
-        return f"capacity bits {bits:#x}"
 
 
 def drives(layout: Layout, device: str) -> Drives:
-    """What controls do to joints, on a device."""
+    """Effect of controls on joints, on a device."""
     out = Drives()
     out.matrix = wp.array(layout.actuator_matrix, dtype=float, device=device)
     out.mode = wp.array([MODES[mode] for mode in layout.actuator_mode], dtype=int, device=device)
@@ -111,7 +103,7 @@ def drives(layout: Layout, device: str) -> Drives:
 
 
 def _refuse(request: EngineRequest) -> None:
-    """What has no meaning without physics is an error.
+    """Refuse what has no meaning without physics.
 
     Raises:
         SceneError: If the scene asks for it.

@@ -22,7 +22,7 @@ _SCAN = f"for (int m = 1; m < {WARP}; m <<= 1) {{ const float y = {_UP.format('x
 
 @dataclass(frozen=True)
 class Drive:
-    """What one drive moves."""
+    """Joint that one drive moves."""
 
     row: int
     """Its row of the matrix from controls to targets."""

@@ -15,7 +15,7 @@ from ..bake.lines import Operand, text
 from ..bake.number import header
 from ..cost.code.terms import POINTERS, TIMES, TermSource, sums
 from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.judging import TAPS
+from ..kernels.worlds.evaluation import TAPS
 from .kinematic_motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, own, start_cpu, start_gpu
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class RolloutSource:
 const int samples = k.knots.shape[1], knots = k.knots.shape[2], controls = k.knots.shape[3];
 const int steps = costs.dt.shape[0];
 #if defined(__CUDA_ARCH__)
-const int lane = group & {WARP - 1}, row = group >> 5;
+const int lane = threadIdx.x & {WARP - 1}, row = group;
 const int e = row / samples;
 {POINTERS}
 {_THETA}

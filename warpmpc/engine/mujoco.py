@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,28 +13,20 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import (
-    clone_activation_kernel,
-    clone_mocap_kernel,
-    clone_state_kernel,
     divergence_kernel,
-    gather_kernel,
-    mujoco_activation_kernel,
     mujoco_control_kernel,
     mujoco_mocap_kernel,
-    mujoco_state_kernel,
-    record_mujoco_kernel,
-    start_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
-from ..launch import Launcher, Replay
+from ..launch import Replay
 from ..model.batch_size import BatchSize
-from ..model.joints import joint_table
-from ..model.mujoco_model import MujocoWorld, Options, make_world
+from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import randomize_model
 from ..model.trajectory import Trajectory
-from .crew import Crew
+from .mujoco_states import MujocoModelSimulator
+from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -61,8 +52,6 @@ class WarningCounter:
         self.last = str(message)
 
 
-PARTS = 4
-"""Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""
 LEAST_PART = 2
 """Worlds in a part, but for the last: below this, handing parts out takes longer than stepping them."""
 
@@ -119,7 +108,7 @@ def silence_mujoco() -> None:
     mujoco.set_mju_user_warning(warnings)
 
 
-class MujocoEngine:
+class MujocoSimulator(MujocoModelSimulator):
     """Rolls controls out as ``mujoco.rollout`` does, part by part on whatever thread replays them.
 
     Args:
@@ -159,15 +148,14 @@ class MujocoEngine:
         self.world, self.model, self.joint_qd = world, world.model, world.joint_qd
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
-        self.threads = threads or len(os.sched_getaffinity(0))
-        self._launch = Launcher("cpu")
+        self.threads = thread_count(threads)
         self.parts = _split(shape.worlds, shape.domains, self.threads)
         """First world and number of worlds of each part that a thread takes."""
         self._library = mujoco_library()
         self._data = [mujoco.MjData(world.model) for _ in range(self.threads)]
         self._native = native_data(self._data)
-        self.crew = Crew(self.threads, len(self.parts))
-        self._thread = wp.array(self.crew.thread, dtype=int, device="cpu", copy=False)
+        self.pool = ThreadPool(self.threads, len(self.parts))
+        self._thread = wp.array(self.pool.thread, dtype=int, device="cpu", copy=False)
         end = np.cumsum(substeps)
         self.steps = int(end[-1])
         self._duration = wp.float64(self.steps * world.model.opt.timestep)
@@ -186,13 +174,9 @@ class MujocoEngine:
         )
         addresses = np.array([model._address for model in self.models], dtype=np.uint64)
         self._models = wp.array(addresses, dtype=wp.uint64, device="cpu")
-        self._end = wp.array(end - 1, dtype=int, device="cpu")
+        self._bind_model(world, layout, end - 1, "cpu")
         self._step = wp.array(np.repeat(np.arange(shape.horizon), substeps), dtype=int, device="cpu")
-        self._table = joint_table(layout, "cpu", worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
-        self._bind_columns(world)
-        self._obstacle_pose = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device="cpu")
-        self._matrix = wp.array(world.actuator_matrix, dtype=float, device="cpu")
-        self._offset = wp.array(world.actuator_offset, dtype=float, device="cpu")
+        self._pair_start = wp.array(self._pair_sensor, dtype=int, device="cpu")
         columns = [np.flatnonzero(row) for row in world.actuator_matrix]
         spans = [(c[0], c[-1] + 1) if len(c) else (0, 0) for c in columns]
         self._span = wp.array(np.array(spans).reshape(-1, 2), dtype=int, device="cpu")
@@ -200,22 +184,10 @@ class MujocoEngine:
         silence_mujoco()
 
     def _control_at_rest(self, model: mujoco.MjModel) -> np.ndarray:
-        """What a rollout is given at a physics step: no controls, and mocap bodies where the model has them."""
+        """Input of a rollout at a physics step: no controls, and mocap bodies where the model has them."""
         row = np.empty(mujoco.mj_stateSize(model, self._control_spec))
         mujoco.mj_getState(model, mujoco.MjData(model), row, self._control_spec)
         return row
-
-    def _bind_columns(self, world: MujocoWorld) -> None:
-        """Where activations, mocap bodies, sensors and contact forces stand in MuJoCo's arrays."""
-
-        def upload(values: np.ndarray) -> wp.array:
-            return wp.array(values, dtype=int, device="cpu")
-
-        self._activation = upload(1 + world.model.nq + world.model.nv + world.activation)
-        self._mocap, self._movable = upload(world.mocap), upload(world.movable)
-        self._sensors = upload(world.sensor)
-        self._senses = bool((world.sensor >= 0).any())
-        self._pair_start = upload(self._pair_sensor)
 
     def _randomized(self, world, properties: Properties | None) -> list[mujoco.MjModel]:
         if properties is None or not properties.names:
@@ -225,45 +197,19 @@ class MujocoEngine:
         return [models[draw] for draw in draws]
 
     def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
-        """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it.
-
-        Args:
-            state: The observed state.
-            first: First of the worlds.
-            count: How many they are, all from the first on if None.
-        """
+        """Put worlds into the observed state, as MuJoCo has it, too; see :meth:`MujocoModelSimulator.clone`."""
         count = self.shape.worlds - first if count is None else count
-        out, rollouts = self.trajectory, self.shape.rollouts
-        if self._mocap.size:
-            dim = (count, self._mocap.size)
-            self._launch(clone_mocap_kernel, dim, [state.mocap, rollouts, first], [self.mocap_pose])
-            self._write_mocap(self.mocap_pose, self._mocap, first, count)
-        if self._movable.size:
-            poses = state.pose[:, state.pose.shape[1] - self._movable.size :]
-            self._launch(
-                clone_mocap_kernel, (count, self._movable.size), [poses, rollouts, first], [self._obstacle_pose]
-            )
-            self._write_mocap(self._obstacle_pose, self._movable, first, count)
-        self._launch(
-            clone_state_kernel,
-            count,
-            [self._table, state.joint_q, state.joint_qd, rollouts, first],
-            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-        )
-        inputs = [self._table, self.model.nq, out.joint_q, out.joint_qd, first]
-        self._launch(mujoco_state_kernel, count, inputs, [self.initial_array])
-        if self._activation.size:
-            dim = (count, self._activation.size)
-            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
-            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, first], [self.initial_array])
+        super().clone(state, first, count)
+        self._write_state(self.initial_array, first, count)
 
     def _write_mocap(self, poses: wp.array, order: wp.array, first: int, count: int) -> None:
+        """Put mocap bodies of some worlds at poses ``[W, n]``, at every physics step."""
         inputs = [poses, order, self._first_mocap, self.model.nmocap, first]
         self._launch(mujoco_mocap_kernel, (count, self.steps), inputs, [self._control])
 
     @property
     def mocap_pose(self) -> wp.array:
-        """Where the mocap bodies of every world are ``[W, nm]``."""
+        """Poses of the mocap bodies of every world ``[W, nm]``."""
         return self._table.mocap_pose
 
     def move_mocap(self, world: int, index: int, pose: np.ndarray) -> None:
@@ -275,13 +221,6 @@ class MujocoEngine:
         """Put the movable obstacles of one world at poses ``[n, 7]``."""
         self._obstacle_pose.numpy()[world] = poses
         self._write_mocap(self._obstacle_pose, self._movable, world, 1)
-
-    def record_start(self, first: int, count: int) -> None:
-        """Take the states in :attr:`initial` for slice 0 of the record of some worlds; capture-safe."""
-        out, width = self.trajectory, self.initial.shape[1]
-        starts = self.initial_array.reshape((self.shape.worlds, 1, width))
-        inputs = [self._table, self.model.nq, starts, first]
-        self._launch(start_mujoco_kernel, count, inputs, [out.joint_q, out.joint_qd, out.body_q, out.body_qd])
 
     def wrenches(self, world: int) -> np.ndarray:
         """Forces [N] and moments [N m] in the world on the centres of mass of one world's bodies, to be written to.
@@ -298,7 +237,7 @@ class MujocoEngine:
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""
-        self.crew.run(replays)
+        self.pool.run(replays)
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`, on this thread."""
@@ -341,20 +280,11 @@ class MujocoEngine:
         )
 
     def _record(self, first: int, count: int) -> None:
-        out, dim = self.trajectory, (self.shape.horizon, count)
-        self._launch(
-            record_mujoco_kernel,
-            (1, count),
-            [self._table, self.model.nq, self._end, self.state_array, first, 1],
-            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-        )
+        out = self.trajectory
+        self._record_rows(self.state_array, self._sensor, first, count, 1)
         if self.pairs:
             inputs = [self._sensor, self._pair_start, self._end, first]
             self._launch(mujoco_contact_force_kernel, count, inputs, [out.contact_force])
-        if self._activation.size:
-            self._launch(gather_kernel, dim, [self.state_array, self._activation, self._end, 1, first], [out.act])
-        if self._senses:
-            self._launch(gather_kernel, dim, [self._sensor, self._sensors, self._end, 0, first], [out.sensor])
         self._launch(divergence_kernel, count, [self.state_array, self._duration, first], [out.diverged])
 
     def pair_force(self, world: int) -> np.ndarray:
@@ -371,4 +301,4 @@ class MujocoEngine:
 
     def close(self) -> None:
         """Stop the threads."""
-        self.crew.close()
+        self.pool.close()

@@ -15,14 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.worlds.clone import (
-    clone_activation_kernel,
-    clone_mocap_kernel,
-    clone_state_kernel,
     finite_state_kernel,
-    gather_kernel,
-    mujoco_activation_kernel,
-    mujoco_state_kernel,
-    record_mujoco_kernel,
 )
 from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel
 from ..kernels.worlds.mujoco_warp import (
@@ -32,15 +25,15 @@ from ..kernels.worlds.mujoco_warp import (
     store_row_kernel,
     store_state_kernel,
 )
-from ..launch import Launcher, default_device
+from ..launch import default_device
 from ..model.batch_size import BatchSize
-from ..model.joints import joint_table
 from ..model.mujoco_model import MujocoWorld, Options, make_world
 from ..model.pairs import pair_table
 from ..model.randomize import batched_arrays
 from ..model.trajectory import Trajectory
 from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
+from .mujoco_states import MujocoModelSimulator
 from .protocol import OnePart
 
 if TYPE_CHECKING:
@@ -49,7 +42,6 @@ if TYPE_CHECKING:
     from ..model.pairs import Pair
     from ..model.properties import Properties
     from ..scene.schema import Scene
-    from ..task.observed import ObservedState
 
 LARGEST_SPEED = 1.0e10
 """Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
@@ -87,10 +79,10 @@ _FLAGS = {
 }
 """Options that set (True) or clear (False) a bit of MuJoCo's ``disableflags``."""
 OPTIONS = (*_CAPACITIES, _GRAPH_CONDITIONAL, *_ENUMS, *_NUMBERS, *_FLAGS)
-"""What a scene may say under ``engine.options``."""
+"""Keys that a scene may have under ``engine.options``."""
 
 
-class MujocoWarpEngine(OnePart):
+class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
     """Rolls out W worlds of one MuJoCo model with MuJoCo Warp.
 
     Everything after construction is a fixed sequence of launches without host synchronization or allocation, so that
@@ -128,7 +120,6 @@ class MujocoWarpEngine(OnePart):
     ):
         self.shape, self.substeps, self.pairs = shape, tuple(substeps), pairs
         self.device = str(wp.get_device(device))
-        self._launch = Launcher(self.device)
         layout, options = compiled.layout, _checked(scene)
         world = make_world(compiled, timestep=timestep, options=Options.of(scene.engine), sensors=sensors)
         self.mj_model = world.model
@@ -168,49 +159,27 @@ class MujocoWarpEngine(OnePart):
     def _bind(self, world: MujocoWorld, compiled: CompiledScene) -> None:
         """Tables and memory between Newton's conventions and MuJoCo's."""
         layout, model, shape, steps = compiled.layout, world.model, self.shape, self.shape.horizon
+        self._bind_model(world, layout, np.arange(steps), self.device)
+        width, rows = 1 + model.nq + model.nv + model.na, (shape.worlds, steps)
 
-        def upload(values: object, dtype: type = int) -> wp.array:
-            return wp.array(values, dtype=dtype, device=self.device)
+        def zeros(*dims: int) -> wp.array:
+            return wp.zeros(dims, dtype=wp.float64, device=self.device)
 
-        self._table = joint_table(
-            layout, self.device, worlds=shape.worlds, mujoco_q=world.joint_q, mujoco_qd=world.joint_qd
+        self._start, self._state, self._sensor = (
+            zeros(shape.worlds, width),
+            zeros(*rows, width),
+            zeros(*rows, model.nsensordata),
         )
-        self._matrix, self._offset = upload(world.actuator_matrix, float), upload(world.actuator_offset, float)
-        width = 1 + model.nq + model.nv + model.na
-        self._start = wp.zeros((shape.worlds, width), dtype=wp.float64, device=self.device)
-        self._state = wp.zeros((shape.worlds, steps, width), dtype=wp.float64, device=self.device)
-        self._sensor = wp.zeros((shape.worlds, steps, model.nsensordata), dtype=wp.float64, device=self.device)
-        self._end = upload(np.arange(steps))
-        self._activation = upload(1 + model.nq + model.nv + world.activation)
-        self._mocap, self._movable, self._sensors = upload(world.mocap), upload(world.movable), upload(world.sensor)
-        self._obstacle_pose = wp.zeros((shape.worlds, len(world.movable)), dtype=wp.transform, device=self.device)
         shapes = np.full(model.ngeom, -1)
         for s, name in enumerate(compiled.geom_name):
             if name:
                 shapes[model.geom(name).id] = s
         self._pairs = pair_table(layout, self.pairs, shapes.tolist(), self.device)
 
-    def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
-        """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it."""
-        count = self.shape.worlds - first if count is None else count
-        out, rollouts = self.trajectory, self.shape.rollouts
-        moved = [(self._mocap, state.mocap, self._table.mocap_pose)] if self._mocap.size else []
-        if self._movable.size:  # the last poses of the task
-            wanted = state.pose[:, state.pose.shape[1] - self._movable.size :]
-            moved.append((self._movable, wanted, self._obstacle_pose))
-        for order, wanted, poses in moved:
-            dim, placed = (count, order.size), [self.data.mocap_pos, self.data.mocap_quat]
-            self._launch(clone_mocap_kernel, dim, [wanted, rollouts, first], [poses])
-            self._launch(place_mocap_kernel, dim, [poses, order, first], placed)
-        self._launch(
-            clone_state_kernel,
-            count,
-            [self._table, state.joint_q, state.joint_qd, rollouts, first],
-            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-        )
-        if self._activation.size:
-            dim = (count, self._activation.size)
-            self._launch(clone_activation_kernel, dim, [state.act, rollouts, first], [out.act])
+    def _write_mocap(self, poses: wp.array, order: wp.array, first: int, count: int) -> None:
+        """Put mocap bodies of some worlds at poses ``[W, n]``."""
+        placed = [self.data.mocap_pos, self.data.mocap_quat]
+        self._launch(place_mocap_kernel, (count, order.size), [poses, order, first], placed)
 
     def rollout(self, control: wp.array) -> None:
         """Roll controls [T, W, nu] of all worlds out from the cloned state into :attr:`trajectory`; capture-safe."""
@@ -237,12 +206,8 @@ class MujocoWarpEngine(OnePart):
 
     def _load(self) -> None:
         """Start the worlds from slice 0 of the trajectory; nothing of an earlier rollout remains."""
-        out, data, worlds = self.trajectory, self.data, self.shape.worlds
-        inputs = [self._table, self.mj_model.nq, out.joint_q, out.joint_qd, 0]
-        self._launch(mujoco_state_kernel, worlds, inputs, [self._start])
-        if self._activation.size:
-            dim = (worlds, self._activation.size)
-            self._launch(mujoco_activation_kernel, dim, [out.act, self._activation, 0], [self._start])
+        data = self.data
+        self._write_state(self._start, 0, self.shape.worlds)
         started = [data.time, data.qpos, data.qvel, data.act]
         self._launch(load_state_kernel, self._start.shape, [self._start], started)
         for array in (data.qacc_warmstart, data.qfrc_applied, data.xfrc_applied, data.ctrl):
@@ -275,23 +240,14 @@ class MujocoWarpEngine(OnePart):
 
     def _record(self) -> None:
         """The record in Newton's conventions, with body poses, from what the worlds went through."""
-        out, dim = self.trajectory, (self.shape.horizon, self.shape.worlds)
-        self._launch(
-            record_mujoco_kernel,
-            dim,
-            [self._table, self.mj_model.nq, self._end, self._state, 0, self.shape.horizon],
-            [out.joint_q, out.joint_qd, out.body_q, out.body_qd],
-        )
-        if self._activation.size:
-            self._launch(gather_kernel, dim, [self._state, self._activation, self._end, 1, 0], [out.act])
-        if self._sensor.size:
-            self._launch(gather_kernel, dim, [self._sensor, self._sensors, self._end, 0, 0], [out.sensor])
+        out, shape = self.trajectory, self.shape
+        self._record_rows(self._state, self._sensor, 0, shape.worlds, shape.horizon)
         self._launch(
             finite_state_kernel, (self.shape.worlds,), [out.joint_q, out.joint_qd, LARGEST_SPEED], [out.diverged]
         )
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed and which setting to raise."""
+        """A sentence about what overflowed, and which setting to raise."""
         data = self.data
         return (
             f"the solver's capacity was exceeded (bits {bits:#x}): raise engine.options.nconmax (now "

@@ -35,7 +35,7 @@ LARGEST_SPEED = 1.0e10
 """Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
 
 
-class NewtonEngine(OnePart):
+class NewtonSimulator(OnePart):
     """Rolls out W worlds of one replicated Newton model.
 
     Slice t of the trajectory is the memory of a ``newton.State``: the solver writes its result straight into the
@@ -181,7 +181,7 @@ class NewtonEngine(OnePart):
                 before = after
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed and which setting to raise."""
+        """A sentence about what overflowed, and which setting to raise."""
         return self.solver.overflow_message(bits)
 
     def close(self) -> None:
@@ -189,7 +189,7 @@ class NewtonEngine(OnePart):
 
 
 def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
-    """What Newton's own solvers do not simulate, of MJCF files and obstacles that move, is an error, not an omission.
+    """Refuse what Newton's own solvers do not simulate of MJCF files and of obstacles that move.
 
     Raises:
         SceneError: If there is such a thing.

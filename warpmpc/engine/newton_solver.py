@@ -101,7 +101,7 @@ class PipelineSolver:
         )
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed."""
+        """A sentence about what overflowed."""
         return (
             f"more contacts than Newton's pipeline holds ({self._contacts.rigid_contact_max}, bits {bits:#x}): "
             "some were dropped; fewer samples or simpler shapes make room"

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What plans ask of an engine, and a recording engine of a simulator."""
+"""Protocols of engines, as plans use them, and of simulators, as engines use them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import warp as wp
@@ -37,7 +38,7 @@ class Simulator(Protocol):
         """Roll controls [T, W, nu] of the worlds of one part out."""
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed and which setting to raise."""
+        """A sentence about what overflowed, and which setting to raise."""
 
     def close(self) -> None:
         """Release threads and memory."""
@@ -63,15 +64,18 @@ class OnePart:
         self.rollout(control)
 
 
-class Proposal(Protocol):
-    """Where an engine gets its knots from."""
+def _nothing(first: int, count: int) -> None:
+    """Knots that are there already."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Source of an engine's knots."""
 
     knots: wp.array  # [E, S, P, nu]
     offset: wp.array  # [E] time from the first knot to the present [s]
     samples: int  # of every environment, from its first on, whose costs are asked for; others need not be rolled out
-
-    def sample(self, first: int, count: int) -> None:
-        """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""
+    sample: Callable[[int, int], None] = _nothing  # writes so many samples from row e·S + s on; capture-safe
 
 
 class Engine(Protocol):
@@ -85,16 +89,16 @@ class Engine(Protocol):
     overflow: wp.array  # [W] capacity bits
 
     def evaluate(self, proposal: Proposal) -> None:
-        """Roll proposed knots out from the observed state and judge them, into :attr:`cost`."""
+        """Roll proposed knots out from the observed state and evaluate the terms, into :attr:`cost`."""
 
     def explain(self, sample: wp.array) -> None:
         """Write what each term added to the cost of one sample of every environment ``[E]``, into :attr:`term_cost`."""
 
     def record(self, worlds: Sequence[int]) -> Trajectory:
-        """What became of some worlds in the last evaluation, on the host: see :meth:`Trajectory.of_worlds`."""
+        """States and controls of some worlds in the last evaluation, on the host: see :meth:`Trajectory.of_worlds`."""
 
     def overflow_message(self, bits: int) -> str:
-        """What overflowed and which setting to raise."""
+        """A sentence about what overflowed, and which setting to raise."""
 
     def close(self) -> None:
         """Release threads and memory."""

@@ -14,9 +14,10 @@ import warp as wp
 from ..bake.lines import OutOfRange
 from ..compiling import KernelError
 from ..model.mujoco_model import Options
+from ..registry import ENGINES
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName, Solver
-from .recorded import RecordedEngine
+from .evaluation import SimulatorEngine
 from .request import EngineRequest, PhysicsSteps
 
 if TYPE_CHECKING:
@@ -33,21 +34,19 @@ class EngineEntry:
     """An engine as the registry knows it."""
 
     name: str
+    """By which scene files and controllers name it."""
     cuda: bool
-    """Whether it runs on CUDA devices."""
+    """True for engines that run on CUDA devices."""
     cpu: bool
-    """Whether it runs on the CPU."""
+    """True for engines that run on the CPU."""
     capturable: bool
-    """Whether a CUDA graph can hold its evaluation; else every plan on a CUDA device runs launch by launch."""
+    """True where a CUDA graph can hold its evaluation; else every plan on a CUDA device runs launch by launch."""
     any_dt: bool
-    """Whether its physics steps may have any length; else every step of a rollout is a multiple of one length."""
+    """True where its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     make: Callable[[EngineRequest, PhysicsSteps], Engine]
     physics: bool = True
-    """Whether a world that diverged is one whose physics failed; without physics its cost was not finite."""
+    """True where a world that diverged is one whose physics failed; without physics its cost was not finite."""
 
-
-ENGINES: dict[str, EngineEntry] = {}
-"""Engines by name."""
 
 PREFERRED = {
     "cpu": (str(EngineName.FUSED), str(EngineName.MUJOCO)),
@@ -57,14 +56,12 @@ PREFERRED = {
 
 
 def register(entry: EngineEntry) -> None:
-    """Add an engine.
+    """Add an engine, for scene files, commands and controllers.
 
     Raises:
         ValueError: If there is one of this name.
     """
-    if entry.name in ENGINES:
-        raise ValueError(f"there is an engine '{entry.name}' already")
-    ENGINES[entry.name] = entry
+    ENGINES.register(entry.name, entry)
 
 
 def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
@@ -79,19 +76,17 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
         ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
     """
     engine = str(scene.engine.name) if engine == "auto" else engine
-    if engine not in (*ENGINES, "auto"):
-        raise ValueError(f"no engine '{engine}'; there is: {', '.join(('auto', *ENGINES))}")
+    entry = None if engine == "auto" else ENGINES.find(engine, "auto")
     if device != "auto":
         try:
             device = str(wp.get_device(device))
         except Exception as error:  # Warp raises several kinds for a device that is not there
             have = ", ".join(str(d) for d in wp.get_devices())
             raise ValueError(f"no device '{device}' on this machine; there is: auto, {have}") from error
-    if engine == "auto":
+    if entry is None:
         if device == "auto":
             device = str(wp.get_preferred_device()) if wp.is_cuda_available() else "cpu"
         return engine, device
-    entry = ENGINES[engine]
     if device == "auto":
         device = str(wp.get_preferred_device()) if entry.cuda else "cpu"
     if not (entry.cpu if device == "cpu" else entry.cuda):
@@ -132,7 +127,7 @@ SUBSTEPS = 2
 
 
 def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> PhysicsSteps:
-    """How an engine divides the steps of a rollout.
+    """Divide the steps of a rollout into physics steps of an engine.
 
     Args:
         name: The engine's name. With steps of any length it divides each into equally many, as many as the first has.
@@ -159,51 +154,35 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     return PhysicsSteps(tuple(np.round(count).astype(int).tolist()), (timestep,) * grid.steps)
 
 
-def _recorded(request: EngineRequest, simulator: Simulator) -> RecordedEngine:
-    r = request
-    return RecordedEngine(simulator, r.costs, r.state, r.shape, r.grid, r.spline, r.limits, r.scene.planner)
+def mujoco_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
+    """Simulator of the engine ``mujoco``."""
+    from .mujoco import MujocoSimulator
+
+    engine, common = request.scene.engine, {"sensors": request.costs.sensors, **request.worlds(steps)}
+    options = Options.of(engine)
+    return MujocoSimulator(request.compiled, request.shape, threads=engine.threads, options=options, **common)
 
 
 def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    from .mujoco import MujocoEngine
-
-    scene = request.scene
-    simulator = MujocoEngine(
-        request.compiled,
-        request.shape,
-        substeps=steps.count,
-        timestep=steps.length[0],
-        pairs=request.costs.pairs,
-        properties=request.properties,
-        threads=scene.engine.threads,
-        options=Options.of(scene.engine),
-        sensors=request.costs.sensors,
-    )
-    return _recorded(request, simulator)
+    return SimulatorEngine(request, mujoco_simulator(request, steps))
 
 
 def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
-    """What steps the worlds of the engine ``newton``, with the solver that the scene asks for.
+    """Simulator of the engine ``newton``, with the solver that the scene asks for.
 
     Raises:
         SceneError: If the solver cannot do what the scene needs.
     """
     # slow to import, and nothing else needs them
-    from .mujoco_warp import MujocoWarpEngine
-    from .newton import NewtonEngine
+    from .mujoco_warp import MujocoWarpSimulator
+    from .newton import NewtonSimulator
 
-    scene, costs = request.scene, request.costs
-    common = {
-        "substeps": steps.count,
-        "timestep": steps.length[0],
-        "pairs": costs.pairs,
-        "properties": request.properties,
-        "device": request.device,
-    }
+    scene, sensors = request.scene, request.costs.sensors
+    common = {"device": request.device, **request.worlds(steps)}
     scene_of = (scene, request.compiled, request.shape)
     if scene.engine.solver is Solver.MUJOCO:
-        return MujocoWarpEngine(*scene_of, sensors=costs.sensors, **common)
-    if costs.sensors:
+        return MujocoWarpSimulator(*scene_of, sensors=sensors, **common)
+    if sensors:
         raise SceneError(
             "this solver has no sensors, but cost terms read some",
             key="engine.solver",
@@ -211,11 +190,11 @@ def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
             found=str(scene.engine.solver),
             allowed=["mujoco"],
         )
-    return NewtonEngine(*scene_of, **common)
+    return NewtonSimulator(*scene_of, **common)
 
 
 def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    return _recorded(request, newton_simulator(request, steps))
+    return SimulatorEngine(request, newton_simulator(request, steps))
 
 
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:

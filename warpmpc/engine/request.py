@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import warp as wp
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class EngineRequest:
-    """What an engine is built for."""
+    """Inputs that an engine is built from."""
 
     scene: Scene
     compiled: CompiledScene
@@ -34,12 +34,25 @@ class EngineRequest:
     limits: tuple[wp.array, wp.array]
     """Lower and upper limits of the controls ``[nu]``, on the device."""
     state: ObservedState
-    """What rollouts start from, on the device."""
+    """Start of the rollouts, on the device."""
     costs: CostStack
     """The cost terms, on the device."""
     device: str
     properties: Properties | None = None
     """Draws of physical properties, None for nominal worlds."""
+
+    def worlds(self, steps: PhysicsSteps) -> dict[str, Any]:
+        """Arguments that all simulators share.
+
+        Args:
+            steps: Physics steps, of one length.
+        """
+        return {
+            "substeps": steps.count,
+            "timestep": steps.length[0],
+            "pairs": self.costs.pairs,
+            "properties": self.properties,
+        }
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,6 @@ class PhysicsSteps:
     """Physics steps of a rollout."""
 
     count: tuple[int, ...]
-    """How many there are in each step of the rollout ``[T]``."""
+    """Number in each step of the rollout ``[T]``."""
     length: tuple[float, ...]
     """Length of one of them in each step of the rollout ``[T]`` [s], the same everywhere unless ``any_dt``."""

@@ -51,7 +51,7 @@ class TimeGrid:
 
     @property
     def even(self) -> bool:
-        """Whether all steps are equally long."""
+        """True where all steps are equally long."""
         return bool(np.all(self.dt == self.dt[0]))
 
     @property

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cost.stack import Judge
+from ..cost.stack import CostEvaluator
 from ..launch import capturing
 from ..model.trajectory import Trajectory
 
@@ -29,7 +29,7 @@ class Forecast:
 
 
 class Forecaster:
-    """Judges the cheapest rollout step by step, with the terms, resources and weights that the plan had.
+    """Evaluates the cheapest rollout step by step, with the terms, resources and weights that the plan had.
 
     Args:
         controller: The controller.
@@ -41,22 +41,22 @@ class Forecaster:
         with capturing:
             self._out = Trajectory.allocate(shape, controller.layout, len(costs.pairs), controller.device)
             planner = controller.planner
-            self._judge = Judge(costs, self._out, self._out.control, planner.state, shape, planner.grid.t)
+            self._evaluator = CostEvaluator(costs, self._out, self._out.control, planner.state, shape, planner.grid.t)
 
     def __call__(self, seen: Trajectory) -> Forecast:
         """What is ahead.
 
         Args:
-            seen: Recorded rollouts on the host; the first of them is judged.
+            seen: Recorded rollouts on the host; the first of them is evaluated.
         """
         for field in fields(Trajectory):
             values = getattr(seen, field.name)
             first = values[:1] if values.ndim == 1 else values[:, :1]
             with capturing:
                 getattr(self._out, field.name).assign(np.ascontiguousarray(first))
-        self._judge.launch()
-        self._judge.launch_arrays()
-        cost = self._judge.cost.numpy()[:, :, 0].astype(float)
+        self._evaluator.launch()
+        self._evaluator.launch_arrays()
+        cost = self._evaluator.cost.numpy()[:, :, 0].astype(float)
         start = self._controller.info.time
         return Forecast(
             times=start + self._controller.planner.grid.t[:-1],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What proposes samples beside those that are drawn, asked on the host before every plan."""
+"""Proposers on the host, asked before every plan."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ..scene.errors import SceneError
 from .horizon import Ask, Horizon
 from .motions import motions
 from .policy import policy
+from .proposers import Proposer
 from .recall import Recall
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class Ancillaries:
     """
 
     count: int
-    """How many samples they propose together, n."""
+    """Number n of samples that they propose together."""
 
     def __init__(
         self,
@@ -52,13 +53,12 @@ class Ancillaries:
         controllers: Sequence[AncillaryController] = (),
     ):
         self._task, horizon = task, Horizon(scene, knot_time, layout.nu)
-        self._asked: list[tuple[int, Ask]] = []
-        self._recalls: list[Recall] = []
+        self._proposers: list[Proposer] = []
         start = State.start(layout)
         for i, wanted in enumerate(scene.planner.ancillary):
             key = f"{KEY}[{i}]"
             if wanted.recall is not None:
-                self._recalls.append(Recall(scene, layout, key, wanted, horizon, task.envs))
+                self._proposers.append(Recall(scene, layout, key, wanted, horizon, task.envs))
                 continue
             if wanted.function is not None:
                 made = _function(scene, f"{key}.function", wanted.function, controllers, horizon)
@@ -71,8 +71,9 @@ class Ancillaries:
                 kind = next(name for name in ("function", "motions", "policy") if getattr(wanted, name))
                 found, message = getattr(wanted, kind), "proposes numbers that are not finite from the start state"
                 raise SceneError(message, key=f"{key}.{kind}", file=scene.path, found=found)
-            self._asked.append(made)
-        self.count = sum(count for count, _ in self._asked) + sum(recall.count for recall in self._recalls)
+            self._proposers.append(StatePolicy(*made))
+        self._proposers.sort(key=lambda proposer: isinstance(proposer, Recall))
+        self.count = sum(proposer.count for proposer in self._proposers)
         self._widths = np.cumsum([layout.nq, layout.nv, layout.na])
         self._knots = np.full((task.envs, self.count, len(knot_time), layout.nu), np.nan, dtype=np.float32)
 
@@ -83,8 +84,8 @@ class Ancillaries:
 
     def reset(self) -> None:
         """Forget what is remembered of a run."""
-        for recall in self._recalls:
-            recall.reset()
+        for proposer in self._proposers:
+            proposer.reset()
 
     def __call__(self, observed: np.ndarray, time: np.ndarray, block: np.ndarray, last: PlanReport) -> np.ndarray:
         """Ask them all for every environment that is observed.
@@ -99,22 +100,38 @@ class Ancillaries:
             Knots ``[E, n·P·nu]``, not finite where there is nothing to propose.
         """
         self._knots[:] = np.nan
-        for recall in self._recalls:
-            recall.miss(~observed, last)
-        for e in np.flatnonzero(observed) if self.count else ():
-            q, qd, act, mocap = np.split(block[e].copy(), self._widths)
-            state, task = State(q, qd, float(time[e]), act, mocap.reshape(-1, 7)), self._task.values(e)
+        for e in range(len(observed)) if self.count else ():
+            state, task = None, {}
+            if observed[e]:
+                q, qd, act, mocap = np.split(block[e].copy(), self._widths)
+                state, task = State(q, qd, float(time[e]), act, mocap.reshape(-1, 7)), self._task.values(e)
             first = 0
-            for count, ask in self._asked:
-                proposed = ask(state, task)
-                if proposed is not None and np.isfinite(proposed).all():
-                    self._knots[e, first : first + count] = proposed
-                first += count
-            for recall in self._recalls:
-                proposed = recall(e, state, last)
-                self._knots[e, first : first + len(proposed)] = proposed
-                first += recall.count
+            for proposer in self._proposers:
+                proposed = proposer.ask(e, state, task, last)
+                if proposed is not None:
+                    self._knots[e, first : first + len(proposed)] = proposed
+                first += proposer.count
         return self._knots.reshape(len(self._knots), -1)
+
+
+class StatePolicy(Proposer):
+    """Samples that the observed state and the task alone decide.
+
+    Args:
+        count: Number of samples.
+        policy: The knots for them.
+    """
+
+    def __init__(self, count: int, policy: Ask):
+        super().__init__(count)
+        self._policy = policy
+
+    def ask(
+        self, e: int, state: State | None, task: Mapping[str, np.ndarray | float], last: PlanReport
+    ) -> np.ndarray | None:
+        """Knots ``[n, P, nu]`` for one environment, None where there are none or they are not finite."""
+        proposed = None if state is None else self._policy(state, task)
+        return proposed if proposed is not None and np.isfinite(proposed).all() else None
 
 
 def _function(

@@ -73,7 +73,7 @@ class Covariance:
         self.form, self.full = form, form is CovarianceForm.FULL
         self.adapts = form is not CovarianceForm.FIXED
         self.varies = form is CovarianceForm.KNOTS
-        """Whether σ may differ along the horizon, and moves on with its knots."""
+        """True where σ may differ along the horizon, and moves on with its knots."""
         self._step_size, self._grows, self.device = step_size, bool(np.any(kappa)), wp.get_device(device)
         self._launch = Launcher(self.device)
         self._start = np.asarray(sigma, dtype=np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The distribution that plans are sampled from: a Gaussian over the knots, shifted through time and updated."""
+"""Knots that move on with time, and the distribution that plans are sampled from: a Gaussian about them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from ..kernels.planning.splines import LINEAR, Spline, advance_plan_kernel, shif
 from ..launch import Launcher, step_lanes
 
 if TYPE_CHECKING:
+    from ..model.layout import Layout
     from ..task.observed import ObservedState
     from .covariance import Covariance
-    from .fixed_rows import FixedRows
     from .moments import SampleMoments
+    from .proposers import Undrawn
 
 
 def rows(knots: wp.array) -> wp.array:
@@ -25,20 +26,18 @@ def rows(knots: wp.array) -> wp.array:
     return knots.reshape((*knots.shape[:-2], knots.shape[-2] * knots.shape[-1]))
 
 
-class Gaussian:
-    """Mean of every knot of every environment, and the covariance about it.
+class RecedingPlan:
+    """Knots of every environment that move on by the time that passes between plans.
 
     Args:
+        layout: State layout, which says what controls ask for nothing.
         state: What plans start from.
         spline: Spline over the knots.
         limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
-        covariance: Covariance of the samples.
-        held: Joint coordinate that a control holds where it asks for nothing ``[nu]``, -1 for ``rest``.
-        rest: Value of a control that asks for nothing ``[nu]``.
     """
 
     mean: wp.array3d[float]
-    """Mean knots, ``[E, P, nu]``, in control units."""
+    """The knots, ``[E, P, nu]``, in control units."""
     offset: wp.array[float]
     """Time from the first knot to the present, ``[E]`` [s]; zero but for evenly spaced knots of zero order."""
     null: wp.array2d[float]
@@ -46,40 +45,28 @@ class Gaussian:
 
     def __init__(
         self,
+        layout: Layout,
         state: ObservedState,
         spline: Spline,
         limits: tuple[wp.array, wp.array],
-        *,
-        covariance: Covariance,
-        held: np.ndarray,
-        rest: np.ndarray,
     ):
         self._state, self._spline, self._limits = state, spline, limits
-        self.covariance, self.device = covariance, state.joint_q.device
+        self.device = state.joint_q.device
         self._launch = Launcher(self.device)
-        self.dim = covariance.sigma.shape
-        envs, _, nu = self.dim
+        envs, nu = len(state.joint_q), layout.nu
+        self.dim = envs, len(spline.time), nu
 
         def zeros(*dims: int) -> wp.array:
             return wp.zeros(dims, dtype=float, device=self.device)
 
         self.mean, self._shifted = zeros(*self.dim), zeros(*self.dim)
         self._plans = [self.mean]
-        self._columns = self.dim[1] * nu
-        self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
-        self._column_limits = [
-            wp.array(np.tile(limit.numpy(), self.dim[1]), dtype=float, device=self.device) for limit in limits
-        ]
         self.offset, self._shift, self.null = zeros(envs), zeros(envs), zeros(envs, nu)
         self._fresh = wp.zeros(envs, dtype=int, device=self.device)
-        self._held = wp.array(held, dtype=int, device=self.device)
+        self._held = wp.array(layout.control_safe, dtype=int, device=self.device)
+        rest = layout.control_start if len(layout.control_start) else np.zeros(nu)
         self._rest = wp.array(rest, dtype=float, device=self.device)
         self.reset()
-
-    @property
-    def sigma(self) -> wp.array3d[float]:
-        """Standard deviation of the knots, ``[E, P, nu]``."""
-        return self.covariance.sigma
 
     def carry(self, knots: wp.array) -> None:
         """Let other knots ``[E, P, nu]`` start and move on as the mean does."""
@@ -94,9 +81,6 @@ class Gaussian:
         start = np.zeros(self.dim) if knots is None else np.broadcast_to(knots, self.dim)
         for plan in self._plans:
             plan.assign(start.astype(np.float32))
-        if knots is not None:
-            self._state.last_control.assign(start[:, 0].astype(np.float32))
-        self.covariance.reset()
         self.offset.zero_()
         self._fresh.fill_(knots is None)
 
@@ -104,29 +88,78 @@ class Gaussian:
         """Move on by the time that has passed since the last plan; capture-safe."""
         observed, last = self._state.observed, self._state.last_control
         envs, _, nu = self.dim
-        by, inputs = self._shift, [self._state.joint_q, self._held, self._rest, *self._limits]
+        inputs = [self._state.joint_q, self._held, self._rest, *self._limits]
         for plan in self._plans:
             self._launch(start_plan_kernel, (envs, nu), [observed, self._fresh, *inputs], [self.null, plan, last])
-        self._launch(advance_plan_kernel, (envs,), [self._spline, self._state.elapsed], [self.offset, by])
-        moved = [(plan, self._spline.kind) for plan in self._plans]
+        self._launch(advance_plan_kernel, (envs,), [self._spline, self._state.elapsed], [self.offset, self._shift])
+        for plan in self._plans:
+            self._move(plan, self._spline.kind)
+        self._move_others()
+        self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
+
+    def _move(self, knots: wp.array, kind: int) -> None:
+        """Move knots ``[E, P, nu]`` of a kind of spline."""
+        self._launch(shift_knots_kernel, self.dim, [knots, self._spline, kind, self._shift], [self._shifted])
+        wp.copy(knots, self._shifted)
+
+    def _move_others(self) -> None:
+        """Move on what else belongs to the plans."""
+
+
+class Gaussian(RecedingPlan):
+    """Samples about a mean that moves on, and their covariance.
+
+    Args:
+        layout: State layout.
+        state: What plans start from.
+        spline: Spline over the knots.
+        limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
+        covariance: Covariance of the samples.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        state: ObservedState,
+        spline: Spline,
+        limits: tuple[wp.array, wp.array],
+        covariance: Covariance,
+    ):
+        self.covariance = covariance
+        super().__init__(layout, state, spline, limits)
+        knots, nu = self.dim[1:]
+        self._columns = knots * nu
+        self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
+        self._column_limits = [
+            wp.array(np.tile(limit.numpy(), knots), dtype=float, device=self.device) for limit in limits
+        ]
+
+    @property
+    def sigma(self) -> wp.array3d[float]:
+        """Standard deviation of the knots, ``[E, P, nu]``."""
+        return self.covariance.sigma
+
+    def reset(self, knots: np.ndarray | None = None) -> None:
+        """Forget every earlier plan, as :meth:`RecedingPlan.reset` does, and what the covariance adapted to."""
+        super().reset(knots)
+        self.covariance.reset()
+
+    def _move_others(self) -> None:
+        """Move σ on where it varies along the horizon, or begin with it anew; capture-safe."""
         if self.covariance.restarts:
             self.covariance.restart()
         elif self.covariance.varies:
-            moved.append((self.sigma, int(LINEAR)))  # a cubic through σ would overshoot below zero
-        for knots, kind in moved:
-            self._launch(shift_knots_kernel, self.dim, [knots, self._spline, kind, by], [self._shifted])
-            wp.copy(knots, self._shifted)
-        self.covariance.grow(observed, self._fresh)
-        self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
+            self._move(self.sigma, int(LINEAR))  # a cubic through σ would overshoot below zero
+        self.covariance.grow(self._state.observed, self._fresh)
 
     def perturb(
-        self, noise: wp.array, fixed: FixedRows, iteration: int, *, mean: bool, knots: wp.array, first: int, count: int
+        self, noise: wp.array, undrawn: Undrawn, iteration: int, *, mean: bool, knots: wp.array, first: int, count: int
     ) -> None:
-        """Write sampled knots ``[E, S, P, nu]``: the mean, the fixed rows, and mean + σ ⊙ (B z); capture-safe.
+        """Write sampled knots ``[E, S, P, nu]``: the mean, what is not drawn, and mean + σ ⊙ (B z); capture-safe.
 
         Args:
             noise: Shaped noise B z ``[E, S, P, nu]``.
-            fixed: Samples that are not drawn.
+            undrawn: Samples that are not drawn.
             iteration: Row of the schedule of σ.
             mean: Whether the mean is among the samples.
             knots: Takes the samples.
@@ -135,8 +168,8 @@ class Gaussian:
         """
         covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
         spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]
-        undrawn = [rows(fixed.knots), fixed.count, int(mean)]
-        inputs = [rows(self.mean), *spread, rows(noise), *undrawn, *self._column_limits]
+        others = [rows(undrawn.knots), undrawn.count, int(mean)]
+        inputs = [rows(self.mean), *spread, rows(noise), *others, *self._column_limits]
         self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(knots)])
 
     def follow(self, moments: SampleMoments, iteration: int, *, step_size: float) -> None:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """How states of a scene are subtracted."""
+    """Differences of a scene's states."""
 
     tangent: Tangent
-    """Where MuJoCo's states are."""
+    """Tangent space of MuJoCo's states."""
     rows: StateRows
     """Turns a scene's states into MuJoCo's."""
 
@@ -46,7 +46,7 @@ class Feedback:
     gain: np.ndarray
     """K ``[E, T, nu, n]``."""
     space: StateSpace
-    """How states are subtracted."""
+    """Subtracts states."""
 
     def correction(self, times: np.ndarray, state: State) -> np.ndarray:
         """K (x ⊖ x̄), what the controls answer to states at some times ``[E, nu]``.
@@ -73,7 +73,7 @@ class Feedback:
         return state, np.where((place < last + 1.0)[..., None, None], self.gain[rows, i], 0.0)
 
     def planned(self, times: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """What controls ``[E, T, nu]`` at its times are at others ``[E, N]``, the last for good: ``[E, N, nu]``."""
+        """Controls ``[E, T, nu]`` of its times at others ``[E, N]``, the last for good: ``[E, N, nu]``."""
         i = np.clip(np.floor(self._place(times)).astype(int), 0, self.times.shape[1] - 1)
         return control[np.arange(len(times))[:, None], i]
 

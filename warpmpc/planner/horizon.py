@@ -36,7 +36,7 @@ class Horizon:
 
     @property
     def shapes(self) -> list[str]:
-        """What a sequence of controls may look like."""
+        """Shapes of a sequence of controls."""
         return [f"[{count}, {self.nu}]" for count in dict.fromkeys((len(self.time), len(self.knot_time)))]
 
     def knots(self, controls: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Horizon:
             raise ValueError(f"returns an array {list(np.shape(controls))}") from None
 
     def allowed(self, samples: int) -> str:
-        """What may be returned, in words."""
+        """Shapes that may be returned, in words."""
         if samples > 1:
             return " or ".join(f"[{samples}, {shape[1:]}" for shape in self.shapes)
         return " or ".join([f"[{self.nu}]", *self.shapes])

@@ -25,7 +25,7 @@ LEAST_SPREAD = 1e-6
 
 
 def motions(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon) -> tuple[int, Ask]:
-    """How many motions of a file are tried, and what to ask for them.
+    """Number of motions of a file that are tried, and the function that selects them.
 
     Args:
         scene: The scene.
@@ -60,7 +60,7 @@ def motions(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: 
 
 
 class Nearness:
-    """How far states are from stored ones, every number counted by its spread over those.
+    """Distances of states from stored ones, every number counted by its spread over those.
 
     A quaternion is compared with the sign that brings it nearer, the angle of a joint that turns without end the short
     way round.
@@ -129,13 +129,13 @@ def _motions(arrays: dict[str, np.ndarray], layout: Layout, horizon: Horizon) ->
 
 
 def holding(time: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Which of the controls that begin at ascending times acts at other times; the ends are held."""
+    """Index of the control that acts at other times, of those that begin at ascending times; the ends are held."""
     early = 1e-6  # a step that begins with a control has it, however the two times were rounded
     return np.clip(np.searchsorted(time, at + early, side="right") - 1, 0, len(time) - 1)
 
 
 def near_columns(layout: Layout, key: str, joints: Sequence[str] | None) -> np.ndarray:
-    """Which of the numbers of a state ``[nq + nv]`` say what is near.
+    """Numbers of a state ``[nq + nv]`` that say what is near.
 
     Args:
         layout: State layout.

@@ -19,7 +19,7 @@ from ..launch import Launcher, step_lanes
 
 
 class NoiseKind(StrEnum):
-    """Where the standard normals come from; the values are the words of scene files."""
+    """Source of the standard normals; the values are the words of scene files."""
 
     HALTON = "halton"
     SOBOL = "sobol"

@@ -32,7 +32,7 @@ class Plan:
     upper: np.ndarray
     """Upper limits of the controls ``[nu]``."""
     feedback: Feedback | None = None
-    """How the controls answer states other than the planned ones; only plans of iLQG have it."""
+    """Answer of the controls to states other than the planned ones; only plans of iLQG have it."""
 
     def __post_init__(self):
         # a scene's word for it, too: splines tell kinds apart by identity
@@ -58,7 +58,7 @@ class Plan:
         return np.minimum(np.maximum(value, self.lower), self.upper).astype(np.float32)
 
     def _answer(self, time: float | np.ndarray, state: State) -> np.ndarray:
-        """What feedback adds to the controls ``[nu]``, or ``[E, nu]``."""
+        """Part that feedback adds to the controls ``[nu]``, or ``[E, nu]``."""
         if self.knots.ndim == 3:
             return self.feedback.correction(np.broadcast_to(np.asarray(time, dtype=float), len(self.knots)), state)
         act = None if state.act is None else np.asarray(state.act)[None]

@@ -23,7 +23,7 @@ FLOAT = "tensor(float)"
 
 
 def policy(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon, task: Task) -> tuple[int, Ask]:
-    """How many samples the policy of a file proposes, and what to ask for them.
+    """Number of samples that the policy of a file proposes, and the function that runs it.
 
     Args:
         scene: The scene.
@@ -87,6 +87,6 @@ def _check_observation(scene: Scene, task: Task, key: str, wanted: Ancillary) ->
 
 
 def _observation(wanted: Ancillary, state: State, values: Mapping[str, np.ndarray | float]) -> np.ndarray:
-    """What a policy reads, side by side, in float32."""
+    """Input of a policy, side by side, in float32."""
     known = {"joint_q": state.joint_q, "joint_qd": state.joint_qd, "act": state.act, **values}
     return np.concatenate([np.atleast_1d(known[name]) for name in wanted.observation]).astype(np.float32)

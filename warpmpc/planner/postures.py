@@ -14,6 +14,7 @@ from ..launch import Launcher
 from ..model.joints import chain, chain_axes, driving, joint_table
 from ..model.layout import GOAL
 from ..scene.errors import SceneError
+from .proposers import Proposer
 
 if TYPE_CHECKING:
     from ..kernels.planning.splines import Spline
@@ -23,20 +24,20 @@ if TYPE_CHECKING:
 
 KEY = "planner.postures"
 MODES = ("position", "velocity", "acceleration")
-"""What a control can be, by how often the way is differentiated."""
+"""Modes of a control, by how often the way is differentiated."""
 DAMPING = 1e-3
 """Added to J Jᵀ; its squared lengths are in metres and radians."""
 NEAR = 0.01
-"""How far off a posture's pose may be [m and rad]."""
+"""Largest error of a posture's pose [m and rad]."""
 STRIDE = 0.5
 """Greatest change of a joint in a step of the search [m or rad]."""
 
 
-class PostureRows:
+class PostureSamples(Proposer):
     """Samples that go to postures which bring a frame to a pose of the task, each posture at several paces.
 
     Postures are searched for on the way, a little in every plan, and tried once they have found the pose: what their
-    rows cost judges them, and the worst of those that have had time to get there makes room for one begun at random.
+    rows cost ranks them, and the worst of those that have had time to get there makes room for one begun at random.
     Where there is none, as for a pose out of reach, these rows ask for nothing.
 
     Args:
@@ -66,12 +67,12 @@ class PostureRows:
         seed: int,
     ):
         wanted, device, envs = scene.planner.postures, cost.device, cost.shape[0]
+        super().__init__(wanted.count * len(wanted.durations))
         self._state, self._null, self._cost, self._first, self._seed = state, null, cost, first, seed
         self._steps, self._min_age, self._time = wanted.steps, wanted.min_age, spline.time
         self._launch, postures = Launcher(device), envs * wanted.count
         self._reach = _reach(scene, layout, postures, str(device))
         self._duration = wp.array(wanted.durations, dtype=float, device=device)
-        self.count = wanted.count * len(wanted.durations)
         self.postures = wp.array(np.tile(layout.joint_q, (1, postures, 1)), dtype=float, device=device)
         """The postures as joint coordinates ``[1, E·M, nq]``."""
         self._body_q = wp.zeros((1, postures, layout.nb), dtype=wp.transform, device=device)
@@ -80,10 +81,6 @@ class PostureRows:
         self._age = wp.zeros((envs, wanted.count), dtype=int, device=device)
         self._counter = wp.zeros(envs, dtype=int, device=device)
         self.reset()
-
-    def bind(self, knots: wp.array4d[float]) -> None:
-        """Take the knots ``[count, E, P, nu]`` to write."""
-        self._knots = knots
 
     def reset(self) -> None:
         """Forget all postures; capture-safe."""
@@ -106,11 +103,11 @@ class PostureRows:
         )
         found = [reach, self.postures, NEAR, self._miss, self._duration, self._time]
         inputs = [state.joint_q, state.joint_qd, self._null, *found]
-        self._launch(posture_rows_kernel, (self.count, envs), inputs, [self._knots])
+        self._launch(posture_rows_kernel, (self.count, envs), inputs, [self.knots])
 
 
 def _reach(scene: Scene, layout: Layout, worlds: int, device: str) -> Reach:
-    """What is to be brought where, by which joints."""
+    """Frame, pose and joints of a search."""
     wanted = scene.planner.postures
     of, to = (layout.frame(getattr(wanted, key), key=f"{KEY}.{key}") for key in ("of", "to"))
     body, target = int(layout.frame_body[of]), int(layout.frame_body[to])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run did before in states near the observed one, tried again: the memory of whoever walks, swims or swings."""
+"""Controls that a run sent before in states near the observed one, tried again."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import numpy as np
 from ..kernels.geometry.kinematics import FREE
 from ..scene.errors import SceneError
 from .motions import Nearness, holding, near_columns
+from .proposers import Proposer
 from .splines import spline_value
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..model.layout import Layout
     from ..model.state import State
     from ..scene.schema import Ancillary, Scene
@@ -26,7 +29,7 @@ EARLY = 1e-6
 """Two times that are the same may differ by so much, however they were rounded [s]."""
 
 
-class Recall:
+class Recall(Proposer):
     """Controls that followed the moments of a run that were most like the present one, for as long as a plan lasts.
 
     One control is remembered for each plan: where plans are further apart than controls, the first one sent stands for
@@ -44,12 +47,9 @@ class Recall:
         SceneError: If there is no such joint, or the memory is shorter than a plan.
     """
 
-    count: int
-    """How many samples are proposed at most: every moment once for each splice."""
-
     def __init__(self, scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon, envs: int):
+        super().__init__(wanted.nearest * len(wanted.splice))
         self._layout, self._horizon, self._nearest = layout, horizon, wanted.nearest
-        self.count = wanted.nearest * len(wanted.splice)
         self._splices = [np.searchsorted(horizon.time, share * horizon.time[-1]) for share in wanted.splice]
         self._columns = near_columns(layout, f"{key}.joints", wanted.joints)
         if wanted.joints is None:
@@ -66,34 +66,23 @@ class Recall:
         for memory in self._memories:
             memory.forget()
 
-    def miss(self, unseen: np.ndarray, last: PlanReport) -> None:
-        """Some environments are not observed now; what they do before they are again is not remembered.
+    def ask(
+        self, e: int, state: State | None, task: Mapping[str, np.ndarray | float], last: PlanReport
+    ) -> np.ndarray | None:
+        """Knots ``[n, P, nu]`` to try from a state on, which is remembered, n at most :attr:`count`.
 
-        Args:
-            unseen: Which ones ``[E]``.
-            last: What came of the plan before this one.
-        """
-        for e in np.flatnonzero(unseen):
-            self._memories[e].keep(_sent(last, e))
-
-    def __call__(self, e: int, state: State, last: PlanReport) -> np.ndarray:
-        """What to try from a state on, which is remembered.
-
-        Args:
-            e: Environment.
-            state: Its observed state.
-            last: What came of the plan before this one.
-
-        Returns:
-            Knots ``[n, P, nu]``, n at most :attr:`count`; none as long as no whole horizon is remembered.
+        There are none as long as no whole horizon is remembered. What is sent where there is no state to plan from is
+        not remembered.
         """
         memory, horizon = self._memories[e], self._horizon
         began = memory.began
         memory.keep(_sent(last, e))
+        if state is None:
+            return None
         memory.see(state)
         known = int(np.searchsorted(memory.time, state.time - horizon.time[-1] - EARLY))  # and all that followed
         if not known:
-            return np.zeros((0, *last.knots.shape[1:]))
+            return None
         near = Nearness(self._layout, memory.state[:known], self._columns)
         at = self._moments(near(np.concatenate([state.joint_q, state.joint_qd])), memory.time[:known])
         held = holding(memory.time, memory.time[at, None] + horizon.time)
@@ -157,7 +146,7 @@ class _Memory:
 
     @property
     def control(self) -> np.ndarray:
-        """What was sent from then on, to the next one ``[N, nu]``."""
+        """Control that was sent from then on, to the next one ``[N, nu]``."""
         return self._kept[:, 1 + self._states :]
 
     def keep(self, sent: np.ndarray | None) -> None:
@@ -188,7 +177,7 @@ class _Memory:
 
 
 def _sent(last: PlanReport, e: int) -> np.ndarray | None:
-    """What an environment was sent, None where no sample survived."""
+    """Control that an environment was sent, None where no sample survived."""
     return last.command[e] if np.isfinite(last.cost[e]) else None
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..derivatives.expansion import Differences, Quadratic, gauss_newton, held
 from ..derivatives.residuals import Residuals
 from ..derivatives.rollouts import Policy, PolicyRollouts
+from ..engine.protocol import Proposal
 from ..engine.registry import physics_steps
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.weights import forget_cost_kernel
@@ -37,21 +38,6 @@ DAMPING = (1e-6, 1e-3, 1e6)
 """Least, first and largest damping μ of ∂²Q/∂u², per squared half range of the controls."""
 FACTOR = 10.0
 """By which the damping grows when a step does not help, and shrinks when it does."""
-
-
-class Tried:
-    """Knots that are there already, as engines take them.
-
-    Args:
-        strategy: Whose knots they are.
-        samples: How many of every environment are tried.
-    """
-
-    def __init__(self, strategy: SamplingStrategy, samples: int):
-        self.knots, self.offset, self.samples = strategy.knots, strategy.offset, samples
-
-    def sample(self, first: int, count: int) -> None:
-        """Nothing: they are there."""
 
 
 class Refiner(ABC):
@@ -93,7 +79,11 @@ class Refiner(ABC):
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
         self._discount = request.grid.weight.astype(float)
-        self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), Tried(strategy, 1)
+        self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), self._held(1)
+
+    def _held(self, samples: int) -> Proposal:
+        """Proposal of the first samples, whose knots are there already."""
+        return Proposal(self._strategy.knots, self._strategy.offset, samples)
 
     def __call__(self) -> None:
         """Improve the plan for the observed state; where that fails it stays as it was, and why is logged."""
@@ -111,7 +101,7 @@ class Refiner(ABC):
 
     @property
     def summary(self) -> str:
-        """What derivatives are taken of, in a sentence."""
+        """A sentence about what derivatives are taken of."""
         worlds = self.differences.worlds.shape.worlds
         out = f"differences of {self.residuals.width} residuals in {worlds} worlds of one control"
         rough = self.residuals.without
@@ -141,7 +131,7 @@ class Refiner(ABC):
         return Policy(np.ones((envs, steps, nx)), control, np.zeros_like(control), gain)
 
     def _conclude(self) -> None:
-        """Let the engine have rolled out, judged and recorded the plan, as the only sample."""
+        """Let the engine have rolled out, evaluated and recorded the plan, as the only sample."""
         strategy, cost = self._strategy, self._engine.cost
         self._knots[:, 0] = strategy.mean.numpy()
         strategy.knots.assign(self._knots)
@@ -190,7 +180,7 @@ class GradientRefiner(Refiner):
         if count > strategy.knots.shape[1]:
             what = f"the line search tries {count} candidates as samples, and there are fewer of these"
             raise SceneError(what, key="planner.samples", file=request.scene.path, found=planner.samples)
-        self._candidates = Tried(strategy, count)
+        self._candidates = self._held(count)
         self._shares = shares(count)
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
@@ -217,7 +207,7 @@ class GradientRefiner(Refiner):
             strategy.mean.assign(self._knots[rows, best])
 
     def _blend(self) -> np.ndarray:
-        """How much of each knot a step's control is ``[E, T, P]``."""
+        """Share of each knot in a step's control ``[E, T, P]``."""
         times, grid = self._request.spline.time.numpy().astype(float), self._request.grid.t[:-1]
         kind, unit = SplineKind(self._planner.spline.value), np.eye(len(times))
         offsets = self._strategy.offset.numpy()
@@ -318,11 +308,11 @@ class IlqgRefiner(Refiner):
 
 
 REFINERS = {Refinement.GRADIENT: GradientRefiner, Refinement.ILQG: IlqgRefiner}
-"""What improves plans, by the name in ``planner.refine``."""
+"""Refiners by the name in ``planner.refine``."""
 
 
 def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: SamplingStrategy) -> Refiner | None:
-    """What a scene wants plans improved by, None if it does not.
+    """Refiner that a scene asks for, None without.
 
     Args:
         name: Name of the plans' engine.

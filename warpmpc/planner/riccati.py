@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Backward:
-    """What the backward pass comes to."""
+    """Result of the backward pass."""
 
     change: np.ndarray
     """k ``[E, T, nu]``."""
     gain: np.ndarray
     """K ``[E, T, nu, n]``; zero for controls at their limits."""
     failed: np.ndarray
-    """Whether ∂²Q/∂u² is not positive definite with the damping ``[E]``."""
+    """True where ∂²Q/∂u² is not positive definite with the damping ``[E]``."""
 
 
 def backward(

@@ -26,7 +26,7 @@ class SplineKind(StrEnum):
 
 
 def spline_table(kind: SplineKind, time: np.ndarray, step: float, device: str) -> kernels.Spline:
-    """What the kernels need to know of a spline.
+    """Table of a spline, as kernels take it.
 
     Args:
         kind: Kind of spline.

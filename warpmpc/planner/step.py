@@ -14,13 +14,14 @@ from ..engine.registry import EngineRequest, make_engine
 from ..engine.timegrid import TimeGrid
 from ..kernels.planning.splines import command_kernel
 from ..launch import Launcher, Replay
+from ..registry import STRATEGIES
 from ..task.observed import ObservedState
-from . import registry
+from . import registry  # noqa: F401 (the shipped strategies)
 from .ancillary import Ancillaries
 from .plan import Plan, refitted
 from .refine import control_hold, refiner_of
 from .splines import SplineKind, spline_table
-from .strategy import Round
+from .strategy import proposal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +57,7 @@ class PlanStep:
     """
 
     command: wp.array2d[float]
-    """Control to apply now, ``[E, nu]``."""
+    """Control to apply now, ``[E, nu]``: the one that acts when the next plan begins (``state.last_control``)."""
 
     def __init__(
         self,
@@ -72,7 +73,7 @@ class PlanStep:
         ancillaries: Sequence[AncillaryController] = (),
     ):
         layout = costs.layout
-        make_strategy = registry.find(str(scene.planner.method) if strategy == "auto" else strategy)
+        make_strategy = STRATEGIES.find(str(scene.planner.method) if strategy == "auto" else strategy, "auto")
         self.costs, self.shape, self.device = costs, shape, costs.device
         self.grid, self.kind = TimeGrid.of(scene), SplineKind(scene.planner.spline.value)
         self.knot_time = knot_times(self.grid, scene.planner.knots, control_hold(scene))
@@ -84,7 +85,7 @@ class PlanStep:
 
         self.limits = (array(layout.control_lower), array(layout.control_upper))
         self.ancillaries = Ancillaries(scene, layout, costs.task, self.knot_time, ancillaries)
-        """What proposes samples before a plan."""
+        """Proposers on the host."""
         proposed = self.ancillaries.columns
         self.state = ObservedState.allocate(layout, costs.task, self.device, proposed=proposed)
         request = EngineRequest(
@@ -103,12 +104,12 @@ class PlanStep:
         on_gpu = wp.get_device(self.device).is_cuda
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
-        """What improves the samples' plan by derivatives, if anything does."""
+        """Improves the samples' plan by derivatives, None without."""
         self.capturable = entry.capturable and costs.capturable and on_gpu and self.refiner is None
-        """Whether a CUDA graph can hold a plan."""
+        """True where a CUDA graph can hold a plan."""
         self.spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
-        self.command = self.state.last_control  # what acts from now on
+        self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)
         self.stages = dict.fromkeys(STAGES, 0.0)
         """Wall time of each stage of the last plan [s]."""
         self.reset()
@@ -117,6 +118,8 @@ class PlanStep:
         """Forget every earlier plan; the next one starts from ``plan`` if there is one."""
         knots = [] if plan is None else [refitted(plan, self.kind, self.knot_time)]
         self.strategy.reset(*knots)
+        for first in (k[..., 0, :] for k in knots):
+            self.command.assign(np.broadcast_to(first, self.command.shape).astype(np.float32))
         if self.refiner:
             self.refiner.reset()
         self.ancillaries.reset()
@@ -142,10 +145,9 @@ class PlanStep:
         strategy, engine = self.strategy, self.engine
         pieces = [("begin", self._replayed(self._begin))]
         for i in range(len(strategy.population)):
-            proposal = Round(strategy, i)
             pieces += [
                 ("propose", self._replayed(partial(strategy.propose, i))),
-                ("evaluate", partial(engine.evaluate, proposal)),
+                ("evaluate", partial(engine.evaluate, proposal(strategy, i))),
                 ("update", self._replayed(partial(strategy.update, i))),
             ]
         if self.refiner:
@@ -158,6 +160,7 @@ class PlanStep:
 
     def _begin(self) -> None:
         """Let resources and plans follow the observed state."""
+        wp.copy(self.state.last_control, self.command)
         self.costs.before_plan(self.state)
         self.strategy.shift()
 

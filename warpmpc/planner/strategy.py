@@ -3,30 +3,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
 
+from ..engine.protocol import Proposal
 from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import CovarianceForm, Execute, Method, NoiseShape, Renewal, TryMean
+from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
 from .covariance import Covariance, control_sigma, covariance_form, per_control
-from .distribution import Gaussian
-from .fixed_rows import FixedRows
+from .distribution import Gaussian, RecedingPlan
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
-from .postures import PostureRows
-from .rows import BestRows, NullRows, ProposedRows, SequenceRows
+from .postures import PostureSamples
+from .proposers import AskedSamples, BestSamples, NullSamples, StoredSamples, Undrawn
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
-from .weighting import WeightingState, weighting_of
+from .weighting import Mppi, Weighting, WeightingState
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from ..kernels.planning.splines import Spline
     from ..model.layout import Layout
@@ -38,7 +38,7 @@ class Strategy(Protocol):
     """Proposes knots, is told what they cost, and knows the plan."""
 
     population: Sequence[int]
-    """How many samples of every environment a round of propose and update tries, one number for each round of a plan;
+    """Samples of every environment that a round of propose and update tries, one number for each round of a plan;
     the first ones, all others cost +inf then."""
     knots: wp.array4d[float]
     """Proposed knots, ``[E, S, P, nu]``, within the limits."""
@@ -67,38 +67,17 @@ class Strategy(Protocol):
         """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
 
 
-@dataclass(frozen=True)
-class Round:
-    """What one round of a strategy proposes, as engines take it."""
-
-    strategy: Strategy
-    iteration: int
-
-    @property
-    def knots(self) -> wp.array:
-        """Proposed knots ``[E, S, P, nu]``."""
-        return self.strategy.knots
-
-    @property
-    def offset(self) -> wp.array:
-        """Time from the first knot to the present ``[E]`` [s]."""
-        return self.strategy.offset
-
-    @property
-    def samples(self) -> int:
-        """How many samples of every environment are tried."""
-        return self.strategy.population[self.iteration]
-
-    def sample(self, first: int, count: int) -> None:
-        """Write the knots of the samples in rows e·S + s from ``first`` on; capture-safe."""
-        self.strategy.sample(self.iteration, first, count)
+def proposal(strategy: Strategy, iteration: int) -> Proposal:
+    """Proposal of one round of a strategy, as engines take it."""
+    sample = partial(strategy.sample, iteration)
+    return Proposal(strategy.knots, strategy.offset, strategy.population[iteration], sample)
 
 
 class SamplingStrategy:
     """Samples about a mean, weighs them by cost, moves mean and covariance to the weighted samples.
 
     MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
-    several iterations, STORM is MPPI with a step size, an adapted covariance and its fixed rows, iCEM is the
+    several iterations, STORM is MPPI with a step size, an adapted covariance and undrawn samples, iCEM is the
     cross-entropy method with coloured noise, kept elites and a population that decays.
 
     Args:
@@ -109,6 +88,7 @@ class SamplingStrategy:
         limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
         cost: Costs of the samples ``[E, S]``, which the engine writes.
         seed: Seed of the noise.
+        weighting: Makes the weighting of a scene's planner.
 
     Raises:
         SceneError: If a list has the wrong number of values, keys contradict each other or sequences do not fit.
@@ -124,16 +104,16 @@ class SamplingStrategy:
         cost: wp.array,
         *,
         seed: int = 0,
+        weighting: Callable[[Planner], Weighting] = Mppi.of,
     ):
         planner = self._planner = scene.planner
         device = cost.device
         envs, samples = cost.shape
         count, nu = len(spline.time), layout.nu
         self._state, self._launch = state, Launcher(device)
-        self.weighting = weighting_of(planner)
+        self.weighting = weighting(planner)
         self.weights = WeightingState(cost, temperature=planner.temperature.initial)
         self.beta, self.eta = self.weights.beta, self.weights.eta
-        rest = layout.control_start if len(layout.control_start) else np.zeros(nu, dtype=np.float32)
         form = covariance_form(scene, adapts=self.weighting.adapts_sigma)
         covariance = Covariance(
             form,
@@ -146,12 +126,14 @@ class SamplingStrategy:
             device=device,
             restarts=planner.covariance.restart,
         )
-        self.distribution = Gaussian(state, spline, limits, covariance=covariance, held=layout.control_safe, rest=rest)
+        self.distribution = Gaussian(layout, state, spline, limits, covariance)
         self.offset = self.distribution.offset
-        self._best = self._best_rows(scene)
-        self._postures = None
-        self._fixed = self._fixed_rows(scene, layout, spline, cost, seed)
-        self.population = _population(planner, samples, self._fixed.count)
+        keeps = planner.keep_best or planner.execute is Execute.BEST
+        self._best = BestSamples(self.distribution.carry, int(planner.keep_best)) if keeps else None
+        if self._best and not self._best.count:  # the best one is carried out, but not tried again
+            self._best.bind(wp.zeros((1, *self.distribution.dim), dtype=float, device=device))
+        self._undrawn = self._proposers(scene, layout, spline, cost, seed)
+        self.population = _population(planner, samples, self._undrawn.count)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
@@ -171,46 +153,36 @@ class SamplingStrategy:
             device=device,
         )
 
-    def _best_rows(self, scene: Scene) -> BestRows | None:
-        """The best samples so far, if they are tried again or one is carried out."""
-        planner = scene.planner
-        if planner.keep_best or planner.execute is Execute.BEST:
-            return BestRows(self.distribution, int(planner.keep_best))
-        return None
-
-    def _fixed_rows(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> FixedRows:
+    def _proposers(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> Undrawn:
         """The samples that a scene does not want drawn."""
         planner, samples, distribution = scene.planner, cost.shape[1], self.distribution
         nulls = max(int(planner.noise.null_sample), round(planner.noise.null_share * samples))
-        rows = [NullRows(nulls, distribution.null)]
-        rows += [self._best] if self._best else []
+        found = [NullSamples(nulls, distribution.null)]
+        found += [self._best] if self._best else []
         if planner.postures is not None:
-            first = 1 + sum(row.count for row in rows)
-            self._postures = PostureRows(
-                scene, layout, self._state, spline, distribution.null, cost, first=first, seed=seed
-            )
-            rows.append(self._postures)
-        rows.append(SequenceRows(sequences(scene, spline.time.numpy(), layout.nu)))
-        rows.append(ProposedRows(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
-        fixed = FixedRows(rows, distribution.dim, distribution.device)
-        if fixed.count + 1 > samples:
+            first = 1 + sum(proposer.count for proposer in found)
+            where = {"first": first, "seed": seed}
+            found.append(PostureSamples(scene, layout, self._state, spline, distribution.null, cost, **where))
+        found.append(StoredSamples(sequences(scene, spline.time.numpy(), layout.nu)))
+        found.append(AskedSamples(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
+        undrawn = Undrawn(found, distribution.dim, distribution.device)
+        if undrawn.count + 1 > samples:
             kinds = "null, best, postures, sequences, ancillary"
-            message = f"the mean and {fixed.count} fixed samples ({kinds}) are more than there are samples"
+            message = f"the mean and {undrawn.count} fixed samples ({kinds}) are more than there are samples"
             raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
-        return fixed
+        return undrawn
 
     def reset(self, knots: np.ndarray | None = None) -> None:
         """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
         self.distribution.reset(knots)
         self.weights.reset()
         self.noise.reset()
-        if self._postures:
-            self._postures.reset()
+        self._undrawn.reset()
 
     def shift(self) -> None:
         """Move mean and covariance on by the time that has passed; capture-safe."""
         self.distribution.shift()
-        self._fixed.before_plan()
+        self._undrawn.before_plan()
 
     def propose(self, iteration: int) -> None:
         """Go on to the next draw of the noise; capture-safe."""
@@ -228,7 +200,7 @@ class SamplingStrategy:
             self.noise.draw(first, count)
         mean = self._planner.try_mean is TryMean.ALWAYS or iteration == len(self.population) - 1
         self.distribution.perturb(
-            self.noise.noise, self._fixed, iteration, mean=mean, knots=self.knots, first=first, count=count
+            self.noise.noise, self._undrawn, iteration, mean=mean, knots=self.knots, first=first, count=count
         )
 
     def update(self, iteration: int) -> None:
@@ -242,10 +214,49 @@ class SamplingStrategy:
             self.moments.keep_best(cost, self._best.knots)
 
 
+class DerivativeStrategy:
+    """A plan without samples: derivatives along its own rollout improve it (:mod:`.refine`).
+
+    Gradient descent and iLQG of Howell et al. 2022. Arguments are those of :class:`SamplingStrategy`; there is no seed.
+    """
+
+    population = ()
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        state: ObservedState,
+        spline: Spline,
+        limits: tuple[wp.array, wp.array],
+        cost: wp.array,
+        *,
+        seed: int = 0,
+    ):
+        self._plan, device = RecedingPlan(layout, state, spline, limits), cost.device
+        envs, *rest = self._plan.dim
+        self.mean, self.offset = self._plan.mean, self._plan.offset
+        self.knots = wp.zeros((envs, cost.shape[1], *rest), dtype=float, device=device)
+        self.beta = wp.full(envs, scene.planner.temperature.initial, dtype=float, device=device)
+        self.eta = wp.zeros(envs, dtype=float, device=device)
+
+    def shift(self) -> None:
+        """Move the plan on by the time that has passed; capture-safe."""
+        self._plan.shift()
+
+    def reset(self, knots: np.ndarray | None = None) -> None:
+        """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
+        self._plan.reset(knots)
+        self.eta.zero_()
+
+    def propose(self, iteration: int) -> None:
+        """Never called: there are no rounds."""
+
+    sample = update = propose
+
+
 def _population(planner: Planner, samples: int, fixed: int) -> tuple[int, ...]:
     """Samples that each iteration tries, S/γ^i, but enough for the elites and for those that are not drawn."""
-    if planner.method in (Method.GRADIENT_DESCENT, Method.ILQG):
-        return ()
     least = max(2 * planner.elites, fixed + 2)
     return tuple(min(samples, max(ceil(samples / planner.decay**i), least)) for i in range(planner.iterations))
 

@@ -17,9 +17,10 @@ from ..kernels.planning.weights import (
     tsallis_weight_kernel,
 )
 from ..launch import Launcher
-from ..scene.schema import Method
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..scene.schema import Planner
 
 
@@ -57,6 +58,10 @@ class WeightingState:
         self.beta = wp.full(envs, temperature, dtype=float, device=self.device)
         self.eta = wp.zeros(envs, dtype=float, device=self.device)
 
+    def weigh(self, kernel: wp.Kernel, inputs: Sequence, outputs: Sequence) -> None:
+        """Launch a kernel with a block for every environment, whose first input is :attr:`cost`; capture-safe."""
+        self.launch(kernel, [self.cost.shape[0]], [self.cost, *inputs], outputs, block_dim=self.block_dim)
+
     def reset(self) -> None:
         """Return to the initial temperature and to no weights; capture-safe."""
         self.beta.fill_(self.temperature)
@@ -68,7 +73,7 @@ class Weighting(Protocol):
     """Turns the costs of a :class:`WeightingState` into weights."""
 
     adapts_sigma: ClassVar[bool]
-    """Whether σ follows the weighted samples where the scene does not say."""
+    """True where σ follows the weighted samples unless the scene says otherwise."""
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
@@ -76,7 +81,7 @@ class Weighting(Protocol):
 
 
 class Adaptation(StrEnum):
-    """How MPPI finds its temperature; the values are the words of scene files."""
+    """Ways of MPPI to find its temperature; the values are the words of scene files."""
 
     ETA = "eta"
     """A small step of β towards the bounds of η after each plan step."""
@@ -108,6 +113,13 @@ class Mppi:
 
     adapts_sigma: ClassVar[bool] = False
 
+    @classmethod
+    def of(cls, planner: Planner) -> Mppi:
+        """The weighting that a scene asks for."""
+        t = planner.temperature
+        adapt = Adaptation.ESS if t.ess else Adaptation.ETA if t.eta else Adaptation.FIXED
+        return cls(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
+
     def __post_init__(self):
         Adaptation(self.adapt)
         if not 0.0 < self.temperature < float("inf"):
@@ -123,35 +135,9 @@ class Mppi:
         """Write ``state.weight``, ``state.eta`` and ``state.beta`` from ``state.cost``; capture-safe."""
         bounds = wp.vec2(*self.beta_bounds)
         if self.adapt == Adaptation.ESS:
-            state.launch(
-                bisect_temperature_kernel,
-                [state.cost.shape[0]],
-                [state.cost, self.target_ess, bounds],
-                [state.beta],
-                block_dim=state.block_dim,
-            )
-        state.launch(
-            importance_weight_kernel,
-            [state.cost.shape[0]],
-            [state.cost, wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)],
-            [state.beta, state.eta, state.weight],
-            block_dim=state.block_dim,
-        )
-
-
-def weighting_of(planner: Planner) -> Weighting:
-    """The weighting a scene asks for."""
-    match planner.method:
-        case Method.MPPI | Method.DIAL:
-            t = planner.temperature
-            adapt = Adaptation.ESS if t.ess else Adaptation.ETA if t.eta else Adaptation.FIXED
-            return Mppi(temperature=t.initial, adapt=adapt, eta=t.eta or (5.0, 10.0), target_ess=t.ess or 10.0)
-        case Method.PREDICTIVE_SAMPLING | Method.ILQS | Method.ILQG | Method.GRADIENT_DESCENT:
-            return PredictiveSampling()
-        case Method.CEM | Method.ICEM:
-            return CrossEntropy(elites=planner.elites)
-        case Method.TSALLIS:
-            return Tsallis(elites=planner.elites, entropic_index=planner.entropic_index)
+            state.weigh(bisect_temperature_kernel, [self.target_ess, bounds], [state.beta])
+        inputs = [wp.vec2(*self.eta), bounds, int(self.adapt == Adaptation.ETA)]
+        state.weigh(importance_weight_kernel, inputs, [state.beta, state.eta, state.weight])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,13 +148,7 @@ class PredictiveSampling:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        state.launch(
-            best_weight_kernel,
-            [state.cost.shape[0]],
-            [state.cost],
-            [state.eta, state.weight],
-            block_dim=state.block_dim,
-        )
+        state.weigh(best_weight_kernel, [], [state.eta, state.weight])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,13 +169,7 @@ class CrossEntropy:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        state.launch(
-            elite_weight_kernel,
-            [state.cost.shape[0]],
-            [state.cost, self.elites],
-            [state.eta, state.weight],
-            block_dim=state.block_dim,
-        )
+        state.weigh(elite_weight_kernel, [self.elites], [state.eta, state.weight])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,10 +194,4 @@ class Tsallis:
 
     def launch(self, state: WeightingState) -> None:
         """Write ``state.weight`` and ``state.eta`` from ``state.cost``; capture-safe."""
-        state.launch(
-            tsallis_weight_kernel,
-            [state.cost.shape[0]],
-            [state.cost, self.elites, 1.0 / (self.entropic_index - 1.0)],
-            [state.eta, state.weight],
-            block_dim=state.block_dim,
-        )
+        state.weigh(tsallis_weight_kernel, [self.elites, 1.0 / (self.entropic_index - 1.0)], [state.eta, state.weight])

@@ -11,7 +11,7 @@ import numpy as np
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from ..engine.mujoco import MujocoEngine
+    from ..engine.mujoco import MujocoSimulator
     from ..model.compiled import CompiledScene
 
 STEPS = 0.4
@@ -31,7 +31,7 @@ class Hand:
         world: Which of them.
     """
 
-    def __init__(self, compiled: CompiledScene, engine: MujocoEngine, world: int):
+    def __init__(self, compiled: CompiledScene, engine: MujocoSimulator, world: int):
         self._engine, self._world, self._model = engine, world, engine.models[world]
         names = zip(compiled.layout.body_name, compiled.body_name, strict=True)
         self._body = {name: self._model.body(own).id for name, own in names}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cost.values import TermValues
-from ..engine.mujoco import MujocoEngine
+from ..engine.mujoco import MujocoSimulator
 from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene
@@ -79,7 +79,7 @@ class Worlds:
         self.first_pair = len(watching)
         shape, dt = BatchSize(len(seeds), 1, 1, 1), scene.timing.control_dt
         substeps = compiled.substeps(scene.plant.substeps, dt, SUBSTEPS)
-        self.engine = MujocoEngine(
+        self.engine = MujocoSimulator(
             compiled,
             shape,
             substeps=[substeps],

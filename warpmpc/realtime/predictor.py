@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..engine.mujoco import MujocoEngine
+from ..engine.mujoco import MujocoSimulator
 from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
 from ..model.mujoco_model import Options
@@ -45,7 +45,7 @@ class Predictor:
         """Step of a prediction [s]."""
         self._task, self._start = task, layout
         with capturing:
-            self._engine = MujocoEngine(
+            self._engine = MujocoSimulator(
                 compiled,
                 BatchSize(1, 1, 1, 1),
                 substeps=[1],

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, get_args, get_origin
 
 from pydantic import BaseModel
 
+from ..registry import Name
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
@@ -149,6 +151,7 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
         return {"message": _length(annotation, context), "key": key, "found": found}
     if kind == "enum":
         choices = re.findall(r"'([^']*)'", context["expected"])
+        choices = annotation.names() if isinstance(annotation, type) and issubclass(annotation, Name) else choices
         return {"message": "no such choice", "key": key, "found": found, "allowed": choices}
     if kind == "value_error":
         return {"message": str(context["error"]), "key": key, "found": found}

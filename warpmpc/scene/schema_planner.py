@@ -9,6 +9,7 @@ from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, model_validator
 
+from ..registry import ENGINES, STRATEGIES, Name, Registry
 from .schema_ancillary import Ancillary
 from .schema_sampling import Covariance, Execute, Postures, TryMean
 from .types import (
@@ -31,8 +32,8 @@ from .types import (
 )
 
 
-class Method(StrEnum):
-    """How costs become sample weights."""
+class Method(Name):
+    """Strategies of plans."""
 
     MPPI = "mppi"
     PREDICTIVE_SAMPLING = "predictive_sampling"
@@ -43,6 +44,11 @@ class Method(StrEnum):
     GRADIENT_DESCENT = "gradient_descent"
     ILQG = "ilqg"
     ILQS = "ilqs"
+
+    @classmethod
+    def registry(cls) -> Registry:
+        """Where users' strategies are."""
+        return STRATEGIES
 
 
 class NoiseSource(StrEnum):
@@ -270,7 +276,7 @@ class Planner(Section):
     """The sampling-based planner."""
 
     method: Method = Method.MPPI
-    """How costs become sample weights."""
+    """Strategy of the plans, a registered one among them."""
     samples: Samples = 256
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
@@ -376,14 +382,19 @@ class Planner(Section):
         return self
 
 
-class EngineName(StrEnum):
-    """What rolls controls out."""
+class EngineName(Name):
+    """Engines of rollouts."""
 
     AUTO = "auto"
     MUJOCO = "mujoco"
     NEWTON = "newton"
     KINEMATIC = "kinematic"
     FUSED = "fused"
+
+    @classmethod
+    def registry(cls) -> Registry:
+        """Where users' engines are."""
+        return ENGINES
 
 
 class Solver(StrEnum):
@@ -420,7 +431,7 @@ class EngineSettings(Section):
     """
 
     name: EngineName = EngineName.AUTO
-    """What rolls controls out; ``auto``: the first that can do what the scene asks for."""
+    """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
     substeps: Count | None = None
     """Physics steps per control; else as many as the MJCF file's timestep asks for, or 2."""
     threads: Natural = 0

@@ -30,7 +30,7 @@ class ObservedState:
     scalar: wp.array  # [E, scalars] of the task
     weight: wp.array  # [E, terms] of the task
     proposed: wp.array  # [E, n·P·nu] knots of samples that are proposed for this state, not finite for none
-    last_control: wp.array  # [E, nu] control that acts now
+    last_control: wp.array  # [E, nu] control that acts when the plan begins
     body_q: wp.array  # [E, nb] transform, from the joints, for the resources of cost terms
     body_qd: wp.array  # [E, nb] spatial vector
 

@@ -14,9 +14,8 @@ from warpmpc.kernels.planning.costs import (
     MEAN,
     VAR,
     WORST,
-    explain_cost_kernel,
-    risk_kernel,
-    sum_cost_kernel,
+    explain_kernel,
+    finish_kernel,
 )
 
 INF = np.inf
@@ -27,24 +26,59 @@ def on(device: str, array, dtype=float) -> wp.array:
     return wp.array(np.asarray(array), dtype=dtype, device=device)
 
 
+class Finished:
+    """Rollout costs [W], sample costs [E, S] and totals [term, W] of stage costs [term, T, W] on the record."""
+
+    def __init__(
+        self,
+        stage_cost,
+        weight,
+        *,
+        envs=1,
+        domains=1,
+        mode=MEAN,
+        alpha=1.0,
+        stage_risk=0.0,
+        failed=None,
+        observed=None,
+        first=0,
+        before=0.0,
+        device,
+    ):
+        self.device, terms, worlds = device, stage_cost.shape[0], stage_cost.shape[2]
+        samples = worlds // domains // envs
+        shapes = (terms, worlds), worlds, (envs, samples)
+        self.total, self.rollout, self.sample = (wp.full(x, before, dtype=float, device=device) for x in shapes)
+        failed = np.zeros(worlds) if failed is None else failed
+        observed = np.ones(envs) if observed is None else observed
+        self.over = [domains, mode, alpha]
+        inputs = [on(device, stage_cost), on(device, range(terms), int), wp.zeros(0, dtype=int, device=device)]
+        inputs += [on(device, weight), stage_risk, on(device, failed, int), on(device, observed, int), *self.over]
+        outputs = [self.total, self.rollout, wp.zeros(worlds, dtype=int, device=device), self.sample]
+        dim = envs * samples - first
+        wp.launch(finish_kernel, dim=dim, inputs=[*inputs, first], outputs=outputs, device=device)
+
+    def explain(self, best) -> np.ndarray:
+        """Parts of the terms [E, term] in the costs of samples [E]."""
+        found = wp.zeros((len(best), self.total.shape[0]), dtype=float, device=self.device)
+        inputs = [self.total, self.rollout, on(self.device, best, int), self.sample.shape[1], *self.over]
+        wp.launch(explain_kernel, dim=found.shape, inputs=inputs, outputs=[found], device=self.device)
+        return found.numpy()
+
+
 def discounted(
     stage_cost: np.ndarray, diverged: np.ndarray, *, discount: float, stage_risk: float = 0.0, device: str
 ) -> np.ndarray:
     """Rollout costs [W] of stage costs [term, T, W]."""
-    out = wp.empty(stage_cost.shape[2], dtype=float, device=device)
     weight = float(discount) ** np.arange(stage_cost.shape[1])
-    inputs = [on(device, stage_cost), on(device, diverged, int), on(device, weight), stage_risk, 0]
-    wp.launch(sum_cost_kernel, dim=out.shape, inputs=inputs, outputs=[out], device=device)
-    return out.numpy()
+    return Finished(stage_cost, weight, failed=diverged, stage_risk=stage_risk, device=device).rollout.numpy()
 
 
 def risk(cost: np.ndarray, *, mode: int, alpha: float = 1.0, device: str) -> np.ndarray:
     """Sample costs [E, S] of rollout costs [E, S, D]."""
-    out = wp.empty(cost.shape[:2], dtype=float, device=device)
-    observed = wp.full(len(cost), 1, dtype=int, device=device)
-    inputs = [on(device, cost.ravel()), observed, cost.shape[2], mode, alpha, 0]
-    wp.launch(risk_kernel, dim=out.size, inputs=inputs, outputs=[out], device=device)
-    return out.numpy()
+    envs, _, domains = cost.shape
+    over = {"envs": envs, "domains": domains, "mode": mode, "alpha": alpha}
+    return Finished(cost.reshape(1, 1, -1), [1.0], **over, device=device).sample.numpy()
 
 
 # discounted sums
@@ -72,11 +106,9 @@ def test_a_world_flagged_as_diverged_is_infinite_though_it_looks_cheap(device):
 def test_steps_count_by_their_weights_and_only_the_worlds_asked_for_are_summed(device):
     rng = np.random.default_rng(1)
     stage, weight = rng.normal(size=(2, 5, 7)), rng.uniform(size=5)
-    out = wp.full(7, -1.0, dtype=float, device=device)
-    inputs = [on(device, stage), on(device, np.zeros(7), int), on(device, weight), 0.0, 3]
-    wp.launch(sum_cost_kernel, dim=4, inputs=inputs, outputs=[out], device=device)
-    np.testing.assert_array_equal(out.numpy()[:3], -1.0)
-    np.testing.assert_allclose(out.numpy()[3:], np.einsum("itw,t->w", stage, weight)[3:], atol=1e-5)
+    out = Finished(stage, weight, first=3, before=-1.0, device=device).rollout.numpy()
+    np.testing.assert_array_equal(out[:3], -1.0)
+    np.testing.assert_allclose(out[3:], np.einsum("itw,t->w", stage, weight)[3:], atol=1e-5)
 
 
 ADDING_UP = [(MEAN, 1.0), (WORST, 1.0), (CVAR, 0.3), (CVAR, 0.5), (CVAR, 0.01), (BEST, 1.0), (VAR, 0.3), (VAR, 0.5)]
@@ -94,11 +126,8 @@ def test_a_step_costs_what_its_stage_risk_makes_of_all_terms(stage_risk, device)
 @pytest.mark.parametrize("stage_risk", [-1.0, 2.0])
 def test_terms_add_up_to_the_cost_under_a_stage_risk(stage_risk, device):
     stage = np.random.default_rng(3).uniform(size=(3, 5, 4)).astype(np.float32)
-    cost = discounted(stage, np.zeros(4), discount=1.0, stage_risk=stage_risk, device=device)
-    found = wp.zeros((1, 3), dtype=float, device=device)
-    inputs = [on(device, stage), on(device, cost), on(device, [2], int), on(device, np.ones(5)), stage_risk]
-    wp.launch(explain_cost_kernel, dim=(1, 3), inputs=[*inputs, 4, 1, MEAN, 1.0], outputs=[found], device=device)
-    assert found.numpy().sum() == pytest.approx(cost[2], rel=1e-5)
+    finished = Finished(stage, np.ones(5), stage_risk=stage_risk, device=device)
+    assert finished.explain([2]).sum() == pytest.approx(finished.rollout.numpy()[2], rel=1e-5)
 
 
 @pytest.mark.parametrize(("mode", "alpha"), ADDING_UP)
@@ -111,26 +140,23 @@ def test_the_terms_of_a_sample_add_up_to_its_cost_over_the_domains(seed, domains
     weight = rng.uniform(size=steps)
     rollout = np.einsum("itw,t->w", stage.astype(np.float64), weight)
     cost = risk(rollout.reshape(envs, samples, domains), mode=mode, alpha=alpha, device=device)
-    found = wp.zeros((envs, terms), dtype=float, device=device)
     best = [2, 1]
-    inputs = [on(device, stage), on(device, rollout), on(device, best, int), on(device, weight)]
-    inputs += [0.0, samples, domains, mode, alpha]
-    wp.launch(explain_cost_kernel, dim=found.shape, inputs=inputs, outputs=[found], device=device)
-    np.testing.assert_allclose(found.numpy().sum(axis=1), [cost[e, s] for e, s in enumerate(best)], atol=2e-5)
+    finished = Finished(stage, weight, envs=envs, domains=domains, mode=mode, alpha=alpha, device=device)
+    found = finished.explain(best)
+    np.testing.assert_allclose(found.sum(axis=1), [cost[e, s] for e, s in enumerate(best)], atol=2e-5)
     if mode == MEAN:
         parts = np.einsum("itw,t->iw", stage.astype(np.float64), weight).reshape(terms, envs, samples, domains)
         expected = np.stack([parts[:, e, s].mean(axis=1) for e, s in enumerate(best)])
-        np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 # risk over domains
 
 
 def test_samples_of_an_environment_without_an_observation_are_infinite(device):
-    out = wp.zeros((3, 4), dtype=float, device=device)
-    inputs = [on(device, np.ones(12)), on(device, [1, 0, 1], int), 1, MEAN, 1.0, 1]
-    wp.launch(risk_kernel, dim=11, inputs=inputs, outputs=[out], device=device)
-    np.testing.assert_array_equal(out.numpy(), [[0.0, 1.0, 1.0, 1.0], [INF] * 4, [1.0] * 4])  # row 0 is another part
+    finished = Finished(np.ones((1, 1, 12)), [1.0], envs=3, observed=[1, 0, 1], first=1, device=device)
+    out = finished.sample.numpy()
+    np.testing.assert_array_equal(out, [[0.0, 1.0, 1.0, 1.0], [INF] * 4, [1.0] * 4])  # row 0 is another part
 
 
 def reference_cvar(cost: np.ndarray, alpha: float) -> float:

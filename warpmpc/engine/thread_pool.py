@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that share the worlds of a batch between them."""
+"""A pool of threads that share the worlds of a batch between them."""
 
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 import time
 import weakref
@@ -12,13 +13,20 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.crew import BOARD, take_parts_kernel
+from ..kernels.worlds.thread_pool import BOARD, take_parts_kernel
 from ..launch import Replay, capturing, replay_address
 
+PARTS = 4
+"""Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""
 _AT = {name: place for place, name in enumerate(BOARD)}
 
 
-class Crew:
+def thread_count(wanted: int) -> int:
+    """Number of threads for a wish, where 0 is one per core that this process may use."""
+    return wanted or len(os.sched_getaffinity(0))
+
+
+class ThreadPool:
     """Replays sequences of launches on several threads, the calling one among them.
 
     Each thread takes the next sequence that is left, so that worlds with much contact do not hold up the rest. The
@@ -31,19 +39,19 @@ class Crew:
     """
 
     thread: np.ndarray
-    """Which thread took each part last ``[parts]``."""
+    """Thread that took each part last ``[parts]``."""
 
     def __init__(self, threads: int, parts: int):
         self.threads, self.parts = min(threads, parts), parts
         self.thread = np.zeros(parts, dtype=np.int32)
         self._graphs = np.zeros(parts, dtype=np.uint64)
-        self._shown: Sequence[Replay] | None = None
+        self._known: Sequence[Replay] | None = None
         self._board: np.ndarray | None = None
         if self.threads > 1:
             self._start()
 
     def _start(self) -> None:
-        """Start the helpers and wait until they are at their places."""
+        """Start the helpers and wait until they are ready."""
         python = ctypes.pythonapi
         python.PyThread_allocate_lock.restype = ctypes.c_void_p
         locks = [python.PyThread_allocate_lock() for _ in range(self.threads + 1)]
@@ -60,20 +68,20 @@ class Crew:
         board[_AT["GRAPHS"]], board[_AT["THREAD"]] = self._graphs.ctypes.data, self.thread.ctypes.data
         board[_AT["PARTS"]], board[_AT["WOKEN"]] = self.parts, self.threads - 1
         python.PyThread_acquire_lock.argtypes = [ctypes.c_void_p, ctypes.c_int]
-        for lock in locks:  # they are waited at before anybody lets go of them
+        for lock in locks:  # they are waited at before any is released
             python.PyThread_acquire_lock(lock, 1)
         with capturing:
             wp.load_module(take_parts_kernel.module, device="cpu")
-            for member in range(1, self.threads):
+            for helper in range(1, self.threads):
                 threading.Thread(
-                    target=_work, args=[board, self._locks, self._graphs, self.thread, member], daemon=True
+                    target=_help, args=[board, self._locks, self._graphs, self.thread, helper], daemon=True
                 ).start()
             while board[_AT["READY"]] < self.threads - 1:
                 time.sleep(1e-4)
-            self._conduct = wp.launch(
+            self._lead = wp.launch(
                 take_parts_kernel, dim=1, inputs=[board.ctypes.data, 0], device="cpu", record_cmd=True
             )
-        self._quit = weakref.finalize(self, _dismiss, board, locks[1:-1])
+        self._end = weakref.finalize(self, _end, board, locks[1:-1])
 
     def run(self, replays: Sequence[Replay]) -> None:
         """Run sequences, each on whatever thread takes it; returns when all are done.
@@ -84,20 +92,20 @@ class Crew:
         Raises:
             RuntimeError: If one of them could not be replayed.
         """
-        if replays is not self._shown and not self._show(replays):
+        if replays is not self._known and not self._hand_over(replays):
             return
         if self.threads == 1:
             for replay in replays:
                 replay()
             return
         board = self._board
-        self._conduct.launch()
+        self._lead.launch()
         if board[_AT["FAILED"]]:
             board[_AT["FAILED"]] = 0
             raise RuntimeError("a recorded sequence of launches could not be replayed")
 
-    def _show(self, replays: Sequence[Replay]) -> bool:
-        """Make sequences known to the helpers; returns False where that took running them, one after the other."""
+    def _hand_over(self, replays: Sequence[Replay]) -> bool:
+        """Hand sequences to the helpers; returns False where that took running them, one after the other."""
         self.thread[:] = 0
         recorded = [replay.record() for replay in replays]
         if not all(recorded):
@@ -105,22 +113,22 @@ class Crew:
         self._graphs[: len(replays)] = [replay.address for replay in replays]
         if self.threads > 1:
             self._board[_AT["PARTS"]] = len(replays)
-        self._shown = replays
+        self._known = replays
         return True
 
     def close(self) -> None:
         """End the threads."""
         if self.threads > 1:
-            self._quit()
+            self._end()
 
 
-def _work(board: np.ndarray, locks: np.ndarray, graphs: np.ndarray, thread: np.ndarray, member: int) -> None:
-    """A helper's life, spent in native code; the arrays are kept alive for it."""
-    wp.launch(take_parts_kernel, dim=1, inputs=[board.ctypes.data, member], device="cpu")
+def _help(board: np.ndarray, locks: np.ndarray, graphs: np.ndarray, thread: np.ndarray, helper: int) -> None:
+    """Work of a helper, in native code; the arrays are kept alive for it."""
+    wp.launch(take_parts_kernel, dim=1, inputs=[board.ctypes.data, helper], device="cpu")
 
 
-def _dismiss(board: np.ndarray, go: Sequence[int]) -> None:
-    """Send the helpers home."""
+def _end(board: np.ndarray, go: Sequence[int]) -> None:
+    """End the helpers."""
     board[_AT["QUIT"]] = 1
     for lock in go:
         ctypes.pythonapi.PyThread_release_lock(ctypes.c_void_p(lock))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.engine.crew import Crew
+from warpmpc.engine.thread_pool import ThreadPool
 from warpmpc.launch import Launcher, Replay
 
 launch = Launcher("cpu")
@@ -49,37 +49,37 @@ class Parts:
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("parts", [1, 3, 40])
 def test_every_part_is_done_once(threads, parts):
-    crew, work = Crew(threads, parts), Parts(parts)
+    pool, work = ThreadPool(threads, parts), Parts(parts)
     for n in range(1, 50):
-        crew.run(work.replays)
+        pool.run(work.replays)
         np.testing.assert_array_equal(work.count.numpy(), n)
-        assert np.all((crew.thread >= 0) & (crew.thread < threads))
-    crew.close()
+        assert np.all((pool.thread >= 0) & (pool.thread < threads))
+    pool.close()
 
 
 def test_a_slow_part_does_not_hold_up_the_rest():
-    crew, work = Crew(2, 21), Parts(21, slow=0)
+    pool, work = ThreadPool(2, 21), Parts(21, slow=0)
     for _ in range(3):
-        crew.run(work.replays)
-    assert np.sum(crew.thread == crew.thread[0]) < 11
+        pool.run(work.replays)
+    assert np.sum(pool.thread == pool.thread[0]) < 11
     np.testing.assert_array_equal(work.count.numpy(), 3)
-    crew.close()
+    pool.close()
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_other_sequences_may_be_handed_over(threads):
-    crew, first, second = Crew(threads, 6), Parts(6), Parts(6)
+    pool, first, second = ThreadPool(threads, 6), Parts(6), Parts(6)
     for n in range(1, 6):
-        crew.run(first.replays)
-        crew.run(second.replays)
+        pool.run(first.replays)
+        pool.run(second.replays)
         np.testing.assert_array_equal(first.count.numpy(), n)
         np.testing.assert_array_equal(second.count.numpy(), n)
-    crew.close()
+    pool.close()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_an_error_in_a_part_is_raised_and_the_crew_goes_on(threads):
-    crew, work = Crew(threads, 8), Parts(8)
+def test_an_error_in_a_part_is_raised_and_the_pool_goes_on(threads):
+    pool, work = ThreadPool(threads, 8), Parts(8)
 
     def fail() -> None:
         raise ZeroDivisionError("part three")
@@ -87,29 +87,29 @@ def test_an_error_in_a_part_is_raised_and_the_crew_goes_on(threads):
     replays = [*work.replays[:3], Replay(fail), *work.replays[4:]]
     for _ in range(3):
         with pytest.raises(ZeroDivisionError, match="part three"):
-            crew.run(replays)
+            pool.run(replays)
     before = work.count.numpy().copy()
     for _ in range(3):
-        crew.run(work.replays)
+        pool.run(work.replays)
     assert work.count.numpy()[7] == before[7] + 3
     assert work.count.numpy()[3] == 3
-    crew.close()
+    pool.close()
 
 
 @pytest.mark.parametrize("close", [True, False], ids=["closed", "dropped"])
-def test_the_threads_end_with_the_crew(close):
+def test_the_threads_end_with_the_pool(close):
     before = set(threading.enumerate())
-    crew = Crew(5, 10)
+    pool = ThreadPool(5, 10)
     mine = set(threading.enumerate()) - before
     assert len(mine) == 4
     work = Parts(10)
     for _ in range(3):
-        crew.run(work.replays)
+        pool.run(work.replays)
     if close:
-        crew.close()
-        crew.close()
+        pool.close()
+        pool.close()
     else:
-        del crew
+        del pool
         gc.collect()
     end = time.perf_counter() + 5.0
     while any(thread.is_alive() for thread in mine) and time.perf_counter() < end:

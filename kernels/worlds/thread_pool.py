@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A crew of threads that replay graphs of launches: what its threads do, in native code without Python's lock."""
+"""A pool of threads that replay graphs of launches: the work of its threads, in native code without Python's lock."""
 
 import warp as wp
 
@@ -47,7 +47,7 @@ BOARD = (
     + ("GRAPHS", "THREAD", "PARTS")  # addresses of the parts' graphs, of what tells who took each; their number
     + ("NEXT", "FINISHED", "FAILED", "QUIT", "READY", "WOKEN")  # the next part; counts; flags
 )
-"""What stands in each number of the board that a crew shares, as unsigned 64 bits."""
+"""What stands in each number of the board that a pool shares, as unsigned 64 bits."""
 
 _SOURCE = _TAKE
 for _place, _name in enumerate(BOARD):
@@ -66,5 +66,5 @@ def take_parts_kernel(
     board: wp.uint64,  # address
     id: int,
 ):
-    """One thread: one member of the crew at work; for the CPU alone."""
+    """One thread: one member of the pool at work; for the CPU alone."""
     take_parts(board, id)

@@ -7,7 +7,7 @@ import numpy as np
 from small_scenes import layout_of
 
 from warpmpc import Scene
-from warpmpc.cost.stack import CostStack, Judge
+from warpmpc.cost.stack import CostEvaluator, CostStack
 from warpmpc.cost.trial import try_terms
 from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.model.batch_size import BatchSize
@@ -17,8 +17,8 @@ from warpmpc.task.observed import ObservedState
 from warpmpc.task.task import Task
 
 
-class Judging:
-    """The terms of a scene, bound, with rollouts of zeros to judge and a task to change."""
+class Evaluating:
+    """The terms of a scene, bound, with rollouts of zeros to evaluate and a task to change."""
 
     def __init__(self, scene: Scene, shape: BatchSize, *, terms=(), device: str = "cpu", layout: Layout | None = None):
         self.scene, self.shape, self.device = scene, shape, device
@@ -31,12 +31,12 @@ class Judging:
         self.state = ObservedState.allocate(self.layout, self.task, device)
         first = 7 * len(self.task.pose_name)
         self.state.scalar.assign(self.task.block[:, first : first + len(self.task.scalar_name)])
-        self.judge = self.judge_with(self.stack)
+        self.evaluator = self.evaluator_of(self.stack)
 
-    def judge_with(self, stack: CostStack) -> Judge:
-        """A judge of the same rollouts by the terms of a stack."""
+    def evaluator_of(self, stack: CostStack) -> CostEvaluator:
+        """An evaluator of the same rollouts with the terms of a stack."""
         step_end = TimeGrid.of(self.scene).t[: self.shape.horizon + 1]
-        return Judge(stack, self.trajectory, self.control, self.state, self.shape, step_end)
+        return CostEvaluator(stack, self.trajectory, self.control, self.state, self.shape, step_end)
 
     def set_goal(self, poses: np.ndarray) -> None:
         """Move the goals [E, 7], and wait for everything that follows them."""
@@ -55,6 +55,6 @@ class Judging:
 
     def cost(self) -> np.ndarray:
         """Weighted cost of every term, step and world ``[term, T, W]``."""
-        self.judge.launch()
-        self.judge.launch_arrays()
-        return self.judge.cost.numpy().astype(np.float64)
+        self.evaluator.launch()
+        self.evaluator.launch_arrays()
+        return self.evaluator.cost.numpy().astype(np.float64)

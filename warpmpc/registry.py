@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Engines, strategies and cost terms by name: shipped, registered by a program, or brought by installed packages.
+
+A package brings one as an entry point of the registry's group, in its ``pyproject.toml``::
+
+    [project.entry-points."warpmpc.strategies"]
+    mine = "my_package.planning:make"
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator, MutableMapping
+from enum import StrEnum
+from functools import cached_property
+from typing import Any, Self, TypeVar
+
+T = TypeVar("T")
+
+
+class Registry(MutableMapping[str, T]):
+    """Things of one kind by name; what an entry point names is loaded when it is asked for.
+
+    Args:
+        kind: What they are called in messages.
+        group: Group of the entry points.
+    """
+
+    def __init__(self, kind: str, group: str):
+        self._kind, self._group = kind, group
+        self._known: dict[str, T] = {}
+
+    @cached_property
+    def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
+        return {point.name: point for point in importlib.metadata.entry_points(group=self._group)}
+
+    def register(self, name: str, thing: T) -> None:
+        """Add one.
+
+        Raises:
+            ValueError: If there is one of this name.
+        """
+        if name in self._known:
+            article = "an" if self._kind[0] in "aeiou" else "a"
+            raise ValueError(f"there is {article} {self._kind} '{name}' already")
+        self._known[name] = thing
+
+    def find(self, name: str, *more: str) -> T:
+        """The one of a name.
+
+        Args:
+            name: The name.
+            more: Other names that the message lists.
+
+        Raises:
+            ValueError: If there is none, or its package cannot be imported.
+        """
+        if name not in self:
+            raise ValueError(f"no {self._kind} '{name}'; there is: {', '.join((*more, *self))}")
+        return self[name]
+
+    def __getitem__(self, name: str) -> T:
+        if name not in self._known:
+            point = self._points[name]
+            try:
+                self._known[name] = point.load()
+            except Exception as error:  # of a package that is not ours
+                why = f"{type(error).__name__}: {error}"
+                raise ValueError(f"the {self._kind} '{name}' ({point.value}) cannot be loaded: {why}") from error
+        return self._known[name]
+
+    def __setitem__(self, name: str, thing: T) -> None:
+        self._known[name] = thing
+
+    def __delitem__(self, name: str) -> None:
+        del self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self._known, *self._points)))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._known or name in self._points
+
+
+ENGINES: Registry[Any] = Registry("engine", "warpmpc.engines")
+"""Engines, each a :class:`warpmpc.engine.registry.EngineEntry`."""
+STRATEGIES: Registry[Any] = Registry("strategy", "warpmpc.strategies")
+"""Strategies, each a function with the arguments of :class:`warpmpc.planner.strategy.SamplingStrategy`."""
+TERMS: Registry[Any] = Registry("cost term", "warpmpc.terms")
+"""Cost terms of installed packages, beside the built-in ones and those that a program hands over."""
+
+
+class Name(StrEnum):
+    """Names of a registry in scene files: the shipped ones are members, and registered ones become members."""
+
+    @classmethod
+    def registry(cls) -> Registry:
+        """The registry that knows the others."""
+        raise NotImplementedError
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """All that there is."""
+        return list(dict.fromkeys((*cls, *cls.registry())))
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if value not in cls.registry():
+            return None
+        member = str.__new__(cls, value)
+        member._name_ = member._value_ = value
+        return member
