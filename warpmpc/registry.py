@@ -108,7 +108,7 @@ class Name(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
-        if value not in cls.registry():
+        if not isinstance(value, str) or value not in cls.registry():
             return None
         member = str.__new__(cls, value)
         member._name_ = member._value_ = value
