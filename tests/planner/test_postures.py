@@ -61,7 +61,7 @@ def test_a_row_leads_to_its_posture(mode):
     mpc = reaching(mode, durations=[0.9], count=4)
     postures = plan(mpc)
     at = int(np.argmin(postures._miss.numpy().ravel()))
-    knots = postures._knots.numpy()[at, 0]
+    knots = postures.knots.numpy()[at, 0]
     way = postures.postures.numpy()[0, at, :7] - mpc.layout.joint_q[:7]
     if mode == "position":
         moved = knots[-1] - mpc.layout.joint_q[:7]
@@ -77,7 +77,7 @@ def test_a_goal_out_of_reach_leaves_the_rows_asking_for_nothing():
     mpc = reaching(goal={**GOAL, "position": (3.0, 0.0, 0.5)})
     postures = plan(mpc)
     assert not len(found(postures))
-    assert not postures._knots.numpy().any()
+    assert not postures.knots.numpy().any()
     mpc.task["goal"] = (*GOAL["position"], *GOAL["rotation"])
     assert len(found(plan(mpc)))
 

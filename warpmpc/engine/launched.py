@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -142,10 +141,6 @@ class LaunchedEngine(RolloutEngine):
         inputs = [self.evaluator.view, self._params, self._own, first, groups, self.shape.rollouts]
         outputs = [work, self._sums, self.evaluator.cost]
         self._launch(self._kernel, count * self._sharing, inputs, outputs, threads=self._threads)
-
-    @abstractmethod
-    def record(self, worlds: Sequence[int]) -> Trajectory:
-        """States and controls of some worlds in the last evaluation, on the host."""
 
     def close(self) -> None:
         """Stop the threads."""
