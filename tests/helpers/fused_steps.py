@@ -80,12 +80,12 @@ def visit(
                 array[:] = array.astype(np.float32)
             data.ctrl[:] = control[t, w]
             if t % every == 0:
-                edge = 0.0
+                near = []
                 for _ in range(NUDGES):
                     _step(reference, one, data, EDGE * rng.choice([-1.0, 1.0], model.nv))
-                    near = one.qvel.copy()
-                    _step(reference, one, data)
-                    edge = max(edge, np.abs(near - one.qvel).max())
+                    near.append(one.qvel.copy())
+                _step(reference, one, data)
+                edge = np.abs(near - one.qvel).max()
                 contacts = (one.contact.exclude == 0).sum()
                 depth = -min(one.contact.dist.min(initial=0.0), 0.0)
                 before, after = (data.qpos, data.qvel, data.act, data.ctrl), (one.qpos, one.qvel, one.act)
