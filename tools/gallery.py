@@ -100,7 +100,7 @@ def record(name: str, *, engine: str, wall: float) -> tuple[Plant, list[Moment],
 
     def on_step(*_: object) -> None:
         poses = {pose: controller.task.pose(pose).copy() for pose in controller.task.pose_name}
-        fan.clear() if controller.info.fallback else fan.look()
+        fan.clear() if controller.info.fallback else fan.update()
         moments.append(Moment(plant.time, plant.body_q.copy(), poses, fan.ways))
         if plant.time >= shot.longest or time.monotonic() - start > wall:
             raise Enough

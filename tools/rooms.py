@@ -26,7 +26,7 @@ FLOORS = (
     ("live", "tuning"),
     ("run", "record", "doctor"),
     ("realtime",),
-    ("controller", "plant"),
+    ("controller", "plant", "log"),
     ("planner",),
     ("derivatives",),
     ("engine",),

@@ -17,9 +17,9 @@ import warp as wp
 
 from warpmpc.model.layout import IDENTITY, WORLD
 from warpmpc.record.recorder import CLOUD_COLOR
+from warpmpc.record.rollout_paths import BEST_COLOR
 from warpmpc.record.scene_picture import triangles_of
 from warpmpc.record.shapes import DEFAULT_COLOR, resized, shown_shapes, thinned
-from warpmpc.record.ways import BEST_COLOR
 
 if TYPE_CHECKING:
     from warpmpc.live.fan import Ways

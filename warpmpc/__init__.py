@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         step_time,
         task_scalar,
     )
+    from .log.run_log import RunLog
     from .model.conversion import MujocoStates, NewtonStates
     from .model.state import Info, State
     from .planner.plan import Plan
@@ -47,15 +48,10 @@ if TYPE_CHECKING:
     from .realtime.loop import RealTimeReport, RobotLoop
     from .realtime.planning import PlannerThread
     from .realtime.process import PlannerProcess
-    from .realtime.real_time_log import RealTimeLog
     from .realtime.robot import simulated_robot
-    from .record.history import History, HistoryRecorder
-    from .record.plan_log import PlanLog
-    from .record.real_time_replay import RealTimeReplay, replay_real_time
     from .record.replay import Replay, replay
+    from .record.run_recorder import RunRecorder
     from .record.switch import RecordingSwitch
-    from .record.tick_log import TickLog
-    from .record.ticks import TickRecorder
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -74,31 +70,26 @@ __all__ = [
     "Controller",
     "CostTerm",
     "EpisodeResult",
-    "History",
-    "HistoryRecorder",
     "Info",
     "Monitor",
     "MujocoStates",
     "NewtonStates",
     "Plan",
-    "PlanLog",
     "PlannerProcess",
     "PlannerThread",
     "Plant",
-    "RealTimeLog",
-    "RealTimeReplay",
     "RealTimeReport",
     "RecordingSwitch",
     "Replay",
     "RobotLoop",
     "Rollout",
+    "RunLog",
+    "RunRecorder",
     "Scene",
     "SceneError",
     "State",
     "StepView",
     "Task",
-    "TickLog",
-    "TickRecorder",
     "ancillary",
     "array_cost",
     "centre_of_mass",
@@ -121,7 +112,6 @@ __all__ = [
     "memory_before",
     "remember",
     "replay",
-    "replay_real_time",
     "residual_term",
     "run_batch",
     "run_episode",
@@ -142,22 +132,16 @@ _HOME = {
     "simulated_robot": "realtime.robot",
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
-    "History": "record.history",
-    "HistoryRecorder": "record.history",
+    "RunLog": "log.run_log",
+    "RunRecorder": "record.run_recorder",
     "Info": "model.state",
     "Monitor": "plant.monitor",
     "MujocoStates": "model.conversion",
     "NewtonStates": "model.conversion",
     "Plan": "planner.plan",
-    "PlanLog": "record.plan_log",
     "Replay": "record.replay",
     "replay": "record.replay",
-    "RealTimeLog": "realtime.real_time_log",
-    "RealTimeReplay": "record.real_time_replay",
-    "replay_real_time": "record.real_time_replay",
     "RecordingSwitch": "record.switch",
-    "TickLog": "record.tick_log",
-    "TickRecorder": "record.ticks",
     "Plant": "plant.plant",
     "Rollout": "controller.rollout",
     "Scene": "scene.schema",

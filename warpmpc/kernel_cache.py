@@ -27,11 +27,11 @@ class Cached:
     code: Path
     """Object code, or a program of a GPU."""
     meta: Path
-    """What is in it, as JSON."""
+    """Content, as JSON."""
 
     @classmethod
     def of(cls, module: wp.Module, device: wp.Device, block_dim: int) -> Cached:
-        """Where Warp keeps a module, there or not."""
+        """Folder in which Warp keeps a module, there or not."""
         folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
         code = folder / module._get_compile_output_name(device, block_dim=block_dim)
         return cls(code, folder / module._get_meta_name(block_dim=block_dim))
@@ -45,7 +45,7 @@ class Cached:
         return f"{hashlib.sha256(code).hexdigest()}  {self.code.name}\n"
 
     def intact(self) -> bool:
-        """Whether the files are there as they were written; without a checksum, whether they look whole."""
+        """Return whether the files are there as they were written; without a checksum, whether they look whole."""
         try:
             code = self.code.read_bytes()
             json.loads(self.meta.read_bytes())
@@ -135,7 +135,7 @@ def _require_room() -> None:
 
 
 def _whole(code: bytes) -> bool:
-    """Whether an object file ends where its header says, or a program of a GPU is no object file and not empty."""
+    """Return whether an object file ends where its header says, or a GPU program is no object file and not empty."""
     if not code.startswith(_ELF):
         return b".version" in code[:4096]  # PTX
     at, size, count = (int.from_bytes(code[i:j], "little") for i, j in ((40, 48), (58, 60), (60, 62)))

@@ -70,7 +70,7 @@ class Launcher:
 
 
 def step_lanes(steps: int, device: wp.DeviceLike) -> int:
-    """How many threads share the steps of a world: as many as there are on a GPU, one on the CPU.
+    """Number of threads that share the steps of a world: as many as there are on a GPU, one on the CPU.
 
     A kernel's arguments are loaded anew for every thread, which on the CPU takes as long as many a step's work.
     """

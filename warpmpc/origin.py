@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a result comes from: state of the source, versions, hardware."""
+"""Origin of a result: state of the source, versions, hardware."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def sample_push(value: wp.array4d[float], e: int, origin: wp.vec2, cell: float, 
 
 @wp.struct
 class GuideTable:
-    """What path lengths are made of: waypoints on the borders of grown obstacles, what they see, and how far apart.
+    """Parts of path lengths: waypoints on the borders of grown obstacles, what they see, and how far apart.
 
     A shortest path that is not straight follows a border for a while, so it passes (nearly) through waypoints. There
     are R requests (a target and a mover's size), each with waypoints of its own.
@@ -107,7 +107,7 @@ class GuideTable:
 def clear_way(
     clearance: wp.array3d[float], origin: wp.vec2, cell: float, inflation: float, a: wp.vec2, b: wp.vec2, free: float
 ) -> bool:
-    """Whether the straight way from a to b keeps clear of the grown obstacles, its last ``free`` metres left out."""
+    """Return whether the straight way from a to b clears the grown obstacles, its last ``free`` metres left out."""
     d = wp.length(b - a)
     if d <= free:
         return True

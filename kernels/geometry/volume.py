@@ -45,7 +45,7 @@ class Volume:
 
 @wp.struct
 class VolumeWork:
-    """What a volume is built from and in."""
+    """Inputs and memory that a volume is built from and in."""
 
     points: wp.array2d[wp.vec3]  # [E, capacity] [m]
     count: wp.array[int]  # [E] how many of them there are

@@ -50,7 +50,7 @@ def stage_risk_ratio(stage_cost: wp.array3d[float], t: int, w: int, stage_risk: 
 
 @wp.func
 def tail_part(rollout_cost: wp.array[float], first: int, domains: int, d: int, tail: float) -> float:
-    """How much of domain d belongs to the ``tail`` worst ones of a sample, in [0, 1]; rank by counting: D is small."""
+    """Share of domain d in the ``tail`` worst ones of a sample, in [0, 1]; rank by counting: D is small."""
     cost = rollout_cost[first + d]
     rank = int(0)
     for other in range(domains):

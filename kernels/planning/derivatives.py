@@ -13,7 +13,7 @@ STRAIGHT = wp.constant(-1)
 
 @wp.struct
 class Moves:
-    """How states and controls are moved, one coordinate at a time; n of the states' tangent space."""
+    """Displacements of states and controls, one coordinate at a time; n of the states' tangent space."""
 
     place: wp.array[int]  # [n] number of the state, the first of a quaternion (w, x, y, z)
     axis: wp.array[int]  # [n] STRAIGHT, or the axis that it is turned about

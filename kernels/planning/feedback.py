@@ -14,7 +14,7 @@ TURN = wp.constant(1)
 
 @wp.struct
 class TangentTable:
-    """How numbers of a MuJoCo state and of its tangent space belong together."""
+    """Relation of the numbers of a MuJoCo state to those of its tangent space."""
 
     kind: wp.array[int]  # [m] PLAIN, or TURN of a quaternion (w, x, y, z)
     state: wp.array[int]  # [m] first number in the state

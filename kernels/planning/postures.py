@@ -20,7 +20,7 @@ _STREAM = wp.constant(0xB0D7)
 
 @wp.struct
 class Reach:
-    """What is to be brought where, by which joints."""
+    """Frames, their targets and the joints that bring them there."""
 
     table: JointTable
     chain: Chain  # its columns are the driven joints

@@ -18,7 +18,7 @@ KNOT_TOLERANCE = wp.constant(1.0e-4)
 
 @wp.struct
 class Spline:
-    """What the knots of all plans have in common: their times and the kind of spline over them."""
+    """Common data of the knots of all plans: their times and the kind of spline over them."""
 
     kind: int
     even: int  # whether all knots are equally far apart
@@ -67,7 +67,7 @@ def control_point(knots: wp.array2d[float], j: int, u: int) -> float:
 
 @wp.struct
 class SplinePlace:
-    """Where on a spline a time lies, the same for all controls."""
+    """Place of a time on a spline, the same for all controls."""
 
     i: int  # knot before it
     j: int  # knot after it

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cost terms see, and the built-in terms."""
+"""View of cost terms, and the built-in terms."""

@@ -66,7 +66,7 @@ def obstacle_clearance(s: StepView, p: ObstacleClearanceParams) -> float:
 def apart_of(
     corner: wp.array[wp.vec2], first: int, count: int, other: int, others: int, turn: wp.mat22, shift: wp.vec2
 ) -> wp.vec2:
-    """How far another outline's corners are from a convex counter-clockwise outline [m].
+    """Distance of another outline's corners from a convex counter-clockwise outline [m].
 
     The other's corners are turned and shifted into this one's frame. Returns the least distance from an edge, and the
     greatest over the edges of the least distance outwards: that one is negative for all edges of both outlines if and

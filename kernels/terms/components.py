@@ -65,7 +65,7 @@ def control_rate_component(s: StepView, p: ControlParams, i: int) -> float:
 
 @wp.func
 def joint_limit_component(s: StepView, p: JointLimitParams, i: int) -> float:
-    """How far joint i is outside its limits [m or rad]."""
+    """Distance of joint i outside its limits [m or rad]."""
     q = joint_position(s, p.coord[i])
     return ROOT_TWO * wp.max(wp.max(p.lower[i] - q, q - p.upper[i]), 0.0)
 
@@ -78,13 +78,13 @@ def joint_velocity_component(s: StepView, p: JointVelocityParams, i: int) -> flo
 
 @wp.func
 def posture_component(s: StepView, p: PostureParams, i: int) -> float:
-    """How far joint i is from its place [m or rad]."""
+    """Distance of joint i from its place [m or rad]."""
     return ROOT_TWO * (joint_position(s, p.coord[i]) - p.target[i])
 
 
 @wp.func
 def height_component(s: StepView, p: HeightParams, i: int) -> float:
-    """How far a frame is above or below the height that it shall have, less the slack [m]."""
+    """Height of a frame above or below the one that it shall have, less the slack [m]."""
     error = frame_position(s, p.of)[2] - p.target
     return wp.sign(error) * wp.max(wp.abs(error) - p.slack, 0.0)
 

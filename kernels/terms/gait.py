@@ -25,7 +25,7 @@ class GaitParams:
 
 @wp.func
 def swing_height(cycles: float, phase: float, swing: float) -> float:
-    """How high a foot is to be at this time, of what it is lifted by: a parabola, then zero.
+    """Height that a foot shall have at this time, as a share of its lift: a parabola, then zero.
 
     Args:
         cycles: Time in cycles.
@@ -39,7 +39,7 @@ def swing_height(cycles: float, phase: float, swing: float) -> float:
 
 @wp.func
 def gait_component(s: StepView, p: GaitParams, i: int) -> float:
-    """How far foot i is above the height that it shall have now [m]."""
+    """Height of foot i above the one that it shall have now [m]."""
     lifted = wanted(s, p.wanted, i) * swing_height(p.cadence * step_time(s), p.phase[i], p.swing)
     return frame_position(s, p.foot[i])[2] - p.stand - lifted
 

@@ -26,7 +26,7 @@ class LearnedSelfCollisionParams:
 
 @wp.func
 def network_distance(s: StepView, p: LearnedSelfCollisionParams) -> float:
-    """What the network says of a configuration, positive where links penetrate [m]."""
+    """Output of the network for a configuration, positive where links penetrate [m]."""
     joints = p.coord.shape[0]
     inputs = Units()
     for i in range(joints):

@@ -60,7 +60,7 @@ def rounded_bend(x: float, p: float, q: float) -> float:
 
 @wp.func
 def norm_part(x: float, norm: Norm) -> float:
-    """What one number of a residual adds to the sum that a norm is a function of."""
+    """Contribution of one number of a residual to the sum that a norm is a function of."""
     kind = norm.kind
     p = norm.p
     if kind == COSH:

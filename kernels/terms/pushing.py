@@ -95,7 +95,7 @@ def shrink(d: float, tolerance: float) -> float:
 
 @wp.func
 def side_place(error: float, steer: float, largest: float) -> float:
-    """Where to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
+    """Place to push an object turned by ``error`` so that it goes straight and turns back, from straight behind [rad].
 
     Within ``WHOLE_SIDE`` that is beside the middle of its side, by 1 + ``steer`` times the error, at most
     ``largest``. Turned by 45° it is on the same side, just beside the corner that then faces straight; on the other
@@ -121,7 +121,7 @@ def side_place(error: float, steer: float, largest: float) -> float:
 
 @wp.func
 def swivel(angle: float, error: float, aside: float, arm: float) -> float:
-    """How far the pusher is from where it would turn an object back by its heading error [rad].
+    """Distance of the pusher from where it would turn an object back by its heading error [rad].
 
     That is ``arm`` beside the middle of a broad side, ``angle`` away from the first one; small errors count less.
     There are two such places. ``aside`` says how far the object lies towards the first, in tolerances: the farther
@@ -137,7 +137,7 @@ def swivel(angle: float, error: float, aside: float, arm: float) -> float:
 
 @wp.func
 def coasting_time(off: wp.vec2, velocity: wp.vec2, lead: float, tolerance: float) -> float:
-    """How long an object coasts that is ``off`` its goal: ``lead``, or until it is nearest to a goal it does not miss.
+    """Time that an object ``off`` its goal coasts: ``lead``, or until it is nearest to a goal it does not miss.
 
     All of ``lead`` counts when it passes the tolerance at ``COAST_RANGE`` or more, and less the nearer it passes. If it
     always did, an object would have to come slowly enough not to coast past the goal in that time.

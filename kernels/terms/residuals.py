@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Wanted:
-    """What numbers of a residual shall be: fixed numbers, or scalars of the task."""
+    """Targets of a residual's numbers: fixed numbers, or scalars of the task."""
 
     value: wp.array[float]  # [n]
     scalar: wp.array[int]  # [n] -1 for those that are fixed
@@ -23,7 +23,7 @@ class Wanted:
 
 @wp.func
 def wanted(s: StepView, p: Wanted, i: int) -> float:
-    """What number i shall be."""
+    """Target of number i."""
     scalar = p.scalar[i]
     if scalar >= 0:
         return task_scalar(s, scalar)
@@ -42,7 +42,7 @@ class Points:
 
 @wp.func
 def point_position(s: StepView, body: int, at: wp.vec3) -> wp.vec3:
-    """Where a point of a body is [m]."""
+    """Position of a point of a body [m]."""
     if body <= TASK_BODY:
         return wp.transform_point(s.pose[s.e, TASK_BODY - body], at)
     if body < 0:
@@ -52,7 +52,7 @@ def point_position(s: StepView, body: int, at: wp.vec3) -> wp.vec3:
 
 @wp.func
 def point_velocity(s: StepView, body: int, at: wp.vec3) -> wp.vec3:
-    """How fast a point of a body moves [m/s]."""
+    """Velocity of a point of a body [m/s]."""
     if body < 0:
         return wp.vec3(0.0)
     twist = s.body_qd[s.t, s.w, body]

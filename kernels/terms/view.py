@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cost term sees: one step of one rollout, and the functions that read it."""
+"""View of a cost term: one step of one rollout, and the functions that read it."""
 
 import warp as wp
 
@@ -95,7 +95,7 @@ def frame_angular_velocity(s: StepView, frame: int) -> wp.vec3:
 
 @wp.func
 def centre_of_mass(s: StepView, robot: int) -> wp.vec3:
-    """Where the centre of mass of a robot or an object is [m], by the scene's masses."""
+    """Centre of mass of a robot or an object [m], by the scene's masses."""
     total = float(0.0)
     moment = wp.vec3(0.0)
     for body in range(s.body_mass.shape[0]):
@@ -107,7 +107,7 @@ def centre_of_mass(s: StepView, robot: int) -> wp.vec3:
 
 @wp.func
 def centre_of_mass_velocity(s: StepView, robot: int) -> wp.vec3:
-    """How fast that centre of mass moves [m/s]."""
+    """Velocity of that centre of mass [m/s]."""
     total = float(0.0)
     momentum = wp.vec3(0.0)
     for body in range(s.body_mass.shape[0]):
@@ -151,7 +151,7 @@ def step_time(s: StepView) -> float:
 
 @wp.func
 def step_length(s: StepView) -> float:
-    """How long the control that led to this step was held [s]."""
+    """Time for which the control that led to this step was held [s]."""
     return s.step_end[s.t] - s.step_end[s.t - 1]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What crosses between host and device in a plan: one block of numbers in, one block out."""
+"""Exchange between host and device in a plan: one block of numbers in, one block out."""
 
 import warp as wp
 

@@ -27,7 +27,7 @@ def test_a_run_ends_at_its_timeout_and_tells_its_cost(scene, command, tmp_path):
     assert result["final"]["position_error_m"] > 0.5  # the goal is there all the same
 
     plant, costs = warpmpc.Plant(scene, watch=scene.cost_labels), []
-    for control in warpmpc.History.load(tmp_path / "a.npz").control:
+    for control in warpmpc.RunLog.load(tmp_path / "a.npz").controls.control:
         plant.apply(control)
         costs.append(plant.terms["distance"])
     assert result["mean_cost"] == pytest.approx(np.mean(costs), rel=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from program import SCENE, results, warpmpc
 
-from warpmpc import History
+from warpmpc import RunLog
 
 
 @pytest.fixture
@@ -40,15 +40,15 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene, command):
     assert about["command"].startswith(f"warpmpc run {scene} --real-time")
     assert json.loads((folder / "results.jsonl").read_text()) == result
     assert (folder / "recording.rrd").stat().st_size > 10_000
-    history = History.load(folder / "history.npz")
-    assert history.ticks.following.sum() > 100
-    assert np.nanmin(history.ticks.age) > 0.0
-    assert np.diff(history.time) == pytest.approx(np.full(result["ticks"], 0.002))
-    assert history.term_names == ("distance",)
-    assert np.isfinite(history.cost[history.ticks.plan >= 0]).all()
+    log = RunLog.load(folder / "episode.runlog")
+    assert log.controls.following.sum() > 100
+    assert np.nanmin(log.controls.age) > 0.0
+    assert np.diff(log.states.time) == pytest.approx(np.full(result["ticks"], 0.002))
+    assert log.names["terms"] == ["distance"]
+    assert np.isfinite(log.of_plans("cost")[log.controls.plan >= 0]).all()
     replayed = command("replay", str(folder))
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
-    plans = len(history.made)
+    plans = len(log.plans)
     assert f"{plans} of {plans} plans and {result['ticks']} of {result['ticks']} commands agree" in replayed.stdout
     plotted = command("plot", str(folder))
     assert plotted.returncode == 0, plotted.stderr

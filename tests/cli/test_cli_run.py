@@ -267,7 +267,7 @@ def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as a shell does
     ) as process:
         end = time.monotonic() + 120.0
-        begun = "warpmpc_plans_*/*" if real_time else "a.rrd"  # what is noted of plans, what is recorded of steps
+        begun = "warpmpc_run_*/*.0" if real_time else "a.rrd"  # what is noted of plans, what is recorded of steps
         while not any(file.stat().st_size for file in tmp_path.glob(begun)) and time.monotonic() < end:
             time.sleep(0.1)
         time.sleep(1.0)
@@ -276,5 +276,5 @@ def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path,
     assert (process.returncode, errors) == (code, "")
     (result,) = map(json.loads, out.splitlines())
     assert result["reason"] == "interrupted"
-    assert len(package.History.load(tmp_path / "a.npz").control) > 10
+    assert len(package.RunLog.load(tmp_path / "a.npz").controls) > 10
     assert (tmp_path / "a.rrd").stat().st_size > 10_000

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from program import PROGRAM, SCENE, TINY
+from run_logs import older
 
 import warpmpc
 
@@ -40,7 +41,7 @@ def folder(command, tmp_path):
 def test_a_folder_tells_all_about_its_run(folder, command):
     names = {"run.json", "scene.toml", "results.jsonl", "terms"}
     names |= {
-        f"{kind}-{seed}.{suffix}" for seed in (4, 5) for kind, suffix in (("history", "npz"), ("recording", "rrd"))
+        f"{kind}-{seed}.{suffix}" for seed in (4, 5) for kind, suffix in (("episode", "runlog"), ("recording", "rrd"))
     }
     assert {path.name for path in folder.iterdir()} == names
     about = json.loads((folder / "run.json").read_text())
@@ -70,14 +71,14 @@ def test_a_folder_is_replayed_and_a_changed_log_is_found(folder, command, tmp_pa
     done = command("replay", "run", "--terms", "run/terms/0_far.py")
     assert (done.returncode, done.stderr) == (0, "")
     for seed in (4, 5):
-        head = f"history-{seed}.npz: mine:turned, seed {seed}, mujoco on cpu, 16 samples: "
+        head = f"episode-{seed}.runlog: mine:turned, seed {seed}, mujoco on cpu, 16 samples: "
         assert f"{head}10 of 10 commands agree bit for bit" in done.stdout
     assert "otherwise" not in done.stdout
 
-    history = warpmpc.History.load(folder / "history-5.npz")
-    history.log.command[7, 1] += 1e-3
-    history.log.origin["versions"]["mujoco"] = "1.0"
-    history.save(tmp_path / "other.npz")
+    log = warpmpc.RunLog.load(folder / "episode-5.runlog")
+    log.plans.command[7, 1] += 1e-3
+    log.origin["versions"]["mujoco"] = "1.0"
+    log.save(tmp_path / "other.npz")
     done = command("replay", "other.npz", "--terms", "far.py")
     assert (done.returncode, done.stderr) == (1, "")
     assert f"otherwise than in the log: mujoco: 1.0, now {mujoco.__version__}" in done.stdout
@@ -97,11 +98,11 @@ def test_what_is_in_a_folder_is_not_executed_unasked(folder, command, tmp_path):
     assert "run: its scene needs far" in done.stderr
     assert "--terms run/terms/0_far.py --terms run/terms/1_more.py" in done.stderr
     assert command("plot", "run").returncode == 0  # nothing that is drawn needs a term
-    judged = (folder / "history-4.npz", tmp_path / "judged")
+    judged = (folder / "episode-4.runlog", tmp_path / "judged")
     judged[1].mkdir()
-    history = warpmpc.History.load(judged[0])
-    history.log.origin["text"] += '\n[[success.conditions]]\nterm = "far"\nbelow = 1.0\n'
-    history.save(judged[1] / "history.npz")
+    log = warpmpc.RunLog.load(judged[0])
+    log.origin["text"] += '\n[[success.conditions]]\nterm = "far"\nbelow = 1.0\n'
+    log.save(judged[1] / "episode.runlog")
     (judged[1] / "terms").mkdir()
     (judged[1] / "terms" / "0_more.py").write_text("open('executed', 'w')")
     assert command("plot", "judged").returncode == 2
@@ -143,10 +144,10 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
     np.savez(tmp_path / "part.npz", **arrays)
     wrong = {
         "empty": "no run's folder",
-        "text.npz": "is no history",
-        "part.npz": "is no history",
+        "text.npz": "is no run log",
+        "part.npz": "is no run log",
         "no.npz": "No such file",
-        "cut": "history.npz: is no history",
+        "cut": "history.npz: is no run log",
     }
     for name, message in wrong.items():
         for verb in ("replay", "plot"):
@@ -158,11 +159,11 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
 
 def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):
     assert command("run", "omni_push_box", "--npz", "new.npz", "--engine", "mujoco", "--quiet", *TINY).returncode == 1
-    with np.load(tmp_path / "new.npz") as data:
-        np.savez(tmp_path / "old.npz", **{name: data[name] for name in data if not name.startswith("log_")})
+    np.savez(tmp_path / "old.npz", **older(warpmpc.RunLog.load(tmp_path / "new.npz")))
     done = command("replay", "old.npz")
     assert done.returncode == 2
     assert "old.npz: has no log of what its plans were made from" in done.stderr
+    assert command("plot", "old.npz").returncode == 0
     assert command("replay", "new.npz").returncode == 0
 
 
@@ -170,11 +171,11 @@ def test_figures_of_a_folder_are_beside_what_they_show(folder, command, tmp_path
     done = command("plot", "run")
     assert (done.returncode, done.stderr) == (0, "")
     for seed in (4, 5):
-        files = {path.name for path in (folder / "plots" / f"history-{seed}").iterdir()}
+        files = {path.name for path in (folder / "plots" / f"episode-{seed}").iterdir()}
         assert files >= {"history.csv", "path.png", "costs.png", "controls.png", "plan_times.png", "errors.png"}
-        assert f"run/plots/history-{seed}/path.png" in done.stdout
+        assert f"run/plots/episode-{seed}/path.png" in done.stdout
 
-    done = command("plot", "run/history-4.npz", "--out", "here", "--terms", "far.py")
+    done = command("plot", "run/episode-4.runlog", "--out", "here", "--terms", "far.py")
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "here" / "path.png").exists()
 

@@ -35,9 +35,9 @@ def test_processes_give_the_results_of_one_and_keep_them(in_seeds, tmp_path):
     assert (tmp_path / "r.jsonl").read_text().splitlines()[:2] == lines
     assert len((tmp_path / "r.jsonl").read_text().splitlines()) == 3
     for seed in (0, 1):
-        history = warpmpc.History.load(tmp_path / f"a-{seed}.npz")
-        assert len(history.control) == alone[seed]["steps"]
-        assert history.cost[-1] == alone[seed]["final"]["cost"]
+        log = warpmpc.RunLog.load(tmp_path / f"a-{seed}.npz")
+        assert len(log.controls) == alone[seed]["steps"]
+        assert log.plans.cost[-1] == alone[seed]["final"]["cost"]
 
 
 def test_environments_are_divided_among_processes(in_seeds):
@@ -63,11 +63,11 @@ def test_files_of_an_episode_hold_what_its_result_says(command, tmp_path):
     (result,) = results(done)
     assert done.stderr == ""
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.npz", "c.rrd"]
-    history = warpmpc.History.load(tmp_path / "b.npz")
-    assert (history.time[-1], len(history.control)) == (pytest.approx(result["sim_time_s"]), result["steps"])
-    assert history.cost[-1] == result["final"]["cost"]
+    log = warpmpc.RunLog.load(tmp_path / "b.npz")
+    assert (log.states.time[-1], len(log.controls)) == (pytest.approx(result["sim_time_s"]), result["steps"])
+    assert log.plans.cost[-1] == result["final"]["cost"]
     header, *rows = (tmp_path / "a.csv").read_text().splitlines()
-    assert header.split(",") == list(history.columns())
+    assert header.split(",") == list(log.columns())
     assert len(rows) == result["steps"] + 1
 
 

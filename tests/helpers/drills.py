@@ -7,7 +7,7 @@ from small_scenes import compiled, layout_of, make_scene
 
 from warpmpc import Plan, RobotLoop, simulated_robot
 from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.letters import TimedPlan
+from warpmpc.realtime.messages import TimedPlan
 from warpmpc.scene.schema import SplineKind
 
 MOVE = np.array([0.5, 0.2, 0.0], dtype=np.float32)
@@ -19,17 +19,17 @@ class Scripted:
     def __init__(self, control: np.ndarray = MOVE, period: float = 0.04):
         self.control, self.period, self.survived = np.asarray(control, dtype=np.float32), period, True
         self.stalled, self.spoil = False, None  # what changes plans on the way to the agent
-        self._timed, self.sightings = None, []
+        self._timed, self.observations = None, []
 
-    def observe(self, sighting) -> None:
-        self.sightings.append(sighting)
+    def observe(self, observation) -> None:
+        self.observations.append(observation)
         last = -np.inf if self._timed is None else self._timed.observed
-        if not self.stalled and abs(sighting.state.time - last) >= self.period - 1e-9:
+        if not self.stalled and abs(observation.state.time - last) >= self.period - 1e-9:
             nu = len(self.control)
-            times = sighting.state.time + np.array([0.0, 1.0])
+            times = observation.state.time + np.array([0.0, 1.0])
             plan = Plan(np.tile(self.control, (2, 1)), times, SplineKind.ZERO, np.full(nu, -9.0), np.full(nu, 9.0))
             number = 0 if self._timed is None else self._timed.number + 1
-            self._timed = TimedPlan(plan, number, sighting.state.time, 0.0, 0.0, self.survived)
+            self._timed = TimedPlan(plan, number, observation.state.time, 0.0, 0.0, self.survived)
 
     def newest(self):
         return self.spoil(self._timed) if self.spoil and self._timed else self._timed

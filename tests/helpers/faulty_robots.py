@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from warpmpc import PlannerProcess, Plant, State
-from warpmpc.realtime.letters import Sighting, TimedPlan
+from warpmpc.realtime.messages import TimedObservation, TimedPlan
 
 
 class FaultyRobot:
@@ -66,8 +66,8 @@ class FaultyPlanner:
     def __init__(self, planner: PlannerProcess):
         self.planner = planner
 
-    def observe(self, sighting: Sighting) -> None:
-        self.planner.observe(sighting)
+    def observe(self, observation: TimedObservation) -> None:
+        self.planner.observe(observation)
 
     def newest(self) -> TimedPlan | None:
         timed = self.planner.newest()

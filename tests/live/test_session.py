@@ -66,7 +66,7 @@ def test_what_is_ahead_costs_what_the_plan_says(source):
     controller, plant = session.controller, session.plant
     for _ in range(2):
         plant.apply(controller.step(plant.observe()))
-    session._fan.look()
+    session._fan.update()
     ahead = session._fan.forecast
     summed = ahead.cost @ controller.planner.grid.weight
     np.testing.assert_allclose(summed, list(controller.info.terms.values()), rtol=1e-3, atol=1e-4)
@@ -78,10 +78,10 @@ def test_a_plan_that_fell_back_has_no_rollouts_to_look_at():
     session = Session("cylinder_push", overrides=FAST, device="cpu")
     seen, fan = session.plant.observe(), session._fan
     session.controller.step(seen)
-    fan.look()
+    fan.update()
     assert fan.ways.fan.shape[0] == len(fan.ways.colors) == 16
     session.controller.step(replace(seen, joint_q=seen.joint_q * np.nan))
-    fan.look()  # costs of the plan before are still there
+    fan.update()  # costs of the plan before are still there
     assert (fan.ways, fan.forecast) == (None, None)
 
 

@@ -9,9 +9,9 @@ from small_scenes import DISC, WALL, compiled, make_scene
 
 from warpmpc import (
     Controller,
-    History,
-    HistoryRecorder,
     Plant,
+    RunLog,
+    RunRecorder,
     SceneError,
     State,
     Task,
@@ -199,33 +199,34 @@ def test_joints_say_what_is_near(tmp_path):
 
 def test_a_recorded_run_is_a_library_of_its_own_states(tmp_path):
     scene = scene_with()
-    run_episode(scene, seed=1, compiled=compiled(scene), recorder=Saved(tmp_path / "run.npz", HistoryRecorder))
-    history = History.load(tmp_path / "run.npz")
+    run_episode(scene, seed=1, compiled=compiled(scene), recorder=Saved(tmp_path / "run.npz"))
+    log = RunLog.load(tmp_path / "run.npz")
+    states, sent = log.states, log.controls.control
     at = 7
     scene = scene_with({"motions": str(tmp_path / "run.npz")})
-    knots = plan(scene, states=history.joint_q[[at]], speeds=history.joint_qd[[at]])
-    controls = history.control[at : at + 8]
+    knots = plan(scene, states=states.joint_q[[at]], speeds=states.joint_qd[[at]])
+    controls = sent[at : at + 8]
     np.testing.assert_allclose(knots[0, FIRST], controls, atol=1e-5)
-    last = len(history.control) - 1
-    knots = plan(scene, states=history.joint_q[[last]], speeds=history.joint_qd[[last]])
-    np.testing.assert_allclose(knots[0, FIRST], np.tile(history.control[last], (8, 1)), atol=1e-5)
+    last = len(sent) - 1
+    knots = plan(scene, states=states.joint_q[[last]], speeds=states.joint_qd[[last]])
+    np.testing.assert_allclose(knots[0, FIRST], np.tile(sent[last], (8, 1)), atol=1e-5)
 
 
 class Saved:
     """Makes the recorder of an episode and saves what it kept."""
 
-    def __init__(self, path: Path, kind: type):
-        self.path, self.kind = path, kind
+    def __init__(self, path: Path):
+        self.path = path
 
     def __call__(self, controller, plant):
-        self.recorder = self.kind(controller, plant)
+        self.recorder = RunRecorder(plant, controller)
         return self
 
     def log(self, control):
         self.recorder.log(control)
 
     def close(self):
-        self.recorder.history.save(self.path)
+        self.recorder.run_log.save(self.path)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from small_scenes import compiled, make_scene
 from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
 from warpmpc.derivatives.expansion import Linear, Quadratic, held
 from warpmpc.planner.feedback import Feedback, StateSpace
-from warpmpc.realtime.letters import PlanCodec, TimedPlan
+from warpmpc.realtime.messages import PlanCodec, TimedPlan
 from warpmpc.scene.load import with_values
 
 DISC_PLANNER = {"samples": 16, "horizon": 10, "discount": 1.0, "randomize": False}

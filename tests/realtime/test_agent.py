@@ -13,7 +13,7 @@ from small_scenes import DISC, compiled, layout_of, make_scene
 
 from warpmpc import Plan, RobotLoop, SceneError, State, simulated_robot
 from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.letters import TimedPlan
+from warpmpc.realtime.messages import TimedPlan
 from warpmpc.scene.schema import SplineKind
 
 SOON = 0.1
@@ -82,7 +82,7 @@ def test_positions_are_held_where_the_robot_was_when_the_fault_began():
     drive = {"mode": "position", "stiffness": 900.0, "damping": 60.0, "lower": (-2.0,) * 3, "upper": (2.0,) * 3}
     loop, robot, planner = drill(robot=[DISC | {"drive": drive}])
     robot.forget_numbers()
-    was = planner.sightings[-1].state.joint_q
+    was = planner.observations[-1].state.joint_q
     ticks(loop, 200)
     sent = np.array([control for _, control in robot.sent[-200:]])
     np.testing.assert_allclose(sent, np.tile(sent[0], (200, 1)))
@@ -99,10 +99,10 @@ def test_accelerations_brake_and_then_keep_still():
 
 def test_the_planner_hears_of_no_observation_that_cannot_be_trusted():
     loop, robot, planner = drill()
-    seen = len(planner.sightings)
+    seen = len(planner.observations)
     robot.forget_numbers()
     ticks(loop, 100)
-    assert len(planner.sightings) == seen
+    assert len(planner.observations) == seen
 
 
 def test_before_the_first_plan_the_robot_stands_and_that_is_no_fault(caplog):
@@ -160,11 +160,11 @@ def test_a_plan_that_is_replaced_is_followed_from_its_own_times():
 @pytest.mark.parametrize("stall", [0.3, 2.0])
 def test_a_plan_from_before_a_stall_is_not_followed_whether_it_is_over_or_not(stall, caplog):
     loop, robot, planner = drill()
-    sighting, planner.stalled = planner.sightings[-1], True
-    ticks(loop, round(stall * loop.scene.agent.rate))  # over a plan for the second after the sighting
+    observation, planner.stalled = planner.observations[-1], True
+    ticks(loop, round(stall * loop.scene.agent.rate))  # over a plan for the second after the observation
     before, begin = planner.newest(), robot.plant.time
-    plan = replace(before.plan, times=sighting.state.time + np.array([0.0, 1.0]))
-    late = {"number": before.number + 1, "observed": sighting.state.time, "latency": stall}
+    plan = replace(before.plan, times=observation.state.time + np.array([0.0, 1.0]))
+    late = {"number": before.number + 1, "observed": observation.state.time, "latency": stall}
     planner._timed = replace(before, plan=plan, **late)
     ticks(loop, 20)
     assert not any(control.any() for time, control in robot.sent if time >= begin)

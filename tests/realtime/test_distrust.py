@@ -10,7 +10,7 @@ from drills import MOVE, Scripted, drill, ticks
 from faulty_robots import FaultyRobot
 from small_scenes import DISC, compiled, layout_of, make_scene
 
-from warpmpc import RobotLoop, State, TickRecorder, simulated_robot
+from warpmpc import RobotLoop, RunRecorder, State, simulated_robot
 from warpmpc.planner.feedback import Feedback, StateSpace
 from warpmpc.realtime import pace
 from warpmpc.realtime.agent import Agent
@@ -27,7 +27,7 @@ def test_a_robot_whose_driver_uses_its_arrays_again_is_held_where_it_was_and_not
     robot.reuse_arrays()
     planner.stalled = True
     ticks(loop, 60)
-    was = next(sighting.state for sighting in planner.sightings[40:] if not sighting.following)
+    was = next(observation.state for observation in planner.observations[40:] if not observation.following)
     held = robot.sent[-1][1]
     np.testing.assert_array_equal(held, was.joint_q)
     seen = robot.spoil
@@ -44,7 +44,7 @@ def test_a_driver_that_uses_its_arrays_again_is_not_taken_for_frozen_and_spoils_
     robot.reuse_arrays()
     ticks(loop, 500)
     assert not loop.agent.faults
-    places = [sighting.state.joint_q[0] for sighting in planner.sightings[-400:]]
+    places = [observation.state.joint_q[0] for observation in planner.observations[-400:]]
     assert (np.diff(places) > 0.0).all()  # each is what it was
 
 
@@ -58,7 +58,7 @@ def test_one_observation_from_the_future_is_one_bad_tick(caplog):
     ticks(loop, 1)
     assert not robot.sent[-1][1].any()
     assert loop.agent.fault.kind is FaultKind.OBSERVATION_AHEAD
-    assert planner.sightings[-1].state.time < 1.0  # the planner does not hear of it
+    assert planner.observations[-1].state.time < 1.0  # the planner does not hear of it
     robot.spoil = None
     ticks(loop, 1)
     assert loop.agent.following
@@ -233,20 +233,20 @@ BAD_OBSERVATIONS = {
 @pytest.mark.parametrize("name", BAD_OBSERVATIONS)
 def test_an_observation_of_a_wrong_kind_is_the_documented_fault(name):
     loop, robot, planner = drill()
-    recorder = loop._recorder = TickRecorder(robot.plant)
+    recorder = loop._recorder = RunRecorder(robot.plant)
     robot.spoil = BAD_OBSERVATIONS[name]
-    begin, heard = len(robot.sent), len(planner.sightings)
+    begin, heard = len(robot.sent), len(planner.observations)
     ticks(loop, 250)
-    assert len(planner.sightings) == heard
+    assert len(planner.observations) == heard
     assert not any(control.any() for _, control in robot.sent[begin:])
     assert np.abs(robot.plant.state.joint_qd).max() < 0.02
     assert loop.agent.faults[0].kind is FaultKind.OBSERVATION_INVALID
     robot.spoil = None
     ticks(loop, 50)
     assert loop.agent.following
-    history = recorder.history(loop.agent.faults)
-    assert len(history.ticks.now) == 300
-    assert history.ticks.following.sum() == pytest.approx(50, abs=3)
+    controls = recorder.run_log.controls
+    assert len(controls) == 300
+    assert controls.following.sum() == pytest.approx(50, abs=3)
 
 
 def test_a_time_in_an_array_of_one_is_a_time():

@@ -8,7 +8,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, State
-from warpmpc.realtime.letters import Sighting
+from warpmpc.realtime.messages import TimedObservation
 from warpmpc.realtime.planning import Planning
 
 
@@ -20,7 +20,7 @@ def test_a_quick_planner_makes_a_plan_for_every_control(speed, timeout, period):
 
     def newest():
         began.append(time.monotonic())
-        return Sighting(state, planning.controller.layout.control_lower * 0.0, -1)
+        return TimedObservation(state, planning.controller.layout.control_lower * 0.0, -1)
 
     planning.run(newest, plans.append, lambda: len(plans) == 10)
     apart = (began[-1] - began[0]) / (len(began) - 1)

@@ -43,7 +43,7 @@ def burn(when: Path) -> None:
 
 
 def test_planners_that_die_are_replaced_for_good_and_the_log_says_why(tmp_path, caplog, capfd, monkeypatch):
-    monkeypatch.setattr(process, "FIRST_PAUSE", 0.5)
+    monkeypatch.setattr(process, "FIRST_BACKOFF", 0.5)
     timing = {"control_dt": 0.04, "timeout": 60.0}
     near = {"frame": "base/centre", "position": (0.4, 0.2)}  # the rest of the way is slow in wall time
     scene = make_scene(plant={"randomize": False}, engine={"threads": 1}, timing=timing, goal=near)
@@ -79,7 +79,7 @@ def slow_terms(folder: Path):
 
 
 def test_a_planner_that_hangs_is_replaced_and_a_slow_start_is_not_taken_for_it(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr(process, "SILENCE", 1.0)
+    monkeypatch.setattr(process, "HEARTBEAT_TIMEOUT", 1.0)
     scene = make_scene(
         plant={"randomize": False},
         engine={"threads": 1},
@@ -104,7 +104,7 @@ def test_a_planner_that_hangs_is_replaced_and_a_slow_start_is_not_taken_for_it(t
         with pytest.raises(ProcessLookupError):
             os.kill(hung, 0)
     said = [line.partition(" (")[0] for line in caplog.messages if "the planner's process" in line]
-    assert said == ["the planner's process hung: no sign of life for 1.45 s"]
+    assert said == ["the planner's process hung: no heartbeat for 1.45 s"]
 
 
 def test_a_planner_that_is_started_again_and_hangs_before_its_first_plan_is_killed():
@@ -112,7 +112,7 @@ def test_a_planner_that_is_started_again_and_hangs_before_its_first_plan_is_kill
     planner._process = type("Hung", (), {"kill": lambda self: killed.append(1)})()
     planner._ready, _theirs = planner._context.Pipe(duplex=False)
     planner._longest_start = 0.05
-    assert planner._does_not_start() == "it does not start: no plan after 0.05 s"
+    assert planner._await_start() == "it does not start: no plan after 0.05 s"
     assert killed
 
 

@@ -9,7 +9,7 @@ from small_scenes import compiled, layout_of, make_scene
 from studies.latency import delayed_episode
 
 from warpmpc import Controller, load_scene, simulated_robot
-from warpmpc.realtime.letters import Sighting
+from warpmpc.realtime.messages import TimedObservation
 from warpmpc.realtime.planning import Planning
 from warpmpc.realtime.predictor import Predictor
 from warpmpc.task.task import Task
@@ -53,11 +53,11 @@ def test_a_plan_is_for_the_time_at_which_it_is_ready():
     controller = Controller(scene, engine="mujoco", device="cpu", compiled=compiled(scene))
     state = simulated_robot(scene, compiled=compiled(scene)).observe()
     planning = Planning(controller, latency=0.08)
-    timed = planning.plan(Sighting(state, np.ones(3), following=False))
+    timed = planning.plan(TimedObservation(state, np.ones(3), following=False))
     assert timed.observed == 0.0
     assert controller.info.time == pytest.approx(0.08)
     nothing = replace(state, joint_q=np.full(3, np.nan))
-    assert planning.plan(Sighting(nothing, np.ones(3), following=False)) is None
+    assert planning.plan(TimedObservation(nothing, np.ones(3), following=False)) is None
     assert timed.number == 0
 
 

@@ -10,12 +10,14 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from run_logs import changed
 from small_scenes import BOX, DISC, compiled, make_scene
 
+from warpmpc.log.run_log import RunLog
 from warpmpc.model.layout import ShapeInfo
 from warpmpc.plant.plant import Plant
-from warpmpc.record.history import History, HistoryRecorder
-from warpmpc.record.plots import draw_run, figures, plot_history
+from warpmpc.record.plots import draw_run, figures, plot_log
+from warpmpc.record.run_recorder import RunRecorder
 from warpmpc.record.scene_picture import VIEWS, ScenePicture, View, natural_view, oblique, triangles_of
 from warpmpc.run.episode import Episode
 
@@ -102,14 +104,14 @@ def test_what_stays_level_is_seen_from_above(plant):
 
 
 @pytest.fixture(scope="module")
-def history() -> History:
+def log() -> RunLog:
     scene = make_scene(
         object=[BOX], robot=[DISC], timing={"control_dt": 0.04, "timeout": 0.4}, planner={"samples": 16, "horizon": 4}
     )
     episode = Episode(scene, engine="mujoco", device="cpu", seed=3, compiled=compiled(scene))
-    recorder = HistoryRecorder(episode.controller, episode.plant)
+    recorder = RunRecorder(episode.plant, episode.controller)
     episode.run(recorder=recorder)
-    return recorder.history
+    return recorder.run_log
 
 
 def lines(figure) -> dict[str, np.ndarray]:
@@ -117,52 +119,53 @@ def lines(figure) -> dict[str, np.ndarray]:
     return {line.get_label(): np.asarray(line.get_ydata()) for axes in figure.axes for line in axes.lines}
 
 
-def test_figures_show_the_run(history):
+def test_figures_show_the_run(log):
     scene = make_scene(object=[BOX], robot=[DISC])
-    found = dict(figures(history, scene))
+    found = dict(figures(log, scene))
     assert list(found) == ["path", "costs", "controls", "plan_times", "errors"]
     costs = lines(found["costs"])
-    np.testing.assert_array_equal(costs["distance"], history.cost_terms[:, 0])
-    np.testing.assert_array_equal(costs["sum"], history.cost)
+    np.testing.assert_array_equal(costs["distance"], log.plans.terms[:, 0])
+    np.testing.assert_array_equal(costs["sum"], log.plans.cost)
     times = lines(found["plan_times"])
-    np.testing.assert_array_equal(times["plan"], history.plan_ms)
+    np.testing.assert_array_equal(times["plan"], log.controls.plan_ms)
     np.testing.assert_allclose(times["one control"], 40.0)
     for i, axes in enumerate(found["controls"].axes):
-        np.testing.assert_array_equal(axes.lines[0].get_ydata(), history.control[:, i])
+        np.testing.assert_array_equal(axes.lines[0].get_ydata(), log.controls.control[:, i])
     error, tolerance = found["errors"].axes[0].lines
-    np.testing.assert_array_equal(error.get_ydata(), history.goal_error[:, 0])
+    np.testing.assert_array_equal(error.get_ydata(), log.states.goal_error[:, 0])
     np.testing.assert_allclose(tolerance.get_ydata(), 0.1)
 
 
-def test_every_pair_has_a_curve_of_its_own(history):
+def test_every_pair_has_a_curve_of_its_own(log):
     pairs = np.arange(33.0 * 2).reshape(11, 2, 3)
-    found = dict(figures(replace(history, pair_names=("a-b", "c-b"), contact_force=pairs), None))
+    names = {**log.names, "pairs": ["a-b", "c-b"]}
+    found = dict(figures(replace(log, names=names, states=changed(log.states, contact_force=pairs)), None))
     np.testing.assert_allclose(lines(found["contact_forces"])["c-b"], np.linalg.norm(pairs[:, 1], axis=1))
 
 
 @pytest.mark.parametrize("view", [None, "3d"])
-def test_bodies_and_their_ways_are_drawn(history, plant, view):
+def test_bodies_and_their_ways_are_drawn(log, plant, view):
     figure, axes = plt.subplots()
-    draw_run(axes, history, plant, view=view)
+    draw_run(axes, log, plant, view=view)
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255.0
     plt.close(figure)
     assert pixels.std() > 0.02
-    base = history.body_names.index("base/base_link")
+    base = log.names["bodies"].index("base/base_link")
     ways = [line.get_xydata() for line in axes.lines]
-    expected = VIEWS[view or "top"](history.body_q[:, base, :3].astype(float))
+    expected = VIEWS[view or "top"](log.states.body_q[:, base, :3].astype(float))
     assert any(way.shape == expected.shape and np.allclose(way, expected) for way in ways)
 
 
-def test_without_a_scene_the_ways_are_left(history):
+def test_without_a_scene_the_ways_are_left(log):
     figure, axes = plt.subplots()
-    draw_run(axes, replace(history, log=None), None)
-    assert {line.get_label() for line in axes.lines} == set(history.body_names)
+    draw_run(axes, log, None)
+    assert {line.get_label() for line in axes.lines} == set(log.names["bodies"])
     plt.close(figure)
 
 
-def test_files_are_written(history, tmp_path):
-    written = plot_history(history, tmp_path / "new", title="a run")
+def test_files_are_written(log, tmp_path):
+    written = plot_log(log, tmp_path / "new", title="a run")
     assert [path.name for path in written] == [
         "history.csv",
         *(f"{name}.png" for name in ("path", "costs", "controls", "plan_times", "errors")),

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from run_logs import changed
 from small_scenes import DISC, compiled, make_scene
 
 import warpmpc
-from warpmpc.realtime.journal import FileJournal, read_journals
+from warpmpc.log.run_log import read_planners
+from warpmpc.realtime.plan_logger import PlanLogger
 from warpmpc.realtime.planning import Planning
+from warpmpc.record.replay import logged_observation
 from warpmpc.record.tick_recording import record_ticks
 
 SCENE = make_scene(
@@ -33,24 +36,25 @@ DEAD = 9
 class InStep:
     """A planner that plans at every fifth tick, at once, and dies in between."""
 
-    def __init__(self, folder):
-        self.folder, self.task = folder, warpmpc.Task(SCENE)
-        self.ticks, self._timed = 0, None
+    def __init__(self, log):
+        self.log, self.task = log, warpmpc.Task(SCENE)
+        self.ticks, self._timed, self._life = 0, None, 0
         self._start()
 
     def _start(self):
         controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu", seed=5)
-        journal = FileJournal(controller, self.folder)
+        logger = PlanLogger(controller, self.log, self._life)
         number = 0 if self._timed is None else self._timed.number + 1
-        self._planning = Planning(controller, latency=0.02, number=number, journal=journal)
+        self._life += 1
+        self._planning = Planning(controller, latency=0.02, number=number, logger=logger)
 
-    def observe(self, sighting):
+    def observe(self, observation):
         if self.ticks % EVERY == 0:
             if self._timed is not None and self._timed.number == DEAD:
                 self._start()
             if self.ticks == 30:
                 self.task["thrift"] = 0.7
-            self._timed = self._planning.plan(replace(sighting, task=self.task.block[0].copy()))
+            self._timed = self._planning.plan(replace(observation, task=self.task.block[0].copy()))
         self.ticks += 1
 
     def newest(self):
@@ -60,33 +64,35 @@ class InStep:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A run of 90 ticks and 18 plans of two planners, and its robot."""
-    planner = InStep(tmp_path_factory.mktemp("journals"))
+    path = tmp_path_factory.mktemp("run") / "a.runlog"
+    planner = InStep(path)
     robot = warpmpc.simulated_robot(SCENE, seed=3, task=planner.task, compiled=compiled(SCENE))
-    recorder = warpmpc.TickRecorder(robot)
+    recorder = warpmpc.RunRecorder(robot, path=path)
     loop = warpmpc.RobotLoop(SCENE, robot, planner, simulated=True, recorder=recorder)
     for _ in range(90):
         loop.tick()
         loop.pace._tick += 1  # the next tick, without waiting for it
-    return recorder.history(loop.agent.faults, read_journals(planner.folder)), robot
+    recorder.close()
+    return warpmpc.RunLog.load(path), robot
 
 
 def test_plans_of_both_planners_and_all_commands_come_out_again(run, tmp_path):
     run[0].save(tmp_path / "run.npz")
-    history = warpmpc.History.load(tmp_path / "run.npz")
-    assert history.made.life.tolist() == [0] * 10 + [1] * 8
-    assert history.made.reach == pytest.approx(0.02)
-    found = warpmpc.replay_real_time(history)
+    log = warpmpc.RunLog.load(tmp_path / "run.npz")
+    assert log.plans.life.tolist() == [0] * 10 + [1] * 8
+    assert log.plans.reach == pytest.approx(0.02)
+    found = warpmpc.replay(log)
     assert (len(found.plans.agree), len(found.commands.agree)) == (18, 90)
     assert found.same
     assert (found.plans.first, found.commands.first, found.unknown) == (None, None, 0)
-    assert history.ticks.following.sum() > 80
-    assert (history.control[0] == 0.0).all()  # the safe command: there was no plan yet
+    assert log.controls.following.sum() > 80
+    assert (log.controls.control[0] == 0.0).all()  # the safe command: there was no plan yet
 
 
 @pytest.mark.parametrize("what", ["seed", "observation", "task", "reach", "command"])
 def test_what_the_plans_were_made_from_matters(run, what):
-    made = run[0].made
-    origin, columns = dict(made.origin), {}
+    made = run[0].plans
+    origin, columns = dict(run[0].origin), {}
     match what:
         case "seed":
             origin["seed"] += 1
@@ -97,8 +103,8 @@ def test_what_the_plans_were_made_from_matters(run, what):
         case "reach":
             columns["reach"] = np.where(np.arange(len(made)) > 3, 0.0, made.reach)
         case "command":  # what acts until the plan is there, where no plan was followed
-            columns["following"], columns["command"] = made.following & False, made.command + np.float32(0.2)
-    found = warpmpc.replay_real_time(replace(run[0], made=replace(made, origin=origin, **columns)))
+            columns["following"], columns["sent"] = made.following & False, made.sent + np.float32(0.2)
+    found = warpmpc.replay(replace(run[0], plans=changed(made, **columns), origin=origin))
     first = {"seed": 0, "observation": 0, "task": 6, "reach": 4, "command": 0}[what]
     assert int(np.argmin(found.plans.agree)) == first
     assert found.plans.first.startswith(f"plan {first} at t = {made.time[first]:.3f} s: ")
@@ -106,25 +112,25 @@ def test_what_the_plans_were_made_from_matters(run, what):
 
 
 def test_what_the_agent_saw_matters(run):
-    history = run[0]
-    ticks = replace(history.ticks, now=history.ticks.now + np.where(np.arange(90) >= 40, 1e-3, 0.0))
-    found = warpmpc.replay_real_time(replace(history, ticks=ticks))
+    controls = run[0].controls
+    later = changed(controls, clock=controls.clock + np.where(np.arange(90) >= 40, 1e-3, 0.0))
+    found = warpmpc.replay(replace(run[0], controls=later))
     assert found.plans.same
     assert int(np.argmin(found.commands.agree)) == 40
     assert found.commands.first.startswith("command 40 at t = ")
 
 
-def test_costs_of_plans_are_in_the_history_and_in_the_recording(run, tmp_path):
-    history, robot = run
-    made, ticks = history.made, history.ticks
-    assert history.term_names == ("distance", "thrift")
+def test_costs_of_plans_are_in_the_log_and_in_the_recording(run, tmp_path):
+    log, robot = run
+    made, cost, terms = log.plans, log.of_plans("cost"), log.of_plans("terms")
+    assert log.names["terms"] == ["distance", "thrift"]
     row = {int(n): i for i, n in enumerate(made.number)}
-    rows = [row[n] for n in ticks.plan[1:].tolist()]
-    np.testing.assert_array_equal(history.cost[1:], made.cost[rows])
-    np.testing.assert_allclose(history.cost_terms[1:].sum(axis=1), history.cost[1:], rtol=1e-4)
-    assert (history.cost_terms[1:20, 1] > 0.0).all()
-    assert np.isnan(history.cost[0])
-    record_ticks(tmp_path / "run.rrd", history, robot)
+    rows = [row[n] for n in log.controls.plan[1:].tolist()]
+    np.testing.assert_array_equal(cost[1:], made.cost[rows])
+    np.testing.assert_allclose(terms[1:].sum(axis=1), cost[1:], rtol=1e-4)
+    assert (terms[1:20, 1] > 0.0).all()
+    assert np.isnan(cost[0])
+    record_ticks(tmp_path / "run.rrd", log, robot)
     chunks = [chunk for chunk in RrdReader(tmp_path / "run.rrd").stream() if chunk.entity_path == "/cost/thrift"]
     batch = chunks[0].to_record_batch()
     said = [values[0] for values in batch.column("Scalars:scalars").to_pylist()]
@@ -134,9 +140,7 @@ def test_costs_of_plans_are_in_the_history_and_in_the_recording(run, tmp_path):
 
 
 def test_a_plan_that_is_not_in_the_log_is_told(run):
-    history = run[0]
-    short = {name: getattr(history.made, name)[:12] for name in ("life", *_columns(history.made))}
-    found = warpmpc.replay_real_time(replace(history, made=replace(history.made, **short)))
+    found = warpmpc.replay(replace(run[0], plans=run[0].plans[:12]))
     assert found.plans.same
     assert found.unknown == 29  # a plan is seen a tick after it was made
     assert not found.same
@@ -144,19 +148,22 @@ def test_a_plan_that_is_not_in_the_log_is_told(run):
 
 def test_a_row_that_was_half_written_is_left_out_and_the_next_planner_writes_on(run, tmp_path):
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
-    start = run[0].made.sighting(0)
+    start, path = logged_observation(run[0], 0), tmp_path / "a.runlog"
     for life in range(2):
-        planning = Planning(controller, number=5 * life, journal=FileJournal(controller, tmp_path))
+        logger = PlanLogger(controller, path, life)
+        planning = Planning(controller, number=5 * life, logger=logger)
         for _ in range(3):
             planning.plan(start)
-        planning._journal._file.close()
-    first = tmp_path / "0000"
+        logger.close()
+    first = tmp_path / "a.runlog.0"
     first.write_bytes(first.read_bytes()[:-11])  # killed while it wrote
-    (tmp_path / "0002").write_bytes(b'{"origin"')  # killed before the first plan
-    log = read_journals(tmp_path)
-    assert log.number.tolist() == [0, 1, 5, 6, 7]
-    assert log.life.tolist() == [0, 0, 1, 1, 1]
-    assert log.rows(np.array([1, 2, 7])).tolist() == [1, -1, 4]
+    (tmp_path / "a.runlog.2").write_bytes(b'{"origin"')  # killed before the first plan
+    plans = read_planners(path).plans
+    assert plans.number.tolist() == [0, 1, 5, 6, 7]
+    assert plans.life.tolist() == [0, 0, 1, 1, 1]
+    controls = run[0].controls[:3].copy()
+    controls.plan = [1, 2, 7]
+    assert replace(run[0], plans=plans, controls=controls).plan_rows().tolist() == [1, -1, 4]
 
 
 def test_plans_go_on_where_nothing_can_be_written(run, tmp_path):
@@ -164,20 +171,21 @@ def test_plans_go_on_where_nothing_can_be_written(run, tmp_path):
         def write(self, data):
             raise OSError(errno.ENOSPC, "No space left on device")
 
+        def close(self):
+            pass
+
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
-    planning = Planning(controller, journal=FileJournal(controller, tmp_path))
-    planning._journal._file.close()
-    planning._journal._file = Full()
-    assert [planning.plan(run[0].made.sighting(0)).number for _ in range(2)] == [0, 1]
-    assert len(read_journals(tmp_path)) == 0
-    nowhere = Planning(controller, journal=FileJournal(controller, tmp_path / "none"))
-    assert nowhere.plan(run[0].made.sighting(0)) is not None
+    start, path = logged_observation(run[0], 0), tmp_path / "a.runlog"
+    logger = PlanLogger(controller, path)
+    planning = Planning(controller, logger=logger)
+    logger._writer._file.close()
+    logger._writer._file = Full()
+    assert [planning.plan(start).number for _ in range(2)] == [0, 1]
+    assert len(read_planners(path).plans) == 0
+    nowhere = Planning(controller, logger=PlanLogger(controller, tmp_path / "none" / "a.runlog"))
+    assert nowhere.plan(start) is not None
 
 
-def test_a_history_without_such_a_log_is_refused(run):
-    with pytest.raises(ValueError, match="no log of what plans in real time were made from"):
-        warpmpc.replay_real_time(replace(run[0], made=None))
-
-
-def _columns(made):
-    return [name for name, value in vars(made).items() if isinstance(value, np.ndarray) and name != "life"]
+def test_a_log_without_plans_is_refused(run):
+    with pytest.raises(ValueError, match="no log of what its plans were made from"):
+        warpmpc.replay(replace(run[0], plans=np.zeros(0, []).view(np.recarray)))

@@ -22,9 +22,9 @@ from warpmpc.plant.plant import Plant
 from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
 from warpmpc.record.rerun_shapes import draw_shape
+from warpmpc.record.rollout_paths import COLORS
 from warpmpc.record.shapes import ContactPoints, rotate
 from warpmpc.record.switch import RecordingSwitch
-from warpmpc.record.ways import COLORS
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.schema_cloud import Cloud
 

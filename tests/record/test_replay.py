@@ -26,18 +26,18 @@ SCENE = make_scene(
 )
 
 
-def logged(scene, *, steps=8, change=lambda n, controller: None, **options) -> warpmpc.PlanLog:
+def logged(scene, *, steps=8, change=lambda n, controller: None, **options) -> warpmpc.RunLog:
     """A run of a few steps; ``change`` is called before each plan."""
     options = {"engine": "mujoco", "device": "cpu", "seed": 5} | options
     controller = warpmpc.Controller(scene, compiled=compiled(scene), **options)
     plant = warpmpc.Plant(scene, seed=7, task=controller.task, compiled=compiled(scene))
-    recorder = warpmpc.HistoryRecorder(controller, plant)
+    recorder = warpmpc.RunRecorder(plant, controller)
     for n in range(steps):
         change(n, controller)
         control = controller.step(plant.observe())
         plant.apply(control)
         recorder.log(control)
-    return recorder.history.log
+    return recorder.run_log
 
 
 def steered(n, controller):
@@ -53,11 +53,11 @@ def steered(n, controller):
 def test_the_same_commands_come_out_though_task_and_limits_were_changed():
     log = logged(SCENE, change=steered)
     found = module.replay(log)
-    assert len(log) == 8
+    assert len(log.plans) == 8
     assert found.same
-    assert found.agree.tolist() == [True] * 8
-    assert (found.first, found.differences) == (None, ())
-    assert np.abs(log.command[6:]).max() <= 0.4  # the limits were in the log
+    assert found.commands.agree.tolist() == [True] * 8
+    assert (found.first, found.plans, found.differences) == (None, None, ())
+    assert np.abs(log.plans.command[6:]).max() <= 0.4  # the limits were in the log
 
 
 @pytest.mark.parametrize("what", ["seed", "observation", "task", "limits"])
@@ -67,16 +67,16 @@ def test_what_the_plans_were_made_from_matters(what):
         case "seed":
             log.origin["seed"] += 1
         case "observation":
-            log.joint_q[2:] += 1e-3
+            log.plans.joint_q[2:] += 1e-3
         case "task":
-            log.task[:] = log.task[0]
+            log.plans.task[:] = log.plans.task[0]
         case "limits":
-            log.lower[:], log.upper[:] = log.lower[0], log.upper[0]
+            log.plans.lower[:], log.plans.upper[:] = log.plans.lower[0], log.plans.upper[0]
     found = module.replay(log)
     assert not found.same
-    first = int(np.argmin(found.agree))
+    first = int(np.argmin(found.commands.agree))
     assert first == {"seed": 0, "observation": 2, "task": 3, "limits": 5}[what]
-    assert found.first.startswith(f"command {first} at t = {log.time[first]:.3f} s: base/")
+    assert found.first.startswith(f"command {first} at t = {log.plans.time[first]:.3f} s: base/")
 
 
 def test_an_observation_that_is_not_finite_is_replayed_as_it_was():
@@ -87,27 +87,27 @@ def test_an_observation_that_is_not_finite_is_replayed_as_it_was():
 
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
     plant = Blind(SCENE, task=controller.task, compiled=compiled(SCENE))
-    recorder = warpmpc.HistoryRecorder(controller, plant)
+    recorder = warpmpc.RunRecorder(plant, controller)
     for _ in range(8):
         control = controller.step(plant.observe())
         plant.apply(control)
         recorder.log(control)
-    log = recorder.history.log
-    assert np.isnan(log.joint_q).any(axis=1).tolist() == [False] * 3 + [True] * 2 + [False] * 3
-    assert (log.command[3:5] == 0.0).all()
+    log = recorder.run_log
+    assert np.isnan(log.plans.joint_q).any(axis=1).tolist() == [False] * 3 + [True] * 2 + [False] * 3
+    assert (log.plans.command[3:5] == 0.0).all()
     assert module.replay(log).same
 
 
 def test_files_keep_all_of_it(tmp_path):
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
     plant = warpmpc.Plant(SCENE, task=controller.task, compiled=compiled(SCENE))
-    recorder = warpmpc.HistoryRecorder(controller, plant)
+    recorder = warpmpc.RunRecorder(plant, controller)
     plant.apply(controller.step(plant.observe()))
     recorder.log(np.zeros(3))  # something else was sent
-    recorder.history.save(tmp_path / "run.npz")
-    log = warpmpc.History.load(tmp_path / "run.npz").log
-    assert (log.command != 0.0).any()  # what the controller said
-    assert log.origin == recorder.history.log.origin
+    recorder.run_log.save(tmp_path / "run.npz")
+    log = warpmpc.RunLog.load(tmp_path / "run.npz")
+    assert (log.plans.command != 0.0).any()  # what the controller said
+    assert log.origin == recorder.run_log.origin
     assert module.replay(log).same
 
 
@@ -122,9 +122,11 @@ def test_points_of_a_cloud_are_logged_when_they_are_new(tmp_path):
             controller.task["seen"] = np.full((5 + n, 3), 0.1 * n)
 
     log = logged(scene, steps=6, change=look)
-    again = warpmpc.PlanLog.from_arrays(log.to_arrays())
-    assert {n: len(points) for n, points in again.clouds["seen"].items() if len(points)} == {1: 6, 4: 9}
-    np.testing.assert_array_equal(again.clouds["seen"][4], np.full((9, 3), 0.4, np.float32))
+    log.save(tmp_path / "run.npz")
+    again = warpmpc.RunLog.load(tmp_path / "run.npz")
+    seen = again.points()["seen"]
+    assert {n: len(points) for n, points in seen.items() if len(points)} == {1: 6, 4: 9}
+    np.testing.assert_array_equal(seen[4], np.full((9, 3), 0.4, np.float32))
     assert module.replay(again).same
 
 
@@ -132,11 +134,11 @@ def test_a_log_that_begins_later_is_refused():
     controller = warpmpc.Controller(SCENE, compiled=compiled(SCENE), engine="mujoco", device="cpu")
     plant = warpmpc.Plant(SCENE, task=controller.task, compiled=compiled(SCENE))
     plant.apply(controller.step(plant.observe()))
-    recorder = warpmpc.HistoryRecorder(controller, plant)
+    recorder = warpmpc.RunRecorder(plant, controller)
     plant.apply(controller.step(plant.observe()))
     recorder.log(controller.command)
     with pytest.raises(ValueError, match="does not begin with its controller's first plan"):
-        module.replay(recorder.history.log)
+        module.replay(recorder.run_log)
 
 
 def test_what_is_not_as_it_was_is_said():

@@ -4,10 +4,10 @@ r"""Plan very often: memory stays as it is, and plans take as long at the end as
     python tools/bench.py soak pendulum --plans 1000000
     python tools/bench.py soak omni_push_box --plans 100000
 
-Observations and plans go through the arrays and mailboxes of `warpmpc run --real-time`, planning and agent are its own;
-the plant moves on by one control for every plan and starts again when it is done. Prints resident memory and plan times
-every tenth of the way. Exit code 1 if memory grew by more than --growth from the first tenth to the last, or the median
-plan time by more than --slower.
+Observations and plans go through the arrays and latest-value buffers of `warpmpc run --real-time`, planning and agent
+are its own; the plant moves on by one control for every plan and starts again when it is done. Prints resident memory
+and plan times every tenth of the way. Exit code 1 if memory grew by more than --growth from the first tenth to the
+last, or the median plan time by more than --slower.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import numpy as np
 
 from warpmpc import Controller, load_scene, simulated_robot
 from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.letters import PlanCodec, Sighting, SightingCodec
-from warpmpc.realtime.mailbox import Mailbox
+from warpmpc.realtime.latest_value import LatestValue
+from warpmpc.realtime.messages import ObservationCodec, PlanCodec, TimedObservation
 from warpmpc.realtime.planning import Planning
 from warpmpc.scene.schema import Scene
 
@@ -61,9 +61,9 @@ def soak(scene: Scene, plans: int, *, seed: int = 0) -> Iterator[Tenth]:
     planning, layout = Planning(controller, latency=scene.timing.control_dt), controller.layout
     robot = simulated_robot(scene, seed=seed, task=controller.task, compiled=controller.compiled)
     context = multiprocessing.get_context("spawn")
-    sightings = SightingCodec(layout, controller.task.block.shape[1])
+    observations = ObservationCodec(layout, controller.task.block.shape[1])
     codec = PlanCodec(layout, scene.planner.spline, len(controller.planner.knot_time))
-    seen, planned = Mailbox(context, sightings.capacity), Mailbox(context, codec.capacity)
+    seen, planned = LatestValue(context, observations.capacity), LatestValue(context, codec.capacity)
     agent, command, acting = Agent(scene, layout), np.zeros(layout.nu, np.float32), None
     faults = 0
     for tenth in range(10):
@@ -75,9 +75,9 @@ def soak(scene: Scene, plans: int, *, seed: int = 0) -> Iterator[Tenth]:
                 controller.reset()
                 agent, acting = Agent(scene, layout), None
             state = robot.observe()
-            sighting = Sighting(state, command, agent.following, task=controller.task.block[0])
-            seen.write(sightings.encode(sighting))
-            timed = planning.plan(sightings.decode(seen.read()))
+            observation = TimedObservation(state, command, agent.following, task=controller.task.block[0])
+            seen.write(observations.encode(observation))
+            timed = planning.plan(observations.decode(seen.read()))
             planned.write(codec.encode(timed))
             times.append(1e3 * timed.latency)
             command = agent.command(state, acting, robot.time)

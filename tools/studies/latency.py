@@ -17,7 +17,7 @@ import numpy as np
 
 from warpmpc import Controller, Plant, load_scene, simulated_robot
 from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.letters import Sighting, TimedPlan
+from warpmpc.realtime.messages import TimedObservation, TimedPlan
 from warpmpc.realtime.planning import Planning
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.schema import Scene
@@ -48,7 +48,7 @@ def delayed_episode(scene: Scene, *, latency: float, compensate: bool, seed: int
             acting, coming = coming[1], None
         command = agent.command(state, acting, robot.time)
         if coming is None and robot.time >= begin - 1e-9:
-            timed = planning.plan(Sighting(state, command, agent.following))
+            timed = planning.plan(TimedObservation(state, command, agent.following))
             coming = robot.time + latency, replace(timed, latency=latency)
             begin = robot.time + scene.timing.control_dt
         robot.apply(command)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 3.0
-"""How long native code may hold up a signal [s]."""
+"""Time that native code may hold up a signal [s]."""
 TOGETHER = 1.0
 """Signals so soon after one that has ended what ran are one with it: files are being closed [s]."""
 

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc live`` does: build a session and serve its page."""
+"""``warpmpc live``: a session is built and its page served."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from .interrupts import Interrupts
-from .setup import start_warp, user_errors
+from .setup import Order, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -21,28 +19,14 @@ NEEDED = ("viser", "tomlkit")
 """Packages of the extra ``live``."""
 
 
-def live(
-    source: str,
-    *,
-    host: str,
-    port: int,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
-    seed: int,
-    engine: str,
-    device: str,
-) -> None:
+def live(order: Order, *, host: str, port: int, seed: int) -> None:
     """Serve a scene's page until Ctrl-C or SIGTERM.
 
     Args:
-        source: Scene and variant.
+        order: Scene and engine.
         host: Address to listen at.
         port: Port to listen at.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
         seed: Seed of the first episode.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
     """
     with Interrupts(), user_errors():
         missing = [name for name in NEEDED if find_spec(name) is None]
@@ -55,9 +39,8 @@ def live(
         require_port(host, port)
         start_warp()
         try:
-            session = Session(
-                source, overrides=overrides, seed=seed, engine=engine, device=device, terms=load_terms(term_files)
-            )
+            options = {"engine": order.engine, "device": order.device, "terms": load_terms(order.term_files)}
+            session = Session(order.source, overrides=order.overrides, seed=seed, **options)
             access = Access(host, port)
             serve(session, access, ready=lambda: _say_where(access))
         except KeyboardInterrupt:

@@ -6,9 +6,12 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from .setup import Order
 
 # physics, kernels and tables take seconds to import: every command imports what it needs, when it needs it
 
@@ -139,9 +142,7 @@ def check(
     """Build everything a run would, make one plan, and show what was built."""
     from . import run as cli_run
 
-    raise typer.Exit(
-        cli_run.check(scene, overrides=overrides, term_files=terms, seed=seed, engine=engine, device=device)
-    )
+    raise typer.Exit(cli_run.check(_order(scene, overrides, terms, engine, device), seed=seed))
 
 
 @app.command()
@@ -169,13 +170,13 @@ def run(
         typer.Option(metavar="FILE.csv", help="Write states, controls, costs, plan times and forces of every step."),
     ] = None,
     npz: Annotated[
-        Path | None, typer.Option(metavar="FILE.npz", help="The same as NumPy arrays, see warpmpc.History.")
+        Path | None, typer.Option(metavar="FILE.npz", help="The same as NumPy arrays, see warpmpc.RunLog.")
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="A new folder that tells all about the run: scene, command, versions, hardware, results, histories, "
+            help="A new folder that tells all about the run: scene, command, versions, hardware, results, logs, "
             "and recordings of episodes that run here.",
         ),
     ] = None,
@@ -215,54 +216,25 @@ def run(
     from . import run as cli_run
     from .outputs import Outputs
 
+    order, seeds = _order(scene, overrides, terms, engine, device), range(seed, seed + episodes)
     outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
+    options = {"seeds": seeds, "outputs": outputs, "json_lines": json, "quiet": quiet}
     if real_time:
         from .real_time import run_real_time
 
-        given = {
-            "--envs": envs > 1,
-            "--jobs": jobs,
-            "--results": results,
-        }
-        raise typer.Exit(
-            run_real_time(
-                scene,
-                seeds=range(seed, seed + episodes),
-                speed=1.0 if speed is None else speed,
-                overrides=overrides,
-                term_files=terms,
-                engine=engine,
-                device=device,
-                outputs=outputs,
-                refused=[option for option, value in given.items() if value],
-                json_lines=json,
-                quiet=quiet,
-            )
-        )
+        given = {"--envs": envs > 1, "--jobs": jobs, "--results": results}
+        refused = [option for option, value in given.items() if value]
+        raise typer.Exit(run_real_time(order, speed=1.0 if speed is None else speed, refused=refused, **options))
     if speed is not None:
         raise typer.BadParameter("goes with --real-time", param_hint="--speed")
-    raise typer.Exit(
-        cli_run.run(
-            scene,
-            seeds=range(seed, seed + episodes),
-            envs=envs,
-            overrides=overrides,
-            term_files=terms,
-            engine=engine,
-            device=device,
-            outputs=outputs,
-            jobs=jobs,
-            results_file=results,
-            json_lines=json,
-            quiet=quiet,
-        )
-    )
+    raise typer.Exit(cli_run.run(order, envs=envs, jobs=jobs, results_file=results, **options))
 
 
 @app.command()
 def replay(
     path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="History (.npz) or folder that warpmpc run --npz or --out wrote.")
+        Path,
+        typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog."),
     ],
     terms: TermsOption = [],  # noqa: B006
 ) -> None:
@@ -278,7 +250,8 @@ def replay(
 @app.command()
 def plot(
     path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="History (.npz) or folder that warpmpc run --npz or --out wrote.")
+        Path,
+        typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog."),
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
@@ -410,16 +383,13 @@ def live(
     """Watch and steer the controller on a page in the browser; Ctrl-C ends it."""
     from .live import live as cli_live
 
-    cli_live(
-        scene,
-        host=host,
-        port=port,
-        overrides=overrides,
-        term_files=terms,
-        seed=seed,
-        engine=engine,
-        device=device,
-    )
+    cli_live(_order(scene, overrides, terms, engine, device), host=host, port=port, seed=seed)
+
+
+def _order(scene: str, overrides: list[str], terms: list[Path], engine: str, device: str) -> Order:
+    from .setup import Order
+
+    return Order(source=scene, overrides=tuple(overrides), term_files=tuple(terms), engine=engine, device=device)
 
 
 if __name__ == "__main__":

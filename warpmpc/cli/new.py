@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc new`` writes: a folder with a scene, a robot, a cost term and a loop that run as they are."""
+"""``warpmpc new``: a folder with a scene, a robot, a cost term and a loop that run as they are."""
 
 from __future__ import annotations
 

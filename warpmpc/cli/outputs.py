@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that ``warpmpc run`` writes of its episodes: recordings for rerun, and histories as CSV and NPZ."""
+"""Files that ``warpmpc run`` writes of its episodes: run logs, also as CSV and NPZ, and recordings for rerun."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..record.files import try_file
-from ..record.history import HistoryRecorder, history_file
+from ..log.files import try_file
+from ..log.run_log import log_file
+from ..record.run_recorder import RunRecorder
 from ..record.switch import rerun_missing
-from .run_folder import HISTORY, RECORDING, RunFolder, check_folder
+from .run_folder import LOG, RECORDING, RunFolder, check_folder
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..record.history import History
+    from ..log.run_log import RunLog
     from ..run.episode import Episode, Recorder
     from ..scene.schema import Scene
 
@@ -32,19 +33,19 @@ class Outputs:
     csv: Path | None = None
     npz: Path | None = None
     out: Path | None = None
-    """Folder of the run, which has a history and, with rerun, a recording of every episode."""
+    """Folder of the run, which has a log and, with rerun, a recording of every episode."""
     several: bool = False
-    """Whether there are several episodes."""
+    """True if there are several episodes."""
 
     @property
-    def histories(self) -> bool:
-        """Whether histories are to be written."""
+    def logs(self) -> bool:
+        """Return whether run logs are to be written."""
         return any((self.csv, self.npz, self.out))
 
     @property
     def any(self) -> bool:
-        """Whether anything is to be written."""
-        return self.histories or self.record is not None
+        """Return whether anything is to be written."""
+        return self.logs or self.record is not None
 
     def check(self, seeds: Sequence[int], *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
@@ -73,7 +74,7 @@ class Outputs:
                 if missing := rerun_missing():
                     logger.info("--out: the folder gets no recording: %s", missing)
                 continue
-            if name != "record" and history_file(path).suffix != f".{name}":
+            if name != "record" and log_file(path).suffix != f".{name}":
                 raise ValueError(f"--{name}: must be a .{name} file, not '{path}'")
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"--{name}: no such folder: {path.absolute().parent}")
@@ -99,24 +100,32 @@ class Outputs:
         return RunFolder(self.out, scene, seeds=seeds, term_files=term_files, asked=asked)
 
     def recorders(self, episode: Episode) -> Recorders:
-        """What takes note of an episode's steps."""
-        history = HistoryRecorder(episode.controller, episode.plant) if self.histories else None
-        made: list[Recorder] = [history] if history else []
+        """Recorders of an episode's steps."""
+        path = self.log(episode.seed)
+        log = RunRecorder(episode.plant, episode.controller, path=path) if self.logs else None
+        made: list[Recorder] = [log] if log else []
         for path in self.recordings(episode.seed):
             from ..record.recorder import Recorder as Recording  # slow to import
 
             made.append(Recording(path, episode.controller, episode.plant))
-        return Recorders(made, history)
+        return Recorders(made, log)
 
-    def save(self, history: History, seed: int) -> None:
-        """Write the history of an episode.
+    def log(self, seed: int) -> Path | None:
+        """File that the log of an episode is written to while it runs; None without a folder."""
+        return None if self.out is None else self._path(self.out / LOG, seed)
+
+    def save(self, log: RunLog, seed: int) -> None:
+        """Write the log of an episode to the files that are not there yet.
 
         Raises:
             OSError: If a file cannot be written.
         """
-        for path in (self.csv, self.npz, self.out and self.out / HISTORY):
+        folder = self.log(seed)
+        for path in (self.csv, self.npz):
             if path is not None:
-                history.save(self._path(path, seed))
+                log.save(self._path(path, seed))
+        if folder is not None and not folder.exists():
+            log.save(folder)
 
     def _path(self, path: Path, seed: int) -> Path:
         return path.with_stem(f"{path.stem}-{seed}") if self.several else path
@@ -127,11 +136,11 @@ class Recorders:
 
     Args:
         recorders: The recorders.
-        history: The one of them that keeps a history, if any.
+        log: The one of them that keeps a run log, if any.
     """
 
-    def __init__(self, recorders: Sequence[Recorder], history: HistoryRecorder | None):
-        self._recorders, self._history = recorders, history
+    def __init__(self, recorders: Sequence[Recorder], log: RunRecorder | None):
+        self._recorders, self._log = recorders, log
 
     def log(self, control: np.ndarray) -> None:
         """Hand the step just made to all."""
@@ -144,6 +153,6 @@ class Recorders:
             recorder.close()
 
     @property
-    def history(self) -> History | None:
-        """The history so far, if one is kept."""
-        return self._history.history if self._history else None
+    def run_log(self) -> RunLog | None:
+        """The log so far, if one is kept."""
+        return self._log.run_log if self._log else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a running ``warpmpc`` shows on stderr: a progress bar, the engine it chose, and the first warning."""
+"""Progress of a running ``warpmpc`` on stderr: a bar, the engine it chose, and the first warning."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Bar:
             self._bar.stop()
 
     def due(self) -> bool:
-        """Whether there is a bar and it is time to draw it again."""
+        """Return whether there is a bar and it is time to draw it again."""
         return self.console is not None and time.perf_counter() >= self._next
 
     def draw(self, description: str, completed: float, numbers: str) -> None:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc run --real-time`` does: episodes at the pace of the clock, and what kept them from it."""
+"""``warpmpc run --real-time``: episodes at the pace of the clock, and what kept them from it."""
 
 from __future__ import annotations
 
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -13,25 +14,22 @@ from typing import TYPE_CHECKING
 from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Messages
-from .setup import FAILURE, SUCCESS, results_only, start_warp, user_errors
+from .run_folder import LOG
+from .setup import FAILURE, SUCCESS, Order, results_only, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant
-    from ..record.ticks import TickRecorder
+    from ..record.run_recorder import RunRecorder
     from ..run.real_time import RealTimeResult
     from .outputs import Outputs
 
 
 def run_real_time(
-    source: str,
+    order: Order,
     *,
     seeds: Sequence[int],
     speed: float,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
-    engine: str,
-    device: str,
     outputs: Outputs,
     refused: Sequence[str],
     json_lines: bool,
@@ -40,13 +38,9 @@ def run_real_time(
     """Run one episode per seed in real time, report, and return the exit code.
 
     Args:
-        source: Scene and variant.
+        order: Scene and engine.
         seeds: Seeds of the episodes.
         speed: Simulated seconds in a second of wall time.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
-        engine: Engine of the roll-outs.
-        device: Device of the roll-outs.
         outputs: Files to write.
         refused: Options that were given and do not go with real time.
         json_lines: Whether to print JSON.
@@ -60,20 +54,20 @@ def run_real_time(
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
                 outputs.check(seeds, envs=1, jobs=None)
-                scene = load_scene(source, overrides=overrides)
+                scene = load_scene(order.source, overrides=order.overrides)
                 start_warp()
-                asked = {"engine": engine, "device": device, "real_time": True, "speed": speed}
-                folder = outputs.folder(scene, seeds=seeds, term_files=term_files, asked=asked)
+                options = {"engine": order.engine, "device": order.device, "speed": speed}
+                asked = {**options, "real_time": True}
+                folder = outputs.folder(scene, seeds=seeds, term_files=order.term_files, asked=asked)
                 from ..run.real_time import run_real_time
 
-                options = {"engine": engine, "device": device, "speed": speed, "check": interrupts.check}
-                terms = partial(load_terms, [path.absolute() for path in term_files]) if term_files else None
+                files = [path.absolute() for path in order.term_files]
+                options |= {"check": interrupts.check, "terms": partial(load_terms, files) if files else None}
                 for seed in seeds:
-                    recorder = TickRecording() if outputs.any else None
-                    options |= {"recorder": recorder, "log": outputs.any}
-                    results.append(run_real_time(scene, seed=seed, terms=terms, **options))
-                    if recorder is not None:
-                        recorder.save(outputs, results[-1])
+                    with TickLog(outputs, seed) as log:
+                        recorder = {"recorder": log.recorder, "log": log.path} if outputs.any else {}
+                        results.append(run_real_time(scene, seed=seed, **options, **recorder))
+                        log.save()
                     if folder is not None:
                         folder.add(results[-1].to_json())
                     if json_lines:
@@ -88,29 +82,44 @@ def run_real_time(
     return SUCCESS if all(result.passed for result in results) else FAILURE
 
 
-class TickRecording:
-    """Takes note of an episode's ticks and writes the files that are wanted of it; makes its recorder when called."""
+class TickLog:
+    """Log of an episode in real time and the files that are made of it; without a folder for it, a temporary one."""
 
-    def __call__(self, robot: Plant) -> TickRecorder:
+    def __init__(self, outputs: Outputs, seed: int):
+        self._outputs, self._seed, self._robot = outputs, seed, None
+        self._folder = tempfile.TemporaryDirectory(prefix="warpmpc_run_")
+        self.path = outputs.log(seed) or Path(self._folder.name) / LOG
+
+    def __enter__(self) -> TickLog:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._folder.cleanup()
+
+    def recorder(self, robot: Plant) -> RunRecorder:
         """The recorder of the episode of a simulated robot."""
-        from ..record.ticks import TickRecorder
+        from ..record.run_recorder import RunRecorder
 
-        self._robot, self._recorder = robot, TickRecorder(robot)
-        return self._recorder
+        self._robot = robot
+        return RunRecorder(robot, path=self.path)
 
-    def save(self, outputs: Outputs, result: RealTimeResult) -> None:
+    def save(self) -> None:
         """Write the files.
 
         Raises:
             OSError: If one cannot be written.
             ValueError: If the name of one is not that of such a file.
         """
-        history = self._recorder.history(result.report.faults, result.made)
-        outputs.save(history, result.seed)
-        for path in outputs.recordings(result.seed):
+        if self._robot is None:
+            return
+        from ..log.run_log import RunLog
+
+        log = RunLog.load(self.path)
+        self._outputs.save(log, self._seed)
+        for path in self._outputs.recordings(self._seed):
             from ..record.tick_recording import record_ticks  # slow to import
 
-            record_ticks(path, history, self._robot)
+            record_ticks(path, log, self._robot)
 
 
 def described(result: RealTimeResult) -> Iterator[str]:
@@ -135,7 +144,7 @@ def described(result: RealTimeResult) -> Iterator[str]:
 
 
 def slow_planner(result: RealTimeResult) -> str | None:
-    """What to do about a planner that does not keep up with the clock; None where it does."""
+    """Advice on a planner that does not keep up with the clock; None where it does."""
     from ..run.advice import slow_plans  # slow to import
 
     if not result.report.plan_rate:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc replay`` does: plan again what was logged and compare the commands, bit for bit."""
+"""``warpmpc replay``: logged runs are planned again and their commands compared, bit for bit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TextIO
 
 from .interrupts import Interrupts
 from .progress import Messages
-from .run_folder import histories_in
+from .run_folder import logs_in
 from .setup import FAILURE, SUCCESS, results_only, start_warp, user_errors
 from .terms import FolderTerms
 
@@ -18,14 +18,14 @@ def replay(path: Path, *, term_files: Sequence[Path]) -> int:
     """Replay the episodes of a file or a run's folder, report, and return the exit code.
 
     Args:
-        path: History (``.npz``) or folder.
+        path: Run log (``.runlog``, ``.npz``) or folder.
         term_files: Python files of cost terms.
     """
     same = True
     with results_only() as out, Messages(notices=False, warnings=False), Interrupts() as interrupts:
         try:
             with user_errors():
-                files = histories_in(path)
+                files = logs_in(path)
                 start_warp()
             terms = FolderTerms(path, term_files)
             said: set[str] = set()
@@ -41,42 +41,33 @@ def _replay_one(file: Path, terms: FolderTerms, said: set[str], out: TextIO) -> 
     """Replay one episode and tell of it; returns whether all commands are the same.
 
     Raises:
-        ValueError: If the file is no history that can be replayed.
+        ValueError: If the file is no run log that can be replayed.
     """
-    from ..record.history import History
+    from ..log.run_log import RunLog
+    from ..record.replay import logged_scene, require_plans
     from ..record.replay import replay as replay_log
-    from ..record.replay import scene_of
 
-    history = History.load(file)
-    if history.log is not None:
-        about, unknown = history.log.origin, 0
-        parts = [replay_log(history.log, terms=terms.of(scene_of(about), planned=True))]
-    elif history.made is not None:
-        from ..record.real_time_replay import replay_real_time
-
-        about = history.made.origin
-        whole = replay_real_time(history, terms=terms.of(scene_of(about), planned=True))
-        parts, unknown = [whole.plans, whole.commands], whole.unknown
-    else:
-        raise ValueError(
-            f"{file}: has no log of what its plans were made from (an older warpmpc): run it again with --npz or --out"
-        )
-    for difference in parts[0].differences:
+    log = RunLog.load(file)
+    try:
+        require_plans(log)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+    about, found = log.origin, replay_log(log, terms=terms.of(logged_scene(log), planned=True))
+    for difference in found.differences:
         if difference not in said:
             print(f"otherwise than in the log: {difference}", file=out)
             said.add(difference)
-    agreed = " and ".join(f"{part.agree.sum()} of {len(part.agree)} {part.what}s" for part in parts)
+    agreed = " and ".join(f"{part.agree.sum()} of {len(part.agree)} {part.what}s" for part in found.parts)
     print(
-        f"{file.name}: {about['scene']}{':' + about['variant'] if about['variant'] else ''}, seed {about['seed']}, "
-        f"{about['engine']} on {about['device']}, {about['samples']} samples: {agreed} agree bit for bit",
+        f"{file.name}: {log.title}, {about['engine']} on {about['device']}, {about['samples']} samples: "
+        f"{agreed} agree bit for bit",
         file=out,
     )
-    for part in parts:
+    for part in found.parts:
         if not part.same:
             print(f"  first that differs: {part.first}", file=out)
-    if unknown:
-        print(f"  the log lacks the plans of {unknown} commands", file=out)
-    same = all(part.same for part in parts)
-    if not same and parts[0].differences:
+    if found.unknown:
+        print(f"  the log lacks the plans of {found.unknown} commands", file=out)
+    if not found.same and found.differences:
         print("  versions, source or hardware are not those of the log: then bits may differ", file=out)
-    return same
+    return found.same

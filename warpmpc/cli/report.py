@@ -189,7 +189,7 @@ def _controls(layout: Layout) -> Table:
 
 
 def _is_linear(layout: Layout, dof: int) -> bool:
-    """Whether a velocity coordinate belongs to a linear axis."""
+    """Return whether a velocity coordinate belongs to a linear axis."""
     joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])
     return dof - int(layout.joint_qd_start[joint]) < int(layout.joint_dof_dim[joint, 0])
 

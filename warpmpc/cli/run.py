@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc check`` and ``warpmpc run`` do: build, run, report, and fail with one message."""
+"""``warpmpc check`` and ``warpmpc run``: build, run, report, and fail with one message."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..scene.load import load_scene, variants
 from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
-from .setup import FAILURE, SUCCESS, WHILE_RUNNING, Setup, results_only, user_errors
+from .setup import FAILURE, SUCCESS, WHILE_RUNNING, Order, Setup, results_only, user_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("warpmpc")
 
 
-def check(
-    source: str, *, overrides: Sequence[str], term_files: Sequence[Path], seed: int, engine: str, device: str
-) -> int:
+def check(order: Order, *, seed: int) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code.
 
     The scene's variants are read, too; one of them is built by its name.
@@ -37,10 +35,10 @@ def check(
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
+                setup = Setup(**vars(order))
                 if setup.scene.variant is None:
-                    for variant in variants(source):
-                        load_scene(f"{source}:{variant}", overrides=overrides)
+                    for variant in variants(order.source):
+                        load_scene(f"{order.source}:{variant}", overrides=order.overrides)
                 episode = setup.episode(seed)
                 observation = episode.plant.observe()
                 for _ in range(2):  # the first plan compiles kernels
@@ -58,14 +56,10 @@ def check(
 
 
 def run(
-    source: str,
+    order: Order,
     *,
     seeds: Sequence[int],
     envs: int,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
-    engine: str,
-    device: str,
     outputs: Outputs,
     jobs: str | None,
     results_file: Path | None,
@@ -83,25 +77,15 @@ def run(
             with user_errors():
                 _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
-                setup = Setup(source, overrides=overrides, term_files=term_files, engine=engine, device=device)
-                kept = _kept(results_file, setup, term_files)
-                asked = {"engine": engine, "device": device, "jobs": jobs}
-                folder = outputs.folder(setup.scene, seeds=seeds, term_files=term_files, asked=asked)
+                setup = Setup(**vars(order))
+                kept = _kept(results_file, setup, order.term_files)
+                asked = {"engine": order.engine, "device": order.device, "jobs": jobs}
+                folder = outputs.folder(setup.scene, seeds=seeds, term_files=order.term_files, asked=asked)
             if jobs is not None:
                 from .spread import run_spread
 
-                episodes = run_spread(
-                    source,
-                    setup,
-                    seeds,
-                    envs,
-                    jobs=jobs,
-                    overrides=overrides,
-                    term_files=term_files,
-                    outputs=outputs,
-                    kept=kept,
-                    shown=not quiet,
-                )
+                files = {"outputs": outputs, "kept": kept}
+                episodes = run_spread(order, setup, seeds, envs, jobs=jobs, shown=not quiet, **files)
             elif envs > 1:
                 episodes = _run_batch(setup, seeds, envs, interrupts, shown=not quiet)
             else:
@@ -165,7 +149,7 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     """
     if file is None:
         return None
-    from ..record.files import try_file
+    from ..log.files import try_file
 
     file.parent.mkdir(parents=True, exist_ok=True)
     try_file(file)
@@ -218,9 +202,9 @@ def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interru
             result = episode.run(recorder=recorders, on_step=on_step)
     except EpisodeInterrupted as error:
         result = error.result
-    if recorders.history is not None:
-        with user_errors():
-            outputs.save(recorders.history, seed)
+    with user_errors():
+        if (log := recorders.run_log) is not None:
+            outputs.save(log, seed)
     return result
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder that tells all about a run: scene, command, seeds, versions, hardware, results, histories, recordings."""
+"""A folder that tells all about a run: scene, command, seeds, versions, hardware, results, logs, recordings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
 
 ABOUT, SCENE, RESULTS = "run.json", "scene.toml", "results.jsonl"
-HISTORY, RECORDING, TERMS = "history.npz", "recording.rrd", "terms"
+LOG, RECORDING, TERMS = "episode.runlog", "recording.rrd", "terms"
+OLDER = "history.npz"
+"""Logs of warpmpc before the run log."""
 
 
 class RunFolder:
@@ -76,20 +78,20 @@ def check_folder(path: Path) -> None:
         raise ValueError(f"--out: '{path}' is not empty: give a new folder for each run")
 
 
-def histories_in(path: Path) -> list[Path]:
-    """Histories that a path means: those of a run's folder, or the file itself.
+def logs_in(path: Path) -> list[Path]:
+    """Run logs that a path means: those of a run's folder, or the file itself.
 
     Raises:
         ValueError: If there are none.
     """
     if not path.is_dir():
         return [path]
-    stem, suffix = HISTORY.split(".")
-    found = [*path.glob(HISTORY), *path.glob(f"{stem}-*.{suffix}")]
+    names = [name.split(".") for name in (LOG, OLDER)]
+    found = [
+        file for stem, suffix in names for file in (*path.glob(f"{stem}.{suffix}"), *path.glob(f"{stem}-*.{suffix}"))
+    ]
     if not found:
-        raise ValueError(
-            f"{path}: no run's folder: there is no {HISTORY} in it; `warpmpc run SCENE --out DIR` makes one"
-        )
+        raise ValueError(f"{path}: no run's folder: there is no {LOG} in it; `warpmpc run SCENE --out DIR` makes one")
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 

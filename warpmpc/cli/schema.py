@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``warpmpc schema`` prints: the JSON Schema of scene files, built-in cost terms included."""
+"""``warpmpc schema``: the JSON Schema of scene files, built-in cost terms included."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: exit codes, errors as one line, and a scene made ready for its episodes."""
+"""Parts that commands share: exit codes, errors as one line, and a scene made ready for its episodes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -32,7 +33,7 @@ logger = logging.getLogger("warpmpc")
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
 """Exit codes, besides that of an interrupted run."""
 WHILE_RUNNING = (SceneError, OSError)
-"""What can still be wrong with the input of episodes that run: a term of a user's own, a disk that is full."""
+"""Errors that input may still cause while episodes run: a term of a user's own, a disk that is full."""
 
 
 @contextmanager
@@ -90,6 +91,20 @@ def start_warp() -> None:
         raise
 
 
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """Scene, engine and device that a command is given; keys of :class:`Setup`."""
+
+    source: str
+    """Scene and variant."""
+    overrides: tuple[str, ...] = ()
+    """``KEY=VALUE`` texts."""
+    term_files: tuple[Path, ...] = ()
+    """Python files of cost terms."""
+    engine: str = "auto"
+    device: str = "auto"
+
+
 class Setup:
     """A scene with everything that its episodes share.
 
@@ -130,7 +145,7 @@ class Setup:
         )
 
     def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
-        """What of the scene is hardly meant, or too slow for its controls.
+        """Sentences on what in the scene is probably a mistake, or too slow for its controls.
 
         Args:
             plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].

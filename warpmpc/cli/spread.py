@@ -6,9 +6,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -19,25 +18,12 @@ from ..scene.load import shipped_scenes
 from ..scene.schema import SampleCount
 from .outputs import Outputs
 from .progress import BatchBar
-from .setup import FAILURE, Setup, user_errors
+from .setup import FAILURE, Order, Setup, user_errors
 
 if TYPE_CHECKING:
-    from ..record.history import History
+    from ..log.run_log import RunLog
     from ..run.episode import EpisodeResult
     from ..run.kept import KeptResults
-
-
-@dataclass(frozen=True, kw_only=True)
-class Order:
-    """What a worker must know of the episodes it runs."""
-
-    source: str
-    overrides: tuple[str, ...]
-    term_files: tuple[Path, ...]
-    engine: str
-    device: str
-    histories: bool
-    """Whether histories are wanted."""
 
 
 def portable(source: str, setup: Setup) -> str:
@@ -48,35 +34,29 @@ def portable(source: str, setup: Setup) -> str:
     return str(path) if variant is None else f"{path}:{variant}"
 
 
-def run_seeds(order: Order, seeds: Sequence[int]) -> list[tuple[EpisodeResult, History | None]]:
-    """Run the episodes of some seeds, planned for together if there are several; returns their results.
+def run_seeds(order: Order, seeds: Sequence[int], logs: bool) -> list[tuple[EpisodeResult, RunLog | None]]:
+    """Run the episodes of some seeds, planned for together if there are several; returns results, and logs if wanted.
 
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown or not to be had here, or a file of terms cannot be used.
     """
-    setup = _setup(order)
+    setup = shared_setup(order)
     if len(seeds) > 1:
         return [(result, None) for result in setup.batch(seeds, len(seeds)).run()]
     episode = setup.episode(seeds[0])
-    if not order.histories:
+    if not logs:
         return [(episode.run(), None)]
-    from ..record.history import HistoryRecorder
+    from ..record.run_recorder import RunRecorder
 
-    recorder = HistoryRecorder(episode.controller, episode.plant)
-    return [(episode.run(recorder=recorder), recorder.history)]
+    recorder = RunRecorder(episode.plant, episode.controller)
+    return [(episode.run(recorder=recorder), recorder.run_log)]
 
 
 @lru_cache(maxsize=1)
-def _setup(order: Order) -> Setup:
+def shared_setup(order: Order) -> Setup:
     """A scene with everything that the episodes of a process share."""
-    return Setup(
-        order.source,
-        overrides=order.overrides,
-        term_files=order.term_files,
-        engine=order.engine,
-        device=order.device,
-    )
+    return Setup(**vars(order))
 
 
 def shares(seeds: Sequence[int], envs: int, workers: int) -> list[Sequence[int]]:
@@ -86,14 +66,12 @@ def shares(seeds: Sequence[int], envs: int, workers: int) -> list[Sequence[int]]
 
 
 def run_spread(
-    source: str,
+    order: Order,
     setup: Setup,
     seeds: Sequence[int],
     envs: int,
     *,
     jobs: str,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
     outputs: Outputs,
     kept: KeptResults | None,
     shown: bool,
@@ -101,13 +79,11 @@ def run_spread(
     """Run one episode per seed at some place, ``envs`` environments in all at once, those of a job planned together.
 
     Args:
-        source: Scene and variant.
+        order: Scene and engine.
         setup: The same, built here.
         seeds: Seeds of the episodes.
         envs: Environments of all jobs together.
         jobs: The place, as for :func:`~warpmpc.run.workers.open_workers`.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
         outputs: Files to write.
         kept: Results that are there already, and where new ones go.
         shown: Whether to show a bar.
@@ -134,21 +110,20 @@ def run_spread(
                     bar.finish(result)
                 if not found:
                     todo.append(share)
-            order = Order(
-                source=portable(source, setup),
-                overrides=one_thread(workers, overrides),
-                term_files=tuple(path.absolute() for path in term_files),
-                engine=setup.engine,
+            order = replace(
+                order,
+                source=portable(order.source, setup),
+                overrides=tuple(one_thread(workers, order.overrides)),
+                term_files=tuple(path.absolute() for path in order.term_files),
                 device=device,
-                histories=outputs.histories,
             )
-            futures = {workers.submit(run_seeds, order, share): share for share in todo}
+            futures = {workers.submit(run_seeds, order, share, outputs.logs): share for share in todo}
             bar.advance()
             for future in as_completed(futures):
-                for result, history in _outcome(future):
-                    if history is not None:
+                for result, log in _outcome(future):
+                    if log is not None:
                         with user_errors():
-                            outputs.save(history, result.seed)
+                            outputs.save(log, result.seed)
                     if kept:
                         kept.add(futures[future], result)
                     bar.finish(result)
@@ -156,8 +131,8 @@ def run_spread(
                     yield result
 
 
-def _outcome(future: Future) -> list[tuple[EpisodeResult, History | None]]:
-    """What a job returned, or the end of the command."""
+def _outcome(future: Future) -> list[tuple[EpisodeResult, RunLog | None]]:
+    """Return the results of a job, or end the command."""
     try:
         with user_errors():
             return future.result()

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def summary(results: Sequence[EpisodeResult]) -> str:
-    """How many episodes reached the goal, and the mean ± standard deviation of their times; else of their costs."""
+    """Number of successful episodes, and the mean ± standard deviation of their times; else of their costs."""
     if results[0].success is None:
         costs = [result.mean_cost for result in results if math.isfinite(result.mean_cost)]
         text = f"{sum(r.passed for r in results)} of {len(results)} ran to the timeout{_in_a_row(results)}"
@@ -29,7 +29,7 @@ def summary(results: Sequence[EpisodeResult]) -> str:
 
 
 def _in_a_row(results: Sequence[EpisodeResult]) -> str:
-    """How many phases of a task in parts came to their end."""
+    """Number of phases of a task in parts that came to their end."""
     reached = [result.reached for result in results if result.reached is not None]
     if not reached:
         return ""

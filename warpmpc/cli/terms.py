@@ -32,7 +32,7 @@ class FolderTerms:
     terminal says so, or if they were given.
 
     Args:
-        path: A history or a run's folder.
+        path: A run log or a run's folder.
         given: Files of ``--terms``.
     """
 
@@ -40,7 +40,7 @@ class FolderTerms:
         self._path, self._files, self._terms = path, [*given], None
 
     def of(self, scene: Scene, *, planned: bool) -> list[UserTerm]:
-        """What a scene needs of them.
+        """Return those that a scene needs.
 
         Args:
             scene: The scene.

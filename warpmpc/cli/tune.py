@@ -9,7 +9,6 @@ import sys
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -17,8 +16,8 @@ from ..run.workers import LostJob, check_jobs, one_thread, open_workers
 from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Bar, Messages
-from .setup import FAILURE, SUCCESS, Setup, results_only, start_warp, user_errors
-from .spread import Order, portable
+from .setup import FAILURE, SUCCESS, Order, Setup, results_only, start_warp, user_errors
+from .spread import portable, shared_setup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -122,24 +121,13 @@ def run_trial(order: Order, changes: tuple[str, ...], seed: int, contact_penalty
     """
     from ..tuning.score import Score
 
-    episode = _setup(replace(order, overrides=(*order.overrides, *changes))).episode(seed)
+    episode = shared_setup(replace(order, overrides=(*order.overrides, *changes))).episode(seed)
     own = load_scene(order.source, overrides=order.overrides)
     score = Score(own, episode.plant, contact_penalty=contact_penalty)
     try:
         return score.outcome(episode.run(on_step=score))
     finally:
         episode.controller.engine.close()
-
-
-@lru_cache(maxsize=1)
-def _setup(order: Order) -> Setup:
-    return Setup(
-        order.source,
-        overrides=order.overrides,
-        term_files=order.term_files,
-        engine=order.engine,
-        device=order.device,
-    )
 
 
 def _submitter(
@@ -152,7 +140,7 @@ def _submitter(
     engine: str,
     device: str,
 ) -> tuple[Submit, int]:
-    """What starts an episode, and how many run side by side."""
+    """Function that starts an episode, and the number that run side by side."""
     workers = None
     if jobs != "1":
         workers, device = open_workers(jobs, device=device, prepare=start_warp)
@@ -164,7 +152,6 @@ def _submitter(
             term_files=tuple(path.absolute() for path in term_files),
             engine=engine,
             device=device,
-            histories=False,
         )
         for source, setup in setups.items()
     }

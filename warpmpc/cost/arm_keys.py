@@ -21,7 +21,7 @@ from .keys import Joints
 
 
 class Form(StrEnum):
-    """What manipulability costs below its least value."""
+    """Cost of manipulability below its least value."""
 
     RAMP = "ramp"
     STEP = "step"
@@ -57,7 +57,7 @@ class FrameChain(Section):
 
 
 class Manipulability(FrameChain):
-    """How near a frame is to a posture from which it cannot move every way."""
+    """Nearness of a frame to a posture from which it cannot move every way."""
 
     least: Positive = 0.03
     """Manipulability k_m from which on nothing is to pay; a Panda's is up to about 0.1."""

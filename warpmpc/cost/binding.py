@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cost term asks of the scene while it is bound: frames, sensors, scalars, contact pairs, resources."""
+"""Lookups of a cost term in the scene while it is bound: frames, sensors, scalars, contact pairs, resources."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _CALL = re.compile(r"(term|advance)(\d+)\(s")
 
 
 def functions(term: CostTerm | ArrayCost) -> list[Callable]:
-    """What a user wrote for a term, as Python functions."""
+    """Python functions that a user wrote for a term."""
     if isinstance(term, ArrayCost):
         return [term.function]
     written = (term.written or term.function, term.advance)
@@ -122,7 +122,7 @@ def _called(function: FunctionType, found: dict[int, FunctionType]) -> Iterable[
 
 
 def _returns(body: Iterable[ast.stmt]) -> bool:
-    """Whether statements never end without a value returned."""
+    """Return whether statements never end without a value returned."""
     for statement in body:
         if isinstance(statement, ast.Return) and statement.value is not None:
             return True

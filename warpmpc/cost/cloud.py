@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Lookup(StrEnum):
-    """How distances are read from a volume."""
+    """Interpolation of distances in a volume."""
 
     NEAREST = "nearest"
     LINEAR = "linear"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class CollisionForm(StrEnum):
-    """What a collision costs."""
+    """Cost of a collision."""
 
     DISTANCE = "distance"
     BINARY = "binary"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the general terms are norms of, for planners that take their derivatives."""
+"""Residuals that the general terms are norms of, for planners that take their derivatives."""
 
 from __future__ import annotations
 

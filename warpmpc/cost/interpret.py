@@ -89,7 +89,7 @@ def as_python(function: wp.Function) -> Callable | None:
 
 
 def _assigns_fields(function: FunctionType) -> bool:
-    """Whether fields of a struct are set: in a kernel of a copy, in Python of the struct that others see, too."""
+    """Return whether fields of a struct are set: in a kernel of a copy, in Python of the struct that all see."""
     return any(instruction.opname == "STORE_ATTR" for instruction in dis.get_instructions(function))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which joints and controls a cost term is about, by the names in a scene file."""
+"""Joints and controls that a cost term is about, by the names in a scene file."""
 
 from __future__ import annotations
 

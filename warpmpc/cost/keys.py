@@ -17,7 +17,7 @@ from ..scene.types import (
 
 
 class Metric(StrEnum):
-    """How distances in the ground plane are measured."""
+    """Measures of distances in the ground plane."""
 
     STRAIGHT = "straight"
     GEODESIC = "geodesic"
@@ -204,7 +204,7 @@ class Approach(Section):
 
 
 class FingerAlignment(Section):
-    """How far the fingers are from meeting a box's faces, 0 to 4/3."""
+    """Error of the fingers in meeting a box's faces, 0 to 4/3."""
 
     hand: str
     """Frame whose y axis is the line along which the fingers close."""

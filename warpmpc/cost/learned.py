@@ -38,7 +38,7 @@ class LearnedSelfCollision(Section):
 
 @dataclass(frozen=True)
 class Weights:
-    """What a file of weights holds: inputs by column, outputs by row reversed, as they were trained."""
+    """Content of a file of weights: inputs by column, outputs by row reversed, as they were trained."""
 
     joints: tuple[str, ...]
     trained_for: str

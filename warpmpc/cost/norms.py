@@ -53,7 +53,7 @@ def _takes(kind: NormKind) -> str:
 
 
 class NormKeys(Section):
-    """How a residual becomes a cost."""
+    """Norm by which a residual becomes a cost."""
 
     kind: NormKind
     """Which norm."""

@@ -46,7 +46,7 @@ class SpatialResidual(ResidualKeys):
 
 
 class Position(SpatialResidual):
-    """Where a place is [m]."""
+    """Position of a place [m]."""
 
     relative_to: Place | None = None
     """Place it is seen from, as ``of``; the world's origin when left out."""
@@ -55,14 +55,14 @@ class Position(SpatialResidual):
 
 
 class Velocity(SpatialResidual):
-    """How fast a place moves [m/s]."""
+    """Velocity of a place [m/s]."""
 
     relative_to: Place | None = None
     """Place whose velocity is taken off, as ``of``."""
 
 
 class AngularVelocity(ResidualKeys):
-    """How fast a frame turns [rad/s]."""
+    """Angular velocity of a frame [rad/s]."""
 
     of: Names
     """Frame, or a list of frames: their mean."""
@@ -82,7 +82,7 @@ class Momentum(ResidualKeys):
 
 
 class RotationKeys(Section):
-    """How far two frames are turned from each other."""
+    """Rotation between two frames."""
 
     of: str
     """Frame."""
@@ -127,7 +127,7 @@ class Sensors(ResidualKeys):
 
 
 class Contact(ResidualKeys):
-    """Which pairs of entities touch."""
+    """Contact of pairs of entities."""
 
     between: tuple[str, str]
     """Two entities or groups (obstacles, objects, robots)."""

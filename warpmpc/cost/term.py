@@ -70,7 +70,7 @@ class CostTerm:
 
     @property
     def summary(self) -> str:
-        """What it costs, in one sentence: the first of the function's docstring."""
+        """Summary of its cost: the first of the function's docstring."""
         return (inspect.getdoc((self.written or self.function).func) or "").split("\n\n")[0].replace("\n", " ")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the numbers of a residual shall be: numbers of the scene file, or scalars of the task."""
+"""Targets of a residual's numbers: numbers of the scene file, or scalars of the task."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def wanted(target: Sequence[float | str] | None, count: int, b: Binding, *, key: str = "target") -> Wanted:
-    """What each of a residual's numbers shall be.
+    """Targets of each of a residual's numbers.
 
     Args:
         target: Numbers or names of scalars, one or one for each; zeros when None.

@@ -117,7 +117,7 @@ class ClosedLoop:
         self._recording.start(file, self.controller, self.plant)
 
     def _begin(self) -> None:
-        """What is shown belongs to a new episode."""
+        """Begin a new episode: what is shown belongs to it."""
         self._recording.stop()
         for name, value in self.tuned.items():
             self.controller.task[name] = value
@@ -168,7 +168,7 @@ class ClosedLoop:
         if info is None or info.fallback:
             self._fan.clear()
         elif rollouts:
-            self._fan.look()
+            self._fan.update()
         forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
         state = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._state
         nothing = float("nan")
@@ -184,7 +184,7 @@ class ClosedLoop:
             ways=self._fan.ways,
             forecast=self._fan.forecast,
             forces=forces,
-            pull=plant.hand.spring,
+            pull=plant.perturbation.spring,
             control=np.array(self._control),
             cost=nothing if info is None else info.cost,
             eta=nothing if info is None else info.eta,

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.heightfields import heightfields
-from ..model.layout import IDENTITY, WORLD
+from ..model.layout import WORLD
 from ..record.forces import FORCE_COLOR, arrows
+from ..record.meshes import mesh_of
+from ..record.rollout_paths import BEST_COLOR
 from ..record.shapes import (
     DEFAULT_COLOR,
     GHOST,
     GROUND_COLOR,
     ContactPoints,
-    resized,
+    drawn_shapes,
     scene_bounds,
     shown_shapes,
 )
-from ..record.ways import BEST_COLOR
 from ..task.goal import GOAL
 from .fan import segments
 from .gizmos import Gizmo, place, pulls, split
-from .meshes import mesh_of
 
 if TYPE_CHECKING:
     import viser
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 SMALLEST_FORCE = 1e-3
 """Forces below are not drawn [N]."""
 STILL = 1e-5
-"""What moved less is not sent [m, or parts of a quaternion]."""
+"""Smallest motion that is sent [m, or parts of a quaternion]."""
 VIEW = np.array([-0.8, -1.2, 1.1])
 """From where the scene is seen, in radii from its middle."""
 PULL_COLOR = (30, 120, 255)
@@ -72,16 +72,10 @@ class Drawing:
         names = [name for name in snapshot.poses if name != GOAL or plant.scene.goal is not None]
         self._gizmos = {n: Gizmo(scene, self._session, n, snapshot.poses[n], size) for n in names}
         for entity in layout.entities:
-            for i, shape in enumerate(shown_shapes(layout, entity)):
-                if shape.kind == "plane":
-                    continue  # the grid stands for it
-                if entity.kind != "robot":
-                    shape = resized(shape, plant.properties)
-                if entity.movable:  # the entity is where the task puts it, its shape at its origin
-                    self._add(f"{self._gizmos[entity.name].node}/{i}", shape, layout, IDENTITY)
-                    continue
+            for i, shape in enumerate(drawn_shapes(plant, entity)):
                 parent = "/world" if shape.body == WORLD else f"/body/{shape.body}"
-                mesh = self._add(f"{parent}/{entity.name}_{i}", shape, layout, shape.pose)
+                node = self._gizmos[entity.name].node if entity.movable else f"{parent}/{entity.name}"
+                mesh = self._add(f"{node}/{i}", shape, layout)  # for planes stands the grid
                 if mesh is not None and shape.body != WORLD:
                     pulls(self._session, mesh, layout.body_name[shape.body], self._radius)
         for surface in heightfields(plant.model):
@@ -113,16 +107,17 @@ class Drawing:
         )
 
     def _add(
-        self, name: str, shape: ShapeInfo, layout: Layout, pose: np.ndarray, opacity: float | None = None
+        self, name: str, shape: ShapeInfo, layout: Layout, opacity: float | None = None
     ) -> viser.MeshHandle | None:
         mesh = mesh_of(shape, layout)
         if mesh is None:
             return None
         color = tuple(GROUND_COLOR if shape.entity == "ground" else shape.color or DEFAULT_COLOR)[:3]
-        at, turn = split(pose)
+        at, turn = split(shape.pose)
         return self._scene.add_mesh_simple(
             name,
-            *mesh,
+            mesh.vertices.astype(np.float32),
+            np.asarray(mesh.faces),
             color=tuple(int(255 * c) for c in color),
             opacity=opacity,
             flat_shading=shape.kind == "box",
@@ -132,12 +127,12 @@ class Drawing:
         )
 
     def _mark_poses(self, layout: Layout) -> None:
-        """What the goal is a goal of, as a ghost; a ball for other poses that have no shape."""
+        """Draw the thing that the goal is of, as a ghost; a ball for other poses that have no shape."""
         goal = self._session.plant.scene.goal
         for name, gizmo in self._gizmos.items():
             if name == GOAL and goal.object is not None:
                 for i, shape in enumerate(shown_shapes(layout, layout.entity(goal.object))):
-                    self._add(f"{gizmo.node}/{i}", shape, layout, shape.pose, opacity=GHOST)
+                    self._add(f"{gizmo.node}/{i}", shape, layout, opacity=GHOST)
             elif name not in layout.movable:
                 self._scene.add_icosphere(f"{gizmo.node}/ball", 0.03 * self._radius, color=MARK_COLOR, opacity=0.8)
 

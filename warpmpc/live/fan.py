@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rollouts of the last plan come to: ways to draw, and what the cheapest one costs step by step."""
+"""Rollouts of the last plan: paths to draw, and the cost of the cheapest one step by step."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..record.ways import acting_frames, choose_rollouts, ways_of
+from ..record.rollout_paths import acting_frames, choose_rollouts, paths_of
 from .forecast import Forecast, Forecaster
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ class Fan:
     """
 
     ways: Ways | None
-    """What to draw; None where no rollout survived."""
+    """Paths to draw; None where no rollout survived."""
     forecast: Forecast | None
-    """What the cheapest rollout comes to; None likewise."""
+    """Cost ahead of the cheapest rollout; None likewise."""
 
     def __init__(self, controller: Controller):
         self._controller = controller
@@ -49,7 +49,7 @@ class Fan:
         """There is nothing to see."""
         self.ways = self.forecast = None
 
-    def look(self) -> None:
+    def update(self) -> None:
         """See what the last plan came to."""
         controller = self._controller
         worlds, packed = choose_rollouts(controller)
@@ -57,7 +57,7 @@ class Fan:
             self.clear()
             return
         seen = controller.engine.record(worlds)
-        ways = ways_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
+        ways = paths_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
         colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
         self.ways = Ways(ways[0], ways[1:], colors)
         self.forecast = self._forecaster(seen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the last plan's cheapest rollout costs at every step, term by term."""
+"""Cost of the last plan's cheapest rollout at every step, term by term."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Forecaster:
             self._evaluator = CostEvaluator(costs, self._out, self._out.control, planner.state, shape, planner.grid.t)
 
     def __call__(self, seen: Trajectory) -> Forecast:
-        """What is ahead.
+        """Compute the cost ahead.
 
         Args:
             seen: Recorded rollouts on the host; the first of them is evaluated.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be moved on the page: goal, targets and movable obstacles by handles, bodies by pulling at them."""
+"""Things that can be moved on the page: goal, targets and movable obstacles by handles, bodies by pulling at them."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .snapshot import Snapshot
 
 PACES = (400.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
-"""How fast the plant's time passes [% of real time]."""
+"""Speed of the plant's time [% of real time]."""
 KEEP = 0.5
 """Wall time for which a slider stays where the browser put it, until the session has the value, too [s]."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was changed into a scene's file; comments and order stay."""
+"""Changes written into a scene's file; comments and order stay."""
 
 from __future__ import annotations
 

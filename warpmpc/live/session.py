@@ -120,19 +120,19 @@ class Session(ClosedLoop, threading.Thread):
 
     def grab(self, body: str, point: np.ndarray) -> None:
         """Take hold of a body at a point of the world ``[3]`` [m]."""
-        self.do(lambda: self.plant.hand.grab(body, point))
+        self.do(lambda: self.plant.perturbation.grab(body, point))
 
     def pull(self, point: np.ndarray) -> None:
         """Pull what is held to a point of the world ``[3]`` [m]."""
-        self.do(lambda: self.plant.hand.body is None or self.plant.hand.pull(point))
+        self.do(lambda: self.plant.perturbation.body is None or self.plant.perturbation.pull(point))
 
     def turn(self, rotation: np.ndarray) -> None:
         """Turn what is held by a rotation vector in the world ``[3]`` [rad] since the grab."""
-        self.do(lambda: self.plant.hand.body is None or self.plant.hand.turn(rotation))
+        self.do(lambda: self.plant.perturbation.body is None or self.plant.perturbation.turn(rotation))
 
     def release(self) -> None:
         """Let go of what is held."""
-        self.do(lambda: self.plant.hand.release())
+        self.do(lambda: self.plant.perturbation.release())
 
     def stop(self) -> None:
         """End the thread after the step it is at."""

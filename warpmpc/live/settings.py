@@ -113,21 +113,21 @@ def _leaves(section: Section, at: tuple[str, ...]) -> Iterator[tuple[str, object
 
 
 def _lists_tables(annotation: object) -> bool:
-    """Whether something is a list of tables, or has them by name."""
+    """Return whether something is a list of tables, or has them by name."""
     parts = get_args(annotation)
     own = get_origin(annotation) in (tuple, dict) and any(isinstance(p, type) and issubclass(p, Section) for p in parts)
     return own or any(_lists_tables(part) for part in parts)
 
 
 def _shown(value: object) -> Any:
-    """What a switch, a choice or a number shows of a value."""
+    """Value as a switch, a choice or a number shows it."""
     if isinstance(value, Enum):
         return value.value
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _text(value: object) -> str:
-    """What a text shows of a value."""
+    """Value as a text shows it."""
     return "" if value is None else _toml(value.value if isinstance(value, Enum) else value)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What there is to see of a session at one moment."""
+"""State of a session at one moment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """What there is to see after a step; arrays are copies."""
+    """Everything that is shown after a step; arrays are copies."""
 
     source: str
     """Scene and variant: what is listed begins anew when they change."""
@@ -35,7 +35,7 @@ class Snapshot:
     ways: Ways | None
     """Best rollout and fan; None without a plan."""
     forecast: Forecast | None
-    """What the best rollout is expected to cost, and its controls; None without a plan."""
+    """Cost and controls that the best rollout expects; None without a plan."""
     forces: np.ndarray
     """Net forces of the plant's pairs ``[pairs, 3]`` [N]."""
     pull: np.ndarray | None
@@ -47,11 +47,11 @@ class Snapshot:
     beta: float
     plan_ms: float
     state: str
-    """What it is doing, in words."""
+    """Status in words."""
     paused: bool
     planning: bool
     controlling: bool
     recording: str
     """File that is recorded to; empty without."""
     message: str
-    """What became of the last change that could not be made; empty when all is well."""
+    """Error of the last change that could not be made; empty when all is well."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files a scene names are found: beside the scene, in robot packages, or shipped with warpmpc and Newton."""
+"""Lookup of the files that a scene names: beside the scene, in robot packages, or shipped with warpmpc and Newton."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MESHES = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")
 
 
 class AssetKind(StrEnum):
-    """What a robot's asset file is written in."""
+    """Formats of a robot's asset file."""
 
     URDF = "urdf"
     MJCF = "mjcf"
@@ -209,7 +209,7 @@ def _missing(uri: str, candidates: list[Path], *, key: str, file: Path | str | N
 
 
 def _near(path: Path) -> list[str]:
-    """What the deepest existing folder above a missing file holds under a similar name."""
+    """Similar names in the deepest existing folder above a missing file."""
     folder = next((parent for parent in path.parents if parent.is_dir()), None)
     if folder is None or folder == folder.parent:
         return []

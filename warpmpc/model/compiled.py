@@ -141,7 +141,7 @@ def _refusal(scene: Scene, error: Exception) -> SceneError:
 
 
 def cache_folder() -> Path:
-    """Where compiled scenes are kept."""
+    """Folder of compiled scenes."""
     return Path(os.environ.get("WARPMPC_CACHE") or platformdirs.user_cache_dir("warpmpc")) / "scenes"
 
 
@@ -297,7 +297,7 @@ def _fetch(folder: Path, key: str) -> CompiledScene:
 
 
 def _mjcf_robots(entries: list[dict]) -> tuple[MjcfRobot, ...]:
-    """What :func:`_store` wrote about MJCF robots."""
+    """Entries that :func:`_store` wrote about MJCF robots."""
     if not entries:
         return ()
     from ..scene.schema_bodies import Robot

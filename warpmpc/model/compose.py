@@ -57,7 +57,7 @@ def compose(mjcf: str, mjcf_robots: Sequence[MjcfRobot], solid: Collection[str])
 
 
 def needs_implicit(first: mujoco.MjSpec, mjcf_robots: Sequence[MjcfRobot]) -> bool:
-    """Whether stiff servos of drives replace what a file's explicit integrator was chosen for."""
+    """Return whether stiff servos of drives replace what a file's explicit integrator was chosen for."""
     stiff = any(drive.mode is not DriveMode.EFFORT for mjcf_robot in mjcf_robots for drive in mjcf_robot.robot.drive)
     return stiff and first.option.integrator == mujoco.mjtIntegrator.mjINT_EULER
 
@@ -181,7 +181,7 @@ _COMPARED = {
 
 
 def differences(own: mujoco.MjModel, whole: mujoco.MjModel, robot: str) -> list[str]:
-    """What an MJCF file's model says otherwise when it stands in the scene, one line each; nothing if all is well."""
+    """Differences of an MJCF file's model when it stands in the scene, one line each; nothing if all is well."""
     found = []
     for kind, names in _COMPARED.items():
         prefix = "jnt" if kind == "joint" else kind

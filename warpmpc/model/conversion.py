@@ -128,7 +128,7 @@ class MujocoStates:
         return next((i for i in ids if i >= 0), None)
 
     def _places(self, kind: mujoco.mjtObj, names: Iterable[str], address: np.ndarray) -> np.ndarray | None:
-        """Where the model keeps what has these names; None where it lacks any of them."""
+        """Places of these names in the model; None where it lacks any of them."""
         found, seen = [], {}
         for name in names:
             index = self._named(kind, name)
@@ -248,5 +248,5 @@ class NewtonStates:
 
 
 def _first(known: dict[str, int], names: Sequence[str]) -> int | None:
-    """What the first of the names that is known stands for."""
+    """Return what the first of the names that is known stands for."""
     return next((known[name] for name in names if name in known), None)

@@ -56,5 +56,5 @@ def _surface(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Surface:
 
 
 def _chosen(count: int) -> np.ndarray:
-    """Which of so many lines are shown: the first and the last, and evenly spread ones in between."""
+    """Choice of the lines that are shown: the first and the last, and evenly spread ones in between."""
     return np.unique(np.linspace(0, count - 1, min(count, FINEST)).round().astype(int))

@@ -37,7 +37,7 @@ class Hull:
     """Corners, points on edges and on faces, no farther apart than about the spacing asked for ``[p, 3]``."""
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """How far points ``[p, 3]`` are inside; outside it is negative, and no farther than their distance [m]."""
+        """Depth of points ``[p, 3]`` inside; outside it is negative, and no farther than their distance [m]."""
         return -(points @ self.planes[:, :3].T + self.planes[:, 3]).max(axis=1)
 
 

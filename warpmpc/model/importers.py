@@ -103,5 +103,5 @@ def _import_usd(path: Path, robot: Robot, options: dict) -> newton.ModelBuilder:
 
 
 def _is_about_assets(warning: warnings.WarningMessage) -> bool:
-    """Whether an importer warns of the file that it reads; libraries warn of their own future, too."""
+    """Return whether an importer warns of the file that it reads; libraries warn of their own future, too."""
     return issubclass(warning.category, UserWarning) or warning.category.__module__.startswith("newton")

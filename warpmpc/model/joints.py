@@ -62,7 +62,7 @@ def joint_table(
 
 
 def start_mocap(layout: Layout, rows: int, device: str) -> wp.array:
-    """Where a scene's mocap bodies are at the start, ``[rows, nm]``."""
+    """Poses of a scene's mocap bodies at the start, ``[rows, nm]``."""
     poses = wp.zeros((rows, layout.nm), dtype=wp.transform, device=device)
     if layout.nm:
         poses.assign(np.tile(layout.mocap, (rows, 1, 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which links of robots may collide with each other, seen by the spheres that cover them."""
+"""Pairs of robots' links that may collide with each other, seen by the spheres that cover them."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def moving_bodies(layout: Layout) -> set[int]:
 
 
 def _rigid(layout: Layout, covered: Collection[int]) -> tuple[dict[int, int], dict[int, int]]:
-    """What bodies move as one (its first body), and the next covered one above each of these (-1 for none)."""
+    """Groups of bodies that move as one (their first body), and the next covered one above each (-1 for none)."""
     link = {body: body for body in range(layout.nb)}
     parent = {}
     for kind, up, child in zip(layout.joint_type, layout.joint_parent, layout.joint_child, strict=True):
@@ -139,14 +139,14 @@ def _turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _overlap(spheres: Spheres, centre: np.ndarray, a: int, b: int, margin: float) -> np.ndarray:
-    """Whether spheres of two groups are closer than a margin ``[postures]``."""
+    """Return whether spheres of two groups are closer than a margin ``[postures]``."""
     first, second = (slice(g.first, g.first + g.count) for g in (spheres.groups[a], spheres.groups[b]))
     apart = np.linalg.norm(centre[:, first, None] - centre[:, None, second], axis=3)
     return (apart < spheres.radius[first, None] + spheres.radius[second] + margin).any(axis=(1, 2))
 
 
 def _touch(layout: Layout, bodies: tuple[int, int], poses: np.ndarray) -> bool:
-    """Whether shapes of two bodies overlap in one of some postures: whether points of one are inside the other."""
+    """Return whether shapes of two bodies overlap in one of some postures: points of one are inside the other."""
     hulls = []
     for body in bodies:
         shapes = [s for s in layout.shapes if s.body == body and s.collides and s.kind != "plane"]

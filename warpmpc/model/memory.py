@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much memory there is, and an error in place of a machine that swaps or kills."""
+"""Amount of memory, and an error in place of a machine that swaps or kills."""
 
 from __future__ import annotations
 

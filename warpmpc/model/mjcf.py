@@ -64,7 +64,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Mjcf:
-    """What was read from an MJCF file."""
+    """Content of an MJCF file."""
 
     spec: mujoco.MjSpec
     keys: tuple[Key, ...]
@@ -118,7 +118,7 @@ def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
 
 
 def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[float, ...]:
-    """Where the origin of a file is so that its root, the first body that moves, is where the scene puts it.
+    """Place of a file's origin at which its root, the first body that moves, is where the scene puts it.
 
     Args:
         robot: The robot.
@@ -142,7 +142,7 @@ def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[flo
 
 
 def is_floor(kind: int) -> bool:
-    """Whether a geom of this type that is fixed to the world is a floor, which stays where its file puts it."""
+    """Return whether a geom of this type that is fixed to the world is a floor, which stays where its file puts it."""
     return int(kind) in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 

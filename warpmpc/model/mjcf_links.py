@@ -43,7 +43,7 @@ UNLIMITED = 1e10
 
 @dataclass(frozen=True)
 class Links:
-    """What the links of an MJCF file are called."""
+    """Names of the links of an MJCF file."""
 
     axes: list[str | None]
     """Name of every joint velocity, None for those of free and ball joints."""
@@ -144,7 +144,7 @@ def _add_joint(part, model: mujoco.MjModel, b: int, place: wp.transform, robot: 
 
 
 def _why_not_one_joint(model: mujoco.MjModel, ids: list[int], kinds: list[int]) -> str:
-    """What keeps slides and hinges of one body from being one joint of Newton's, or nothing."""
+    """Return what keeps slides and hinges of one body from being one joint of Newton's, or nothing."""
     if not set(kinds) <= {_SLIDE, _HINGE}:
         return "a free or ball joint stands alone"
     if kinds != sorted(kinds):

@@ -76,7 +76,7 @@ def _repair_inertia(body: mujoco.MjsBody) -> list[str]:
 
 
 def refusal(error: Exception) -> str:
-    """What MuJoCo says about a file in one line, with the element, its line and the cure where one is known."""
+    """MuJoCo's complaint about a file in one line, with the element, its line and the cure where one is known."""
     said = re.sub(r"\s*\n\s*", "; ", str(error).strip()).removeprefix("Error: ")
     found = _ELEMENT.match(said)
     cure = next((cure for what, cure in _CURES.items() if what in said), None)

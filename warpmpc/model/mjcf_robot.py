@@ -282,7 +282,7 @@ def _add_frames(
 def _notes(
     model: mujoco.MjModel, mjcf: Mjcf, mjcf_robot: MjcfRobot, left_out: list[str], clashes: list[str]
 ) -> list[str]:
-    """What was taken over from a file and what was not, one line each."""
+    """Notes on what was taken over from a file and what was not, one line each."""
     robot = mjcf_robot.robot
     counts = {
         "body": model.nbody - 1,

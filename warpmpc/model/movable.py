@@ -21,7 +21,7 @@ def movable_body(name: str) -> str:
 
 
 def start_poses(layout: Layout) -> np.ndarray:
-    """Where the movable obstacles are at the start ``[n, 7]``."""
+    """Poses of the movable obstacles at the start ``[n, 7]``."""
     poses = [layout.shapes[entity.shapes[0]].pose for entity in layout.entities if entity.movable]
     return np.array(poses, dtype=np.float32).reshape(-1, 7)
 

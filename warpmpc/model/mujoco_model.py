@@ -44,7 +44,7 @@ class MujocoWorld:
 
     @property
     def first_contact(self) -> int:
-        """Where the contact sensors begin among the numbers of all sensors; they come last."""
+        """Index of the first contact sensor among the numbers of all sensors; they come last."""
         return self.model.nsensordata - 3 * int(self.pair_sensor[-1])
 
 

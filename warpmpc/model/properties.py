@@ -73,7 +73,7 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
 
 
 def with_factors(drawn: Properties | None, scene: Scene, layout: Layout) -> Properties | None:
-    """What a plant's things are like: what was drawn, times what ``plant.factor`` says of them.
+    """Properties of a plant's things: those drawn, times ``plant.factor``.
 
     Args:
         drawn: One draw, None without any.

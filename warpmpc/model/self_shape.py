@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What decides whether a robot's links meet: the joints that move them against each other, and their shapes."""
+"""Inputs of a check whether a robot's links meet: the joints that move them against each other, and shapes."""
 
 from __future__ import annotations
 

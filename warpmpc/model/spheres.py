@@ -140,7 +140,7 @@ def _cover(hulls: list[Hull], overhang: float, most: int) -> np.ndarray:
 
 
 def _starts(points: np.ndarray, count: int) -> list[np.ndarray]:
-    """Where searches for centres begin: far apart, and one after the other along the longest axis ``[count, 3]``."""
+    """Starts of searches for centres: far apart, and one after the other along the longest axis ``[count, 3]``."""
     middle = points.mean(axis=0)
     if count == 1:
         return [middle[None]]
@@ -190,7 +190,7 @@ def _fit(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def _overhang(spheres: np.ndarray, hulls: list[Hull], tree: cKDTree) -> np.ndarray:
-    """How far points of the spheres' common surface are outside the shapes [m]."""
+    """Distances of points of the spheres' common surface outside the shapes [m]."""
     at = (spheres[:, None, :3] + spheres[:, None, 3:] * _PROBES).reshape(-1, 3)
     distance = np.linalg.norm(at[:, None] - spheres[:, :3], axis=2) - spheres[:, 3]
     outer = at[(distance > -1e-6).all(axis=1)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plant shows and a controller reports, as plain host values."""
+"""States of a plant and reports of a controller, as plain host values."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """What happened in one plan; plain floats."""
+    """Result of one plan; plain floats."""
 
     time: float
     """Time of the observation [s]."""
@@ -62,7 +62,7 @@ class Info:
 
 @dataclass
 class Contact:
-    """What robots and objects touched over an episode."""
+    """Contacts of robots and objects over an episode."""
 
     max_force: float = 0.0
     """Largest net force of a collision [N]: of robots with each other, of robots and objects with obstacles."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What engines write and costs read: the recorded rollouts of all worlds."""
+"""Trajectories that engines write and costs read: the recorded rollouts of all worlds."""
 
 from __future__ import annotations
 

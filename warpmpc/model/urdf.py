@@ -30,7 +30,7 @@ class MeshUse:
 
     @property
     def collides(self) -> bool:
-        """Whether physics needs it."""
+        """Return whether physics needs it."""
         return self.element.tag == "collision"
 
 

@@ -107,7 +107,7 @@ def _repair_massless(name: str, links: dict, children: dict, *, moves: bool, mov
 
 
 def _has_mass(name: str, links: dict, children: dict, *, rigid: bool) -> bool:
-    """Whether a link or what is fixed to it (``rigid``), or else anything that hangs on it, has a mass."""
+    """Return whether a link or what is fixed to it (``rigid``), or else anything that hangs on it, has a mass."""
     mass = _number(links[name], "mass", "value")
     if mass > 0.0 or (links[name].find("inertial") is None and links[name].find("collision") is not None):
         return True

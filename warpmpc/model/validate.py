@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an asset may not say, although it can be read: numbers that are none, limits the wrong way round."""
+"""Checks of what an asset may not say, although it can be read: numbers that are none, limits the wrong way round."""
 
 from __future__ import annotations
 

@@ -97,13 +97,13 @@ class Structure:
         self.mj, self.columns = model, Columns(arrays or {})
 
     def off(self, part: str) -> bool:
-        """Whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
+        """Return whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
         flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
         return bool(self.mj.opt.disableflags & flag)
 
     @property
     def passive(self) -> bool:
-        """Whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
+        """Return whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
         return not (self.off("SPRING") and self.off("DAMPER"))
 
     def lift(self, body: int) -> float:
@@ -143,7 +143,7 @@ class Structure:
         return out
 
     def moves(self, body: int) -> bool:
-        """Whether joints move a body."""
+        """Return whether joints move a body."""
         return bool(self.body_dofs[body])
 
     @cached_property
@@ -183,7 +183,7 @@ class Structure:
         return mass, moment, inertia
 
     def slides(self, dof: int) -> bool:
-        """Whether a degree of freedom turns nothing."""
+        """Return whether a degree of freedom turns nothing."""
         m, joint = self.mj, int(self.mj.dof_jntid[dof])
         kind = int(m.jnt_type[joint])
         return kind == SLIDE or (kind == FREE and dof < int(m.jnt_dofadr[joint]) + 3)
@@ -222,7 +222,7 @@ class Structure:
 
     @cached_property
     def tendon_armatures(self) -> dict[tuple[int, int], float]:
-        """What the armatures of tendons along joints add to the mass matrix, entry by entry (row, column ≤ row)."""
+        """Contribution of tendons' armatures along joints to the mass matrix, entry by entry (row, column ≤ row)."""
         m = self.mj
         out: dict[tuple[int, int], float] = {}
         for n in np.flatnonzero(m.tendon_armature[: m.ntendon]):

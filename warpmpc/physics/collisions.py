@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which geoms of a MuJoCo model may touch."""
+"""Pairs of geoms of a MuJoCo model that may touch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def colliding_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Whether two geoms may touch, by contype, conaffinity, parents, excludes and pairs ``[ngeom, ngeom]``."""
+    """Return whether two geoms may touch, by contype, conaffinity, parents, excludes and pairs ``[ngeom, ngeom]``."""
     bits, other = model.geom_contype.astype(np.int64), model.geom_conaffinity.astype(np.int64)
     meets = ((bits[:, None] & other) | (other[:, None] & bits)) != 0
     body = model.geom_bodyid

@@ -153,7 +153,7 @@ class ConstraintRows:
     def _turned(
         self, constraint: Constraint, pair: list[int], chains: list[frozenset[int]], scale: float
     ) -> tuple[Vector, dict[int, Vector], Vector]:
-        """How one frame is turned in the other: the quaternion's vector part, its Jacobian, and its acceleration.
+        """Rotation of one frame in the other: the quaternion's vector part, its Jacobian, and its acceleration.
 
         With the relative quaternion (s, e) and angular velocities in the second frame, ė = (s ω + ω × e) / 2.
         """

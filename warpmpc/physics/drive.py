@@ -24,7 +24,7 @@ DYN = mujoco.mjtDyn
 
 
 class Reach(NamedTuple):
-    """What an actuator acts on."""
+    """Target of an actuator."""
 
     length: tuple[Operand, Operand]
     """Two factors of its length."""
@@ -137,7 +137,7 @@ class Drive:
         return lines.sum((-1.0, lines.sum((a, b))))
 
     def _reach(self, lines: Lines, a: int) -> Reach:
-        """What an actuator acts on."""
+        """Target of an actuator."""
         m, kind, target = self.mj, int(self.mj.actuator_trntype[a]), int(self.mj.actuator_trnid[a, 0])
         gear = [float(x) for x in m.actuator_gear[a]]
         if kind == int(TRN.mjTRN_TENDON):

@@ -46,7 +46,7 @@ class Dynamics:
         return "\n".join((*forces, self._place(), self._move()))
 
     def _place(self) -> str:
-        """What stands still: geoms fixed to the world, and those of mocap bodies, whose poses are given."""
+        """Place what stands still: geoms fixed to the world, and those of mocap bodies, whose poses are given."""
         lines, m = Lines("p"), self.mj
         frames: dict[int, tuple[Matrix, Vector]] = {0: (IDENTITY, NOTHING)}
         for body in range(1, m.nbody):

@@ -15,5 +15,5 @@ def within(limits: np.ndarray) -> np.ndarray:
 
 
 def bounds(limits: np.ndarray) -> bool:
-    """Whether a lower and an upper limit leave anything out."""
+    """Return whether a lower and an upper limit leave anything out."""
     return bool((np.abs(limits) < UNBOUNDED).any())

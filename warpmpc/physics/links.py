@@ -112,7 +112,7 @@ class Links:
         return [n for n, site in enumerate(self.dynamics.sites.all) if site.body in self._row]
 
     def _armature(self, i: int, j: int) -> float:
-        """What armatures add to an entry of the mass matrix."""
+        """Contribution of armatures to an entry of the mass matrix."""
         return (float(self.mj.dof_armature[i]) if i == j else 0.0) + self.model.tendon_armatures.get((i, j), 0.0)
 
     def _joints(self, body: int) -> list[int]:

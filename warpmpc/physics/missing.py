@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a MuJoCo model may have and the engine ``fused`` lacks."""
+"""Features of MuJoCo models that the engine ``fused`` lacks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def missing(model: mujoco.MjModel) -> str | None:
-    """What a model has and this engine lacks, in a few words; None if there is nothing."""
+    """Return what a model has and this engine lacks, in a few words; None if there is nothing."""
     physics = PhysicsModel(model)
     for what, wrong in _CHECKS.items():
         if wrong(physics):
@@ -34,7 +34,7 @@ def _names(pair: tuple[int, int]) -> str:
 
 
 def _ball_feedback(p: PhysicsModel) -> bool:
-    """Whether a force on a ball joint depends on its angle."""
+    """Return whether a force on a ball joint depends on its angle."""
     m = p.mj
     joints = np.flatnonzero(np.isin(m.actuator_trntype, _TRANSMISSIONS[:2]))
     balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
@@ -42,7 +42,7 @@ def _ball_feedback(p: PhysicsModel) -> bool:
 
 
 def _in_parent(p: PhysicsModel) -> bool:
-    """Whether actuators drive ball or free joints in the frame of the parent."""
+    """Return whether actuators drive ball or free joints in the frame of the parent."""
     joints = p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT), 0]
     return bool(np.isin(p.mj.jnt_type[joints], (FREE, BALL)).any())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the engine ``fused`` takes from a MuJoCo model: constants, and columns of what differs between worlds."""
+"""Numbers of a MuJoCo model for the engine ``fused``: constants, and columns of what differs between worlds."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class PairRow:
 
     @property
     def slides(self) -> bool:
-        """Whether there is friction."""
+        """Return whether there is friction."""
         return self.condim > 1
 
 
@@ -101,12 +101,12 @@ class PhysicsModel(Structure):
         return find_constraints(self)
 
     def impedances(self, rows: Sequence[Rows]) -> list[tuple[float, ...]]:
-        """What the source needs of impedances: powers only where one is not 2."""
+        """Numbers of impedances that the source needs: powers only where one is not 2."""
         return [row.powered if self.powers else row.impedance for row in rows]
 
     @cached_property
     def powers(self) -> bool:
-        """Whether any impedance has a power other than 2."""
+        """Return whether any impedance has a power other than 2."""
         rows = [
             *self.limits,
             *(pair.rows for pair in self.pairs),
@@ -156,7 +156,7 @@ class PhysicsModel(Structure):
 
     @cached_property
     def given_at(self) -> dict[str, int]:
-        """Where each of them begins."""
+        """Index at which each of them begins."""
         sizes = [np.size(values) for values in self._given.values()]
         return dict(zip(self._given, np.cumsum([0, *sizes]).tolist(), strict=False))
 
@@ -180,7 +180,7 @@ class PhysicsModel(Structure):
 
     @cached_property
     def elliptic(self) -> bool:
-        """Whether cones of friction are elliptic."""
+        """Return whether cones of friction are elliptic."""
         return bool(self.mj.opt.cone) and any(pair.slides for pair in self.pairs)
 
     @cached_property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soft a row of constraint is."""
+"""Softness of a row of constraint."""
 
 from __future__ import annotations
 

@@ -78,11 +78,11 @@ class Sites:
         return [f"w.site_{name}[{site}][{k}]" if self.moves(site) else 0.0 for k in range(3)]
 
     def moves(self, site: int) -> bool:
-        """Whether joints move it."""
+        """Return whether joints move it."""
         return self.model.moves(self.all[site].body)
 
     def lever(self, lines: Lines, site: int, dof: int) -> Vector:
-        """What a degree of freedom moves a site by [m/s per unit]."""
+        """Velocity of a site for a degree of freedom [m/s per unit]."""
         top = self.model.dof_top[dof]
         slide = [f"w.cl[{dof}][{k}]" for k in range(3)]
         if self.model.slides(dof):
@@ -92,7 +92,7 @@ class Sites:
         return [lines.sum(a, b) for a, b in zip(slide, turned, strict=True)]
 
     def axis(self, dof: int) -> Vector:
-        """What a degree of freedom turns by."""
+        """Axis that a degree of freedom turns about."""
         return [0.0] * 3 if self.model.slides(dof) else [f"w.cw[{dof}][{k}]" for k in range(3)]
 
     def write(

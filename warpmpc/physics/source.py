@@ -149,7 +149,7 @@ class RolloutSource:
         return next(i for i, group in enumerate(self._groups) if self._fits(pair.condim, pair.dofs, group))
 
     def _couples(self, dofs: tuple[int, ...]) -> bool:
-        """Whether contacts of a group couple branches of the tree."""
+        """Return whether contacts of a group couple branches of the tree."""
         above = self.model.ancestors
         return any(j not in above[i] for i in dofs for j in dofs if j < i)
 
@@ -215,7 +215,7 @@ class RolloutSource:
 
     @cached_property
     def _row_sizes(self) -> dict[str, object]:
-        """How many numbers the rows of a contact take."""
+        """Count of numbers that the rows of a contact take."""
         model, condims = self.model, {condim for condim, _ in self._groups}
         rows = max(condims, default=1)
         alike = len(condims) == 1

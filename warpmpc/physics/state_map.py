@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the model keeps the numbers that rollouts take from outside and hand out, as tables of the source."""
+"""Places of the numbers that rollouts take from outside and hand out, as tables of the source."""
 
 from __future__ import annotations
 

@@ -123,5 +123,5 @@ class Tendons:
 
 
 def fixed(m: mujoco.MjModel, tendon: int) -> bool:
-    """Whether a tendon is a sum of joint coordinates."""
+    """Return whether a tendon is a sum of joint coordinates."""
     return int(m.wrap_type[m.tendon_adr[tendon]]) == WRAP_JOINT

@@ -121,22 +121,22 @@ class PlantBatch:
 
     @property
     def running(self) -> np.ndarray:
-        """Whether each plant is not done yet, ``[E]`` bool."""
+        """Return which plants are not done yet, ``[E]`` bool."""
         return np.array([not plant.done for plant in self.plants])
 
     @property
     def success(self) -> np.ndarray:
-        """Whether each plant reached its goal and held it long enough, ``[E]`` bool."""
+        """Return which plants reached their goal and held it long enough, ``[E]`` bool."""
         return np.array([plant.success for plant in self.plants])
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why each plant's episode is over."""
+        """Reasons for which each plant's episode is over."""
         return tuple(plant.reason for plant in self.plants)
 
     @property
     def done(self) -> bool:
-        """Whether every plant is done."""
+        """Return whether every plant is done."""
         return all(plant.done for plant in self.plants)
 
 

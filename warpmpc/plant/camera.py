@@ -44,7 +44,7 @@ class DepthCamera:
         self.pictures = 0
 
     def due(self, time: float) -> bool:
-        """Whether it is time for the next picture [s]."""
+        """Return whether it is time for the next picture [s]."""
         return time * self.camera.rate >= self.pictures - 1e-6
 
     def points(self, time: float) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a plant has reached what the task wants or has failed, and which phase of it is on."""
+"""Success, failure and phase of a task, judged from the states of a plant."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.waypoints import is_of
-from ..task.conditions import Conditions, Look
+from ..task.conditions import Conditions, StateSnapshot
 from ..task.goal import GOAL, GoalError, goal_error
 from ..task.task import task_layout
-from .seen import Seen
+from .snapshots import ObservedSnapshots
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..task.task import Task
 
 SLACK = 1e-6
-"""What a lapse of time may lack [s]: times are sums of steps."""
+"""Tolerance of lapses of time [s]: times are sums of steps."""
 
 
 class Monitor:
@@ -46,7 +46,7 @@ class Monitor:
     """
 
     error: GoalError | None
-    """How far the goal's object or frame is from the goal; None for a scene without a goal, or before any state."""
+    """Distance of the goal's object or frame from the goal; None for a scene without a goal, or before any state."""
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
     failure: str | None
@@ -72,7 +72,7 @@ class Monitor:
         rows = scene.failure
         self._fails = [conditions(f.conditions, f"failure.{f.name}.conditions") for f in rows]
         self._until = [conditions(phase.until, f"phase.{phase.name}.until") for phase in scene.phase]
-        self._seen: Seen | None = None  # a simulated plant needs none
+        self._seen: ObservedSnapshots | None = None  # a simulated plant needs none
         self.reset()
 
     def reset(self) -> None:
@@ -104,39 +104,39 @@ class Monitor:
         """
         if self._seen is None:
             args = (self._scene, self._layout, self._task, self._e, self._scene.judged_terms)
-            self._seen = Seen(*args, terms=self._terms)
+            self._seen = ObservedSnapshots(*args, terms=self._terms)
         if state.time is None:
             time = 0.0 if self._now is None else self._now + self._scene.timing.control_dt
         else:
             time = float(np.broadcast_to(state.time, self._task.envs)[self._e])
-        look = self._seen(state, control, time)
-        if look is None:
+        snapshot = self._seen(state, control, time)
+        if snapshot is None:
             self._pass(time)
             self._within = self._held = None
             self._failing = [None] * len(self._fails)
         else:
-            self.look(look, time)
+            self.check(snapshot, time)
         return self.success
 
-    def look(self, look: Look, time: float) -> None:
+    def check(self, snapshot: StateSnapshot, time: float) -> None:
         """Take note of a state.
 
         Args:
-            look: The state.
+            snapshot: The state.
             time: Its time [s].
         """
         scene, task, e = self._scene, self._task, self._e
         self._pass(time)
         if scene.goal is not None:
-            pose = self._success.frame_pose(look, self._frame)
-            self.error = goal_error(scene.goal, look.pose(GOAL, task, e), pose)
+            pose = self._success.frame_pose(snapshot, self._frame)
+            self.error = goal_error(scene.goal, snapshot.pose(GOAL, task, e), pose)
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
         wanted = scene.success if last_phase else None
-        reached = wanted and (self.error is None or self.error.within(wanted)) and self._success.hold(look)
+        reached = wanted and (self.error is None or self.error.within(wanted)) and self._success.hold(snapshot)
         self._within = self._since(self._within, bool(reached))
-        self._judge(look)
+        self._judge_failures(snapshot)
         if not last_phase:
-            self._advance(look)
+            self._advance(snapshot)
 
     def _pass(self, time: float) -> None:
         """Move the clock on; the first phase begins with the first state."""
@@ -144,21 +144,21 @@ class Monitor:
             self._entered = self._begun = time
         self._now = time
 
-    def _judge(self, look: Look) -> None:
+    def _judge_failures(self, snapshot: StateSnapshot) -> None:
         """Take note of the first failure that holds long enough, where there is no success."""
         phase = self._scene.phase[self._task.phase[self._e]].name if self._scene.phase else None
         for i, (failure, conditions) in enumerate(zip(self._scene.failure, self._fails, strict=True)):
             begun = self._begun if failure.phase is None else self._entered
             counts = (failure.phase is None or is_of(phase, failure.phase)) and self._lasted(begun, failure.after)
-            self._failing[i] = self._since(self._failing[i], counts and conditions.hold(look))
+            self._failing[i] = self._since(self._failing[i], counts and conditions.hold(snapshot))
             if self.failure is None and not self.success and self._lasted(self._failing[i], failure.hold):
                 self.failure = failure.name
 
-    def _advance(self, look: Look) -> None:
+    def _advance(self, snapshot: StateSnapshot) -> None:
         """Go on to the next phase when this one has what it waits for."""
         task, e = self._task, self._e
         phase, until = task.phase_of(e), self._until[task.phase[e]]
-        self._held = self._since(self._held, bool(phase.until) and until.hold(look))
+        self._held = self._since(self._held, bool(phase.until) and until.hold(snapshot))
         over = phase.after is not None and self._lasted(self._entered, phase.after)
         come = self._lasted(self._held, phase.hold)
         if over or come:
@@ -169,7 +169,7 @@ class Monitor:
 
     @property
     def success(self) -> bool:
-        """Whether everything that is wanted holds and did so long enough; never where the scene has no success."""
+        """Return whether what is wanted holds and did so long enough; never where the scene has no success."""
         wanted = self._scene.success
         return wanted is not None and self.failure is None and self._lasted(self._within, wanted.hold)
 

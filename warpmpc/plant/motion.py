@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves by itself in a simulated plant: where it is, and where it is seen."""
+"""Things that move by themselves in a simulated plant: true and observed positions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from ..scene.schema import Motion, Scene
 
 SLACK = 1e-6
-"""What a lapse of time may lack [s]: times are sums of steps."""
+"""Tolerance of lapses of time [s]: times are sums of steps."""
 
 
 class Way:
-    """Where one thing is at any time.
+    """Path of one thing over time.
 
     Monotone between points along every axis (Fritsch and Carlson 1980): nothing is overshot, and what waits stands.
 
@@ -43,7 +43,7 @@ class Way:
 
 
 class Observer:
-    """What is known of one thing that moves.
+    """Observations of one thing that moves.
 
     Args:
         motion: What the scene says of it.
@@ -62,7 +62,7 @@ class Observer:
         self._rows: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(self._seen.over * self._rate)))
 
     def __call__(self, time: float) -> np.ndarray:
-        """Where the planner is shown it ``[3]`` at a time [s], which never goes back."""
+        """Position that the planner is shown ``[3]`` at a time [s], which never goes back."""
         count = int((time + SLACK) * self._rate)
         if count > self._count:
             self._count = count
@@ -94,9 +94,9 @@ class Motions:
             observer.reset()
 
     def at(self, time: float) -> dict[str, np.ndarray]:
-        """Where everything is ``[3]``, by name."""
+        """Positions of everything ``[3]``, by name."""
         return {observer.name: observer.way(time) for observer in self._observers}
 
     def seen(self, time: float) -> dict[str, np.ndarray]:
-        """Where the planner is shown everything ``[3]``, by name."""
+        """Positions that the planner is shown ``[3]``, by name."""
         return {observer.name: observer(time) for observer in self._observers}

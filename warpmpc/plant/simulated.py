@@ -15,12 +15,12 @@ from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.state import Contact, State
 from ..scene.errors import SceneError
-from ..task.conditions import Look
+from ..task.conditions import StateSnapshot
 from ..task.goal import GOAL, GoalError
 from ..task.task import Task
 from .camera import DepthCamera
-from .hand import Hand
 from .motion import Motions
+from .perturbation import Perturbation
 from .worlds import Worlds
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class SimulatedPlant:
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
         """Cameras that show the plant's world, by the clouds that they fill."""
-        self.hand = Hand(self.compiled, self._engine, self._index)
+        self.perturbation = Perturbation(self.compiled, self._engine, self._index)
         """Pulls and turns bodies of the plant's world; the planner knows nothing of it."""
         self._kicks = [(kick, self._kicked(i, kick)) for i, kick in enumerate(scene.plant.kicks)]
         self.reset()
@@ -107,7 +107,7 @@ class SimulatedPlant:
         self._paid = 0.0
         self.monitor.reset()
         self._motions.reset()
-        self.hand.release()
+        self.perturbation.release()
         self._history: deque[State] = deque(maxlen=self._delay + 1)
         self._check()
 
@@ -136,7 +136,7 @@ class SimulatedPlant:
 
     def observe(self) -> State:
         """The state as sensors show it: with noise, and ``delay`` old; motions and clouds are shown to the task."""
-        self._look()
+        self._observe_scene()
         state = self._history[0]
         noise = self.scene.plant.noise
         if not noise.position and not noise.velocity:
@@ -162,7 +162,7 @@ class SimulatedPlant:
         own = [model.geom(name).id for shape, name in shapes if name and shape.entity in robots]
         return DepthCamera(camera, model, own, seed=seed)
 
-    def _look(self) -> None:
+    def _observe_scene(self) -> None:
         """Take the pictures whose time has come, and see what moves."""
         for name, position in self._motions.seen(self.time).items():
             self.task.move(name, position, self._index)
@@ -198,7 +198,7 @@ class SimulatedPlant:
     def begin(self, control: np.ndarray) -> None:
         """The part of :meth:`apply` before the engine's step: kicks, pulls, movable obstacles, the control ``[nu]``."""
         self._disturb()
-        self.hand.act()
+        self.perturbation.act()
         if self.layout.movable:
             poses = [self.pose(name) for name in self.layout.movable]
             self._engine.place_obstacles(self._index, np.array(poses))
@@ -266,7 +266,7 @@ class SimulatedPlant:
         self._history.append(self.state)
         state = self._history[-1]
         poses = {name: self.pose(name) for name in self._moving}
-        self.monitor.look(Look(self.body_q, state.joint_q, self.terms, poses), self.time)
+        self.monitor.check(StateSnapshot(self.body_q, state.joint_q, self.terms, poses), self.time)
 
     def _measured(self) -> np.ndarray:
         """Net forces on the first of pairs that collide, then of those that touch, ``[n, pairs, 3]`` [N], by step."""
@@ -286,12 +286,12 @@ class SimulatedPlant:
 
     @property
     def error(self) -> GoalError | None:
-        """How far the goal's object or frame is from the goal; None for a scene without a goal."""
+        """Distance of the goal's object or frame from the goal; None for a scene without a goal."""
         return self.monitor.error
 
     @property
     def terms(self) -> dict[str, float]:
-        """What each cost term that is watched costs after the last control, without its weight; empty before one."""
+        """Cost of each watched term after the last control, without its weight; empty before one."""
         return dict(self._worlds.terms[self._index]) if self._slice else {}
 
     @property
@@ -306,18 +306,18 @@ class SimulatedPlant:
 
     @property
     def success(self) -> bool:
-        """Whether everything that is wanted holds and did so long enough."""
+        """Return whether everything that is wanted holds and did so long enough."""
         return self.monitor.success
 
     @property
     def done(self) -> bool:
-        """Whether the episode is over: goal reached, failed, time out or the physics diverged."""
+        """Return whether the episode is over: goal reached, failed, time out or the physics diverged."""
         over = self.success or self.diverged or self.monitor.failure is not None
         return over or self.time >= self.scene.timing.timeout - 1e-9
 
     @property
     def reason(self) -> str:
-        """Why the episode is over."""
+        """Reason for which the episode is over."""
         if self.success:
             return "goal reached"
         if self.diverged:

@@ -18,10 +18,11 @@ from .gravity import Gravity
 from .watchdog import Bounds, FaultKind, Finding, Watchdog, received
 
 if TYPE_CHECKING:
+    from ..log.run_log import RunLog
     from ..model.layout import Layout
     from ..model.state import State
     from ..scene.schema import Scene
-    from .letters import TimedPlan
+    from .messages import TimedPlan
 
 logger = logging.getLogger("warpmpc")
 
@@ -34,15 +35,30 @@ class Fault:
     """A time in which no plan was followed, or one again and again for short."""
 
     kind: FaultKind
-    """What was wrong first."""
+    """Kind of what was wrong first."""
     why: str
     """A sentence about it."""
     start: float
-    """When [s], on the robot's clock."""
+    """Begin [s], on the robot's clock."""
     end: float | None = None
-    """When plans were followed again [s], None while they are not."""
+    """End [s], when plans were followed again; None while they are not."""
     count: int = 1
-    """How often it came to that, with less than :data:`CALM` in between."""
+    """Number of times it came to that, with less than :data:`CALM` in between."""
+
+    @classmethod
+    def of(cls, log: RunLog) -> tuple[Fault, ...]:
+        """Faults of a run log."""
+        newest = {int(row.index): row for row in log.faults}
+        return tuple(
+            cls(
+                FaultKind(row.kind),
+                row.why,
+                float(row.start),
+                None if np.isnan(row.end) else float(row.end),
+                int(row.count),
+            )
+            for row in newest.values()
+        )
 
     @property
     def recovery(self) -> str:
@@ -68,7 +84,7 @@ class Agent:
     """
 
     faults: list[Fault]
-    """What went wrong, the newest last; waiting for the first plan is no fault."""
+    """Faults, the newest last; waiting for the first plan is no fault."""
 
     def __init__(self, scene: Scene, layout: Layout):
         self.layout, self._dt, self._tick = layout, scene.timing.control_dt, 1.0 / scene.agent.rate
@@ -77,19 +93,19 @@ class Agent:
         self._gravity = Gravity(scene, compile_scene(scene)) if balanced else None
         self.faults = []
         self.following = False
-        """Whether the last command came from a plan."""
+        """True if the last command came from a plan."""
         self._held: State | None = None  # where the robot was when the fault began
         self._seen = True
         self._troubled = False  # whether the newest fault is not over for long enough
 
     @property
     def fault(self) -> Fault | None:
-        """What is wrong now."""
+        """Fault that lasts."""
         return self.faults[-1] if self.faults and self.faults[-1].end is None else None
 
     @property
     def trusts_observation(self) -> bool:
-        """Whether the last observation could be trusted."""
+        """Return whether the last observation could be trusted."""
         return self._seen
 
     def command(self, state: State, timed: TimedPlan | None, now: float) -> np.ndarray | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds a robot that is driven by efforts where it is."""
+"""Efforts that hold a robot against gravity."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Gravity:
 
 
 def _is_motor(model: mujoco.MjModel, a: int) -> bool:
-    """Whether an actuator's control is an effort along a joint of one degree of freedom."""
+    """Return whether an actuator's control is an effort along a joint of one degree of freedom."""
     kinds = (model.actuator_trntype, model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
     if tuple(int(kind[a]) for kind in kinds) != _MOTOR:
         return False

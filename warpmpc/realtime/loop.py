@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..model.compiled import compile_scene
 from .agent import Agent, Fault
-from .letters import Sighting, TimedPlan
+from .messages import TimedObservation, TimedPlan
 from .pace import LONGEST, Pace, RobotClock
 from .signals import Signals
 from .watchdog import received
@@ -35,9 +35,9 @@ class Robot(Protocol):
 
 
 class Planner(Protocol):
-    """Where plans come from: :class:`PlannerProcess` or :class:`PlannerThread`."""
+    """Source of plans: :class:`PlannerProcess` or :class:`PlannerThread`."""
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, observation: TimedObservation) -> None:
         """Hand over an observation; returns at once."""
 
     def newest(self) -> TimedPlan | None:
@@ -45,9 +45,9 @@ class Planner(Protocol):
 
 
 class TickLogger(Protocol):
-    """What takes note of every tick, such as :class:`warpmpc.TickRecorder`."""
+    """Takes note of every tick, such as :class:`warpmpc.RunRecorder`."""
 
-    def log(
+    def tick(
         self,
         control: np.ndarray | None,
         timed: TimedPlan | None,
@@ -56,6 +56,7 @@ class TickLogger(Protocol):
         now: float,
         following: bool,
         late: float,
+        faults: Sequence[Fault],
     ) -> None:
         """Take note of a tick; returns at once.
 
@@ -66,19 +67,23 @@ class TickLogger(Protocol):
             now: The robot's clock [s].
             following: Whether the control came from the plan.
             late: How late the tick was, in wall time [s].
+            faults: What went wrong so far, the newest last.
         """
+
+    def close(self) -> None:
+        """Write what is left."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RealTimeReport:
-    """What a run in real time came to."""
+    """Rates, latencies and faults of a run in real time."""
 
     ticks: int
     """Commands sent."""
     rate: float
     """Ticks in a second of the robot's clock [Hz]."""
     jitter_ms: dict[str, float]
-    """How late ticks were, in wall time [ms]: ``p50``, ``p99``, ``max``."""
+    """Lateness of ticks, in wall time [ms]: ``p50``, ``p99``, ``max``."""
     missed: int
     """Ticks whose work was not done when the next one was due."""
     slipped: float
@@ -150,15 +155,15 @@ class RobotLoop:
         now = self.now
         control = self.agent.command(state, timed, now)
         if self.agent.trusts_observation:
-            self.planner.observe(Sighting(state, self._last, self.agent.following))
+            self.planner.observe(TimedObservation(state, self._last, self.agent.following))
         if control is not None:
             self._last = control
             self.robot.apply(control)
         self._ticks += 1
         if self._recorder is not None:
             late = self.pace.late[-1] if self.pace.late else 0.0
-            following = self.agent.following
-            self._recorder.log(control, timed, seen=state, now=now, following=following, late=late)
+            following, faults = self.agent.following, self.agent.faults
+            self._recorder.tick(control, timed, seen=state, now=now, following=following, late=late, faults=faults)
         return control
 
     def run(self, until: Callable[[], bool]) -> RealTimeReport:
@@ -206,7 +211,7 @@ class RobotLoop:
             self.robot.apply(safe)
 
     def report(self) -> RealTimeReport:
-        """What came of it so far."""
+        """Report on the run so far."""
         found = np.array(self._latencies or [(np.nan, np.nan)])
         latency, plan = np.percentile(found, [50, 99, 100], axis=0).T.tolist()
         names = ("p50", "p99", "max")

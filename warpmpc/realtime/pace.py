@@ -69,7 +69,7 @@ class Pace:
         return self.now
 
     def jitter_ms(self) -> dict[str, float]:
-        """How late ticks were [ms]: ``p50``, ``p99``, ``max``; NaN before the first."""
+        """Lateness of ticks [ms]: ``p50``, ``p99``, ``max``; NaN before the first."""
         values = np.percentile(list(self.late) or [np.nan], [50, 99, 100]) * 1e3
         return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
 
@@ -111,7 +111,7 @@ class RobotClock:
         self._ahead = max(ahead for _, ahead in self._seen)
 
     def _was_set(self, time: float, tick: float) -> bool:
-        """Whether times that are not believed, this one the newest, tell of a clock that was set."""
+        """Return whether times that are not believed, this one the newest, tell of a clock that was set."""
         if self._doubted:
             begin, first = self._doubted[0]
             if abs(time - first - (tick - begin)) > WINDOW:

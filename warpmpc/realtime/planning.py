@@ -8,15 +8,15 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..model.state import State
-from .journal import Journal
-from .letters import Sighting, TimedPlan
+from .messages import TimedObservation, TimedPlan
+from .plan_logger import PlanLogger
 from .predictor import Predictor
-from .real_time_log import RealTimeLog
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -38,7 +38,7 @@ class Planning:
         speed: The robot's seconds in a second of wall time.
         latency: Time from observation to plan to expect, on the robot's clock [s]; as it is measured if None.
         number: Number of the first plan.
-        journal: Takes note of every plan.
+        logger: Takes note of every plan.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Planning:
         speed: float = 1.0,
         latency: float | None = None,
         number: int = 0,
-        journal: Journal | None = None,
+        logger: PlanLogger | None = None,
     ):
         if controller.envs != 1:
             raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
@@ -61,7 +61,7 @@ class Planning:
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._timed: TimedPlan | None = None  # the newest that is followed
         self._number = number  # of the next plan
-        self._journal = journal
+        self._logger = logger
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -81,41 +81,41 @@ class Planning:
             return self._given
         return float(np.median(self._latencies)) if self._latencies else 0.0
 
-    def plan(self, sighting: Sighting, *, reach: float | None = None) -> TimedPlan | None:
+    def plan(self, observation: TimedObservation, *, reach: float | None = None) -> TimedPlan | None:
         """The plan from an observation; None for one that is not finite.
 
         Args:
-            sighting: The observation.
+            observation: The observation.
             reach: How far to predict it forward [s]; by :attr:`latency` if None.
         """
-        controller, state = self.controller, sighting.state
+        controller, state = self.controller, observation.state
         if not all(np.isfinite(part).all() for part in (state.joint_q, state.joint_qd, state.time)):
             return None
-        if sighting.task is not None:
-            controller.task.follow(sighting.task)
+        if observation.task is not None:
+            controller.task.follow(observation.task)
         reach = min(self.latency, self._longest) if reach is None else reach
         if self._predict is not None:
-            state = self._predict(state, self._acting(sighting), reach)
+            state = self._predict(state, self._acting(observation), reach)
         plan = controller.plan(state)
-        latency = self._speed * (time.monotonic() - sighting.stamp)
+        latency = self._speed * (time.monotonic() - observation.stamp)
         self._latencies.append(latency)
         info = controller.info
-        timed = TimedPlan(plan, self._number, sighting.state.time, latency, info.plan_ms, not info.fallback)
+        timed = TimedPlan(plan, self._number, observation.state.time, latency, info.plan_ms, not info.fallback)
         self._number += 1
         self._timed = timed if timed.survived else self._timed
-        if self._journal is not None:
-            self._journal.note(sighting, reach, timed)  # before anybody can follow it
+        if self._logger is not None:
+            self._logger.note(observation, reach, timed)  # before anybody can follow it
         return timed
 
-    def _acting(self, sighting: Sighting) -> Callable[[float], np.ndarray]:
-        """What the robot is sent until the plan is ready."""
-        if sighting.following and self._timed is not None:
+    def _acting(self, observation: TimedObservation) -> Callable[[float], np.ndarray]:
+        """Controls that the robot is sent until the plan is ready."""
+        if observation.following and self._timed is not None:
             return self._timed.plan.at
-        return lambda _: sighting.command
+        return lambda _: observation.command
 
     def run(
         self,
-        newest: Callable[[], Sighting | None],
+        newest: Callable[[], TimedObservation | None],
         publish: Callable[[TimedPlan], None],
         stopped: Callable[[], bool],
     ) -> None:
@@ -129,12 +129,12 @@ class Planning:
         due = time.monotonic()
         while not stopped():
             early = due - time.monotonic()
-            sighting = newest() if early <= 0.0 else None
-            if sighting is None:
+            observation = newest() if early <= 0.0 else None
+            if observation is None:
                 time.sleep(min(max(early, PAUSE), LONGEST_PAUSE))
                 continue
             due = max(due + self.period, time.monotonic())
-            if (timed := self.plan(sighting)) is not None:
+            if (timed := self.plan(observation)) is not None:
                 publish(timed)
 
     @property
@@ -157,16 +157,15 @@ class PlannerThread:
     Args:
         controller: Makes the plans.
         speed: The robot's seconds in a second of wall time.
-        log: Whether to keep what every plan was made from, for :attr:`log`.
+        log: Run log beside which what every plan was made from is noted, for :func:`warpmpc.replay`; nowhere if None.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0, log: bool = False):
-        self._rows: list[np.ndarray] = []
-        self._journal = Journal(controller, self._rows.append) if log else None
-        self.controller, self._planning = controller, Planning(controller, speed=speed, journal=self._journal)
+    def __init__(self, controller: Controller, *, speed: float = 1.0, log: str | Path | None = None):
+        self._logger = None if log is None else PlanLogger(controller, Path(log))
+        self.controller, self._planning = controller, Planning(controller, speed=speed, logger=self._logger)
         self._stop = threading.Event()
-        self._sighting: Sighting | None = None
-        self._taken: Sighting | None = None
+        self._observation: TimedObservation | None = None
+        self._taken: TimedObservation | None = None
         self._timed: TimedPlan | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -175,14 +174,6 @@ class PlannerThread:
         """The task, shared with the controller."""
         return self.controller.task
 
-    @property
-    def log(self) -> RealTimeLog | None:
-        """What the plans so far were made from, for :func:`warpmpc.replay_real_time`; None where it is not kept."""
-        if self._journal is None:
-            return None
-        width = sum(int(np.prod(shape)) for shape in self._journal.about["shapes"].values())
-        return RealTimeLog.of(self._journal.about, [np.reshape(self._rows, (-1, width))])
-
     def __enter__(self) -> PlannerThread:
         self._thread.start()
         return self
@@ -190,10 +181,12 @@ class PlannerThread:
     def __exit__(self, *error: object) -> None:
         self._stop.set()
         self._thread.join()
+        if self._logger is not None:
+            self._logger.close()
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, observation: TimedObservation) -> None:
         """Hand over an observation; the one before is forgotten."""
-        self._sighting = sighting
+        self._observation = observation
 
     def newest(self) -> TimedPlan | None:
         """The newest plan."""
@@ -202,12 +195,12 @@ class PlannerThread:
     def _run(self) -> None:
         self._planning.run(self._take, self._publish, self._stop.is_set)
 
-    def _take(self) -> Sighting | None:
-        sighting = self._sighting
-        if sighting is self._taken:
+    def _take(self) -> TimedObservation | None:
+        observation = self._observation
+        if observation is self._taken:
             return None
-        self._taken = sighting
-        return sighting
+        self._taken = observation
+        return observation
 
     def _publish(self, timed: TimedPlan) -> None:
         self._timed = timed

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the robot will be when a plan is ready: one nominal world, rolled forward under what acts until then."""
+"""Prediction of the state at which a plan is ready: one nominal world, rolled forward under what acts until then."""
 
 from __future__ import annotations
 

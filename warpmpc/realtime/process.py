@@ -7,7 +7,6 @@ import logging
 import multiprocessing
 import os
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -18,15 +17,16 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from ..compiling import native_output
+from ..log.run_log import planner_files, read_planners
 from ..model.compiled import CompiledScene, compile_scene
 from ..planner.feedback import StateSpace
 from ..scene.errors import SceneError
 from ..scene.schema import Refinement
 from ..task.task import Task, task_layout
-from .journal import FileJournal, read_journals
-from .last_words import LastWords
-from .letters import PlanCodec, Sighting, SightingCodec, TimedPlan
-from .mailbox import Mailbox
+from .latest_value import LatestValue
+from .messages import ObservationCodec, PlanCodec, TimedObservation, TimedPlan
+from .plan_logger import PlanLogger
+from .stderr_tail import StderrTail
 
 if TYPE_CHECKING:
     from ctypes import c_ulong
@@ -34,20 +34,19 @@ if TYPE_CHECKING:
 
     from ..cost.term import UserTerm
     from ..scene.schema import Scene
-    from .real_time_log import RealTimeLog
 
 logger = logging.getLogger("warpmpc")
 
-SILENCE = 10.0
-"""Wall time without a sign of life, beside that for which a plan is followed, after which a planner hangs [s]."""
+HEARTBEAT_TIMEOUT = 10.0
+"""Wall time without a heartbeat, beside that for which a plan is followed, after which a planner hangs [s]."""
 LONGEST_START = 60.0
 """Wall time, or three times that of the first start, after which one that is started again hangs [s]."""
-LOOK = 0.1
-"""Wall time between looks for signs of life [s]."""
-FIRST_PAUSE, LONGEST_PAUSE = 1.0, 30.0
-"""Wall time before a planner that died young is started again [s]: it doubles from the first to the longest."""
-GROWN_UP = 10.0
-"""Wall time after which a planner did not die young [s]: another is started at once."""
+POLL_PERIOD = 0.1
+"""Wall time between two looks at the heartbeat [s]."""
+FIRST_BACKOFF, LONGEST_BACKOFF = 1.0, 30.0
+"""Wall time before a planner that ended early is started again [s]: it doubles from the first to the longest."""
+STABLE_AFTER = 10.0
+"""Wall time after which the end of a planner is not early [s]: another is started at once."""
 
 MakeTerms = Callable[[], "Sequence[UserTerm]"]
 """Makes users' cost terms in the planner's process, such as ``functools.partial(warpmpc.load_terms, ["cost.py"])``."""
@@ -55,7 +54,7 @@ MakeTerms = Callable[[], "Sequence[UserTerm]"]
 
 @dataclass(frozen=True)
 class _Order:
-    """What the process is to plan with."""
+    """Everything that the process plans with."""
 
     scene: Scene
     seed: int
@@ -64,16 +63,18 @@ class _Order:
     terms: MakeTerms | None
     speed: float
     knots: int
-    journals: str | None
-    """Folder for what is noted of plans."""
+    log: Path | None
+    """Run log beside which plans are noted."""
+    life: int = 0
+    """Planners before this one."""
 
 
 class PlannerProcess:
     """Plans in another process, so that the robot's loop never waits for a plan, nor for Python's lock.
 
-    The processes share memory for observations, plans and signs of life, nothing else. One that dies is started again,
-    for as long as this is open; why it died is logged. One that gives no sign of life is killed first: between two
-    plans, and while it waits for observations, a planner gives one every 10 ms. Programs that use it have their entry
+    The processes share memory for observations, plans and heartbeats, nothing else. One that dies is started again,
+    for as long as this is open; why it died is logged. One without a heartbeat is killed first: between two plans, and
+    while it waits for observations, a planner gives one every 10 ms. Programs that use it have their entry
     below ``if __name__ == "__main__":``, as with all processes that are spawned.
 
         >>> with warpmpc.PlannerProcess(scene) as planner:
@@ -88,8 +89,9 @@ class PlannerProcess:
         task: What the run wants: what is changed there takes effect at the next plan; one of its own if None.
         compiled: The scene compiled earlier, to save doing it again.
         speed: The robot's seconds in a second of wall time.
-        log: Whether to keep what every plan was made from, for :attr:`log`. The planner notes it in a temporary file,
-            which what becomes of the planner takes nothing from, and which costs the robot's loop nothing.
+        log: Run log beside which each planner notes what its plans are made from, in a file ``LOG.0``, ``LOG.1`` and so
+            on, for :func:`warpmpc.replay`; earlier ones are removed. The end of a planner takes nothing from it, and
+            it costs the robot's loop nothing. Nowhere if None.
 
     Raises:
         SceneError: If the scene has point clouds: they do not travel between processes yet.
@@ -106,7 +108,7 @@ class PlannerProcess:
         task: Task | None = None,
         compiled: CompiledScene | None = None,
         speed: float = 1.0,
-        log: bool = False,
+        log: str | Path | None = None,
     ):
         if scene.cloud:
             message = "point clouds do not travel between processes yet: run the scene without --real-time"
@@ -115,17 +117,15 @@ class PlannerProcess:
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
         knots = max(scene.planner.knots or 0, scene.planner.horizon)
-        self._folder = tempfile.TemporaryDirectory(prefix="warpmpc_plans_") if log else None
-        journals = self._folder and self._folder.name
-        self._log: RealTimeLog | None = None
-        self._order = _Order(scene, seed, engine, device, terms, speed, knots, journals)
+        log = None if log is None else Path(log)
+        self._order = _Order(scene, seed, engine, device, terms, speed, knots, log)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
-        self._sightings = SightingCodec(self.layout, self.task.block.shape[1])
+        self._observations = ObservationCodec(self.layout, self.task.block.shape[1])
         self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
-        self._seen = Mailbox(self._context, self._sightings.capacity)
-        self._planned = Mailbox(self._context, self._plans.capacity)
-        self._beats = self._context.RawValue("L")  # signs of life
-        self._silence = SILENCE + scene.agent.plan_timeout / speed
+        self._observed = LatestValue(self._context, self._observations.capacity)
+        self._planned = LatestValue(self._context, self._plans.capacity)
+        self._beats = self._context.RawValue("L")  # heartbeats
+        self._heartbeat_timeout = HEARTBEAT_TIMEOUT + scene.agent.plan_timeout / speed
         self._longest_start: float | None = None  # the first takes the time that it takes: it may compile
         self._timed: TimedPlan | None = None
         self._closed = threading.Event()
@@ -140,70 +140,64 @@ class PlannerProcess:
             RuntimeError: If the process died.
         """
         begin = time.monotonic()
+        for old in planner_files(self._order.log) if self._order.log else ():
+            if old.is_file():
+                old.unlink()
         self._start()
         try:
             self._await()
         except BaseException:
             self._process.kill()
-            if self._folder is not None:
-                self._folder.cleanup()
             raise
-        self._born = time.monotonic()
-        self._longest_start = max(LONGEST_START, 3.0 * (self._born - begin))
-        self._keeper = threading.Thread(target=self._keep, daemon=True)
-        self._keeper.start()
+        self._started = time.monotonic()
+        self._longest_start = max(LONGEST_START, 3.0 * (self._started - begin))
+        self._supervisor = threading.Thread(target=self._supervise, daemon=True)
+        self._supervisor.start()
         return self
 
     def __exit__(self, *error: object) -> None:
         with self._starting:
             self._closed.set()
             self._process.kill()
-        self._keeper.join()
-        if self._folder is not None:
-            self._close_log()
-
-    @property
-    def log(self) -> RealTimeLog | None:
-        """What the plans so far were made from, for :func:`warpmpc.replay_real_time`; None where it is not kept."""
-        return self._log if self._folder is None else read_journals(Path(self._folder.name))
+        self._supervisor.join()
+        if self._order.log is not None:
+            self._check_log()
 
     @property
     def pid(self) -> int:
         """Process id of the planner, for a look at it."""
         return self._process.pid
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, observation: TimedObservation) -> None:
         """Hand over an observation, with the task as it is; the one before is forgotten."""
-        self._seen.write(self._sightings.encode(replace(sighting, task=self.task.block[0])))
+        self._observed.write(self._observations.encode(replace(observation, task=self.task.block[0])))
 
     def newest(self) -> TimedPlan | None:
         """The newest plan."""
-        letter = self._planned.read()
-        if letter is not None:
-            self._timed = self._plans.decode(letter)
+        message = self._planned.read()
+        if message is not None:
+            self._timed = self._plans.decode(message)
         return self._timed
 
-    def _close_log(self) -> None:
-        """Read what planners noted, and tell where something is missing; that the robot ran is worth more."""
+    def _check_log(self) -> None:
+        """Tell where notes of plans are missing; that the robot ran is worth more."""
         try:
-            self._log = self.log
-        except OSError as error:
-            logger.error("what plans were made from cannot be read: %s", error)
-        else:
-            last = self._log.number[-1] if self._log is not None and len(self._log) else -1
+            found = read_planners(self._order.log)
+            last = found.plans.number[-1] if found is not None and len(found.plans) else -1
             if self._timed is not None and last < self._timed.number:
                 logger.error("of plans 0 to %d those after %d could not be logged", self._timed.number, last)
-        self._folder.cleanup()
-        self._folder = None
+        except (OSError, ValueError) as error:
+            logger.error("what plans were made from cannot be read: %s", error)
 
     def _start(self) -> None:
         self._ready, theirs = self._context.Pipe(duplex=False)
-        self._words = LastWords(self._context)
-        arguments = (self._order, self._seen, self._planned, self._beats, theirs, self._words.writer)
+        self._stderr = StderrTail(self._context)
+        order, self._order = self._order, replace(self._order, life=self._order.life + 1)
+        arguments = (order, self._observed, self._planned, self._beats, theirs, self._stderr.writer)
         self._process = self._context.Process(target=_plan, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
-        self._words.listen()
+        self._stderr.listen()
 
     def _await(self) -> None:
         """Wait until the process plans, or raise what kept it from that."""
@@ -219,44 +213,44 @@ class PlannerProcess:
             raise failed
 
     def _why(self) -> str:
-        """How the process ended, and what it wrote last."""
-        return "\n  ".join([f"exit code {self._process.exitcode}", *self._words.lines()])
+        """Return how the process ended, and what it wrote last."""
+        return "\n  ".join([f"exit code {self._process.exitcode}", *self._stderr.lines()])
 
-    def _keep(self) -> None:
-        """Start the process again whenever it dies or hangs, after pauses that grow while it does so young."""
-        pause, why = 0.0, None
+    def _supervise(self) -> None:
+        """Start the process again whenever it dies or hangs, with a backoff that grows while that comes early."""
+        backoff, why = 0.0, None
         while True:
-            hangs = self._outlive()
+            hangs = self._await_end()
             if self._closed.is_set():
                 return
-            if time.monotonic() - self._born >= GROWN_UP:
-                pause = 0.0
-            when = f" in {pause:g} s" if pause else ""
-            end = f"hung: no sign of life for {self._silence:g} s" if hangs else "died"
+            if time.monotonic() - self._started >= STABLE_AFTER:
+                backoff = 0.0
+            when = f" in {backoff:g} s" if backoff else ""
+            end = f"hung: no heartbeat for {self._heartbeat_timeout:g} s" if hangs else "died"
             logger.warning("the planner's process %s (%s); starting another%s", end, why or self._why(), when)
-            if self._closed.wait(pause):
+            if self._closed.wait(backoff):
                 return
-            pause = min(max(FIRST_PAUSE, 2.0 * pause), LONGEST_PAUSE)
+            backoff = min(max(FIRST_BACKOFF, 2.0 * backoff), LONGEST_BACKOFF)
             with self._starting:
                 if self._closed.is_set():
                     return
                 self._start()
-            why = self._does_not_start()
+            why = self._await_start()
 
-    def _outlive(self) -> bool:
-        """Wait until the process is dead, and kill it when it hangs; whether it did."""
-        beats, silent = None, 0  # looks, for a host that sleeps is silent, too
+    def _await_end(self) -> bool:
+        """Wait until the process is dead, and kill it when it hangs; return whether it did."""
+        beats, missed = None, 0  # polls, for a host that sleeps misses them, too
         while self._process.exitcode is None:
-            self._process.join(LOOK)
-            silent = silent + 1 if self._beats.value == beats else 0
+            self._process.join(POLL_PERIOD)
+            missed = missed + 1 if self._beats.value == beats else 0
             beats = self._beats.value
-            if silent * LOOK > self._silence:
+            if missed * POLL_PERIOD > self._heartbeat_timeout:
                 self._process.kill()
                 self._process.join()
                 return True
         return False
 
-    def _does_not_start(self) -> str | None:
+    def _await_start(self) -> str | None:
         """Wait until the process plans; what kept it from that, None for nothing."""
         try:
             self._await()
@@ -264,13 +258,15 @@ class PlannerProcess:
         except Exception as error:
             return f"it does not start: {error}"
         finally:
-            self._born = time.monotonic()
+            self._started = time.monotonic()
 
 
-def _plan(order: _Order, seen: Mailbox, planned: Mailbox, beats: c_ulong, ready: Connection, words: Connection) -> None:
-    """What the process does: its parent alone hears it, it leaves Ctrl-C to its parent and does not outlive it."""
+def _plan(
+    order: _Order, observed: LatestValue, planned: LatestValue, beats: c_ulong, ready: Connection, stderr: Connection
+) -> None:
+    """Plan in the process: its parent alone hears it, it leaves Ctrl-C to its parent and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(words.fileno(), 2)
+    os.dup2(stderr.fileno(), 2)
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
     logger.setLevel(logging.ERROR)  # what plans come to, the agent says
@@ -286,18 +282,18 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, beats: c_ulong, ready:
         scene = order.scene
         controller = Controller(scene, engine=order.engine, device=order.device, seed=order.seed, terms=terms)
         task = controller.task.block.shape[1]
-        sightings = SightingCodec(controller.layout, task)
+        observations = ObservationCodec(controller.layout, task)
         plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
-        journal = None if order.journals is None else FileJournal(controller, Path(order.journals))
-        planning = Planning(controller, speed=order.speed, number=planned.sent, journal=journal)
+        notes = None if order.log is None else PlanLogger(controller, order.log, order.life)
+        planning = Planning(controller, speed=order.speed, number=planned.sent, logger=notes)
         ready.send(None)
     except Exception as error:
         ready.send(error)
         return
 
-    def newest() -> Sighting | None:
-        letter = seen.read()
-        return None if letter is None else sightings.decode(letter)
+    def newest() -> TimedObservation | None:
+        message = observed.read()
+        return None if message is None else observations.decode(message)
 
     def publish(timed: TimedPlan) -> None:
         planned.write(plans.encode(timed))
@@ -310,6 +306,6 @@ def _plan(order: _Order, seen: Mailbox, planned: Mailbox, beats: c_ulong, ready:
 
 
 def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:
-    """How states are subtracted where a scene's plans have feedback."""
+    """Subtraction of states where a scene's plans have feedback."""
     refine = scene.planner.refine
     return StateSpace.of(compiled) if refine and refine.method is Refinement.ILQG else None

@@ -58,7 +58,7 @@ class Signals:
             raise
 
     def _end(self, number: int, frame: FrameType | None) -> None:
-        """What the signal does without us, but for ending the program on the spot."""
+        """Handle the signal as without us, but for ending the program on the spot."""
         before = self._before[number]
         if not callable(before):
             raise SystemExit(128 + number)

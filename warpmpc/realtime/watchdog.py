@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether observation and plan can be trusted, and what the robot may be sent at most."""
+"""Checks of observations and plans, and limits of what the robot is sent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..model.state import State
 from ..scene.errors import SceneError
-from .letters import TimedPlan
+from .messages import TimedPlan
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """What can be wrong."""
+    """Kinds of faults."""
 
     OBSERVATION_INVALID = "observation not finite or of the wrong size"
     OBSERVATION_OLD = "old observation"
@@ -31,13 +31,13 @@ class FaultKind(StrEnum):
 
 
 Finding = tuple[FaultKind, str]
-"""What is wrong, and a sentence about it."""
+"""Kind of fault, and a sentence about it."""
 MOVING = 1e-3
 """Joint velocity above which joint positions must change [m/s or rad/s]."""
 BEYOND = 1e-3
 """Share of its range by which a control may miss its limits: rounding."""
 SLACK = 1e-6
-"""What a lapse of time may exceed its limit by [s]: times are sums of ticks."""
+"""Tolerance of lapses of time [s]: times are sums of ticks."""
 
 
 def received(state: State) -> State:
@@ -78,7 +78,7 @@ class Watchdog:
         self._joint_q: np.ndarray | None = None
 
     def observation_fault(self, state: State, now: float) -> Finding | None:
-        """Why an observation cannot be trusted, None where it can.
+        """Return why an observation cannot be trusted, None where it can.
 
         Args:
             state: The observation, with its time, as :func:`received`: it is remembered.
@@ -121,7 +121,7 @@ class Watchdog:
         return None
 
     def plan_fault(self, timed: TimedPlan | None, now: float) -> Finding | None:
-        """Why a plan is not to be followed, None where it is.
+        """Return why a plan is not to be followed, None where it is.
 
         Args:
             timed: The newest plan, None before the first.
@@ -144,11 +144,11 @@ class Watchdog:
         return self._controls_fault(plan.knots, "plan")
 
     def command_fault(self, control: np.ndarray) -> Finding | None:
-        """Why what a plan comes to ``[nu]`` is not to be sent, None where it is."""
+        """Return why a plan's command ``[nu]`` is not to be sent, None where it is."""
         return self._controls_fault(control[None], "plan's command")
 
     def _controls_fault(self, controls: np.ndarray, what: str) -> Finding | None:
-        """Why controls ``[N, nu]`` are none of this robot."""
+        """Return why controls ``[N, nu]`` are none of this robot."""
         if not np.isfinite(controls).all():
             return FaultKind.PLAN_INVALID, f"the {what} is not finite"
         outside = (controls < self._lower) | (controls > self._upper)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a recording opens: the scene on the left, what the planner thinks on the right."""
+"""Layout of a recording: the scene on the left, what the planner thinks on the right."""
 
 from __future__ import annotations
 

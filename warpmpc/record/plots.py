@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a run, from its history; needs matplotlib (extra ``plot``)."""
+"""Figures of a run, from its log; needs matplotlib (extra ``plot``)."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..cost.term import UserTerm
+    from ..log.run_log import RunLog
     from ..scene.schema import Scene
-    from .history import History
 
 SNAPSHOTS = 9
 """Moments drawn."""
 DPI = 110
 
 
-def plot_history(
-    history: History, folder: str | Path, *, title: str = "", scene: Scene | None = None, terms: Sequence[UserTerm] = ()
+def plot_log(
+    log: RunLog, folder: str | Path, *, title: str = "", scene: Scene | None = None, terms: Sequence[UserTerm] = ()
 ) -> list[Path]:
     """Write figures (PNG) of a run, and all its numbers (CSV).
 
     Args:
-        history: The run.
+        log: The run.
         folder: Folder for the files; made if it is not there.
         title: Title of the figures.
-        scene: The run's scene; that of the history's log if None. Without either nothing is drawn of bodies but their
+        scene: The run's scene; that of the log if None. Without either nothing is drawn of bodies but their
             ways.
         terms: Users' own cost terms that the scene's success or phases name.
 
@@ -49,50 +49,49 @@ def plot_history(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    if scene is None and history.log is not None:
-        scene = logged_scene(history.log)
-    history.save(folder / "history.csv")
+    if scene is None and log.origin is not None:
+        scene = logged_scene(log)
+    log.save(folder / "history.csv")
     written = [folder / "history.csv"]
-    for name, figure in figures(history, scene, terms):
+    for name, figure in figures(log, scene, terms):
         figure.axes[0].set_title(title)
         figure.savefig(folder / f"{name}.png", bbox_inches="tight")
         written.append(folder / f"{name}.png")
     return written
 
 
-def figures(history: History, scene: Scene | None, terms: Sequence[UserTerm] = ()) -> Iterator[tuple[str, Figure]]:
-    """Name and figure of everything that a history has: path, costs, controls, plan times, errors, forces, ticks."""
+def figures(log: RunLog, scene: Scene | None, terms: Sequence[UserTerm] = ()) -> Iterator[tuple[str, Figure]]:
+    """Name and figure of everything that a log has: path, costs, controls, plan times, errors, forces, ticks."""
+    controls, names = log.controls, log.names
     figure = Figure(figsize=(7, 7), dpi=DPI)
-    draw_run(figure.add_subplot(), history, _plant(history, scene, terms))
+    draw_run(figure.add_subplot(), log, _plant(log, scene, terms))
     yield "path", figure
-    if history.term_names and len(history.cost):
-        yield "costs", _curves(history, draw_costs)
-    if len(history.control):
-        yield "controls", _rows(history, history.control_names, history.control)
-        yield "plan_times", _curves(history, draw_plan_times, scene)
-    if history.error_names:
-        yield "errors", _errors(history, scene)
-    if history.pair_names:
-        yield "contact_forces", _curves(history, draw_forces)
-    if history.ticks is not None:
-        ticks = history.ticks
-        names = ("follows the plan", "its age [ms]", "tick late [ms]")
-        yield "ticks", _rows(history, names, np.stack([ticks.following, 1e3 * ticks.age, ticks.late_ms], axis=1))
+    if names["terms"] and len(controls):
+        yield "costs", _curves(log, draw_costs)
+    if len(controls):
+        yield "controls", _rows(log, names["controls"], controls.control)
+        yield "plan_times", _curves(log, draw_plan_times, scene)
+    if names["errors"]:
+        yield "errors", _errors(log, scene)
+    if names["pairs"]:
+        yield "contact_forces", _curves(log, draw_forces)
+    if log.real_time:
+        labels = ("follows the plan", "its age [ms]", "tick late [ms]")
+        yield "ticks", _rows(log, labels, np.stack([controls.following, 1e3 * controls.age, controls.late_ms], axis=1))
 
 
-def _plant(history: History, scene: Scene | None, terms: Sequence[UserTerm]) -> Plant | None:
+def _plant(log: RunLog, scene: Scene | None, terms: Sequence[UserTerm]) -> Plant | None:
     """The run's plant, its task as it was at the last plan; None without its scene."""
     if scene is None:
         return None
-    seed = history.log.origin["seed"] if history.log is not None else 0
-    plant = Plant(scene, seed=seed, terms=terms)
-    if history.log is not None and len(history.log):
-        plant.task.follow(history.log.task[-1])
+    plant = Plant(scene, seed=log.origin["seed"] if log.origin else 0, terms=terms)
+    if len(log.plans) and "task" in log.plans.dtype.names:
+        plant.task.follow(log.plans.task[-1])
     return plant
 
 
 def draw_run(
-    axes: Axes, history: History, plant: Plant | None, *, view: str | None = None, snapshots: int = SNAPSHOTS
+    axes: Axes, log: RunLog, plant: Plant | None, *, view: str | None = None, snapshots: int = SNAPSHOTS
 ) -> None:
     """Draw where everything went.
 
@@ -101,19 +100,19 @@ def draw_run(
 
     Args:
         axes: Where to draw.
-        history: The run.
+        log: The run.
         plant: A plant of its scene; without one ways alone are drawn, from above.
         view: One of :data:`~warpmpc.record.scene_picture.VIEWS`; from above where nothing rises or tilts if None.
         snapshots: Moments drawn.
     """
     if plant is None:
-        for name, way in zip(history.body_names, history.body_q.transpose(1, 0, 2), strict=True):
+        for name, way in zip(log.names["bodies"], log.states.body_q.transpose(1, 0, 2), strict=True):
             axes.plot(way[:, 0], way[:, 1], lw=1.2, label=name)
         _legend(axes)
         labels = VIEWS["top"].labels
     else:
-        view = view or natural_view(plant.layout, history.body_q)
-        _draw_scene(ScenePicture(axes, plant, VIEWS[view]), history, plant, snapshots)
+        view = view or natural_view(plant.layout, log.states.body_q)
+        _draw_scene(ScenePicture(axes, plant, VIEWS[view]), log, plant, snapshots)
         labels = VIEWS[view].labels
     axes.set_aspect("equal")
     axes.autoscale_view()
@@ -124,74 +123,74 @@ def draw_run(
         axes.set_ylabel(labels[1])
 
 
-def _draw_scene(picture: ScenePicture, history: History, plant: Plant, snapshots: int) -> None:
+def _draw_scene(picture: ScenePicture, log: RunLog, plant: Plant, snapshots: int) -> None:
     picture.ground()
-    picture.solid(history.body_q[-1], ("obstacle",))
-    moments = np.linspace(0, len(history.time) - 1, snapshots).round().astype(int)
+    picture.solid(log.states.body_q[-1], ("obstacle",))
+    moments = np.linspace(0, len(log.states) - 1, snapshots).round().astype(int)
     for n, i in enumerate(moments[:-1]):
-        picture.outlines(history.body_q[i], ("object", "robot"), alpha=0.08 + 0.3 * n / len(moments))
-    picture.solid(history.body_q[-1], ("object", "robot"))
+        picture.outlines(log.states.body_q[i], ("object", "robot"), alpha=0.08 + 0.3 * n / len(moments))
+    picture.solid(log.states.body_q[-1], ("object", "robot"))
     for entity in plant.layout.entities:
         if entity.bodies:
             color = [0.7 * value for value in COLORS[entity.kind]]
-            picture.path(history.body_q[:, entity.bodies[-1], :3], color=color, lw=1.2)
+            picture.path(log.states.body_q[:, entity.bodies[-1], :3], color=color, lw=1.2)
     if plant.scene.goal is not None:
         picture.path(plant.task.pose(GOAL)[None, :3], marker="*", color="tab:green", ms=16, zorder=5)
 
 
-def draw_costs(axes: Axes, history: History) -> None:
+def draw_costs(axes: Axes, log: RunLog) -> None:
     """Draw what each term cost over time, each curve by its name."""
-    time = history.time[: len(history.cost)]
-    for name, values in zip(history.term_names, history.cost_terms.T, strict=True):
+    time = log.states.time[:-1]
+    for name, values in zip(log.names["terms"], log.of_plans("terms").T, strict=True):
         axes.plot(time, values, lw=1.0, label=name)
-    axes.plot(time, history.cost, color="k", lw=1.5, label="sum")
+    axes.plot(time, log.of_plans("cost"), color="k", lw=1.5, label="sum")
     axes.set_ylabel("cost of the best sample")
 
 
-def draw_forces(axes: Axes, history: History) -> None:
+def draw_forces(axes: Axes, log: RunLog) -> None:
     """Draw the contact force of each pair over time."""
-    for name, force in zip(history.pair_names, np.linalg.norm(history.contact_force, axis=-1).T, strict=True):
-        axes.plot(history.time, force, lw=1.0, label=name)
+    for name, force in zip(log.names["pairs"], np.linalg.norm(log.states.contact_force, axis=-1).T, strict=True):
+        axes.plot(log.states.time, force, lw=1.0, label=name)
     axes.set_ylabel("contact force [N]")
 
 
-def draw_plan_times(axes: Axes, history: History, scene: Scene | None) -> None:
+def draw_plan_times(axes: Axes, log: RunLog, scene: Scene | None) -> None:
     """Draw the wall time of every plan, and what real time allows."""
-    axes.plot(history.time[: len(history.plan_ms)], history.plan_ms, ".", ms=3, color="tab:blue", label="plan")
+    axes.plot(log.states.time[:-1], log.controls.plan_ms, ".", ms=3, color="tab:blue", label="plan")
     if scene is not None:
         axes.axhline(1e3 * scene.timing.control_dt, color="tab:red", lw=1.0, ls="--", label="one control")
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("plan time [ms]")
 
 
-def _curves(history: History, draw, *arguments: object) -> Figure:
+def _curves(log: RunLog, draw, *arguments: object) -> Figure:
     """A figure of curves over time."""
     figure = Figure(figsize=(8, 4), dpi=DPI)
     axes = figure.add_subplot()
-    draw(axes, history, *arguments)
-    axes.set_xlim(history.time[0], history.time[-1])
+    draw(axes, log, *arguments)
+    axes.set_xlim(log.states.time[0], log.states.time[-1])
     axes.set_xlabel("time [s]")
     _legend(axes)
     return figure
 
 
-def _rows(history: History, names: Sequence[str], values: np.ndarray) -> Figure:
+def _rows(log: RunLog, names: Sequence[str], values: np.ndarray) -> Figure:
     """A figure with a row of its own for every number over time."""
     figure = Figure(figsize=(8, 1.0 + 1.2 * len(names)), dpi=DPI)
     rows = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
     for axes, name, column in zip(rows, names, values.T, strict=True):
-        axes.plot(history.time[: len(column)], column, lw=1.0, drawstyle="steps-post")
+        axes.plot(log.states.time[: len(column)], column, lw=1.0, drawstyle="steps-post")
         axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize="small")
         axes.grid(alpha=0.3)
-    rows[-1].set_xlim(history.time[0], history.time[-1])
+    rows[-1].set_xlim(log.states.time[0], log.states.time[-1])
     rows[-1].set_xlabel("time [s]")
     return figure
 
 
-def _errors(history: History, scene: Scene | None) -> Figure:
+def _errors(log: RunLog, scene: Scene | None) -> Figure:
     """A figure of how far the goal is, with what counts as success."""
-    figure = _rows(history, history.error_names, history.goal_error)
-    for axes, name in zip(figure.axes, history.error_names, strict=True):
+    figure = _rows(log, log.names["errors"], log.states.goal_error)
+    for axes, name in zip(figure.axes, log.names["errors"], strict=True):
         tolerance = getattr(scene and scene.success, "distance" if name == "position" else name, None)
         if tolerance is not None:
             axes.axhline(tolerance, color="tab:green", lw=1.0, ls="--")

@@ -18,11 +18,11 @@ from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
 from .forces import FORCE_COLOR, arrows
-from .history import turning
 from .rerun_shapes import body_path, entity_path
+from .rollout_paths import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, paths_of, predicted_lanes
+from .run_recorder import turning
 from .scene_drawing import draw_scene, writable
 from .shapes import ContactPoints, scene_bounds, thinned
-from .ways import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, predicted_lanes, ways_of
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -228,7 +228,7 @@ class Recorder:
     # ---- to the file
 
     def _planned(self) -> list[rr.TimeColumn]:
-        """When the last plan was made: one control before the state now reached."""
+        """Time of the last plan: one control before the state now reached."""
         return self._indexes([max(self._plant.steps - 1, 0)])
 
     def _indexes(self, steps: Sequence[int]) -> list[rr.TimeColumn]:
@@ -270,7 +270,7 @@ class Recorder:
         self._send_curves(self._curves[: self._plan_curves], steps, values)
         best = np.concatenate([np.arange(p.shape[1]) == 0 for p in poses])  # the first of each row
         pose = np.concatenate(poses, axis=1)  # [T+1, rollouts of all rows, F, 7]
-        ways = ways_of(pose, self._frames[1])  # [rollouts, F, T+1, 3]
+        ways = paths_of(pose, self._frames[1])  # [rollouts, F, T+1, 3]
         lengths = np.array([p.shape[1] for p in poses])
         lines = rr.LineStrips3D.columns(strips=ways[best].reshape(-1, *ways.shape[2:]))
         send("/rollouts/best", indexes, lines.partition(frames * np.minimum(lengths, 1)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from .meshes import mesh_of
 from .shapes import DEFAULT_COLOR, GROUND_COLOR
 
 if TYPE_CHECKING:
@@ -66,43 +67,26 @@ def _geometry(shape: ShapeInfo, layout: Layout, reach: float, opacity: float) ->
             return rr.Capsules3D(lengths=[2.0 * b], radii=[a], translations=[(0.0, 0.0, -b)], **look)
         case "plane":
             points, triangles = _square(reach)
-        case "cone":
-            points, triangles = _cone(a, b)
         case _:
-            points, triangles = layout.meshes[shape.mesh] if shape.mesh is not None else _square(0.0)
-            points = points * np.array(shape.scale, dtype=np.float32)
-    return rr.Mesh3D(
-        vertex_positions=points,
-        triangle_indices=triangles,
-        vertex_normals=_normals(points, triangles),
-        albedo_factor=color,
-    )
+            mesh = mesh_of(shape, layout)
+            points, triangles = _square(0.0) if mesh is None else (mesh.vertices.astype(np.float32), mesh.faces)
+    return _mesh(points, triangles, color)
 
 
 def terrain(surface: Surface) -> rr.Mesh3D:
     """A heightfield as rerun draws it, in the world."""
-    return rr.Mesh3D(
-        vertex_positions=surface.points,
-        triangle_indices=surface.triangles,
-        vertex_normals=_normals(surface.points, surface.triangles),
-        albedo_factor=[*GROUND_COLOR, 1.0],
-    )
+    return _mesh(surface.points, surface.triangles, [*GROUND_COLOR, 1.0])
+
+
+def _mesh(points: np.ndarray, triangles: np.ndarray, color: list[float]) -> rr.Mesh3D:
+    normals = _normals(points, triangles)
+    return rr.Mesh3D(vertex_positions=points, triangle_indices=triangles, vertex_normals=normals, albedo_factor=color)
 
 
 def _square(reach: float) -> tuple[np.ndarray, np.ndarray]:
     """A square at z = 0, a little below, so that a grid drawn there stays visible."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=np.float32) * reach
     return np.column_stack([corners, np.full(4, -1e-3 * reach)]).astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def _cone(radius: float, half: float, sides: int = 32) -> tuple[np.ndarray, np.ndarray]:
-    """A cone along z around its middle, apex up."""
-    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    rim = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, -half)])
-    i = np.arange(sides)
-    j, apex, base = (i + 1) % sides, np.full(sides, sides), np.full(sides, sides + 1)
-    points = np.vstack([rim, [[0.0, 0.0, half], [0.0, 0.0, -half]]]).astype(np.float32)
-    return points, np.vstack([np.column_stack([i, j, apex]), np.column_stack([j, i, base])])
 
 
 def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stays in a recording for rerun: shapes of bodies and of the goal."""
+"""Static parts of a recording for rerun: shapes of bodies and of the goal."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +10,9 @@ import numpy as np
 import rerun as rr
 
 from ..model.heightfields import heightfields
-from ..model.layout import IDENTITY, WORLD
+from ..model.layout import WORLD
 from .rerun_shapes import body_path, draw_shape, entity_path, terrain
-from .shapes import GHOST, resized, shown_shapes
+from .shapes import GHOST, drawn_shapes, shown_shapes
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant
@@ -30,12 +29,8 @@ def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> 
     layout, goal = plant.layout, plant.scene.goal
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for entity in layout.entities:
-        for shape in shown_shapes(layout, entity):
+        for shape in drawn_shapes(plant, entity):
             parent = entity_path("scene", entity.name) if shape.body == WORLD else body_path(layout, shape.body)
-            if entity.kind != "robot":
-                shape = resized(shape, plant.properties)
-            if entity.movable:  # the entity is where the task puts it, its shape at its origin
-                shape = replace(shape, pose=IDENTITY)
             draw_shape(recording, parent + entity_path(shape.name), shape, layout, reach=reach)
     for surface in heightfields(plant.model):
         recording.log(entity_path("scene", *surface.name.split("/")), terrain(surface), static=True)

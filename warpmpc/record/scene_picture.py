@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from matplotlib.collections import LineCollection, PolyCollection
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from ..model.layout import IDENTITY, WORLD
-from .shapes import resized, shown_shapes
+from ..model.layout import WORLD
+from .meshes import mesh_of
+from .shapes import drawn_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,9 +25,9 @@ COLORS = {"robot": (1.0, 0.55, 0.15), "object": (0.2, 0.5, 0.8), "obstacle": (0.
 FINE = 200
 """Triangles above which a mesh that moves is drawn as its convex hull."""
 LEVEL = 0.03
-"""How far a body may rise [m] and tilt [rad] in a picture from above."""
+"""Rise [m] and tilt [rad] that a body may have in a picture from above."""
 LIGHT = np.array([-0.4, -0.5, 0.8]) / np.linalg.norm([-0.4, -0.5, 0.8])
-"""Where light comes from, in the world."""
+"""Direction that light comes from, in the world."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class View:
     """From where a scene is seen, without perspective."""
 
     right: tuple[float, float, float]
-    """What is to the right in the picture."""
+    """Axis to the right in the picture."""
     up: tuple[float, float, float]
     labels: tuple[str, str] | None
     """Names of the picture's axes where they are axes of the world."""
@@ -87,32 +87,12 @@ def triangles_of(shape: ShapeInfo, layout: Layout, *, hull: bool) -> np.ndarray:
         layout: The scene's layout, which holds the meshes.
         hull: Whether a fine mesh may be its convex hull.
     """
-    a, b, _ = shape.scale
-    match shape.kind:
-        case "plane":
-            return np.zeros((0, 3, 3))
-        case "box":
-            mesh = trimesh.creation.box(extents=2.0 * np.array(shape.scale))
-        case "sphere" | "ellipsoid":
-            mesh = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-            mesh.apply_scale(a if shape.kind == "sphere" else shape.scale)
-        case "capsule":
-            mesh = trimesh.creation.capsule(height=2.0 * b, radius=a, count=(12, 12))
-        case "cylinder":
-            mesh = trimesh.creation.cylinder(radius=a, height=2.0 * b, sections=24)
-        case "cone":
-            mesh = trimesh.creation.cone(radius=a, height=2.0 * b, sections=24)
-        case _ if shape.mesh is None:
-            return np.zeros((0, 3, 3))
-        case _:
-            points, triangles = layout.meshes[shape.mesh]
-            mesh = trimesh.Trimesh(points * np.array(shape.scale), triangles, process=False)
-            if hull and len(triangles) > FINE:
-                mesh = mesh.convex_hull
-    corners = mesh.triangles
-    if shape.kind in ("capsule", "cone"):  # their origin is the middle, whatever the library takes it to be
-        corners = corners - 0.5 * (mesh.bounds[0] + mesh.bounds[1])
-    return moved(corners, np.array(shape.pose))
+    mesh = mesh_of(shape, layout, fine=False)
+    if mesh is None:
+        return np.zeros((0, 3, 3))
+    if hull and shape.kind == "mesh" and len(mesh.faces) > FINE:
+        mesh = mesh.convex_hull
+    return moved(mesh.triangles, np.array(shape.pose))
 
 
 def moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -198,11 +178,7 @@ class ScenePicture:
         if entity.kind not in COLORS:
             return []
         pieces = []
-        for shape in shown_shapes(self.plant.layout, entity):
-            if entity.movable:
-                shape = replace(shape, pose=IDENTITY)
-            if entity.kind != "robot":
-                shape = resized(shape, self.plant.properties)
+        for shape in drawn_shapes(self.plant, entity):
             corners = triangles_of(shape, self.plant.layout, hull=entity.kind != "obstacle")
             if len(corners):
                 pieces.append((shape.body, corners))

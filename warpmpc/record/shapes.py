@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.layout import WORLD
+from ..model.layout import IDENTITY, WORLD
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..model.properties import Properties
+    from ..plant.plant import Plant
     from ..scene.schema_cloud import Cloud
 
 GROUND_COLOR = (0.32, 0.34, 0.37)
@@ -28,7 +31,7 @@ def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def shown_shapes(layout: Layout, entity: Entity) -> tuple[ShapeInfo, ...]:
-    """What to draw of an entity: of each body the asset's visuals where it has them, else its collision shapes."""
+    """Shapes to draw of an entity: of each body the asset's visuals where it has them, else its collision shapes."""
     shapes = tuple(layout.shapes[i] for i in entity.shapes)
     dressed = {shape.body for shape in shapes if shape.visible}
     return tuple(s for s in shapes if s.visible or (s.collides and s.body not in dressed))
@@ -42,6 +45,13 @@ def resized(shape: ShapeInfo, properties: Properties | None) -> ShapeInfo:
     share = {"box": (0.5, 0.5, 0.5), "sphere": (1.0, 0.0, 0.0)}.get(shape.kind, (1.0, 0.5, 0.0))
     scale = np.array(shape.scale)
     return replace(shape, scale=tuple(np.maximum(scale + np.array(share) * offset, 0.1 * scale)))
+
+
+def drawn_shapes(plant: Plant, entity: Entity) -> Iterator[ShapeInfo]:
+    """Shapes of a plant's entity as it is, in the plant's own sizes; those of a movable one are about its origin."""
+    for shape in shown_shapes(plant.layout, entity):
+        shape = shape if entity.kind == "robot" else resized(shape, plant.properties)
+        yield replace(shape, pose=IDENTITY) if entity.movable else shape  # the entity is where the task puts it
 
 
 def thinned(points: np.ndarray, cloud: Cloud) -> np.ndarray:
@@ -91,7 +101,7 @@ def scene_bounds(layout: Layout, body_q: np.ndarray, goal: np.ndarray) -> tuple[
 
 
 class ContactPoints:
-    """Where to draw the net contact force between two things.
+    """Points at which the net contact force between two things is drawn.
 
     Forces are known per pair, not per contact. The arrow starts at the point of the second thing's bounding boxes that
     is nearest to the centre of any of the first one's collision shapes: exact enough to see which side is touched.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from ..realtime.agent import Fault
 from ..task.goal import GOAL
 from .blueprint import scene_view, series
 from .rerun_shapes import body_path, entity_path
@@ -17,11 +19,11 @@ from .scene_drawing import draw_scene, writable
 from .shapes import scene_bounds
 
 if TYPE_CHECKING:
+    from ..log.run_log import RunLog
     from ..plant.plant import Plant
-    from .history import History
 
 
-def record_ticks(path: str | Path, history: History, plant: Plant) -> None:
+def record_ticks(path: str | Path, log: RunLog, plant: Plant) -> None:
     """Write a ``.rrd`` file of a run in real time.
 
     Entities: ``/scene/...`` bodies, ``/goal`` where it was at the end, ``/control`` what was sent at each tick,
@@ -32,30 +34,30 @@ def record_ticks(path: str | Path, history: History, plant: Plant) -> None:
 
     Args:
         path: File to write, ``*.rrd``; an existing file is replaced.
-        history: The run (``TickRecorder.history``).
+        log: The run.
         plant: Its plant.
 
     Raises:
         OSError: If the file cannot be written.
-        ValueError: If its name does not end in ``.rrd``, or the history is not of a run in real time.
+        ValueError: If its name does not end in ``.rrd``, or the log is not of a run in real time.
     """
-    if history.ticks is None:
-        raise ValueError("this history is not one of a run in real time: it has no ticks")
+    if not log.real_time:
+        raise ValueError("this log is not one of a run in real time: it has no ticks")
     scene, layout, goal = plant.scene, plant.layout, plant.task.pose(GOAL)
     path = writable(path)
-    centre, radius = scene_bounds(layout, history.body_q[0], goal)
+    centre, radius = scene_bounds(layout, log.states.body_q[0], goal)
     recording = rr.RecordingStream(f"warpmpc_{scene.name}")
     recording.set_log_tick_enabled(False)
     recording.set_log_time_enabled(False)
     try:
-        recording.save(path, default_blueprint=_blueprint(plant, centre, radius, costs=history.made is not None))
+        recording.save(path, default_blueprint=_blueprint(plant, centre, radius, costs=len(log.plans) > 0))
         draw_scene(recording, plant, reach=2.0 * radius)
         recording.log("/goal", rr.Transform3D(translation=goal[:3], quaternion=goal[3:]), static=True)
         for name in layout.movable:
             pose = plant.task.pose(name)
             at = rr.Transform3D(translation=pose[:3], quaternion=pose[3:])
             recording.log(entity_path("scene", name), at, static=True)
-        _send(recording, history, plant)
+        _send(recording, log, plant)
         recording.flush()
     except RuntimeError as error:
         raise OSError(f"cannot write the recording '{path}': {error}") from None
@@ -63,34 +65,34 @@ def record_ticks(path: str | Path, history: History, plant: Plant) -> None:
         recording.disconnect()
 
 
-def _send(recording: rr.RecordingStream, history: History, plant: Plant) -> None:
-    """Everything that changes."""
-    ticks = history.ticks
-    indexes = _indexes(history.time)
+def _send(recording: rr.RecordingStream, log: RunLog, plant: Plant) -> None:
+    """Send everything that changes."""
+    states, controls, names = log.states, log.controls, log.names
+    indexes = _indexes(states.time)
     for body in range(plant.layout.nb):
-        pose = history.body_q[:, body]
+        pose = states.body_q[:, body]
         columns = rr.Transform3D.columns(translation=pose[:, :3], quaternion=pose[:, 3:])
         recording.send_columns(body_path(plant.layout, body), indexes, columns)
+    force = np.linalg.norm(states.contact_force[1:], axis=-1)
     curves = {
-        entity_path("control", *n.split("/")): c for n, c in zip(history.control_names, history.control.T, strict=True)
+        **_curves("control", names["controls"], controls.control),
+        "/plan/number": controls.plan,
+        "/plan/age_ms": 1e3 * controls.age,
+        "/plan_ms/plan": controls.plan_ms,
+        "/plan_ms/budget": np.full(len(controls), 1e3 * plant.scene.timing.control_dt),
+        "/following": controls.following,
+        "/late_ms": controls.late_ms,
+        **_curves("goal_error", names["errors"], states.goal_error[:-1]),
+        **_curves("contact_force", names["pairs"], force),
     }
-    curves |= {"/plan/number": ticks.plan, "/plan/age_ms": 1e3 * ticks.age, "/plan_ms/plan": history.plan_ms}
-    curves |= {"/plan_ms/budget": np.full(len(ticks.plan), 1e3 * plant.scene.timing.control_dt)}
-    curves |= {"/following": ticks.following, "/late_ms": ticks.late_ms}
-    curves |= {
-        entity_path("goal_error", n): c[:-1] for n, c in zip(history.error_names, history.goal_error.T, strict=True)
-    }
-    force = np.linalg.norm(history.contact_force, axis=-1).T
-    curves |= {entity_path("contact_force", n): c[1:] for n, c in zip(history.pair_names, force, strict=True)}
-    for at, values in curves.items():
-        keep = np.isfinite(values)
-        if keep.any():
-            scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float)[keep])
-            steps = np.flatnonzero(keep)
-            recording.send_columns(at, _indexes(history.time[:-1][keep], steps), scalars)
-    if history.made is not None:
-        _send_costs(recording, history)
-    for fault in ticks.faults:
+    _send_curves(recording, curves, states.time[:-1], np.arange(len(controls)))
+    if len(log.plans):  # all of them, those that no tick saw among them
+        plans = log.plans
+        costs = _curves("cost", names["terms"], plans.terms)
+        costs |= {"/cost/total": plans.cost, "/temperature/beta": plans.beta, "/temperature/eta": plans.eta}
+        steps = np.clip(np.searchsorted(states.time, plans.time), 0, len(states) - 1)
+        _send_curves(recording, costs, plans.time, steps)
+    for fault in Fault.of(log):
         recording.set_time("time", duration=fault.start)
         recording.log("/faults", rr.TextLog(f"{fault.why}; sending the safe command", level="WARN"))
         if fault.end is not None:
@@ -98,17 +100,20 @@ def _send(recording: rr.RecordingStream, history: History, plant: Plant) -> None
             recording.log("/faults", rr.TextLog(fault.recovery, level="INFO"))
 
 
-def _send_costs(recording: rr.RecordingStream, history: History) -> None:
-    """What all plans came to, those that no tick saw among them."""
-    made = history.made
-    curves = {entity_path("cost", name): cost for name, cost in zip(made.term_names, made.terms.T, strict=True)}
-    curves |= {"/cost/total": made.cost, "/temperature/beta": made.beta, "/temperature/eta": made.eta}
-    steps = np.clip(np.searchsorted(history.time, made.time), 0, len(history.time) - 1)
+def _curves(at: str, names: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns by entity path."""
+    return {entity_path(at, *name.split("/")): column for name, column in zip(names, values.T, strict=False)}
+
+
+def _send_curves(
+    recording: rr.RecordingStream, curves: Mapping[str, np.ndarray], time: np.ndarray, steps: np.ndarray
+) -> None:
+    """Send what is finite of curves ``[N]`` by entity path."""
     for at, values in curves.items():
         keep = np.isfinite(values)
         if keep.any():
-            indexes = _indexes(made.time[keep], steps[keep])
-            recording.send_columns(at, indexes, rr.Scalars.columns(scalars=values[keep]))
+            scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float)[keep])
+            recording.send_columns(at, _indexes(time[keep], steps[keep]), scalars)
 
 
 def _indexes(time: np.ndarray, steps: np.ndarray | None = None) -> list[rr.TimeColumn]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is allowed in a scene but hardly meant: said before a run, in one sentence each."""
+"""Advice on what a scene may have but probably does not mean, in one sentence each."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def advise(scene: Scene, compiled: CompiledScene) -> list[str]:
 
 
 def slow_plans(plan_ms: float, control_dt: float, *, speed: float = 1.0) -> str | None:
-    """What to do about plans that are slower than the controls they are for; None where they are not.
+    """Advice on plans that are slower than the controls they are for; None where they are not.
 
     Args:
         plan_ms: Wall time of a plan, the median of several [ms].

@@ -14,9 +14,9 @@ from ..scene.draw import draw_task
 from ..scene.errors import SceneError
 from ..scene.overrides import split_key
 from ..task.task import Task
-from .choose_engine import check_plan_time, choose_engine
-from .episode import EpisodeResult, Tally, watched
-from .fit_samples import fit_samples
+from .choose_engine import with_samples
+from .episode import EpisodeResult, EpisodeStats, watched
+from .fit_samples import fit_to_machine
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -69,14 +69,10 @@ class Batch:
         self.envs = min(envs, len(self.seeds))
         self._tasks = [(seed, *draw_task(scene, seed)) for seed in self.seeds]
         self.compiled = compiled or compile_scene(scene)
-        engine, device = choose_engine(
-            scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled
-        )
-        scene = fit_samples(scene, engine=engine, device=device, envs=self.envs, terms=terms, compiled=self.compiled)
-        check_plan_time(scene, self.compiled, device, envs=self.envs, terms=terms, engine=engine)
-        self.controller = Controller(
-            scene, engine=engine, device=device, seed=self.seeds[0], envs=self.envs, terms=terms, compiled=self.compiled
-        )
+        shared = {"envs": self.envs, "terms": terms, "compiled": self.compiled}
+        samples, engine, device = fit_to_machine(scene, engine=engine, device=device, **shared)
+        scene = with_samples(scene, samples)
+        self.controller = Controller(scene, engine=engine, device=device, seed=self.seeds[0], **shared)
 
     def run(self, *, on_step: OnStep | None = None) -> Iterator[EpisodeResult]:
         """Run all rounds; yields the result of every episode when it is over, in that order.
@@ -110,23 +106,24 @@ class Batch:
         )
         controller.reset()
         running = {
-            e: Tally(scene, seed, drawn, controller, plants.plants[e]) for e, (seed, scene, drawn) in enumerate(tasks)
+            e: EpisodeStats(scene, seed, drawn, controller, plants.plants[e])
+            for e, (seed, scene, drawn) in enumerate(tasks)
         }
         try:
             while True:
-                for e in [e for e, tally in running.items() if tally.plant.done]:
+                for e in [e for e, statistics in running.items() if statistics.plant.done]:
                     yield running.pop(e).result()
                 if not running:
                     return
                 control = controller.step(plants.observe())
-                for e, tally in running.items():
-                    tally.note(controller.info[e])
+                for e, statistics in running.items():
+                    statistics.note(controller.info[e])
                 plants.apply(control)
                 if on_step is not None:
                     on_step(controller, plants, control)
         except KeyboardInterrupt:
-            for tally in running.values():
-                yield tally.result(reason="interrupted")
+            for statistics in running.values():
+                yield statistics.result(reason="interrupted")
             raise
 
 

@@ -11,6 +11,7 @@ import os
 import platform
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,8 +72,8 @@ def choose_engine(
     scene = with_samples(scene)
     file = cache_folder().parent / "engines" / f"{timing_key(scene, where, envs, terms)}.json"
     times: dict[str, float] = {}
-    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-        kept = json.loads(file.read_text())
+    with contextlib.suppress(ValueError, TypeError):
+        kept = read_kept(file) or {}
         times = {device: float(kept[device]) for device in choices if device in kept}
     if not times:
         compiled = compiled or compile_scene(scene)
@@ -84,9 +85,7 @@ def choose_engine(
                 refused.append(error)
         if not times:
             raise refused[0]
-        with contextlib.suppress(OSError):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps(times))
+        keep(file, times)
     best = min(times, key=times.get)
     measured = ", ".join(f"{1e3 * t:.1f} ms on {device}" for device, t in times.items())
     logger.info("one plan takes: %s; taking %s", measured, best)
@@ -159,6 +158,20 @@ def with_samples(scene: Scene, count: int = USUAL) -> Scene:
     return scene.model_copy(update={"planner": scene.planner.model_copy(update={"samples": count})})
 
 
+def read_kept(file: Path) -> object:
+    """Read what :func:`keep` wrote; None where there is nothing."""
+    with contextlib.suppress(OSError, ValueError):
+        return json.loads(file.read_text())
+    return None
+
+
+def keep(file: Path, measured: object) -> None:
+    """Keep what was measured for the next start, if it can be written."""
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(measured))
+
+
 def timing_key(scene: Scene, device: str, envs: int, terms: Sequence[UserTerm]) -> str:
     """Hash of what a plan's time depends on."""
     digest = hashlib.sha256()
@@ -168,5 +181,5 @@ def timing_key(scene: Scene, device: str, envs: int, terms: Sequence[UserTerm]) 
 
 
 def _hardware(device: str) -> str:
-    """What of this machine a plan's time depends on."""
+    """Parts of this machine that a plan's time depends on."""
     return f"{wp.get_device(device).name} {platform.processor()} {len(os.sched_getaffinity(0))}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which scene made a result."""
+"""Digest of the scene that made a result."""
 
 from __future__ import annotations
 

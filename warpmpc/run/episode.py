@@ -13,8 +13,8 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.draw import draw_task
 from ..scene.overrides import split_key
-from .choose_engine import check_plan_time, choose_engine, with_samples
-from .fit_samples import fit_samples
+from .choose_engine import with_samples
+from .fit_samples import fit_to_machine
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -28,7 +28,7 @@ BODIES = ("robot", "object", "obstacle", "ground")
 
 
 class Recorder(Protocol):
-    """What an episode hands its steps to, such as :class:`warpmpc.record.recorder.Recorder`."""
+    """Receiver of an episode's steps, such as :class:`warpmpc.record.recorder.Recorder`."""
 
     def log(self, control: np.ndarray) -> None:
         """Take note of the step just made and the control ``[nu]`` that made it."""
@@ -38,20 +38,37 @@ class Recorder(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeResult:
-    """What became of one episode, as plain values; lengths in metres, angles in radians, times in seconds."""
+class Result:
+    """End of one episode, of any kind."""
 
     scene: str
     variant: str | None
     seed: int
-    engine: str
-    device: str
     success: bool | None
-    """Whether the goal was reached; None where the scene does not say when it is."""
+    """True if the goal was reached; None where the scene does not say when it is."""
     reason: str
     """Its end: ``goal reached``, ``failed: NAME``, ``timeout``, ``the plant's physics diverged``, ``interrupted``."""
     sim_time: float
     """Simulated time [s]."""
+    mean_cost: float | None = None
+    """Mean over all controls of what the cost terms come to in the plant, with their weights; None where the scene has
+    a ``success``."""
+
+    @property
+    def passed(self) -> bool:
+        """Return whether the episode ended as it should.
+
+        With success or, where the scene does not define it, in time.
+        """
+        return self.reason == "timeout" if self.success is None else self.success
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeResult(Result):
+    """Result of one episode, as plain values; lengths in metres, angles in radians, times in seconds."""
+
+    engine: str
+    device: str
     steps: int
     """Controls applied."""
     position_error: float | None
@@ -84,14 +101,6 @@ class EpisodeResult:
     """Phases that ended because what they wait for had come, the last one with the success; None without phases."""
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
-    mean_cost: float | None = None
-    """Mean over all controls of what the cost terms come to in the plant, with their weights; None where the scene has
-    a ``success``."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the episode ended as it should: see :func:`passed`."""
-        return passed(self.success, self.reason)
 
     @property
     def time_to_goal(self) -> float | None:
@@ -142,7 +151,7 @@ class EpisodeInterrupted(KeyboardInterrupt):
         self.result = result
 
 
-class Tally:
+class EpisodeStats:
     """Adds up the plans of one episode.
 
     Args:
@@ -240,16 +249,15 @@ class Episode:
         self.scene, self.drawn = draw_task(scene, seed)
         if compiled is None or draws_bodies(scene):
             compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
-        engine, device = choose_engine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
-        fitted = fit_samples(scene, engine=engine, device=device, terms=terms, compiled=compiled)
-        self.scene = with_samples(self.scene, fitted.planner.samples)
-        check_plan_time(self.scene, compiled, device, terms=terms, engine=engine)
+        fitted = fit_to_machine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        samples, engine, device = fitted
+        self.scene = with_samples(self.scene, samples)
         self.controller = Controller(
             self.scene, engine=engine, device=device, seed=seed, terms=terms, compiled=compiled
         )
         keys = {"seed": seed, "terms": terms, "watch": watched(self.scene), "compiled": compiled}
         self.plant = Plant(self.scene, task=self.controller.task, **keys)
-        self._tally = Tally(self.scene, seed, self.drawn, self.controller, self.plant)
+        self._stats = EpisodeStats(self.scene, seed, self.drawn, self.controller, self.plant)
 
     def run(
         self,
@@ -277,7 +285,7 @@ class Episode:
                 controller.reset()
             while not plant.done:
                 control = controller.step(observation)
-                self._tally.note(controller.info)
+                self._stats.note(controller.info)
                 plant.apply(control)
                 if recorder is not None:
                     recorder.log(control)
@@ -285,11 +293,11 @@ class Episode:
                     on_step(controller, plant, control)
                 observation = plant.observe()
         except KeyboardInterrupt:
-            raise EpisodeInterrupted(self._tally.result(reason="interrupted")) from None
+            raise EpisodeInterrupted(self._stats.result(reason="interrupted")) from None
         finally:
             if recorder is not None:
                 recorder.close()
-        return self._tally.result()
+        return self._stats.result()
 
 
 def run_episode(
@@ -326,23 +334,13 @@ def run_episode(
     return episode.run(recorder=made, on_step=on_step)
 
 
-def passed(success: bool | None, reason: str) -> bool:
-    """Whether an episode ended as it should: with success or, where the scene does not say what that is, in time.
-
-    Args:
-        success: Whether the goal was reached, None where the scene does not say.
-        reason: Why the episode ended.
-    """
-    return reason == "timeout" if success is None else success
-
-
 def watched(scene: Scene) -> list[str]:
     """Cost terms that an episode's plant watches: all where the run's cost is its result."""
     return scene.cost_labels if scene.success is None else []
 
 
 def draws_bodies(scene: Scene) -> bool:
-    """Whether the episodes of a scene differ in what is compiled, not just in their goals."""
+    """Return whether the episodes of a scene differ in what is compiled, not just in their goals."""
     return any(split_key(key)[0] in BODIES for key in scene.randomize_task.draw)
 
 

@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import logging
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from ..model.compiled import cache_folder, compile_scene
 from ..scene.schema import SampleCount
-from .choose_engine import plan_time, timing_key, with_samples
+from .choose_engine import check_plan_time, choose_engine, keep, plan_time, read_kept, timing_key, with_samples
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
@@ -55,24 +53,37 @@ def fit_samples(
         return scene
     where = "cpu" if device == "auto" else device
     file = cache_folder().parent / "samples" / f"{timing_key(scene, where, envs, terms)}-{engine}.json"
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        kept = json.loads(file.read_text())
-        if isinstance(kept, int) and FEWEST <= kept <= MOST:
-            return with_samples(scene, kept)
+    kept = read_kept(file)
+    if isinstance(kept, int) and FEWEST <= kept <= MOST:
+        return with_samples(scene, kept)
     compiled = compiled or compile_scene(scene)
 
     def time(count: int) -> float:
         return plan_time(with_samples(scene, count), compiled, device, envs=envs, terms=terms, engine=engine)
 
     count, seconds = most_samples(time, SHARE * scene.timing.control_dt)
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(count))
+    keep(file, count)
     period = 1e3 * scene.timing.control_dt
     logger.info(
         "a plan of %d samples takes %.1f ms of the control's %g ms: taking as many", count, 1e3 * seconds, period
     )
     return with_samples(scene, count)
+
+
+def fit_to_machine(
+    scene: Scene, *, engine: str, device: str, envs: int = 1, terms: Sequence[UserTerm], compiled: CompiledScene | None
+) -> tuple[int, str, str]:
+    """Number of samples, engine and device for a scene here; arguments as for :func:`fit_samples`.
+
+    Raises:
+        SceneError: If the engine cannot simulate the scene, or a plan would take minutes.
+        ValueError: If engine or device is unknown or not to be had here.
+    """
+    shared = {"envs": envs, "terms": terms}
+    engine, device = choose_engine(scene, engine=engine, device=device, compiled=compiled, **shared)
+    scene = fit_samples(scene, engine=engine, device=device, compiled=compiled, **shared)
+    check_plan_time(scene, compiled, device, engine=engine, **shared)
+    return scene.planner.samples, engine, device
 
 
 def most_samples(time: Callable[[int], float], budget: float) -> tuple[int, float]:

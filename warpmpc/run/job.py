@@ -8,11 +8,11 @@ from concurrent.futures import Future
 from typing import Any, Protocol
 
 TRIES = 3
-"""How often a call is made whose process dies each time."""
+"""Attempts at a call whose process dies each time."""
 GPUS = "gpus"
 RAY = "ray"
 FORMS = f"a number of processes, {GPUS}, {RAY} or {RAY}:HOST:PORT"
-"""What ``--jobs`` may say."""
+"""Values of ``--jobs``."""
 
 Prepare = Callable[[], None]
 """Called once in every process, before its first call; a function at the top of a module."""
@@ -26,7 +26,7 @@ class LostJob(RuntimeError):
 
 
 class Workers(Protocol):
-    """Whatever makes calls beside this process; leaving the context ends them, whatever they are at."""
+    """Workers that make calls beside this process; leaving the context ends them, whatever they are at."""
 
     count: int
     """Calls that are made at a time."""

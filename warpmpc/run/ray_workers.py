@@ -17,10 +17,10 @@ from ..origin import code_digest
 from .job import RAY, TRIES, LostJob, Prepare
 
 CONNECT = 5.0
-"""How long to wait for a cluster to answer [s]."""
+"""Time that a cluster may take to answer [s]."""
 
 _prepared = False
-"""Whether this process has made a call."""
+"""True if this process has made a call."""
 
 
 class RayWorkers:
@@ -97,7 +97,7 @@ class RayWorkers:
             raise ValueError(f"--jobs {RAY}: this program has joined the cluster at {joined}, not the one at {address}")
 
     def _hand_over(self, reply: Any, done: Future[Any], out: Future[Any]) -> None:
-        """What Ray says of a call, as a plain future."""
+        """Return Ray's result of a call as a plain future."""
         self._replies.discard(reply)
         if self._closed:
             out.cancel()
@@ -114,7 +114,7 @@ class RayWorkers:
 
 
 def _same_place(one: str, other: str) -> bool:
-    """Whether two ``HOST:PORT`` are the same, whichever of its names a host goes by."""
+    """Return whether two ``HOST:PORT`` are the same, whichever of its names a host goes by."""
     (host, _, port), (other_host, _, other_port) = (a.rpartition("/")[2].rpartition(":") for a in (one, other))
     try:
         hosts = {socket.gethostbyname(name) for name in (host, other_host)}

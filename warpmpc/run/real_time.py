@@ -5,35 +5,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
 from ..realtime.robot import simulated_robot
 from ..scene.draw import draw_task
-from .choose_engine import check_plan_time, choose_engine, with_samples
-from .episode import compile_shared, passed, plain, watched
-from .fit_samples import fit_samples
+from .choose_engine import with_samples
+from .episode import Result, compile_shared, plain, watched
+from .fit_samples import fit_to_machine
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant
-    from ..realtime.real_time_log import RealTimeLog
     from ..scene.schema import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealTimeResult:
-    """What became of one episode in real time."""
+class RealTimeResult(Result):
+    """Result of one episode in real time; ``mean_cost`` is over all ticks."""
 
-    scene: str
-    variant: str | None
-    seed: int
-    success: bool | None
-    """Whether the goal was reached; None where the scene does not say when it is."""
-    reason: str
-    """Its end: ``goal reached``, ``failed: NAME``, ``timeout``, ``the plant's physics diverged``, ``interrupted``."""
-    sim_time: float
-    """Simulated time [s]."""
     speed: float
     """Simulated seconds in a second of wall time that were asked for."""
     wall_time: float
@@ -42,16 +33,6 @@ class RealTimeResult:
     """Length of a planned control [s]."""
     report: RealTimeReport
     """Rates, jitter, latencies, faults."""
-    made: RealTimeLog | None = None
-    """What the plans were made from, where it was to be logged."""
-    mean_cost: float | None = None
-    """Mean over all ticks of what the cost terms come to in the plant, with their weights; None where the scene has a
-    ``success``."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the episode ended as it should: see :func:`~warpmpc.run.episode.passed`."""
-        return passed(self.success, self.reason)
 
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys."""
@@ -92,7 +73,7 @@ def run_real_time(
     speed: float = 1.0,
     check: Callable[[], None] = lambda: None,
     recorder: Callable[[Plant], TickLogger] | None = None,
-    log: bool = False,
+    log: Path | None = None,
 ) -> RealTimeResult:
     """Run one episode of a scene in real time, with the planner in a process of its own.
 
@@ -105,8 +86,8 @@ def run_real_time(
         speed: Simulated seconds in a second of wall time.
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
         recorder: Makes what takes note of every tick, from the simulated robot, such as
-            :class:`~warpmpc.TickRecorder`.
-        log: Whether to keep what every plan was made from.
+            :class:`~warpmpc.RunRecorder`; it is closed.
+        log: Run log beside which plans are noted.
 
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
@@ -116,10 +97,8 @@ def run_real_time(
         raise ValueError(f"the speed is a positive number, not {speed}")
     made = tuple(terms()) if terms else ()
     shared = compile_shared(scene)
-    engine, device = choose_engine(scene, engine=engine, device=device, terms=made, compiled=shared)
-    fitted = fit_samples(scene, engine=engine, device=device, terms=made, compiled=shared)
-    drawn = with_samples(draw_task(scene, seed)[0], fitted.planner.samples)
-    check_plan_time(drawn, shared, device, terms=made, engine=engine)
+    samples, engine, device = fit_to_machine(scene, engine=engine, device=device, terms=made, compiled=shared)
+    drawn = with_samples(draw_task(scene, seed)[0], samples)
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
     with PlannerProcess(drawn, speed=speed, log=log, **options) as planner:
         keys = {"seed": seed, "terms": made, "watch": watched(scene), "compiled": planner.compiled}
@@ -138,6 +117,9 @@ def run_real_time(
             loop.run(over)
         except KeyboardInterrupt:
             reason = "interrupted"
+        finally:
+            if made_recorder is not None:
+                made_recorder.close()
         report = loop.report()
     success, why, moment = ends or (robot.success, robot.reason, robot.time)
     return RealTimeResult(
@@ -151,6 +133,5 @@ def run_real_time(
         wall_time=loop.wall,
         period=scene.timing.control_dt,
         report=report,
-        made=planner.log,
         mean_cost=None if scene.success else robot.mean_cost,
     )

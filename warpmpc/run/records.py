@@ -41,14 +41,14 @@ class Records:
             if file.tell() > 0:
                 file.seek(-1, os.SEEK_END)
                 if file.read() != b"\n":
-                    self._mend(file)
+                    self._repair(file)
             file.write(json.dumps(record, ensure_ascii=False).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
         self.by_key[key] = record
 
     @staticmethod
-    def _mend(file: BinaryIO) -> None:
+    def _repair(file: BinaryIO) -> None:
         """Drop a last line that was cut off."""
         file.seek(0)
         file.truncate(file.read().rfind(b"\n") + 1)

@@ -27,7 +27,7 @@ from .ray_workers import RayWorkers
 logger = logging.getLogger("warpmpc")
 
 _unprepared: Exception | None = None
-"""What went wrong when this process was prepared."""
+"""Error with which this process was prepared."""
 
 
 def check_jobs(where: str) -> None:

@@ -28,7 +28,7 @@ _UNITS = re.compile(rf"\[({_UNIT}(?![a-z])[^\[\]]*)\]")
 
 
 def takes(field: FieldInfo) -> str:
-    """What a key takes, in words: ``number > 0``, ``[text, text]``, ``table``."""
+    """Type of a key in words: ``number > 0``, ``[text, text]``, ``table``."""
     return _words(field.annotation, field.metadata)
 
 
@@ -69,7 +69,7 @@ def _bounds(metadata: Iterable[object]) -> str:
 
 
 def default(field: FieldInfo) -> str:
-    """What holds when a key is left out, as a scene file would write it; ``required`` and ``-`` for nothing."""
+    """Default of a key, as a scene file would write it; ``required`` and ``-`` for nothing."""
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)

@@ -120,7 +120,7 @@ def file_keys(section: type[BaseModel], *, root: bool = False) -> list[str]:
 
 
 def entry_label(entry: object, index: int) -> str:
-    """What one entry of an array of tables is called: its name, its cost term, or else its place in the array."""
+    """Label of one entry of an array of tables: its name, its cost term, or else its place in the array."""
     if isinstance(entry, dict):
         for key in ("name", "term"):
             if isinstance(entry.get(key), str):
@@ -129,7 +129,7 @@ def entry_label(entry: object, index: int) -> str:
 
 
 def _is_echo(detail: dict) -> bool:
-    """Whether a list is called too short merely because its entries are wrong, which is reported besides."""
+    """Return whether a list is called too short merely because its entries are wrong, which is reported besides."""
     value = detail["input"]
     long_enough = not isinstance(value, list | tuple) or len(value) >= detail.get("ctx", {}).get("min_length", 0)
     return detail["type"] == "too_short" and long_enough
@@ -221,7 +221,7 @@ def _tuple(annotation: object) -> tuple:
 
 
 def _list(annotation: object, value: object) -> str:
-    """What kind of list a type asks for."""
+    """Kind of list that a type asks for."""
     types = _tuple(annotation)
     if str in types:
         return "a list of names in quotes"

@@ -26,7 +26,7 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 
 
 class _FileSchema(GenerateJsonSchema):
-    """What a file may say, where that is more than pydantic's types tell."""
+    """Schema of a file where it is more than pydantic's types tell."""
 
     def function_before_schema(self, schema: core_schema.BeforeValidatorFunctionSchema) -> JsonSchemaValue:
         """One entry may stand where a list is meant."""
@@ -49,7 +49,7 @@ class _FileSchema(GenerateJsonSchema):
         return out
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        """What holds when a key is left out, where that is a value; the defaults of sections stand at their keys."""
+        """Default of a key, where that is a value; the defaults of sections stand at their keys."""
         out = super().default_schema(schema)
         if isinstance(out.get("default"), dict | NoneType) or out.get("default") == []:
             out.pop("default", None)

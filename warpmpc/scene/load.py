@@ -170,7 +170,7 @@ def _apply(data: dict, patch: dict, *, file: Path | str | None) -> dict:
 
 
 def _touches(key: str | None, origin: Key) -> bool:
-    """Whether a change of one key can be behind a mistake at another: one lies at or below the other."""
+    """Return whether a change of one key can be behind a mistake at another: one lies at or below the other."""
     try:
         parts = split_key(key or "")
     except SceneError:

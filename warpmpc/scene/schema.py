@@ -238,7 +238,7 @@ class Scene(Section):
 
     @property
     def cost_labels(self) -> list[str]:
-        """What the cost terms are called, with a number behind those that occur again."""
+        """Names of the cost terms, with a number behind those that occur again."""
         seen: dict[str, int] = {}
         labels = []
         for cost in self.cost:

@@ -9,7 +9,7 @@ from .types import Flag, Positive, Positives, Section
 
 
 class SafeCommand(StrEnum):
-    """What drives by effort are sent where nothing can be trusted; other drives stop, or hold where they are."""
+    """Safe command of drives by effort, where nothing can be trusted; other drives stop, or hold where they are."""
 
     REST = "rest"
     GRAVITY = "gravity"

@@ -27,7 +27,7 @@ from .types import (
 
 
 class DriveMode(StrEnum):
-    """What a control means to the joints it drives."""
+    """Meaning of a control to the joints it drives."""
 
     VELOCITY = "velocity"
     """Joint velocity targets [m/s or rad/s]."""
@@ -64,7 +64,7 @@ class Frame(Section):
 
 
 class Drive(Section):
-    """What turns controls into motion of a group of joints."""
+    """Drive that turns controls into motion of a group of joints."""
 
     mode: DriveMode = DriveMode.VELOCITY
     """What a control means to the joints."""

@@ -72,7 +72,7 @@ class Cloud(Section):
 
     @property
     def seen_from(self) -> tuple[Finite, Finite, Finite] | None:
-        """Where the points are seen from [m]."""
+        """Place that the points are seen from [m]."""
         return self.eye or (self.camera.position if self.camera else None)
 
     @model_validator(mode="after")

@@ -36,7 +36,7 @@ class Target(Pose):
 
 
 class Goal(Pose):
-    """Where an object or a frame shall be."""
+    """Pose that an object or a frame shall have."""
 
     object: str | None = None
     """Object that shall reach the goal."""

@@ -12,7 +12,7 @@ from .types import Finite, NonNegative, Positive, Section, Vec3
 
 
 class Seen(Section):
-    """How something that moves is observed."""
+    """Observation of something that moves."""
 
     rate: Positive | None = None
     """Observations a second [1/s]; one for every control when left out."""

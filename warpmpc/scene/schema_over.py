@@ -45,7 +45,7 @@ class Condition(Section):
 
 
 class Success(Section):
-    """When the run has reached what it wants."""
+    """Conditions on which the run has reached its goal."""
 
     position: Positives | None = None
     """Largest error along each axis of the world [m]: one number, or one for every axis of the goal."""
@@ -62,7 +62,7 @@ class Success(Section):
 
     @property
     def of_goal(self) -> bool:
-        """Whether it compares anything with the goal."""
+        """Return whether it compares anything with the goal."""
         return any(limit is not None for limit in (self.position, self.distance, self.yaw, self.rotation))
 
     @model_validator(mode="after")

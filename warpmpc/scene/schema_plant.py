@@ -30,7 +30,7 @@ class PlantNoise(Section):
 
 
 class PlantFactors(Section):
-    """How far a thing in the plant is from what the planner takes it to be."""
+    """Factors by which a thing in the plant differs from what the planner takes it to be."""
 
     mass: Positive = 1.0
     """Factor on every mass."""
@@ -41,7 +41,7 @@ class PlantFactors(Section):
 
 
 class PlantSettings(Section):
-    """How the simulated plant differs from the planner's worlds."""
+    """Differences of the simulated plant from the planner's worlds."""
 
     substeps: Count | None = None
     """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks

@@ -12,7 +12,7 @@ from .types import Count, Flag, Fraction, NonNegatives, Positive, Section, Share
 
 
 class CovarianceForm(StrEnum):
-    """What of the covariance of the samples follows those that carry weight [S5]."""
+    """Parts of the samples' covariance that follow those that carry weight [S5]."""
 
     FIXED = "fixed"
     """Nothing."""
@@ -27,7 +27,7 @@ class CovarianceForm(StrEnum):
 
 
 class Covariance(Section):
-    """How the covariance of the samples is adapted."""
+    """Adaptation of the samples' covariance."""
 
     form: CovarianceForm | None = None
     """What follows the samples that carry weight; ``knots`` for ``cem`` and ``icem``, ``fixed`` else, when left out."""
@@ -61,14 +61,14 @@ class Postures(Section):
 
 
 class Execute(StrEnum):
-    """What is carried out of what was planned."""
+    """Part of a plan that is carried out."""
 
     MEAN = "mean"
     BEST = "best"
 
 
 class TryMean(StrEnum):
-    """When the mean is one of the samples."""
+    """Cases in which the mean is one of the samples."""
 
     ALWAYS = "always"
     """In every iteration."""

@@ -67,7 +67,7 @@ def check_sizes(scene: Scene) -> None:
 
 
 def plan_sizes(scene: Scene) -> dict[str, int]:
-    """What a plan's work is the product of, by keys of the planner; the usual where a number is left to the machine."""
+    """Factors of a plan's work, by keys of the planner; the usual where a number is left to the machine."""
     sizes = {name: getattr(scene.planner, name) for name in _USUAL}
     return sizes | {name: _USUAL[name] for name, value in sizes.items() if value is SampleCount.AUTO}
 

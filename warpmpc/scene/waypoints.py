@@ -32,7 +32,7 @@ def one_by_one(phases: Sequence[Phase]) -> tuple[Phase, ...]:
 
 
 def is_of(phase: str, name: str) -> bool:
-    """Whether a phase is called this, or is one of several goals of a phase that is: ``NAME_1``, ``NAME_2``, ..."""
+    """Return whether a phase has this name, or is one of the several goals of a phase that has it: ``NAME_1``, ..."""
     return re.fullmatch(rf"{re.escape(name)}(_\d+)?", phase) is not None
 
 

@@ -18,7 +18,7 @@ Propose = Callable[["State", Mapping[str, "np.ndarray | float"], "np.ndarray"], 
 
 @dataclass(frozen=True)
 class AncillaryController:
-    """What proposes samples beside those that are drawn; build one with :func:`ancillary`."""
+    """Proposer of samples beside those that are drawn; build one with :func:`ancillary`."""
 
     name: str
     function: Propose

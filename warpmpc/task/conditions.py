@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Look:
-    """What conditions look at."""
+class StateSnapshot:
+    """State of a plant as conditions see it."""
 
     body_q: np.ndarray  # [nb, 7] poses of all bodies
     joint_q: np.ndarray  # [nq]
@@ -33,7 +33,7 @@ class Look:
     """True poses ``[7]`` of what moves by itself, where the task has what was seen of it."""
 
     def pose(self, name: str, task: Task, e: int) -> np.ndarray:
-        """Where one of the task's poses truly is ``[7]``."""
+        """True pose of one of the task's poses ``[7]``."""
         return self.poses[name] if name in self.poses else task.pose(name, e)
 
 
@@ -81,19 +81,19 @@ class Conditions:
             )
         return -1, -1
 
-    def hold(self, look: Look) -> bool:
-        """Whether all of them hold."""
-        return all(self._holds(look, *row) for row in self._rows)
+    def hold(self, snapshot: StateSnapshot) -> bool:
+        """Return whether all of them hold."""
+        return all(self._holds(snapshot, *row) for row in self._rows)
 
-    def _holds(self, look: Look, condition: Condition, index: int, other: int) -> bool:
+    def _holds(self, snapshot: StateSnapshot, condition: Condition, index: int, other: int) -> bool:
         if condition.term is not None:
-            value = look.terms.get(condition.term, np.nan)
+            value = snapshot.terms.get(condition.term, np.nan)
         elif condition.joint is not None:
-            value = float(look.joint_q[index])
+            value = float(snapshot.joint_q[index])
         else:
-            pose = self.frame_pose(look, index)
+            pose = self.frame_pose(snapshot, index)
             value = float(pose[2])
-            if other >= 0 and not self._near(condition, pose, self.frame_pose(look, other)):
+            if other >= 0 and not self._near(condition, pose, self.frame_pose(snapshot, other)):
                 return False
         bounds = (
             (condition.above, value >= (condition.above or 0.0)),
@@ -110,12 +110,14 @@ class Conditions:
         )
         return all(error <= most for most, error in errors if most is not None)
 
-    def frame_pose(self, look: Look, frame: int) -> np.ndarray:
+    def frame_pose(self, snapshot: StateSnapshot, frame: int) -> np.ndarray:
         """World pose ``[7]`` of a frame."""
         body, local = int(self._layout.frame_body[frame]), self._layout.frame_pose[frame]
         if body == WORLD:
             return local
-        origin = look.body_q[body] if body >= 0 else look.pose(self._task.pose_name[-2 - body], self._task, self._e)
+        origin = (
+            snapshot.body_q[body] if body >= 0 else snapshot.pose(self._task.pose_name[-2 - body], self._task, self._e)
+        )
         return _chained(origin, local)
 
 

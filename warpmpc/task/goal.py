@@ -53,7 +53,7 @@ def heading(q: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class GoalError:
-    """How far a frame is from the goal."""
+    """Distance of a frame from the goal."""
 
     axes: np.ndarray
     """Error along each compared axis, ``[2]`` or ``[3]`` [m]."""
@@ -68,7 +68,7 @@ class GoalError:
         return float(np.linalg.norm(self.axes))
 
     def within(self, success: Success) -> bool:
-        """Whether every error that counts is within its tolerance."""
+        """Return whether every error that counts is within its tolerance."""
         return (
             (success.position is None or bool(np.all(np.abs(self.axes) <= success.position)))
             and (success.distance is None or self.position <= success.distance)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan starts from, on the device: the observed state and the task."""
+"""Start of a plan on the device: the observed state and the task."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run wants and may change between plans: poses, scalars, term weights, point clouds, the active phase."""
+"""Task: what a run wants and may change between plans: poses, scalars, term weights, point clouds, the active phase."""
 
 from __future__ import annotations
 

@@ -89,5 +89,5 @@ class Score:
 
 
 def _share(error: float, whole: float) -> float:
-    """What part of a whole is left; an error without a value is the worst."""
+    """Share of a whole that is left; an error without a value is the worst."""
     return min(error / whole, FARTHEST) if math.isfinite(error) else FARTHEST

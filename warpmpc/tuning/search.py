@@ -35,7 +35,7 @@ class LatestMedianPruner(optuna.pruners.MedianPruner):
     """
 
     def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
-        """Whether a trial is worse than the median of the others after as many episodes."""
+        """Return whether a trial is worse than the median of the others after as many episodes."""
         if trial.last_step is None:
             return False
         latest = copy.copy(trial)
@@ -45,7 +45,7 @@ class LatestMedianPruner(optuna.pruners.MedianPruner):
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What is tuned, and on what."""
+    """Keys that are tuned, and scenes that they are tuned on."""
 
     scenes: dict[str, Scene]
     """Source, as for ``load_scene`` → scene with its overrides."""
@@ -63,7 +63,7 @@ class Task:
         return [(source, seed) for seed in self.seeds for source in self.scenes]
 
     def describe(self) -> dict[str, object]:
-        """What must be the same when a study is taken up again."""
+        """Describe what must be the same when a study is taken up again."""
         return {
             "scenes": {source: scene_digest(scene) for source, scene in self.scenes.items()},
             "seeds": self.seeds,

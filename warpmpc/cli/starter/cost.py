@@ -15,5 +15,5 @@ class AboveParams:
 
 @warpmpc.cost_term("above")
 def above(s: warpmpc.StepView, p: AboveParams) -> float:
-    """How far a frame is below a height [m]."""
+    """Distance of a frame below a height [m]."""
     return wp.max(0.0, p.least - warpmpc.frame_position(s, p.frame)[2])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What baked source knows about one state of a rollout: joints, frames, velocities, poses of the task.
+"""Variables of baked source on one state of a rollout: joints, frames, velocities, poses of the task.
 
 Names in the source: ``q3`` is a joint coordinate, ``v3``, ``a3`` and ``b3`` velocity and acceleration of a degree of
 freedom and its acceleration one step before, ``c3`` and ``d3`` a control and the one before, ``dt`` the length of the
@@ -33,7 +33,7 @@ class NotBaked(Exception):
 
 @dataclass(frozen=True)
 class FrameCode:
-    """Where a frame is."""
+    """Pose of a frame."""
 
     columns: Matrix
     """Of its rotation."""
@@ -122,13 +122,13 @@ class StateCode:
         return self._cached(key, lambda: self.tree.velocity(place, point, self.speed))
 
     def before(self, value: Operand) -> Operand:
-        """What a shared value was one step before; before the first step, in the observed state."""
+        """Shared value one step before; before the first step, in the observed state."""
         if value not in self.lines.names:  # known, or the same at all steps
             return value
         return self.kept.setdefault(value, f"was_{value}")
 
     def at_start(self, value: Operand) -> Operand:
-        """What a shared value was in the observed state."""
+        """Shared value in the observed state."""
         if value not in self.lines.names:  # known, or the same at all steps
             return value
         return self.held.setdefault(value, f"first_{value}")
@@ -203,7 +203,7 @@ class StateCode:
 
 @dataclass(frozen=True)
 class TermCode:
-    """Where the source of one term is written."""
+    """Place at which the source of one term is written."""
 
     state: StateCode
     """What it may ask about the state."""

@@ -37,7 +37,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a body is: a frame that moves, and the body's fixed pose in it."""
+    """Place of a body: a frame that moves, and the body's fixed pose in it."""
 
     columns: Matrix
     """Of the moving frame's rotation."""
@@ -99,7 +99,7 @@ class Tree:
         self._angles: dict[int, tuple[str, str, str, str]] = {}
 
     def place(self, body: int) -> Place:
-        """Where a body is; -1 is the world."""
+        """Place of a body; -1 is the world."""
         if body not in self._places:
             joint = self._joint[body]
             self._places[body] = self._across(joint, self.place(int(self.layout.joint_parent[joint])))

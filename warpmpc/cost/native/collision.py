@@ -38,7 +38,7 @@ class GroupCode:
 
     @property
     def count(self) -> int:
-        """How many spheres there are."""
+        """Number of spheres."""
         return sum(map(len, self.classes.values()))
 
 
@@ -173,7 +173,7 @@ _DISTANCE = {
 
 @dataclass(frozen=True)
 class _Kind:
-    """How far shapes of one kind are."""
+    """Distances to shapes of one kind."""
 
     square: str
     """From ``x``, ``y``, ``z`` to ``d`` and ``inside``, as in :data:`_SQUARE`."""

@@ -68,7 +68,7 @@ def push_path(code: TermCode, p: Any) -> Operand:
 
 
 def _faces(p: Any, params: str) -> str:
-    """Where the object's sides are: ``bearing`` is turned to the place from where a push goes straight."""
+    """Sides of the object: ``bearing`` is turned to the place from where a push goes straight."""
     broad_c, broad_s = literal(math.cos(p.broad)), literal(math.sin(p.broad))
     swivel = _SWIVEL.format(params=params, broad=literal(p.broad), **_SWIVEL_NUMBERS) if p.steer > 0.0 else ""
     return f"""{direction("error_s", "error_c", "error")}

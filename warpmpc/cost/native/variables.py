@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What baked terms share: variables that later statements change, headings."""
+"""Parts that baked terms share: variables that later statements change, headings."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from ...bake.lines import literal
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the voxels of a volume are."""
+    """Placement of the voxels of a volume."""
 
     origin: tuple[float, float, float]
     """Lowest corner [m]."""
@@ -24,7 +24,7 @@ class Grid:
 
 
 def place(point: list[str], grid: Grid, shift: float, top: float) -> str:
-    """Where a point is among the voxels: ``x``, ``y``, ``z``, and their whole parts ``ix``, ``iy``, ``iz``."""
+    """Place of a point among the voxels: ``x``, ``y``, ``z``, and their whole parts ``ix``, ``iy``, ``iz``."""
     out = []
     for axis, at, origin, size in zip("xyz", point, grid.origin, grid.size, strict=True):
         cells = f"({at} - {literal(origin)}) * {literal(grid.inverse)}" + (f" - {literal(shift)}" if shift else "")

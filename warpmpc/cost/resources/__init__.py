@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cost terms need beyond their parameters: distance fields, push values."""
+"""Resources of cost terms beyond their parameters: distance fields, push values."""

@@ -131,7 +131,7 @@ class Grid:
         return sight.numpy()
 
     def ways(self, inflation: float, *, spacing: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-        """What shortest paths that are not straight are made of: waypoints on the borders of the grown obstacles.
+        """Pieces of shortest paths that are not straight: waypoints on the borders of the grown obstacles.
 
         Args:
             inflation: Obstacles grow by this [m].

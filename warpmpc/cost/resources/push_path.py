@@ -23,7 +23,7 @@ OBSTRUCTED = 4.0
 
 @dataclass(frozen=True)
 class PushRequest:
-    """Who pushes what: sizes for the search.
+    """Pusher and object: sizes for the search.
 
     Args:
         inflation: Obstacles grow by this for the object [m].
@@ -112,7 +112,7 @@ def _shifted(size: int, step: int) -> tuple[slice, slice]:
 
 
 def _room(grid: Grid, request: PushRequest) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the pusher has room in each direction from each cell, and how far its centre is from the object's."""
+    """Return whether the pusher has room in each direction from each cell, and the distance of its centre."""
     along = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
     half = np.array(request.half_size)
     edge = np.full(len(ANGLES), half[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cost terms need beyond their parameters: asked for while a term is bound, refreshed before every plan."""
+"""Resources of cost terms beyond their parameters: asked for while a term is bound, refreshed before every plan."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a term reads of a step, from registers; a method ``view_NAME`` stands for that function of ``terms.view``."""
+"""Values that a term reads of a step, from registers; ``view_NAME`` stands for that function of ``terms.view``."""
 
 from __future__ import annotations
 

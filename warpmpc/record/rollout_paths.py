@@ -69,7 +69,7 @@ def acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
     return layout.frame_body[frames], layout.frame_pose[frames, :3]
 
 
-def ways_of(pose: np.ndarray, place: np.ndarray) -> np.ndarray:
+def paths_of(pose: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Ways ``[n, F, T+1, 3]`` of places ``[F, 3]`` in bodies with poses ``[T+1, n, F, 7]``."""
     return (pose[..., :3] + rotate(pose[..., 3:], place)).transpose(1, 2, 0, 3).astype(np.float32)
 

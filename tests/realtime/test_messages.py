@@ -7,7 +7,7 @@ from small_scenes import layout_of, make_scene
 
 from warpmpc import Plan
 from warpmpc.planner.splines import SplineKind
-from warpmpc.realtime.letters import PlanCodec, TimedPlan
+from warpmpc.realtime.messages import PlanCodec, TimedPlan
 
 
 @pytest.mark.parametrize("kind", SplineKind)

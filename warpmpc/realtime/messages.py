@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What robot and planner tell each other: observations one way, plans the other, as arrays that cross processes."""
+"""Messages between robot and planner: observations one way, plans the other, as arrays that cross processes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class TimedObservation:
     """An observation on its way to the planner."""
 
     state: State
     """The state, of one environment, with its time."""
     command: np.ndarray
-    """What the robot was sent last ``[nu]``."""
+    """Control that the robot was sent last ``[nu]``."""
     following: bool
-    """Whether that came from a plan, and not from the watchdog."""
+    """True if that came from a plan, not from the watchdog."""
     task: np.ndarray | None = None
     """The task's values, a row of ``Task.block``; None where robot and planner share the task itself."""
     stamp: float = field(default_factory=time.monotonic)
-    """When it was sent, on this host's monotonic clock [s]."""
+    """Time of sending, on this host's monotonic clock [s]."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class TimedPlan:
     plan_ms: float
     """Wall time of the planning itself [ms]."""
     survived: bool
-    """Whether any rollout survived; else the plan is not to be followed."""
+    """True if a rollout survived; else the plan is not to be followed."""
 
 
-class SightingCodec:
-    """Turns sightings into arrays and back.
+class ObservationCodec:
+    """Turns observations into arrays and back.
 
     Args:
         layout: State layout.
@@ -67,21 +67,21 @@ class SightingCodec:
         self._splits = np.cumsum(widths)[:-1]
         self._layout = layout
 
-    def encode(self, sighting: Sighting) -> np.ndarray:
-        """Numbers of a sighting; what its state leaves out is the scene's start."""
-        state, layout = sighting.state, self._layout
+    def encode(self, observation: TimedObservation) -> np.ndarray:
+        """Numbers of a observation; what its state leaves out is the scene's start."""
+        state, layout = observation.state, self._layout
         act = layout.act if state.act is None else state.act
         mocap = layout.mocap if state.mocap is None else state.mocap
-        head = [state.time, sighting.stamp, sighting.following]
-        tail = (np.ravel(mocap), sighting.command, sighting.task)
+        head = [state.time, observation.stamp, observation.following]
+        tail = (np.ravel(mocap), observation.command, observation.task)
         return np.concatenate([head, state.joint_q, state.joint_qd, act, *tail]).astype(float)
 
-    def decode(self, letter: np.ndarray) -> Sighting:
-        """The sighting that numbers tell."""
-        head, q, qd, act, mocap, command, task = np.split(letter.astype(np.float32), self._splits)
-        moment, stamp = letter[:2].tolist()
+    def decode(self, message: np.ndarray) -> TimedObservation:
+        """The observation that numbers tell."""
+        head, q, qd, act, mocap, command, task = np.split(message.astype(np.float32), self._splits)
+        moment, stamp = message[:2].tolist()
         state = State(q, qd, time=moment, act=act, mocap=mocap.reshape(-1, 7))
-        return Sighting(state, command, bool(head[2]), task, stamp)
+        return TimedObservation(state, command, bool(head[2]), task, stamp)
 
 
 class PlanCodec:
@@ -107,14 +107,14 @@ class PlanCodec:
         gains = [a.ravel() for a in (answer.times, answer.state, answer.gain)] if answer else []
         return np.concatenate([head, plan.times, plan.knots.ravel(), *gains])
 
-    def decode(self, letter: np.ndarray) -> TimedPlan:
+    def decode(self, message: np.ndarray) -> TimedPlan:
         """The plan that numbers tell."""
-        count, layout = int(letter[5]), self._layout
-        times, knots, rest = np.split(letter[6:], np.cumsum([count, count * layout.nu]))
+        count, layout = int(message[5]), self._layout
+        times, knots, rest = np.split(message[6:], np.cumsum([count, count * layout.nu]))
         limits = layout.control_lower.copy(), layout.control_upper.copy()
         knots = knots.reshape(count, layout.nu).astype(np.float32)
         plan = Plan(knots, times.copy(), self._spline, *limits, self._feedback(rest, count))
-        number, observed, latency, plan_ms, survived = letter[:5].tolist()
+        number, observed, latency, plan_ms, survived = message[:5].tolist()
         return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived))
 
     def _feedback(self, numbers: np.ndarray, count: int) -> Feedback | None:

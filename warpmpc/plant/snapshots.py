@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What conditions look at, from states that somebody observed without simulating them."""
+"""Quantities that conditions look at, from states that were observed without simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
-from ..task.conditions import Look
+from ..task.conditions import StateSnapshot
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..task.task import Task
 
 
-class Seen:
+class ObservedSnapshots:
     """Bodies follow from joints, cost terms from two states and the control between them.
 
     Args:
@@ -70,8 +70,8 @@ class Seen:
         """The next state is the first one."""
         self._before: float | None = None
 
-    def __call__(self, state: State, control: np.ndarray | None, time: float) -> Look | None:
-        """What there is to see in a state, None where it is not finite.
+    def __call__(self, state: State, control: np.ndarray | None, time: float) -> StateSnapshot | None:
+        """Compute them for a state, None where it is not finite.
 
         Args:
             state: The state, of all environments or of this one.
@@ -98,7 +98,7 @@ class Seen:
             with capturing:
                 values = self._values([self._before] * len(poses))[self._e]
         self._before = time
-        return Look(out.body_q.numpy()[1, self._e].copy(), rows[0][1], values)
+        return StateSnapshot(out.body_q.numpy()[1, self._e].copy(), rows[0][1], values)
 
     def _row(self, values: np.ndarray, axes: int) -> np.ndarray:
         """This environment's part of what was observed."""

@@ -18,7 +18,7 @@ STEPS = 0.4
 """Stiffest spring: this over the length of a control is its angular frequency, as the force is held that long."""
 
 
-class Hand:
+class Perturbation:
     """Holds at most one body, by damped springs that are as stiff as what they move is heavy.
 
     The springs are MuJoCo's (``mjv_applyPerturbForce``): one from the point taken hold of to where the hand is, one
@@ -51,7 +51,7 @@ class Hand:
         """
         if body not in self._body:
             raise SceneError("no such body", key="body", found=body, allowed=list(self._body))
-        self._look()
+        self._take_state()
         model, data, grip, index = self._model, self._data, self._grip, self._body[body]
         turned = data.xmat[index].reshape(3, 3)
         grip.select, grip.active = index, 0
@@ -86,7 +86,7 @@ class Hand:
         """Ends of the spring that pulls, at the body and at the hand, ``[2, 3]`` [m]; None if nothing is pulled at."""
         if self.body is None or not self._grip.active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE):
             return None
-        self._look()
+        self._take_state()
         data, grip = self._data, self._grip
         at = data.xpos[grip.select] + data.xmat[grip.select].reshape(3, 3) @ grip.localpos
         return np.stack([at, grip.refselpos])
@@ -95,18 +95,18 @@ class Hand:
         """Give the engine the force and moment to hold during the next control."""
         if self.body is None:
             return
-        self._look()
+        self._take_state()
         self._data.xfrc_applied[:] = 0.0
         mujoco.mjv_applyPerturbForce(self._model, self._data, self._grip)
         self._engine.wrenches(self._world)[:] = self._data.xfrc_applied
 
-    def _look(self) -> None:
+    def _take_state(self) -> None:
         """Bring poses and velocities to where the world is."""
         self._engine.show(self._world, self._data)
         mujoco.mj_forward(self._model, self._data)
 
     def _mass(self, point: np.ndarray, body: int) -> float:
-        """How heavy what hangs at a point is to a pull there, the mean of all directions [kg]."""
+        """Apparent mass at a point to a pull there, the mean of all directions [kg]."""
         jacobian, moved = np.zeros((3, self._model.nv)), np.zeros((3, self._model.nv))
         mujoco.mj_jac(self._model, self._data, jacobian, None, np.asarray(point, dtype=float), body)
         mujoco.mj_solveM(self._model, self._data, moved, jacobian)

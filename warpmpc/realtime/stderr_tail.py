@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a process writes on its standard error, kept for the case that it dies."""
+"""Tail of a process's standard error, kept for the case that it dies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PATIENCE = 1.0
 """Wall time for which the end is waited for [s]: what the process started may live on and write, too."""
 
 
-class LastWords:
+class StderrTail:
     """The newest lines that another process wrote.
 
     Args:
@@ -35,7 +35,7 @@ class LastWords:
         self._thread.start()
 
     def lines(self) -> list[str]:
-        """What was written last, once the process is dead."""
+        """Return the last lines, once the process is dead."""
         self._thread.join(PATIENCE)
         return list(self._lines)
 
