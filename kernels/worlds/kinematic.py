@@ -15,7 +15,7 @@ ACCELERATION = wp.constant(2)
 
 @wp.struct
 class Drives:
-    """What controls do to joints."""
+    """Effects of controls on joints."""
 
     matrix: wp.array2d[float]  # [nd, nu] target = matrix · control
     mode: wp.array[int]  # [nd] VELOCITY, POSITION or ACCELERATION
@@ -25,7 +25,7 @@ class Drives:
 
 @wp.struct
 class KinematicWork:
-    """What rollouts start from, follow, and leave behind, for kernels that evaluate terms on the way."""
+    """Inputs and outputs of rollouts, for kernels that evaluate terms on the way."""
 
     knots: wp.array4d[float]  # [E, S, P, nu]
     tap: wp.array3d[int]  # [E, T, TAPS] knots that a step's control depends on

@@ -344,7 +344,7 @@ class Controller:
         return np.clip(safe, self._lower, self._upper).astype(np.float32)
 
     def _why_none(self, report: PlanReport, fallback: np.ndarray) -> str:
-        """Why no rollout of some environment can be used."""
+        """Return why no rollout of some environment can be used."""
         e = int(np.flatnonzero(fallback)[0])
         terms = [label for label, cost in zip(self.costs.labels, report.terms[e], strict=True) if not np.isfinite(cost)]
         if ENGINES[self.engine.name].physics and report.diverged[e] >= self.shape.rollouts:

@@ -82,7 +82,7 @@ def evaluate_kernel(
 
 @dataclass(frozen=True)
 class EvaluationCode:
-    """What was written for a list of terms."""
+    """Source that was written for a list of terms."""
 
     params: Any
     """``wp.struct`` of all their parameters, fields ``p0``, ``p1``, ..."""

@@ -136,7 +136,7 @@ class _Memory:
 
     @property
     def time(self) -> np.ndarray:
-        """When ``[N]`` [s], ascending."""
+        """Times ``[N]`` [s], ascending."""
         return self._kept[:, 0]
 
     @property

@@ -47,12 +47,12 @@ class Method(Name):
 
     @classmethod
     def registry(cls) -> Registry:
-        """Where users' strategies are."""
+        """Registry of users' strategies."""
         return STRATEGIES
 
 
 class NoiseSource(StrEnum):
-    """Where standard normals come from."""
+    """Sources of standard normals."""
 
     HALTON = "halton"
     SOBOL = "sobol"
@@ -60,7 +60,7 @@ class NoiseSource(StrEnum):
 
 
 class NoiseShape(StrEnum):
-    """How standard normals are correlated along the horizon."""
+    """Correlations of standard normals along the horizon."""
 
     IDENTITY = "identity"
     BSPLINE = "bspline"
@@ -69,7 +69,7 @@ class NoiseShape(StrEnum):
 
 
 class Renewal(StrEnum):
-    """How a low-discrepancy table is drawn anew."""
+    """Ways in which a low-discrepancy table is drawn anew."""
 
     ROTATE = "rotate"
     START = "start"
@@ -153,7 +153,7 @@ class Temperature(Section):
 
 
 class SplineKind(StrEnum):
-    """How knots become controls."""
+    """Splines by which knots become controls."""
 
     ZERO = "zero"
     LINEAR = "linear"
@@ -162,7 +162,7 @@ class SplineKind(StrEnum):
 
 
 class Risk(StrEnum):
-    """How the costs of one sample in several domains become one cost."""
+    """Risk measures by which the costs of one sample in several domains become one cost."""
 
     MEAN = "mean"
     WORST = "worst"
@@ -225,14 +225,14 @@ Steps = Annotated[
 
 
 class Refinement(StrEnum):
-    """How a plan is improved by derivatives."""
+    """Methods by which derivatives improve a plan."""
 
     GRADIENT = "gradient"
     ILQG = "ilqg"
 
 
 class Refine(Section):
-    """What derivatives make of the samples' plan.
+    """Improvement of the samples' plan by derivatives.
 
     They are finite differences of the engine's physics and of the residuals of the costs, along the plan's own rollout.
     """
@@ -291,7 +291,7 @@ class Planner(Section):
     randomize: Flag = True
     """Whether the rollouts' worlds have the randomized properties of ``[randomize]``; when false all are nominal."""
     risk: Risk = Risk.MEAN
-    """How the costs of one sample in several domains become one cost."""
+    """Risk measures by which the costs of one sample in several domains become one cost."""
     cvar: Share = 0.25
     """Share of worst domains that ``risk = "cvar"`` averages and of which ``risk = "var"`` takes the mildest."""
     aversion: Finite = 1.0
@@ -302,7 +302,7 @@ class Planner(Section):
     knots: TwoOrMore | None = None
     """Spline control points P; one per step when left out, and always for ``ilqg`` and ``ilqs``."""
     spline: SplineKind = SplineKind.ZERO
-    """How knots become controls."""
+    """Splines by which knots become controls."""
     discount: Share = 0.95
     """Factor γ per step of a rollout [P5]."""
     terminal: NonNegative = 1.0
@@ -393,12 +393,12 @@ class EngineName(Name):
 
     @classmethod
     def registry(cls) -> Registry:
-        """Where users' engines are."""
+        """Registry of users' engines."""
         return ENGINES
 
 
 class Solver(StrEnum):
-    """Which Newton solver the engine ``newton`` steps."""
+    """Newton solvers of the engine ``newton``."""
 
     MUJOCO = "mujoco"
     XPBD = "xpbd"
@@ -409,7 +409,7 @@ class Solver(StrEnum):
 
 
 class Integrator(StrEnum):
-    """How MuJoCo moves on from accelerations to velocities and positions."""
+    """Integrators by which MuJoCo moves on from accelerations to velocities and positions."""
 
     EULER = "euler"
     RK4 = "rk4"
