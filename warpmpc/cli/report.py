@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file."""
 
+VERDICTS = 2
+"""Failed episodes whose verdict is printed: further ones mostly repeat it; ``--json`` has all."""
+
 _UNITS = {
     "velocity": ("m/s", "rad/s"),
     "acceleration": ("m/s²", "rad/s²"),
@@ -318,6 +321,15 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     console = _console(out)
     console.print(table)
     console.print(summary(results), markup=False)
+    print_verdicts(results, console)
+
+
+def print_verdicts(results: Sequence[EpisodeResult], console: Console) -> None:
+    """Print why the first episodes that did not succeed failed, and what to try."""
+    for result in [result for result in results if result.verdict][:VERDICTS]:
+        console.print(f"why seed {result.seed} ended with '{result.reason}':", markup=False)
+        for sentence in result.verdict:
+            console.print(f"  - {sentence}", markup=False, soft_wrap=True)
 
 
 def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
@@ -355,6 +367,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
     )
     share = f"{100.0 * sum(r.passed for r in results) / len(results):.1f} %: " if results[0].success is not None else ""
     console.print(share + summary(results), markup=False)
+    print_verdicts(results, console)
 
 
 def _title(result: EpisodeResult) -> str:

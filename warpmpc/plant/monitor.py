@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from ..model.compiled import CompiledScene, compile_scene
 from ..scene.waypoints import is_of
 from ..task.conditions import Conditions, StateSnapshot
-from ..task.goal import GOAL, GoalError, goal_error
+from ..task.goal import GOAL, Comparison, GoalError, goal_error
 from ..task.task import task_layout
 from .snapshots import ObservedSnapshots
 
@@ -23,6 +24,17 @@ if TYPE_CHECKING:
 
 SLACK = 1e-6
 """Tolerance of lapses of time [s]: times are sums of steps."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A number with a bound, over a run or a phase of it."""
+
+    last: Comparison
+    best: Comparison
+    """Nearest to its bound, or farthest within."""
+    when: float
+    """Time of the best [s]."""
 
 
 class Monitor:
@@ -49,6 +61,8 @@ class Monitor:
     """Distance of the goal's object or frame from the goal; None for a scene without a goal, or before any state."""
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
+    progress: dict[str, Progress]
+    """What the success, or the end of the present phase, waits for: by name, how near it came."""
     failure: str | None
     """Name of the failure that came first, None while there is none; what comes later is no success."""
 
@@ -83,6 +97,7 @@ class Monitor:
         self.phases = []
         self._reached = 0
         self.failure = None
+        self.progress = {}
         self._now: float | None = None  # time of the last state
         self._within: float | None = None  # since when the success test holds
         self._held: float | None = None  # since when the phase's conditions hold
@@ -132,8 +147,11 @@ class Monitor:
             self.error = goal_error(scene.goal, snapshot.pose(GOAL, task, e), pose)
         last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
         wanted = scene.success if last_phase else None
-        reached = wanted and (self.error is None or self.error.within(wanted)) and self._success.hold(snapshot)
-        self._within = self._since(self._within, bool(reached))
+        reached = False
+        if wanted:
+            of_goal = self.error.compared(wanted) if self.error else ()
+            reached = self._progress([*of_goal, *self._success.compared(snapshot)])
+        self._within = self._since(self._within, reached)
         self._judge_failures(snapshot)
         if not last_phase:
             self._advance(snapshot)
@@ -158,13 +176,13 @@ class Monitor:
         """Go on to the next phase when this one has what it waits for."""
         task, e = self._task, self._e
         phase, until = task.phase_of(e), self._until[task.phase[e]]
-        self._held = self._since(self._held, bool(phase.until) and until.hold(snapshot))
+        self._held = self._since(self._held, bool(phase.until) and self._progress(list(until.compared(snapshot))))
         over = phase.after is not None and self._lasted(self._entered, phase.after)
         come = self._lasted(self._held, phase.hold)
         if over or come:
             self._reached += come
             task.enter_phase(int(task.phase[e]) + 1, e)
-            self._held, self._entered = None, self._now
+            self._held, self._entered, self.progress = None, self._now, {}
             self.phases.append((task.phase_of(e).name, self._now))
 
     @property
@@ -177,6 +195,15 @@ class Monitor:
     def reached(self) -> int:
         """Phases that ended because what they wait for had come, not by ``after``; the last one with the success."""
         return self._reached + (self.success and bool(self._scene.phase))
+
+    def _progress(self, comparisons: list[Comparison]) -> bool:
+        """Keep how near each number came to its bound; returns whether all are within."""
+        for new in comparisons:
+            best = self.progress[new.name].best if new.name in self.progress else None
+            nearer = best is None or np.isnan(best.excess) or new.excess < best.excess
+            when = self._now if nearer else self.progress[new.name].when
+            self.progress[new.name] = Progress(new, new if nearer else best, when)
+        return all(comparison.holds for comparison in comparisons)
 
     def _since(self, since: float | None, holds: bool) -> float | None:
         """Since when something holds without a break [s], which it did since a time, or not."""

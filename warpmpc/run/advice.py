@@ -76,7 +76,7 @@ def _noise(scene: Scene, layout: Layout) -> Iterator[str]:
             names = [name for name, bad in zip(layout.control_name, wrong, strict=True) if bad]
             i = int(np.argmax(wrong))
             yield (
-                f"planner.noise.sigma is {what} the range of {_some(names)} ({lower[i]:g} to {upper[i]:g}): {effect}; "
+                f"planner.noise.sigma is {what} the range of {some(names)} ({lower[i]:g} to {upper[i]:g}): {effect}; "
                 "sigma = { range = 0.25 } is a quarter of each control's range"
             )
 
@@ -104,5 +104,6 @@ def _unit(what: str, unit: str) -> str:
     return f"{what} is implausible, lengths are in metres and masses in kilograms: is it in {unit}?"
 
 
-def _some(names: Sequence[str]) -> str:
+def some(names: Sequence[str]) -> str:
+    """The first of many names."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -117,7 +117,7 @@ class Batch:
                     return
                 control = controller.step(plants.observe())
                 for e, statistics in running.items():
-                    statistics.note(controller.info[e])
+                    statistics.note(controller.info[e], control[e])
                 plants.apply(control)
                 if on_step is not None:
                     on_step(controller, plants, control)

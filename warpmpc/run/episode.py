@@ -15,6 +15,7 @@ from ..scene.draw import draw_task
 from ..scene.overrides import split_key
 from .choose_engine import with_samples
 from .fit_samples import fit_to_machine
+from .verdict import Symptoms
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -102,6 +103,9 @@ class EpisodeResult(Result):
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
+    verdict: tuple[str, ...] = ()
+    """Likely reasons why an episode did not succeed, each with what to try."""
+
     @property
     def time_to_goal(self) -> float | None:
         """Simulated time at which the goal was reached [s], None when it was not."""
@@ -140,6 +144,8 @@ class EpisodeResult(Result):
             data["drawn"] = self.drawn
         if self.success is None:
             data["mean_cost"] = self.mean_cost
+        if self.verdict:
+            data["verdict"] = list(self.verdict)
         return plain(data)
 
 
@@ -167,9 +173,11 @@ class EpisodeStats:
         self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
         self._diverged = self._fallbacks = 0
         self._cost = math.nan
+        self._symptoms = Symptoms(controller, plant)
 
-    def note(self, info: Info) -> None:
-        """Keep the numbers of the plan just made."""
+    def note(self, info: Info, control: np.ndarray) -> None:
+        """Keep the numbers of the plan just made and its control ``[nu]``, before it is applied."""
+        self._symptoms.note(info, control)
         self._plans.append((info.plan_ms, info.stages_ms))
         self._diverged += info.diverged_worlds
         self._fallbacks += info.fallback
@@ -213,6 +221,7 @@ class EpisodeStats:
             reached=plant.monitor.reached if scene.phase else None,
             drawn=self.drawn,
             mean_cost=None if scene.success else plant.mean_cost,
+            verdict=() if plant.success or not scene.success else tuple(self._symptoms.verdict()),
         )
 
 
@@ -285,7 +294,7 @@ class Episode:
                 controller.reset()
             while not plant.done:
                 control = controller.step(observation)
-                self._stats.note(controller.info)
+                self._stats.note(controller.info, control)
                 plant.apply(control)
                 if recorder is not None:
                     recorder.log(control)

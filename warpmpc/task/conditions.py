@@ -11,10 +11,10 @@ import numpy as np
 
 from ..model.layout import WORLD
 from ..scene.errors import SceneError
-from .goal import angle_between, heading_between
+from .goal import Comparison, angle_between, heading_between
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from ..model.layout import Layout
     from ..scene.schema import Condition, Scene
@@ -83,32 +83,35 @@ class Conditions:
 
     def hold(self, snapshot: StateSnapshot) -> bool:
         """Return whether all of them hold."""
-        return all(self._holds(snapshot, *row) for row in self._rows)
+        return all(comparison.holds for comparison in self.compared(snapshot))
 
-    def _holds(self, snapshot: StateSnapshot, condition: Condition, index: int, other: int) -> bool:
-        if condition.term is not None:
-            value = snapshot.terms.get(condition.term, np.nan)
-        elif condition.joint is not None:
-            value = float(snapshot.joint_q[index])
-        else:
-            pose = self.frame_pose(snapshot, index)
-            value = float(pose[2])
-            if other >= 0 and not self._near(condition, pose, self.frame_pose(snapshot, other)):
-                return False
-        bounds = (
-            (condition.above, value >= (condition.above or 0.0)),
-            (condition.below, value <= (condition.below or 0.0)),
-        )
-        return all(holds for bound, holds in bounds if bound is not None)
+    def compared(self, snapshot: StateSnapshot) -> Iterator[Comparison]:
+        """Compare what each condition is about with its bounds."""
+        for condition, index, other in self._rows:
+            if condition.term is not None:
+                name, value = condition.term, snapshot.terms.get(condition.term, np.nan)
+            elif condition.joint is not None:
+                name, value = condition.joint, float(snapshot.joint_q[index])
+            else:
+                pose = self.frame_pose(snapshot, index)
+                name, value = f"height of {condition.frame}", float(pose[2])
+                if other >= 0:
+                    yield from self._near(condition, pose, self.frame_pose(snapshot, other))
+            if condition.above is not None:
+                yield Comparison(name, value, condition.above, above=True)
+            if condition.below is not None:
+                yield Comparison(name, value, condition.below)
 
-    def _near(self, condition: Condition, pose: np.ndarray, target: np.ndarray) -> bool:
-        axes = 2 if condition.to in self._flat else 3
-        errors = (
-            (condition.distance, float(np.linalg.norm((pose - target)[:axes]))),
-            (condition.yaw, heading_between(pose[3:], target[3:])),
-            (condition.rotation, angle_between(pose[3:], target[3:])),
-        )
-        return all(error <= most for most, error in errors if most is not None)
+    def _near(self, condition: Condition, pose: np.ndarray, target: np.ndarray) -> Iterator[Comparison]:
+        pair, axes = f"{condition.frame} to {condition.to}", 2 if condition.to in self._flat else 3
+        if condition.distance is not None:
+            yield Comparison(
+                f"distance of {pair} [m]", float(np.linalg.norm((pose - target)[:axes])), condition.distance
+            )
+        if condition.yaw is not None:
+            yield Comparison(f"heading of {pair} [rad]", heading_between(pose[3:], target[3:]), condition.yaw)
+        if condition.rotation is not None:
+            yield Comparison(f"rotation of {pair} [rad]", angle_between(pose[3:], target[3:]), condition.rotation)
 
     def frame_pose(self, snapshot: StateSnapshot, frame: int) -> np.ndarray:
         """World pose ``[7]`` of a frame."""

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from ..scene.schema import Goal, Pose, Scene, Success
 
 GOAL = "goal"
@@ -52,6 +54,27 @@ def heading(q: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
+class Comparison:
+    """A number that success, a failure or a phase looks at, and its bound."""
+
+    name: str
+    value: float
+    bound: float
+    above: bool = False
+    """True where the value must be at least the bound; else at most."""
+
+    @property
+    def holds(self) -> bool:
+        """Return whether the value is within its bound; NaN never is."""
+        return self.value >= self.bound if self.above else self.value <= self.bound
+
+    @property
+    def excess(self) -> float:
+        """How far the value is beyond its bound; at most zero where it is within."""
+        return self.bound - self.value if self.above else self.value - self.bound
+
+
+@dataclass(frozen=True)
 class GoalError:
     """Distance of a frame from the goal."""
 
@@ -69,12 +92,22 @@ class GoalError:
 
     def within(self, success: Success) -> bool:
         """Return whether every error that counts is within its tolerance."""
-        return (
-            (success.position is None or bool(np.all(np.abs(self.axes) <= success.position)))
-            and (success.distance is None or self.position <= success.distance)
-            and (success.yaw is None or self.yaw <= success.yaw)
-            and (success.rotation is None or self.rotation <= success.rotation)
-        )
+        return all(comparison.holds for comparison in self.compared(success))
+
+    def compared(self, success: Success) -> Iterator[Comparison]:
+        """Compare every error that counts with its tolerance."""
+        if success.position is not None:
+            error = np.abs(self.axes)
+            worst = int(np.argmax(error / success.position))
+            most = np.broadcast_to(success.position, error.shape)[worst]
+            yield Comparison(f"error along {'xyz'[worst]} [m]", float(error[worst]), float(most))
+        for name, value, most in (
+            ("distance to the goal [m]", self.position, success.distance),
+            ("heading error [rad]", self.yaw, success.yaw),
+            ("rotation to the goal [rad]", self.rotation, success.rotation),
+        ):
+            if most is not None:
+                yield Comparison(name, value, most)
 
     def worst_axis(self, success: Success) -> float | None:
         """Error along the axis that is farthest from its tolerance [m]; None where axes have none."""

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict on an episode that did not succeed: likely reasons, each with what to try."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..scene.schema import Method
+from .advice import slow_plans, some
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ..controller.controller import Controller
+    from ..model.state import Info
+    from ..plant.monitor import Progress
+    from ..plant.plant import Plant
+
+OFTEN = 1.0 / 3.0
+"""Share of the controls from which something is the rule rather than an exception."""
+EDGE = 0.01
+"""Share of its range within which a control or joint counts as being at the limit."""
+ONE, ALL = 1.5, 0.9
+"""η below which one sample decides, and share of the samples above which all count alike."""
+
+
+class Symptoms:
+    """Counts, over an episode, what tells why it fails.
+
+    Args:
+        controller: Makes the plans.
+        plant: The plant that follows them.
+    """
+
+    def __init__(self, controller: Controller, plant: Plant):
+        self.controller, self.plant, layout = controller, plant, controller.layout
+        self._steps = self._diverged = self._fallbacks = self._lone = self._even = 0
+        self._plan_ms: list[float] = []
+        self._at_limit = np.zeros(layout.nu)
+        self._axes = np.flatnonzero((layout.dof_coord >= 0) & (layout.dof_upper - layout.dof_lower < 1e3))
+        self._at_stop = np.zeros(len(self._axes))
+
+    def note(self, info: Info, control: np.ndarray) -> None:
+        """Keep what the plan just made and its control ``[nu]`` show."""
+        layout = self.controller.layout
+        lower, upper = self.controller.limits
+        edge = EDGE * (upper - lower)
+        self._at_limit += (control <= lower + edge) | (control >= upper - edge)
+        q, ranges = self.plant.state.joint_q[layout.dof_coord[self._axes]], (layout.dof_lower, layout.dof_upper)
+        lower, upper = (limit[self._axes] for limit in ranges)
+        edge = EDGE * (upper - lower)
+        self._at_stop += (q <= lower + edge) | (q >= upper - edge)
+        self._steps += 1
+        self._plan_ms.append(info.plan_ms)
+        self._diverged += info.diverged_worlds
+        self._fallbacks += info.fallback
+        self._lone += info.eta < ONE
+        self._even += info.eta > ALL * self.controller.shape.rollouts
+
+    def verdict(self) -> list[str]:
+        """Sentences, the most telling first; none where nothing stands out."""
+        return [*self._unmet(), *(self._signs() if self._steps else ())]
+
+    def _unmet(self) -> Iterator[str]:
+        monitor, scene = self.plant.monitor, self.controller.scene
+        phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
+        unmet = [item for item in monitor.progress.values() if not item.last.holds]
+        for item in unmet:
+            yield f"not met{phase}: {_told(item)}"
+        if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
+            yield (
+                f"all that success asks for{phase} is met at the end, but has not held for {scene.success.hold:g} s: "
+                "lower success.hold, or a longer timing.timeout"
+            )
+
+    def _signs(self) -> Iterator[str]:
+        controller, layout = self.controller, self.controller.layout
+        share = self._at_limit / self._steps
+        stuck = [name for name, part in zip(layout.control_name, share, strict=True) if part > OFTEN]
+        if stuck:
+            yield (
+                f"control {some(stuck)} is at a limit {share.max():.0%} of the time: wider limits, another sign or "
+                "unit of the drive, or a term on the control (control, control_rate)"
+            )
+        share = self._at_stop / self._steps
+        names = [layout.dof_name[axis] for axis in self._axes]
+        stuck = [name for name, part in zip(names, share, strict=True) if part > OFTEN]
+        if stuck:
+            yield (
+                f"joint {some(stuck)} is at an end of its range {share.max():.0%} of the time: another start, a term "
+                "joint_limit, or a goal within reach"
+            )
+        worlds = self._steps * controller.shape.rollouts
+        if self._diverged > 0.01 * worlds:
+            yield (
+                f"{self._diverged / worlds:.0%} of the rollouts diverged: a finer physics step (engine.substeps), "
+                "lower gains, or real effort limits"
+            )
+        if self._fallbacks:
+            yield f"{self._fallbacks} safe commands were sent because no rollout survived or had a finite cost"
+        if controller.scene.planner.method is Method.MPPI:
+            yield from self._weights()
+        late = slow_plans(float(np.median(self._plan_ms)), controller.scene.timing.control_dt)
+        if late:
+            yield late
+
+    def _weights(self) -> Iterator[str]:
+        """Weights of MPPI that lie on one sample, or on all alike."""
+        if self._lone > OFTEN * self._steps and self.controller.shape.samples > 2:
+            yield (
+                f"one sample alone decides in {self._lone / self._steps:.0%} of the plans (η below {ONE}): raise "
+                "temperature.eta or temperature.initial, or give more samples"
+            )
+        if self._even > OFTEN * self._steps:
+            yield (
+                f"all samples count alike in {self._even / self._steps:.0%} of the plans (η above {ALL:.0%} of the "
+                "samples): their costs hardly differ; raise planner.noise.sigma, look further ahead, lower "
+                "temperature.initial, or add a term that leads to the goal"
+            )
+
+
+def _told(item: Progress) -> str:
+    last, best = item.last, item.best
+    wanted = f"at {'least' if last.above else 'most'} {last.bound:.4g}"
+    return (
+        f"{last.name} is {last.value:.4g} at the end, {best.value:.4g} at best (at {item.when:.2f} s), wanted {wanted}"
+    )
