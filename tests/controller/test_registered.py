@@ -87,7 +87,7 @@ best_three = partial(SamplingStrategy, weighting=BestThree)
 @pytest.fixture
 def registered():
     """The engine and the strategy of this file, for a while."""
-    register(EngineEntry(name="gliding", cuda=False, cpu=True, capturable=False, any_dt=True, make=make_gliding))
+    register(EngineEntry(name="gliding", make=make_gliding, any_dt=True))
     STRATEGIES.register("best_three", best_three)
     yield
     del ENGINES["gliding"], STRATEGIES["best_three"]

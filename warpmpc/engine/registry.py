@@ -35,15 +35,15 @@ class EngineEntry:
 
     name: str
     """By which scene files and controllers name it."""
-    cuda: bool
-    """True for engines that run on CUDA devices."""
-    cpu: bool
-    """True for engines that run on the CPU."""
-    capturable: bool
-    """True where a CUDA graph can hold its evaluation; else every plan on a CUDA device runs launch by launch."""
-    any_dt: bool
-    """True where its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     make: Callable[[EngineRequest, PhysicsSteps], Engine]
+    cuda: bool = False
+    """True for engines that run on CUDA devices."""
+    cpu: bool = True
+    """True for engines that run on the CPU."""
+    capturable: bool = False
+    """True where a CUDA graph can hold its evaluation; else every plan on a CUDA device runs launch by launch."""
+    any_dt: bool = False
+    """True where its physics steps may have any length; else every step of a rollout is a multiple of one length."""
     physics: bool = True
     """True where a world that diverged is one whose physics failed; without physics its cost was not finite."""
 
@@ -163,10 +163,6 @@ def mujoco_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
     return MujocoSimulator(request.compiled, request.shape, threads=engine.threads, options=options, **common)
 
 
-def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    return SimulatorEngine(request, mujoco_simulator(request, steps))
-
-
 def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
     """Simulator of the engine ``newton``, with the solver that the scene asks for.
 
@@ -193,10 +189,6 @@ def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
     return NewtonSimulator(*scene_of, **common)
 
 
-def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    return SimulatorEngine(request, newton_simulator(request, steps))
-
-
 def _make_fused(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     from .fused import FusedEngine
 
@@ -209,21 +201,16 @@ def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:
     return KinematicEngine(request)
 
 
-register(
-    EngineEntry(name=str(EngineName.MUJOCO), cuda=False, cpu=True, capturable=False, any_dt=False, make=_make_mujoco)
-)
-register(
-    EngineEntry(name=str(EngineName.NEWTON), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_newton)
-)
-register(EngineEntry(name=str(EngineName.FUSED), cuda=True, cpu=True, capturable=True, any_dt=False, make=_make_fused))
-register(
-    EngineEntry(
-        name=str(EngineName.KINEMATIC),
-        cuda=True,
-        cpu=True,
-        capturable=True,
-        any_dt=True,
-        make=_make_kinematic,
-        physics=False,
-    )
-)
+def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    return SimulatorEngine(request, mujoco_simulator(request, steps))
+
+
+def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
+    return SimulatorEngine(request, newton_simulator(request, steps))
+
+
+ON_GPU = {"cuda": True, "capturable": True}
+register(EngineEntry(name=str(EngineName.MUJOCO), make=_make_mujoco))
+register(EngineEntry(name=str(EngineName.NEWTON), make=_make_newton, **ON_GPU))
+register(EngineEntry(name=str(EngineName.FUSED), make=_make_fused, **ON_GPU))
+register(EngineEntry(name=str(EngineName.KINEMATIC), make=_make_kinematic, any_dt=True, physics=False, **ON_GPU))

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..task.observed import ObservedState
     from .covariance import Covariance
     from .moments import SampleMoments
-    from .proposers import Undrawn
 
 
 def rows(knots: wp.array) -> wp.array:
@@ -153,13 +152,21 @@ class Gaussian(RecedingPlan):
         self.covariance.grow(self._state.observed, self._fresh)
 
     def perturb(
-        self, noise: wp.array, undrawn: Undrawn, iteration: int, *, mean: bool, knots: wp.array, first: int, count: int
+        self,
+        noise: wp.array,
+        undrawn: tuple[wp.array, int],
+        iteration: int,
+        *,
+        mean: bool,
+        knots: wp.array,
+        first: int,
+        count: int,
     ) -> None:
         """Write sampled knots ``[E, S, P, nu]``: the mean, what is not drawn, and mean + σ ⊙ (B z); capture-safe.
 
         Args:
             noise: Shaped noise B z ``[E, S, P, nu]``.
-            undrawn: Samples that are not drawn.
+            undrawn: Knots ``[F, E, P, nu]`` of samples that are not drawn, and F, which may be none of them.
             iteration: Row of the schedule of σ.
             mean: Whether the mean is among the samples.
             knots: Takes the samples.
@@ -168,7 +175,7 @@ class Gaussian(RecedingPlan):
         """
         covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
         spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]
-        others = [rows(undrawn.knots), undrawn.count, int(mean)]
+        others = [rows(undrawn[0]), undrawn[1], int(mean)]
         inputs = [rows(self.mean), *spread, rows(noise), *others, *self._column_limits]
         self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(knots)])
 

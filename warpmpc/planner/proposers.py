@@ -12,7 +12,7 @@ from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
 from ..launch import Launcher
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from ..model.state import State
     from .report import PlanReport
@@ -126,35 +126,3 @@ class StoredSamples(Proposer):
         """Fill the knots, once and for all."""
         super().bind(knots)
         knots.assign(np.broadcast_to(self._sequences[:, None], knots.shape).astype(np.float32))
-
-
-class Undrawn(Proposer):
-    """All proposers of the device, samples 1 to F of every environment; sample 0 is the mean where that is tried.
-
-    Args:
-        proposers: They, in order.
-        dim: Environments, knots and controls ``(E, P, nu)``.
-        device: Warp device.
-    """
-
-    knots: wp.array4d[float]
-    """Their knots ``[F, E, P, nu]``, each sample in one piece; one of zeros where there are none."""
-
-    def __init__(self, proposers: Sequence[Proposer], dim: tuple[int, int, int], device: str):
-        self._proposers = [proposer for proposer in proposers if proposer.count]
-        super().__init__(sum(proposer.count for proposer in self._proposers))
-        self.bind(wp.zeros((max(self.count, 1), *dim), dtype=float, device=device))
-        first = 0
-        for proposer in self._proposers:
-            proposer.bind(self.knots[first : first + proposer.count])
-            first += proposer.count
-
-    def before_plan(self) -> None:
-        """Write them for the state that is observed now; capture-safe."""
-        for proposer in self._proposers:
-            proposer.before_plan()
-
-    def reset(self) -> None:
-        """Forget earlier plans."""
-        for proposer in self._proposers:
-            proposer.reset()

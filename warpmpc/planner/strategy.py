@@ -20,7 +20,7 @@ from .distribution import Gaussian, RecedingPlan
 from .moments import SampleMoments
 from .noise import NoiseKind, NoiseSource
 from .postures import PostureSamples
-from .proposers import AskedSamples, BestSamples, NullSamples, StoredSamples, Undrawn
+from .proposers import AskedSamples, BestSamples, NullSamples, Proposer, StoredSamples
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import Mppi, Weighting, WeightingState
@@ -132,8 +132,18 @@ class SamplingStrategy:
         self._best = BestSamples(self.distribution.carry, int(planner.keep_best)) if keeps else None
         if self._best and not self._best.count:  # the best one is carried out, but not tried again
             self._best.bind(wp.zeros((1, *self.distribution.dim), dtype=float, device=device))
-        self._undrawn = self._proposers(scene, layout, spline, cost, seed)
-        self.population = _population(planner, samples, self._undrawn.count)
+        self.proposers = self._undrawn(scene, layout, spline, cost, seed)
+        """Samples that are not drawn, from 1 on; sample 0 is the mean where that is tried."""
+        self._fixed = sum(proposer.count for proposer in self.proposers)
+        if self._fixed + 1 > samples:
+            kinds = "null, best, postures, sequences, ancillary"
+            message = f"the mean and {self._fixed} fixed samples ({kinds}) are more than there are samples"
+            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
+        self._fixed_knots = wp.zeros((max(self._fixed, 1), *self.distribution.dim), dtype=float, device=device)
+        ends = np.cumsum([proposer.count for proposer in self.proposers])
+        for proposer, end in zip(self.proposers, ends.tolist(), strict=True):
+            proposer.bind(self._fixed_knots[end - proposer.count : end])
+        self.population = _population(planner, samples, self._fixed)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
         self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
@@ -153,7 +163,7 @@ class SamplingStrategy:
             device=device,
         )
 
-    def _proposers(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> Undrawn:
+    def _undrawn(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> list[Proposer]:
         """The samples that a scene does not want drawn."""
         planner, samples, distribution = scene.planner, cost.shape[1], self.distribution
         nulls = max(int(planner.noise.null_sample), round(planner.noise.null_share * samples))
@@ -165,24 +175,21 @@ class SamplingStrategy:
             found.append(PostureSamples(scene, layout, self._state, spline, distribution.null, cost, **where))
         found.append(StoredSamples(sequences(scene, spline.time.numpy(), layout.nu)))
         found.append(AskedSamples(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
-        undrawn = Undrawn(found, distribution.dim, distribution.device)
-        if undrawn.count + 1 > samples:
-            kinds = "null, best, postures, sequences, ancillary"
-            message = f"the mean and {undrawn.count} fixed samples ({kinds}) are more than there are samples"
-            raise SceneError(message, key="planner.samples", file=scene.path, found=samples)
-        return undrawn
+        return [proposer for proposer in found if proposer.count]
 
     def reset(self, knots: np.ndarray | None = None) -> None:
         """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
         self.distribution.reset(knots)
         self.weights.reset()
         self.noise.reset()
-        self._undrawn.reset()
+        for proposer in self.proposers:
+            proposer.reset()
 
     def shift(self) -> None:
         """Move mean and covariance on by the time that has passed; capture-safe."""
         self.distribution.shift()
-        self._undrawn.before_plan()
+        for proposer in self.proposers:
+            proposer.before_plan()
 
     def propose(self, iteration: int) -> None:
         """Go on to the next draw of the noise; capture-safe."""
@@ -199,8 +206,9 @@ class SamplingStrategy:
         if self.noise.redraw:
             self.noise.draw(first, count)
         mean = self._planner.try_mean is TryMean.ALWAYS or iteration == len(self.population) - 1
+        undrawn = self._fixed_knots, self._fixed
         self.distribution.perturb(
-            self.noise.noise, self._undrawn, iteration, mean=mean, knots=self.knots, first=first, count=count
+            self.noise.noise, undrawn, iteration, mean=mean, knots=self.knots, first=first, count=count
         )
 
     def update(self, iteration: int) -> None:
