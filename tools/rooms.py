@@ -30,6 +30,7 @@ FLOORS = (
     ("planner",),
     ("derivatives",),
     ("engine",),
+    ("terms",),
     ("cost",),
     ("task",),
     ("model",),

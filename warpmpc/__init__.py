@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from .cli.terms import load_terms
     from .controller.controller import Controller
     from .controller.rollout import Rollout
-    from .cost.normed import residual_term
+    from .cost.residual import residual_term
     from .cost.term import (
         ArrayCost,
         CostTerm,
@@ -155,7 +155,7 @@ _HOME = {
     "CostTerm": "cost.term",
     "array_cost": "cost.term",
     "cost_term": "cost.term",
-    "residual_term": "cost.normed",
+    "residual_term": "cost.residual",
     "fit_samples": "run.fit_samples",
     "load_scene": "scene.load",
     "load_terms": "cli.terms",

@@ -15,6 +15,7 @@ COSH = wp.constant(2)
 POWER = wp.constant(3)
 SMOOTH_ABS2 = wp.constant(4)
 RECTIFY = wp.constant(5)
+SQUARES = wp.constant(6)
 
 LEAST = wp.constant(1.0e-6)
 """Nearer to zero than this (a fraction of p but for powers, whose p is the exponent), second derivatives are those at
@@ -109,7 +110,7 @@ def norm_slope(x: float, sum: float, norm: Norm) -> float:
     if kind == RECTIFY:
         small = wp.exp(-size / p)
         return wp.where(x > 0.0, 1.0, small) / (1.0 + small)
-    return x
+    return wp.where(kind == SQUARES, 2.0 * x, x)
 
 
 @wp.func
@@ -141,4 +142,4 @@ def norm_bend(x: float, y: float, same: int, sum: float, norm: Norm) -> float:
     if kind == RECTIFY:
         small = wp.exp(-wp.abs(x) / p)
         return small / ((1.0 + small) * (1.0 + small) * p)
-    return 1.0
+    return wp.where(kind == SQUARES, 2.0, 1.0)

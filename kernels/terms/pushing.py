@@ -1,18 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost terms for pushing an object to its goal: alignment, and the work that is left."""
+"""Parts of the work that is left to push an object to its goal."""
 
 import warp as wp
 
-from ..geometry.fields import sample_push
-from .paths import PathFields, plane_distance, way_out
-from .view import (
-    StepView,
-    frame_pose,
-    frame_position,
-    frame_velocity,
-    wrap_angle,
-    yaw,
-)
+from .view import wrap_angle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,63 +16,6 @@ SWIVEL_PLAY = wp.constant(3.0)  # [1/rad] how much wider the tolerance is of an 
 SWIVEL_RANGE = wp.constant(0.2)  # [m] from the goal's tolerance, within which an object is turned rather than moved
 COAST_RANGE = wp.constant(0.2)  # [m] an object that coasts past its goal at this distance misses it
 SWIVEL_PRICE = wp.constant(0.4)  # of a way around the object; more would keep turned objects away from the goal
-
-
-@wp.struct
-class PushAlignmentParams:
-    """Parameters of ``push_alignment``."""
-
-    pusher: int
-    object: int
-    goal: int
-    field: int
-    paths: PathFields
-    near: float  # [m] the term fades as the object comes closer to the goal than about this
-    slack: float  # subtracted, so that the pusher may choose its place on a side of the object
-
-
-@wp.func
-def push_alignment(s: StepView, p: PushAlignmentParams) -> float:
-    """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
-
-    With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
-    term is max(cos α + 1 - slack, 0), zero over a range of directions.
-    """
-    r = frame_position(s, p.pusher)
-    o = frame_position(s, p.object)
-    g = frame_position(s, p.goal)
-    to_pusher = wp.vec2(r[0] - o[0], r[1] - o[1])
-    straight = wp.vec2(g[0] - o[0], g[1] - o[1])
-    to_goal = way_out(s, p.paths, p.field, wp.vec2(o[0], o[1]), straight)
-    scale = wp.length(to_pusher) * wp.length(to_goal)
-    value = wp.max(wp.dot(to_pusher, to_goal) / wp.max(scale, EPSILON) + 1.0 - p.slack, 0.0)
-    if p.near > 0.0:
-        value *= 1.0 - wp.exp(-wp.length(straight) / p.near)
-    return value
-
-
-@wp.struct
-class PushPathParams:
-    """Parameters of ``push_path``."""
-
-    pusher: int
-    object: int
-    goal: int
-    tolerance: float  # [m] along each axis of the goal
-    value: wp.array4d[float]  # [E, rows, columns, 16] work left, in the goal's frame [m]
-    origin: wp.array[wp.vec2]  # [E] place of the first cell in the goal's frame [m]
-    cell: float  # [m]
-    field: int  # distance field of the pusher to the object
-    paths: PathFields
-    radius: float  # [m] of a circle around the object, outside of which the pusher goes straight
-    turn: float  # cost of a metre that the pusher goes, relative to a metre of pushing
-    faces: int  # whether the object has sides
-    broad: float  # [rad] direction of a broad side in the object's frame
-    arm: float  # [rad] beside the middle of a broad side: a place to turn the object from
-    aim: wp.vec2  # [rad] at most this far beside the middle of a narrow and of a broad side on the way
-    steer: float  # how far to push beside the middle, as an angle per heading error
-    lead: float  # [s] look at where the object would coast to in this time
-    through: int  # whether a way through the goal counts to there alone
 
 
 @wp.func
@@ -146,66 +80,3 @@ def coasting_time(off: wp.vec2, velocity: wp.vec2, lead: float, tolerance: float
     miss = off + nearest * velocity
     outside = wp.vec2(wp.max(wp.abs(miss[0]) - tolerance, 0.0), wp.max(wp.abs(miss[1]) - tolerance, 0.0))
     return wp.lerp(nearest, lead, wp.min(wp.length(outside) / COAST_RANGE, 1.0))
-
-
-@wp.func
-def push_path(s: StepView, p: PushPathParams) -> float:
-    """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
-
-    min over sides d of V(o, d) + turn · walk(r → d), with V from dynamic programming (``warpmpc.cost.push_path``). The
-    walk is straight to the sides of a circle about the object that the pusher sees, longer by what obstacles in
-    between add. Being a cost-to-go, it rewards the first step to another side of the object already; so it stands for
-    the object's distance to the goal and for ``push_alignment`` together.
-    """
-    r = frame_position(s, p.pusher)
-    o = frame_position(s, p.object)
-    goal = frame_pose(s, p.goal)
-    g = wp.transform_get_translation(goal)
-    heading = yaw(wp.transform_get_rotation(goal))
-    c = wp.cos(heading)
-    d = wp.sin(heading)
-    to_goal = wp.mat22(c, d, -d, c)  # world → the goal's frame
-    if p.lead > 0.0:
-        v = frame_velocity(s, p.object)
-        time = p.lead
-        if p.through != 0:
-            away = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
-            time = coasting_time(away, to_goal * wp.vec2(v[0], v[1]), p.lead, p.tolerance)
-        o += time * v
-    off = to_goal * wp.vec2(o[0] - g[0], o[1] - g[1])
-    to_pusher = to_goal * wp.vec2(r[0] - o[0], r[1] - o[1])
-    angle = wp.atan2(to_pusher[1], to_pusher[0])
-    apart = wp.length(to_pusher)
-    tolerance = p.tolerance
-    turning = float(0.0)
-    beside = float(0.0)
-    if p.faces != 0:
-        # sides are where the object's heading puts them; a pusher that stands farther anticlockwise about the object
-        # than the middle of its side turns it anticlockwise
-        error = wrap_angle(yaw(wp.transform_get_rotation(frame_pose(s, p.object))) - heading)
-        if p.steer > 0.0:
-            tolerance *= 1.0 + SWIVEL_PLAY * wp.min(wp.abs(error), 1.0)
-            side = error + p.broad
-            aside = wp.dot(off, wp.vec2(wp.cos(side), wp.sin(side))) / wp.max(p.tolerance, EPSILON)
-            turning = SWIVEL_PRICE * p.turn * wp.min(apart, p.radius) * swivel(angle - side, error, aside, p.arm)
-        across = wp.cos(angle - error - p.broad)  # ± 1 at the middle of a broad side, 0 of a narrow one
-        beside = -side_place(error, p.steer, wp.lerp(p.aim[0], p.aim[1], across * across))
-    at = wp.vec2(shrink(off[0], tolerance), shrink(off[1], tolerance))
-    turning *= wp.max(1.0 - wp.length(at) / SWIVEL_RANGE, 0.0)
-    angle += beside
-    origin = p.origin[s.e]
-    best = sample_push(p.value, s.e, origin, p.cell, at, angle)
-    if apart <= p.radius:
-        return best + turning
-    best += p.turn * (apart - p.radius)
-    seen = wp.acos(p.radius / apart)
-    for i in range(1, 4):
-        part = seen * float(i) / 3.0
-        half = wp.sin(0.5 * part)
-        # the law of cosines, without the difference of nearly equal squares
-        way = p.turn * wp.sqrt((apart - p.radius) * (apart - p.radius) + 4.0 * apart * p.radius * half * half)
-        left = sample_push(p.value, s.e, origin, p.cell, at, angle + part)
-        right = sample_push(p.value, s.e, origin, p.cell, at, angle - part)
-        best = wp.min(best, wp.min(left, right) + way)
-    way = plane_distance(s, p.paths, p.field, wp.vec2(o[0], o[1]), wp.vec2(r[0], r[1]))
-    return best + turning + p.turn * (way - apart)

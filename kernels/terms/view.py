@@ -208,3 +208,36 @@ def rotation_angle(a: wp.quat, b: wp.quat) -> float:
     """Angle between two orientations, in [0, π]."""
     d = wp.quat_inverse(a) * b
     return 2.0 * wp.atan2(wp.length(wp.vec3(d[0], d[1], d[2])), wp.abs(d[3]))
+
+
+@wp.func
+def joint_acceleration(s: StepView, joint: int, driven: int) -> float:
+    """Mean acceleration of a joint velocity over the step that led here [m/s² or rad/s²].
+
+    For a joint whose drive takes accelerations that is its control ``driven``, else -1 and differences of velocities.
+    """
+    if driven >= 0:
+        return control(s, driven)
+    return (joint_velocity(s, joint) - s.joint_qd[s.t - 1, s.w, joint]) / step_length(s)
+
+
+@wp.func
+def joint_jerk(s: StepView, joint: int, driven: int) -> float:
+    """Change of a joint's acceleration from the step before to this one, per time between their middles.
+
+    Before the first step stands the control that acts now; without drives of accelerations it is 0 there, since
+    nothing is known from before.
+    """
+    now = joint_acceleration(s, joint, driven)
+    dt = step_length(s)
+    if s.t == 1:
+        if driven < 0:
+            return 0.0
+        return (now - s.last_control[s.e, driven]) / dt
+    earlier = s.step_end[s.t - 1] - s.step_end[s.t - 2]
+    before = float(0.0)
+    if driven >= 0:
+        before = s.controls[s.t - 2, s.w, driven]
+    else:
+        before = (s.joint_qd[s.t - 1, s.w, joint] - s.joint_qd[s.t - 2, s.w, joint]) / earlier
+    return 2.0 * (now - before) / (dt + earlier)

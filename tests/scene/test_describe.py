@@ -8,9 +8,9 @@ from pydantic import BaseModel
 
 from warpmpc import Scene
 from warpmpc.cost.builtin import BUILTIN
-from warpmpc.cost.collision import SelfCollision, WorldCollision
 from warpmpc.scene.describe import default, keys, takes, unit
 from warpmpc.scene.schema import Cloud, Drive, Noise, Obstacle, Planner, Robot
+from warpmpc.terms.collision import SelfCollision, WorldCollision
 
 
 def sections() -> list[type[BaseModel]]:

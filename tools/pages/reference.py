@@ -44,7 +44,8 @@ Written from the source of warpmpc. Exit codes: 0 when every episode reached its
 input, 130 after Ctrl-C.
 """
 _GROUPS = {
-    "general": "Distances, joints, controls, contacts",
+    "general": "Distances, controls, contacts",
+    "joints": "Joints",
     "residuals": "Residuals",
     "pushing": "Pushing",
     "grasping": "Picking up",
@@ -155,11 +156,11 @@ def _models(kind: object) -> Iterator[type[BaseModel]]:
 
 
 def _terms(found: Examples) -> Iterator[str]:
-    """All built-in cost terms, by the module of the kernels that their functions stand in."""
+    """All built-in cost terms, by their family."""
     groups: dict[str, list[CostTerm]] = {}
     tables: dict[str, type[BaseModel]] = {}
     for term in BUILTIN.values():
-        groups.setdefault(term.function.func.__module__, []).append(term)
+        groups.setdefault((term.written or term.function).func.__module__, []).append(term)
     for module, terms in groups.items():
         name = module.rsplit(".", 1)[-1]
         yield f"\n## {_GROUPS.get(name, name.replace('_', ' ').capitalize())}\n"

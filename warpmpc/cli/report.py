@@ -85,10 +85,10 @@ def print_scenes() -> None:
 
 def print_terms() -> None:
     """Print the built-in cost terms with their keys."""
-    from ..cost.builtin import BUILTIN
+    from ..terms import TERMS
 
     table = _table("term", "key", "value", "default", "meaning")
-    for term in BUILTIN.values():
+    for term in TERMS.values():
         table.add_section()
         table.add_row(Text(term.name, style="bold"), "", "", "", Text(term.summary, style="bold"))
         for name, field in term.keys.model_fields.items():

@@ -59,12 +59,12 @@ class FolderTerms:
 
 def _own(scene: Scene, *, planned: bool) -> list[str]:
     """Names of a scene's terms and ancillary controllers that warpmpc does not have."""
-    from ..cost.builtin import BUILTIN
+    from ..terms import TERMS
 
     labelled = zip(scene.cost_labels, scene.cost, strict=True)
     used = [cost.term for label, cost in labelled if planned or label in scene.judged_terms]
     used += [row.function for row in scene.planner.ancillary if planned and row.function is not None]
-    return sorted({*used} - {*BUILTIN})
+    return sorted({*used} - {*TERMS})
 
 
 def _allowed(path: Path, files: list[Path], missing: list[str]) -> list[Path]:

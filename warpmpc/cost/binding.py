@@ -10,20 +10,21 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from ..kernels.terms.points import Wanted
 from ..model.pairs import Pair
 from ..scene.errors import SceneError
 from .resources.geodesic import obstacle_outlines, polygon_distance
 from .resources.resource import Resources
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from ..model.layout import Layout, ShapeInfo
+    from ..model.layout import Entity, Layout, ShapeInfo
     from ..scene.schema import Scene
 
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
-"""Numbers of the shapes whose distance ``kernels.terms.clearance.shape_distance`` knows."""
+"""Numbers of the shapes whose distance ``kernels.terms.shapes.shape_distance`` knows."""
 
 
 @dataclass
@@ -40,7 +41,7 @@ class Binding:
     sensors: list[str] = field(default_factory=list)
     """Names of the sensors that terms read, ``robot/sensor``."""
     kept: list[object] = field(default_factory=list)
-    """What must live as long as the terms, such as meshes."""
+    """Things that must live as long as the terms, such as meshes."""
     label: str = ""
     """Name of the term being bound."""
     memory: dict[str, int] = field(default_factory=dict)
@@ -63,6 +64,33 @@ class Binding:
         if name not in names:
             raise SceneError("no such scalar", key=f"{self.key}.{key}", file=self.file, found=name, allowed=names)
         return names.index(name)
+
+    def wanted(self, target: Sequence[float | str] | None, count: int, *, key: str = "target") -> Wanted:
+        """Wanted values of a residual's numbers.
+
+        Args:
+            target: Numbers or names of scalars, one or one for each; zeros when None.
+            count: How many numbers the residual has.
+            key: What the scene file calls it, for errors.
+
+        Raises:
+            SceneError: If there are neither one nor as many as numbers, or a scalar does not exist.
+        """
+        target = self.spread((0.0,) if target is None else target, count, key)
+        out = Wanted()
+        out.scalar = self.array([self.scalar(x, key) if isinstance(x, str) else -1 for x in target], dtype=int)
+        out.value = self.array([0.0 if isinstance(x, str) else x for x in target], dtype=float)
+        return out
+
+    def spread(self, values: Sequence, count: int, key: str) -> list:
+        """One value for each of some joints, axes or numbers, from one for all or a list.
+
+        Raises:
+            SceneError: If the list has another length.
+        """
+        if len(values) not in (1, count):
+            raise SceneError(f"needs 1 or {count} values", key=f"{self.key}.{key}", file=self.file, found=list(values))
+        return list(values) if len(values) == count else list(values) * count
 
     @property
     def file(self) -> Path | None:
@@ -97,6 +125,50 @@ class Binding:
             SceneError: If there is none, or several.
         """
         return self._found(self.layout.joint, name, key)
+
+    def robots(self, of: str | None) -> list[Entity]:
+        """The robot that a key ``of`` names; all robots when it is None.
+
+        Raises:
+            SceneError: If there is no such robot.
+        """
+        robots = {entity.name: entity for entity in self.layout.entities if entity.kind == "robot"}
+        if of is not None and of not in robots:
+            raise SceneError("no such robot", key=f"{self.key}.of", file=self.file, found=of, allowed=robots)
+        return list(robots.values()) if of is None else [robots[of]]
+
+    def owned(self, of: str | None, names: Sequence[str]) -> range:
+        """Indices of the names that belong to a robot; of all when it is None.
+
+        Raises:
+            SceneError: If there is no such robot.
+        """
+        self.robots(of)
+        own = [i for i, name in enumerate(names) if of is None or name.startswith(f"{of}/")]
+        return range(own[0], own[-1] + 1) if own else range(0)
+
+    @property
+    def dof_joints(self) -> list[str]:
+        """Name of the joint that each degree of freedom belongs to."""
+        counts = self.layout.joint_dof_dim.sum(axis=1)
+        return [name for name, count in zip(self.layout.joint_name, counts, strict=True) for _ in range(count)]
+
+    def dofs(self, of: str | None, joints: Sequence[str] | None) -> list[int]:
+        """Degrees of freedom of joints by name, or of a robot: of the first when both are None.
+
+        Raises:
+            SceneError: If there is no such joint or robot, or one is named twice, or both are given.
+        """
+        if joints is None:
+            return list(self.owned(of or self.robots(None)[0].name, self.dof_joints))
+        where = f"{self.key}.joints"
+        if of is not None:
+            what = "name joints or their robot, not both: leave out 'of'"
+            raise SceneError(what, key=where, file=self.file, found=of)
+        coords = [self.joint(name, "joints") for name in joints]
+        if len(set(coords)) < len(coords):
+            raise SceneError("a joint is named twice", key=where, file=self.file, found=list(joints))
+        return [int(np.flatnonzero(self.layout.dof_coord == coord)[0]) for coord in coords]
 
     def carry(self, count: int) -> int:
         """First of the numbers that the term being bound carries along the rollouts.

@@ -37,7 +37,7 @@ WHAT = {
     "memory": "numbers carried along",
     "terminal": "terms",
 }
-"""What the last index of an array of a ``StepView`` counts."""
+"""Things that the last index of an array of a ``StepView`` counts."""
 
 
 class OutOfRange(IndexError):

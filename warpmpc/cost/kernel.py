@@ -95,7 +95,7 @@ class EvaluationCode:
     advance_kernel: wp.Kernel
     """One thread per world."""
     advances: bool
-    """Whether any term carries numbers along."""
+    """True if any term carries numbers along."""
 
 
 def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:

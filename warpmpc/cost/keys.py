@@ -1,225 +1,109 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The keys of the built-in cost terms in scene files."""
+"""Definition of a built-in cost term: keys that become kernel parameters by their types, and one Warp function."""
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
 
-from pydantic import Field
+import warp as wp
 
-from ..scene.types import (
-    Finite,
-    NonNegative,
-    Positive,
-    Section,
-)
+from ..kernels.terms.norms import Norm
+from ..scene.types import Section
+from .term import CostTerm, parse_keys
 
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
 
-class Metric(StrEnum):
-    """Measures of distances in the ground plane."""
+    from .binding import Binding
 
-    STRAIGHT = "straight"
-    GEODESIC = "geodesic"
-
-
-class Distance(Section):
-    """Distance between two frames [m]."""
-
-    between: tuple[str, str]
-    """Two frames: [from, to]."""
-    metric: Metric = Metric.STRAIGHT
-    """straight, or geodesic: along the shortest path around the obstacles to the second frame."""
-    planar: bool = False
-    """Whether the height is left out; always so with the geodesic metric and for goals without a height."""
-    inflation: NonNegative | None = None
-    """Geodesic: obstacles grow by this for the mover's size [m]; from its shapes when left out."""
-    near: NonNegative = 0.0
-    """Saturate: 1 - exp(-d/near), a pull that acts within about this distance alone [m]; 0 means d itself."""
-    lead: NonNegative = 0.0
-    """Measure from where the first frame's body would coast to in this time [s]: for what rolls on by itself."""
+_FRAME, _OBJECT = "frame", "object"
+Frame = Annotated[str, _FRAME]
+"""Name of a frame, which becomes its index."""
+Object = Annotated[str, _OBJECT]
+"""Name of an object with a primitive shape, which becomes the index of its frame."""
 
 
-class Yaw(Section):
-    """Heading error of a frame [rad]."""
+class TermKeys(Section):
+    """Keys of a term in a scene file, and the parameters of its Warp function that they become.
 
-    of: str
-    """Frame."""
-    to: str = "goal"
-    """Frame it is compared with."""
-    near: NonNegative = 0.0
-    """Fade: full weight at the target, 1/e of it at this distance [m]; 0 means the same weight everywhere."""
-    smooth: NonNegative = 0.0
-    """√(ψ² + p²) - p instead of |ψ| [rad]: errors below about p cost little, a push may turn the object a bit."""
+    A key of one of these types becomes a field of the ``wp.struct`` :attr:`Params` by the same name: a number, a flag
+    (0 or 1), a frame or an object (:data:`Frame`, :data:`Object`, its index), a tuple of frames (an array of indices),
+    a norm. Other fields of the struct are in :attr:`derived`; :meth:`bind` fills them.
+    """
 
+    derived: ClassVar[dict[str, Any]] = {}
+    """Further fields of the struct, with their Warp types."""
+    Params: ClassVar[Any]
 
-class PushAlignment(Section):
-    """cos α + 1: zero when the object lies between pusher and goal."""
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        super().__pydantic_init_subclass__(**kwargs)
+        kinds = {name: kind for name, field in cls.model_fields.items() if (kind := _kernel_type(name, field))}
+        body = {"__annotations__": kinds | cls.derived, "__module__": cls.__module__, "__doc__": cls.__doc__}
+        cls.Params = wp.struct(type(f"{cls.__name__}Params", (), body))
 
-    pusher: str
-    """Frame that pushes."""
-    object: str
-    """Object that is pushed."""
-    goal: str = "goal"
-    """Frame it is pushed to."""
-    metric: Metric = Metric.STRAIGHT
-    """straight, or geodesic: the direction in which the path to the goal leaves the object."""
-    inflation: NonNegative | None = None
-    """Geodesic: obstacles grow by this for the object's size [m]."""
-    near: NonNegative = 0.0
-    """Fade: the term vanishes as the object comes closer to the goal than about this [m]."""
-    slack: NonNegative = 0.0
-    """max(cos α + 1 - slack, 0) instead: leaves the pusher a choice of places; 0.3 is about ± 45°."""
+    def parameters(self, b: Binding) -> Any:
+        """Fill a struct from these keys.
 
+        Raises:
+            SceneError: If a key names what the scene does not have.
+        """
+        p = self.Params()
+        for name, field in type(self).model_fields.items():
+            kind, value = _kernel_type(name, field), getattr(self, name)
+            if kind is None or name in self.derived:
+                continue
+            if kind is Norm:
+                value = value.struct()
+            elif isinstance(value, str):
+                if _OBJECT in field.metadata:
+                    b.object_shape(value, name)
+                value = b.frame(value, name)
+            elif isinstance(value, tuple):
+                value = b.array([b.frame(frame, name) for frame in value], dtype=int)
+            setattr(p, name, int(value) if kind is int else value)
+        self.bind(p, b)
+        return p
 
-class PushPath(Section):
-    """Work left to push an object to the goal around the obstacles [m]: pushes, and ways around the object."""
+    def bind(self, p: Any, b: Binding) -> None:
+        """Fill the derived fields; keys that have some override this.
 
-    pusher: str
-    """Frame that pushes."""
-    object: str
-    """Object that is pushed, upright."""
-    inflation: NonNegative | None = None
-    """Obstacles grow by this for the object's size [m]; from its shapes when left out."""
-    width: Positive
-    """Room that the pusher needs across its direction of pushing [m]."""
-    length: NonNegative
-    """Room that the pusher needs behind its frame [m]."""
-    behind: NonNegative = 0.0
-    """How far the frame is behind the pusher's front [m]."""
-    tolerance: NonNegative = 0.0
-    """How far from the goal along each axis counts as there [m], for the last push; up to 4 times with ``steer``."""
-    turn: Positive = 1.0
-    """Cost of a metre around the object, relative to a metre of pushing."""
-    steer: NonNegative = 0.0
-    """Turn a box back: push beside its side's middle by this angle per heading error; at the goal, from there alone."""
-    lead: NonNegative = 0.0
-    """Look at where the object would coast to in this time [s]: for what rolls on by itself."""
-    through: bool = False
-    """With ``lead``: count an object that coasts through the goal as there, since it need not stop."""
-    slant: Annotated[float, Field(ge=1.0)] = 1.5
-    """How much dearer a push is at about 27° to a side's normal than square to it."""
+        Args:
+            p: The struct, whose other fields are filled.
+            b: What the scene has.
+
+        Raises:
+            SceneError: If a key names what the scene does not have.
+        """
 
 
-class ContactForce(Section):
-    """Sum of net contact forces [N]."""
-
-    between: tuple[str, str]
-    """Two entities or groups (obstacles, objects, robots)."""
-
-
-class Robots(Section):
-    """Controls or joints of one robot, or of all."""
-
-    of: str | None = None
-    """Robot; all when left out."""
+def _kernel_type(name: str, field: FieldInfo) -> Any:
+    """Warp type that a key has in the struct; None where it has no field there."""
+    kind = field.annotation
+    if name == "norm":
+        return Norm
+    if kind is float:
+        return float
+    if kind is bool or (kind is str and {_FRAME, _OBJECT} & {*map(str, field.metadata)}):
+        return int
+    return wp.array[int] if get_args(kind)[:1] == (Frame,) else None
 
 
-class Joints(Section):
-    """All joints of one robot, or joints by name."""
+def term(name: str, keys: type[TermKeys], **fields: Any) -> Callable[[Callable], CostTerm]:
+    """Turn a function of one step into a built-in cost term.
 
-    of: str | None = None
-    """Robot; the first when left out."""
-    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Joints, ``robot/joint`` or the joint's own name, in place of ``of``."""
+    Args:
+        name: What scene files call it.
+        keys: Its keys, whose ``Params`` the function takes.
+        fields: Further fields of the :class:`~warpmpc.cost.term.CostTerm`.
+    """
 
+    def bind(values: dict[str, Any], b: Binding) -> Any:
+        return parse_keys(keys, values, b).parameters(b)
 
-class JointLimit(Section):
-    """Squared distance outside the joint limits."""
+    def decorate(function: Callable) -> CostTerm:
+        made = function if isinstance(function, wp.Function) else wp.func(function)
+        return CostTerm(name, made, keys.Params, bind, keys, **fields)
 
-    of: str | None = None
-    """Robot; all when left out."""
-    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Joints with limits, ``robot/joint`` or the joint's own name, in place of ``of``."""
-    margin: NonNegative = 0.05
-    """Limits are moved inwards by this [m or rad]."""
-
-
-class ObstacleClearance(Section):
-    """Σ 1/d over the obstacles."""
-
-    of: str
-    """Frame."""
-    to: str = "surface"
-    """surface or centre of the obstacles."""
-    radius: NonNegative = 0.0
-    """Subtracted from the distance [m]."""
-    least: Positive = 0.05
-    """Shorter distances count as this [m]."""
-
-
-class OutlineClearance(Section):
-    """Nearness of a body's outline to the obstacles', seen from above: Σ max(0, 1 - d/within)."""
-
-    of: str
-    """Frame of the body, upright; its link's colliding shapes are its outline (their convex hull)."""
-    within: Positive
-    """Distances from here on cost nothing [m]."""
-
-
-class OutlineDistance(Section):
-    """Distance to the outline of an object seen from above [m]: least at its sides, not on top of it."""
-
-    of: str
-    """Frame."""
-    object: str
-    """Upright object with a primitive shape."""
-    inside: NonNegative = 1.0
-    """Factor on the depth within the outline: keeps a pusher from climbing onto the object."""
-
-
-class Height(Section):
-    """Height error of a frame [m]."""
-
-    of: str
-    """Frame."""
-    target: Finite
-    """Wanted height [m]."""
-    slack: NonNegative = 0.0
-    """Errors up to this cost nothing [m]."""
-
-
-class Orientation(Section):
-    """Angle between the orientations of two frames [rad]."""
-
-    of: str
-    """Frame."""
-    to: str = "goal"
-    """Frame it is compared with."""
-    tilt: bool = Field(default=False)
-    """Compare the directions of the z axes alone."""
-
-
-class Approach(Section):
-    """Distance of a grasp point to an object [m]."""
-
-    hand: str
-    """Frame between the fingertips; its z axis points back to the hand."""
-    object: str
-    """Object to be gripped at its centre."""
-    width: Positive
-    """How far beside the object the hand may be to come down on it [m]: about half of what open fingers leave free."""
-    rise: NonNegative
-    """How far above the object the hand stays farther out [m]: clears the object's top."""
-
-
-class FingerAlignment(Section):
-    """Error of the fingers in meeting a box's faces, 0 to 4/3."""
-
-    hand: str
-    """Frame whose y axis is the line along which the fingers close."""
-    object: str
-    """Box."""
-
-
-class Gripper(Section):
-    """Fingers close at an object and open away from it, 0 to 2."""
-
-    hand: str
-    """Frame between the fingertips."""
-    object: str
-    """Object to be gripped."""
-    near: Positive
-    """Distance from the hand to the object's centre within which the fingers close [m]."""
-    fingers: Annotated[tuple[str, ...], Field(min_length=1)]
-    """Controls of the fingers, ``robot/joint``; the upper end of their range opens."""
+    return decorate

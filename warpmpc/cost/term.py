@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Residual:
-    """The numbers that a term is a norm of, for whoever needs their derivatives.
+    """The numbers that a term is a norm of, for planners with derivatives.
 
     ``kernels.terms.norms`` has the norm's value, gradient and Hessian.
     """
@@ -64,9 +64,9 @@ class CostTerm:
     """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any is evaluated: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""
     residual: Residual | None = None
-    """What the term is a norm of, if it is one."""
+    """Residual that the term is a norm of, if it is one."""
     written: wp.Function | None = None
-    """What a user wrote, where :attr:`function` is made around it."""
+    """Function as it is written, where :attr:`function` is made of it."""
 
     @property
     def summary(self) -> str:
@@ -83,7 +83,7 @@ class ArrayCost:
 
 
 UserTerm = CostTerm | ArrayCost | AncillaryController
-"""What a user brings along with a scene: what it costs, and what else is tried."""
+"""Term or ancillary controller that a user brings along with a scene."""
 
 
 def cost_term(name: str, *, advance: Callable | None = None, numbers: int = 0) -> Callable[[Callable], CostTerm]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..cost.components import half_square
+from ..cost.residual import fixed_norm
 from ..cost.term import CostTerm
 from ..kernels.planning.derivatives import norms_kernel
+from ..kernels.terms.norms import QUADRATIC
 from ..kernels.terms.view import StepView
 from ..launch import Launcher
 from ..scene.errors import SceneError
@@ -65,7 +66,7 @@ class Residuals:
             at = sum(counts)
             count = int(term.residual.dimension(bound)) if term.residual else 0
             if not count:
-                names[f"term{i}"], count, norm = term.function, 1, half_square()
+                names[f"term{i}"], count, norm = term.function, 1, fixed_norm(QUADRATIC)
                 rows.append(f"    residual[s.w, {at}] = wp.sqrt(2.0 * term{i}(s, p.p{i}))")
                 self.without.append(stack.labels[i])
             else:

@@ -6,8 +6,8 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from warpmpc.kernels.terms.clearance import shape_distance
 from warpmpc.kernels.terms.paths import PathFields, plane_distance
+from warpmpc.kernels.terms.shapes import shape_distance
 from warpmpc.kernels.terms.view import (
     StepView,
     frame_angular_velocity,

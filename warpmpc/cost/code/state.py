@@ -206,7 +206,7 @@ class TermCode:
     """Place at which the source of one term is written."""
 
     state: StateCode
-    """What it may ask about the state."""
+    """Source of the state that it reads."""
     lines: Lines
     """Takes its statements."""
     params: str

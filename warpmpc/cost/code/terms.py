@@ -13,13 +13,13 @@ const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
 const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
 const float* weight = (const float*)costs.weight.data + e * costs.weight.shape[1];
 const float* last_control = (const float*)s.last_control.data + e * controls;"""
-"""What the source of terms reads of an environment ``e``."""
+"""Pointers that the source of terms reads of an environment ``e``."""
 TIMES = """const float dt = costs.dt.data[at];
 const float counts = live ? costs.step_weight.data[at] : 0.0f;
 const bool last = at == steps - 1;
 const float gap = at == 0 ? dt : 0.5f * (dt + costs.dt.data[at - 1]); // between the middles of two steps
 const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins"""
-"""What it knows about the step ``at``."""
+"""Times and factors of the step ``at``."""
 
 
 @dataclass(frozen=True)

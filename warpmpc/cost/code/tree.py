@@ -28,7 +28,7 @@ class Axis:
     dof: int
     """Joint velocity."""
     turns: bool
-    """Whether it is an angle."""
+    """True for an angle."""
     direction: Vector
     """In the world's frame."""
     origin: Vector

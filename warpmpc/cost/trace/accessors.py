@@ -108,18 +108,16 @@ class Accessors(Functions):
         return self.sum(self.operand(a), (-2.0 * math.pi, self.operand(turns)))
 
     def point_velocity(self, s: Step, body: int, at: Vec) -> Vec:
-        """``residuals.point_velocity``."""
+        """``points.point_velocity``."""
         fixed = [value(x) for x in at.x]
         if None in fixed:
             raise Refused("the velocity of a point that is not known")
         return self.earlier(self.vector(self.state.point_velocity(body, np.array(fixed, dtype=float))[0]), s)
 
-    def joint_acceleration(self, s: Step, joint: int, driven: int) -> Any:
-        """``arm.joint_acceleration``."""
+    def view_joint_acceleration(self, s: Step, joint: int, driven: int) -> Any:
         return self.symbol(self.state.acceleration(joint))
 
-    def joint_jerk(self, s: Step, joint: int, driven: int) -> Any:
-        """``arm.joint_jerk``."""
+    def view_joint_jerk(self, s: Step, joint: int, driven: int) -> Any:
         now, then = self.state.acceleration(joint), self.state.acceleration_before(joint)
         return self.binary("/", self.binary("-", self.symbol(now), self.symbol(then)), Num("gap", "S"))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ...kernels.terms import arm, residuals, view
+from ...kernels.terms import points, view
 from .statements import OPERATORS, UNWRITTEN, Statements
 from .values import (
     Array,
@@ -69,11 +69,7 @@ class Tracer(Statements):
         if code.lines is not code.state.lines:
             out.statements = code.lines.statements
         own = {getattr(view, name[5:]): getattr(self, name) for name in dir(self) if name.startswith("view_")}
-        own |= {
-            residuals.point_velocity: self.point_velocity,
-            arm.joint_acceleration: self.joint_acceleration,
-            arm.joint_jerk: self.joint_jerk,
-        }
+        own[points.point_velocity] = self.point_velocity
         self._accessors = own
         self._arrays: dict[int, np.ndarray] = {}
 

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spheres that cover links, as collision terms take them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ..cost.binding import Binding
+from ..model.layout import Entity
+from ..model.link_pairs import moving_bodies
+from ..model.spheres import Spheres, fit_spheres
+from ..scene.errors import SceneError
+
+
+@wp.struct
+class SphereTable:
+    """Spheres of links, in groups of one body each."""
+
+    centre: wp.array[wp.vec3]  # [n] in the body's frame [m]
+    radius: wp.array[float]  # [n] [m]
+    body: wp.array[int]  # [groups]
+    first: wp.array[int]  # [groups] first sphere
+    count: wp.array[int]  # [groups]
+    bound_centre: wp.array[wp.vec3]  # [groups] of a sphere around the group's, in the body's frame [m]
+    bound_radius: wp.array[float]  # [groups] [m]
+
+
+def link_body(name: str, bodies: Sequence[int], b: Binding, key: str) -> int:
+    """Body of a link, by ``robot/link`` or the link's own name where unique."""
+    full = {b.layout.body_name[body]: body for body in bodies}
+    found = [body for label, body in full.items() if name in (label, label.partition("/")[2])]
+    if len(found) != 1:
+        what = "several links have this name" if found else "no such link"
+        raise SceneError(what, key=key, file=b.file, found=name, allowed=full)
+    return found[0]
+
+
+def fitted(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b: Binding) -> Spheres:
+    """Spheres of some bodies: the scene's own where it has them, else fitted ones."""
+    given = {}
+    for robot in robots:
+        for name, rows in next(r for r in b.scene.robot if r.name == robot.name).spheres.items():
+            given[link_body(name, robot.bodies, b, f"robot.{robot.name}.spheres.{name}")] = rows
+    spheres = fit_spheres(b.layout, bodies, overhang=overhang, given=given)
+    if not len(spheres):
+        raise SceneError(
+            f"these links have no shape that collides: give them spheres = {{ link = [[x, y, z, radius]] }} in "
+            f"[[robot]] '{robots[0].name}'",
+            key=b.key,
+            file=b.file,
+            found=[b.layout.body_name[body] for body in bodies],
+        )
+    return spheres
+
+
+def moving_links(robots: Sequence[Entity], links: Sequence[str] | None, b: Binding) -> list[int]:
+    """Bodies of the links a term names, or of all that joints move.
+
+    Raises:
+        SceneError: If there is no such link.
+    """
+    bodies = [body for robot in robots for body in robot.bodies]
+    if links is not None:
+        return [link_body(name, bodies, b, f"{b.key}.links") for name in links]
+    moving = moving_bodies(b.layout)
+    return [body for body in bodies if body in moving]
+
+
+def table_of(spheres: Spheres, b: Binding) -> SphereTable:
+    """Spheres as kernels take them."""
+    groups = spheres.groups
+    table = SphereTable()
+    table.centre, table.radius = b.array(spheres.centre, wp.vec3), b.array(spheres.radius, float)
+    for name in ("body", "first", "count"):
+        setattr(table, name, b.array([getattr(group, name) for group in groups], int))
+    table.bound_centre = b.array(np.array([group.centre for group in groups], dtype=np.float32), wp.vec3)
+    table.bound_radius = b.array([group.radius for group in groups], float)
+    return table
