@@ -27,7 +27,7 @@ from warpmpc.model.compiled import compile_scene
 
 PACKAGES = ("example-robot-data", "mjlab")
 VERSIONS = (*PACKAGES, "warpmpc", "newton", "mujoco")
-TEXT = 70
+TEXT = 40
 """Longest text of a cell."""
 
 
