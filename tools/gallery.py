@@ -190,12 +190,11 @@ def page() -> str:
         "# Gallery\n",
         "Every scene that ships, from a real run of its seed 0, drawn by `tools/gallery.py`. Red is the way of the\n"
         "best rollout, thin lines are others, the lighter the cheaper; green is the goal. An animation takes four\n"
-        "seconds, however long its run took; some runs went on after it.\n",
+        "seconds, however long its run took; some runs went on after it. `warpmpc run SCENE` plays one.\n",
     ]
     for name in shipped_scenes():
         title = warpmpc.load_scene(name).title
         parts.append(f"## {name}\n\n{title}.\n\n![{name}](gallery/{name}.webp)\n")
-        parts.append(f"```bash\nwarpmpc run {name}\n```\n")
     return "\n".join(parts)
 
 

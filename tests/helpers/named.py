@@ -33,7 +33,7 @@ FOREIGN = frozenset(
         "statistic",
         "transmission",
     ]  # MJCF
-    + ["body_geom", "body_joint", "body_site", "gyro_imu"]  # examples of names
+    + ["body_geom", "body_joint", "body_site", "gyro_imu", "Class", "Kind"]  # examples of names
     + ["Changelog", "Documentation", "Repository", "Unreleased", "project", "repo_url", "urls"]  # of projects
     + ["SameSite", "Strict", "pipx", "pypi"]
 )
@@ -81,7 +81,7 @@ def _names(tree: ast.Module) -> Iterator[str]:
             case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name):
                 yield name
             case ast.Constant(value=str(text)) if re.fullmatch(r"[\w.:/-]+", text):
-                yield from WORD.findall(text)
+                yield from (text, *WORD.findall(text))
 
 
 def models(kind: object) -> list[type[BaseModel]]:
@@ -214,7 +214,7 @@ def _span(span: str, own: set[str]) -> Iterator[str]:
             if not re.search(r"NAME|SCENE|VERSION|FILE|://|^/|~", path) and not is_file(path):
                 yield word
         elif re.fullmatch(r"warpmpc(?:\.\w+)+", word):
-            yield from [] if _importable(word) else [word]
+            yield from [] if word in vocabulary() or _importable(word) else [word]
         elif re.fullmatch(r"[a-z_]+(?:\.[a-z_]+)+", word) and word.split(".")[0] in keys(Scene):
             yield from [] if is_key(word.split(".")) or _known(word, own) else [word]
         elif re.fullmatch(r"[A-Za-z_]\w*(?:[.:][A-Za-z_]\w*)*", word) and not _known(word, own):

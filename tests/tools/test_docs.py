@@ -63,6 +63,8 @@ def test_every_picture_is_shown_and_every_file_of_figures_has_a_table():
 
 
 def test_the_pages_stay_small():
-    words = {page: len((ROOT / page).read_text(encoding="utf-8").split()) for page in named.pages()}
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 200
-    assert sum(words.values()) <= 27_000, words
+    by_tools = ("docs/reference/", "docs/gallery.md", "docs/robots.md")
+    by_hand = [page for page in named.pages() if not page.startswith(by_tools)]
+    words = {page: len((ROOT / page).read_text(encoding="utf-8").split()) for page in by_hand}
+    assert sum(words.values()) <= 25_300, words
