@@ -33,7 +33,7 @@ FOREIGN = frozenset(
         "statistic",
         "transmission",
     ]  # MJCF
-    + ["body_geom", "body_joint", "body_site", "gyro_imu", "Class", "Kind"]  # examples of names
+    + ["body_geom", "body_joint", "body_site", "gyro_imu", "Class", "Keys", "Kind"]  # examples of names
     + ["Changelog", "Documentation", "Repository", "Unreleased", "project", "repo_url", "urls"]  # of projects
     + ["SameSite", "Strict", "pipx", "pypi"]
 )
@@ -211,7 +211,7 @@ def _span(span: str, own: set[str]) -> Iterator[str]:
             yield from [] if word in options() else [word]
         elif _is_path(word):
             path = word.split("::")[0]
-            if not re.search(r"NAME|SCENE|VERSION|FILE|://|^/|~", path) and not is_file(path):
+            if not re.search(r"NAME|SCENE|VERSION|FILE|FAMILY|://|^/|~", path) and not is_file(path):
                 yield word
         elif re.fullmatch(r"warpmpc(?:\.\w+)+", word):
             yield from [] if word in vocabulary() or _importable(word) else [word]
