@@ -104,17 +104,16 @@ def _row(cells: list[str]) -> str:
 
 
 def _sources(groups: list[Group]) -> list[str]:
-    """A line for each group; a group with one row among several names it."""
-    lines = []
+    """Where rows are from: a line for each group, with the rows' numbers where there are several."""
+    lines, first = [], 1
     for group in groups:
-        parts = [group.get("machine", ""), group.get("date", "")]
-        text = ", ".join(part for part in parts if part)
-        if command := group.get("command"):
-            text += f": `{command}`"
-        if note := group.get("note"):
-            text += f" ({note})"
-        first = f"From {group['rows'][0][0]} on: " if len(groups) > 1 else ""
-        lines.append(f"{'* ' if len(groups) > 1 else ''}{first}{text}.")
+        text = ", ".join(part for part in (group.get("machine", ""), group.get("date", "")) if part)
+        text += f": `{group['command']}`" if "command" in group else ""
+        text += f" ({group['note']})" if "note" in group else ""
+        last = first + len(group["rows"]) - 1
+        rows = f"* Row {first}: " if last == first else f"* Rows {first} to {last}: "
+        lines.append(f"{rows if len(groups) > 1 else ''}{text[:1].upper()}{text[1:]}.")
+        first = last + 1
     return lines
 
 
