@@ -134,10 +134,10 @@ const int at = h < 0 ? 0 : h;
     def _sum_gpu(self) -> str:
         out = []
         for term in self.terms:
-            i, total = term.index, f"total{term.index}"
+            total = f"total{term.index}"
             out.append(
                 f"for (int m = {WARP // 2}; m > 0; m >>= 1) {total} += __shfl_xor_sync(0xffffffffu, {total}, m);\n"
-                f"if (lane == 0) costs.total.data[{i} * worlds + row] = weight[{i}] * {total};"
+                f"if (lane == 0) {term.end('row')}"
             )
         return "\n".join(out)
 

@@ -44,8 +44,12 @@ class TermSource:
         total = f"total{self.index} += counts * {terminal} * {text(self.value)};"
         return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
 
+    def end(self, world: str, lane: str = "") -> str:
+        """Its cost over the horizon in a world, after the last step."""
+        i = self.index
+        return f"costs.total.data[{i} * worlds + {world}] = weight[{i}] * total{i}{lane};"
+
 
 def sums(terms: Sequence[TermSource]) -> str:
     """Statements that write the sums of ``count`` samples from ``row`` on down, on a CPU."""
-    rows = (f"costs.total.data[{t.index} * worlds + row + l] = weight[{t.index}] * total{t.index}[l];" for t in terms)
-    return "\n".join(("for (int l = 0; l < count; ++l) {", *rows, "}"))
+    return "\n".join(("for (int l = 0; l < count; ++l) {", *(term.end("row + l", "[l]") for term in terms), "}"))
