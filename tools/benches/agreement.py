@@ -12,7 +12,6 @@ it drifts as far as another engine, the scene is chaotic and the other engine's 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +19,7 @@ import numpy as np
 import warp as wp
 from rich.console import Console
 from rich.table import Table
+from shared.files import write_json
 
 import warpmpc
 from warpmpc.model.compiled import compile_scene
@@ -136,4 +136,4 @@ def main(arguments: list[str]) -> None:
                 print(f"{source} on {engine}: {error}")
     print_differences(rows)
     if args.json:
-        args.json.write_text(json.dumps(rows, indent=1))
+        write_json(args.json, rows)

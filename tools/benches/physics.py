@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import copy
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 import warp as wp
 from rich.console import Console
 from rich.table import Table
+from shared.files import write_json
 from shared.machine import machine
 from shared.models import FULL, OTHERS, OWN, SCENES, load_model, spread
 
@@ -255,4 +255,4 @@ def main(arguments: list[str]) -> None:
     console.print(f"{load}, {after['cores']} cores, {after['cpu']}")
     if options.json:
         told = {"machine": before, "load_after": after["load"], "results": results}
-        options.json.write_text(json.dumps(told, indent=1))
+        write_json(options.json, told)

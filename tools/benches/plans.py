@@ -19,12 +19,12 @@ and ends no other. Results are written after every row. Rows of fewer cores than
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from pathlib import Path
 
 from rich.console import Console
+from shared.files import write_json
 
 from benches.goals.report import show, told
 from benches.goals.rows import Row, rows_here
@@ -65,7 +65,8 @@ def main(arguments: list[str]) -> None:
             results.append(_measure(worker, row, settings, min(options.limit, left)))
             console.print(f"    {told(results[-1])}", highlight=False, markup=False)
             if options.json:
-                _write(options.json, here, settings, results)
+                report = {"date": time.strftime("%Y-%m-%d"), "machine": here, "settings": settings, "rows": results}
+                write_json(options.json, report)
     show(results, console)
     after = machine()
     load = f"load {here['load'][0]:.1f} before, {after['load'][0]:.1f} after"
@@ -77,10 +78,3 @@ def _measure(worker: Worker, row: Row, settings: dict, seconds: float) -> dict:
     begin = time.perf_counter()
     found = worker.call(row, settings, seconds) if seconds > 5.0 else {"error": "left out: no time"}
     return row.to_json() | found | {"took_s": time.perf_counter() - begin}
-
-
-def _write(file: Path, here: dict, settings: dict, results: list[dict]) -> None:
-    report = {"date": time.strftime("%Y-%m-%d"), "machine": here, "settings": settings, "rows": results}
-    partial = file.with_suffix(".part")
-    partial.write_text(json.dumps(report, indent=1) + "\n")
-    partial.replace(file)

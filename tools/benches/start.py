@@ -24,6 +24,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from shared.files import write_json
 
 BENCH = Path(__file__).parents[1] / "bench.py"
 PARTS = ("import", "scene", "compile", "build", "plans")
@@ -119,7 +120,7 @@ def main(arguments: list[str]) -> None:
                 from shared.machine import machine
 
                 report = {"machine": machine(), "first": first, "rows": rows}
-                options.json.write_text(json.dumps(report, indent=1) + "\n")
+                write_json(options.json, report)
     Console(width=None if sys.stdout.isatty() else 150).print(table)
 
 

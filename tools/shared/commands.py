@@ -8,8 +8,6 @@ import importlib
 import sys
 from pathlib import Path
 
-from warpmpc.run.job import LostJob
-
 FOLDER = Path(__file__).parents[1]
 
 
@@ -40,11 +38,12 @@ def run(package: str, about: str, arguments: list[str]) -> int:
     sys.argv[0] = f"{program} {name}"
     try:
         return importlib.import_module(f"{package}.{name}").main(arguments[1:]) or 0
-    except LostJob as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except KeyboardInterrupt:
         return 130
+    except Exception as error:
+        from warpmpc.run.job import LostJob  # late: `start` times the import of warpmpc
+
+        if not isinstance(error, LostJob | ValueError | OSError):
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return 1 if isinstance(error, LostJob) else 2

@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
+from shared.files import write_json
 from shared.measure import Clearance
 
 import warpmpc
@@ -153,7 +154,7 @@ def main(arguments: list[str]) -> None:
         rows.append(row := run(seed, args.set, args.free))
         print(json.dumps(row), flush=True)
         if args.json:
-            args.json.write_text(json.dumps({"overrides": args.set, "free": args.free, "runs": rows}, indent=1))
+            write_json(args.json, {"overrides": args.set, "free": args.free, "runs": rows})
         if sum(r["counts"] for r in rows) == args.count:
             break
     ran = [row for row in rows if row["counts"]]

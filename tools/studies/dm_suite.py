@@ -21,20 +21,17 @@ alone, with one job.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shared.files import write_json
 from shared.seeds import draw, worn
 
 from warpmpc.run.workers import LostJob, check_jobs, open_workers
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from dm_tasks.play import Episode
 
 STEPS = 1000
@@ -146,7 +143,7 @@ def run(args: argparse.Namespace) -> None:
             done[_key(played)] = played
             bar.step(f"{what}: {played['reward']:.0f}")
             if args.json:
-                _write(args.json, list(done.values()))
+                write_json(args.json, list(done.values()))
     if rows := [row for key, row in done.items() if key in wanted]:
         print(table(rows))
     if lost:
@@ -156,14 +153,6 @@ def run(args: argparse.Namespace) -> None:
 def _key(row: dict) -> tuple:
     """An episode, as what it was played with tells it."""
     return row["task"], row["seed"], row["steps"], row["settings"]
-
-
-def _write(path: Path, played: Sequence[dict]) -> None:
-    """Write episodes; the file is never there in part."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(f"{path.name}.new")
-    new.write_text(json.dumps(played, indent=1) + "\n", encoding="utf-8")
-    os.replace(new, path)
 
 
 def main(arguments: list[str]) -> None:

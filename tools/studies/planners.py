@@ -18,7 +18,6 @@ what is done by then.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import TimeoutError as Late
@@ -26,6 +25,7 @@ from concurrent.futures import as_completed
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from shared.files import write_json
 from shared.machine import machine
 from shared.progress import Bar
 
@@ -108,6 +108,6 @@ def main(arguments: list[str]) -> int:
     rows = summary(cells, records)
     text = tables(rows, ms=args.ms, seconds=args.seconds)
     about = {"machine": machine(), "ms": args.ms, "seconds": args.seconds, "strategies": STRATEGIES}
-    (args.out / "planners.json").write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
+    write_json(args.out / "planners.json", {**about, "rows": rows})
     print(text, end="")
     return 0 if whole else 1

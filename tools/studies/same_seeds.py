@@ -14,13 +14,13 @@ scene, overrides, seed, engine and device are the same; an interrupted command g
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from shared.files import write_json
 from shared.intervals import mean_difference, rate_difference
 from shared.machine import machine
 from shared.progress import Bar
@@ -138,7 +138,7 @@ def main(arguments: list[str]) -> int:
             first, second = ([records.by_key[run.key]["result"] for run in runs] for runs in by_engine.values())
             rows.append({"scene": name, **compared(first, second)})
             report = {"machine": here, "engines": args.engines, "overrides": args.overrides, "rows": rows}
-            (args.out / "same_seeds.json").write_text(json.dumps(report, indent=1) + "\n")
+            write_json(args.out / "same_seeds.json", report)
     show(rows, args.engines)
     return 0
 
