@@ -27,7 +27,7 @@ from stage import FIELD, SIZE, Look, Moment, Stage
 
 import warpmpc
 from warpmpc.cli.setup import start_warp
-from warpmpc.live.fan import Fan
+from warpmpc.live.rollouts import ShownRollouts
 from warpmpc.record.shapes import box_of, rotate
 from warpmpc.run.episode import Episode
 from warpmpc.scene.load import shipped_scenes
@@ -93,15 +93,15 @@ def record(name: str, *, engine: str, wall: float) -> tuple[Plant, list[Moment],
     controller, plant, moments = episode.controller, episode.plant, []
     shot, start = SHOTS.get(name, Shot()), time.monotonic()
 
-    fan = Fan(controller)
+    rollouts = ShownRollouts(controller)
 
     class Enough(Exception):
         """The run is long enough."""
 
     def on_step(*_: object) -> None:
         poses = {pose: controller.task.pose(pose).copy() for pose in controller.task.pose_name}
-        fan.clear() if controller.info.fallback else fan.update()
-        moments.append(Moment(plant.time, plant.body_q.copy(), poses, fan.ways))
+        rollouts.clear() if controller.info.fallback else rollouts.update()
+        moments.append(Moment(plant.time, plant.body_q.copy(), poses, rollouts.paths))
         if plant.time >= shot.longest or time.monotonic() - start > wall:
             raise Enough
 

@@ -22,7 +22,7 @@ from warpmpc.record.scene_picture import triangles_of
 from warpmpc.record.shapes import DEFAULT_COLOR, resized, shown_shapes, thinned
 
 if TYPE_CHECKING:
-    from warpmpc.live.fan import Ways
+    from warpmpc.live.rollouts import RolloutPaths
     from warpmpc.model.layout import ShapeInfo
     from warpmpc.plant.plant import Plant
 
@@ -72,8 +72,8 @@ class Moment:
     """Poses of bodies ``[nb, 7]``."""
     poses: dict[str, np.ndarray]
     """Poses ``[7]`` of the goal and of movable obstacles by name."""
-    ways: Ways | None
-    """Ways of rollouts."""
+    paths: RolloutPaths | None
+    """Paths of rollouts."""
 
 
 class Stage:
@@ -125,11 +125,11 @@ class Stage:
         camera.lookat[:], camera.distance = look.centre, look.distance
         camera.azimuth, camera.elevation = look.azimuth, look.elevation
         self._renderer.update_scene(data, camera)
-        if moment.ways is not None:
-            for way, color in zip(moment.ways.fan, moment.ways.colors, strict=True):
-                self._lines(way, (*(color / 255.0), 0.7), mujoco.mjtGeom.mjGEOM_LINE, 2.0)
+        if moment.paths is not None:
+            for path, color in zip(moment.paths.others, moment.paths.colors, strict=True):
+                self._lines(path, (*(color / 255.0), 0.7), mujoco.mjtGeom.mjGEOM_LINE, 2.0)
             best = (*np.array(BEST_COLOR) / 255.0, 1.0)
-            self._lines(moment.ways.best, best, mujoco.mjtGeom.mjGEOM_CAPSULE, self._thick)
+            self._lines(moment.paths.best, best, mujoco.mjtGeom.mjGEOM_CAPSULE, self._thick)
         self._points()
         return self._renderer.render()
 
@@ -233,10 +233,10 @@ class Stage:
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # visual meshes may be open or flat
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **place, **keys)
 
-    def _lines(self, ways: np.ndarray, rgba: Sequence[float], kind: mujoco.mjtGeom, thick: float) -> None:
-        """Draw ways ``[F, T+1, 3]`` as capsules of a radius [m] or lines of a width [pixels]."""
-        for way in ways:
-            for start, end in pairwise(way):
+    def _lines(self, paths: np.ndarray, rgba: Sequence[float], kind: mujoco.mjtGeom, thick: float) -> None:
+        """Draw paths ``[F, T+1, 3]`` as capsules of a radius [m] or lines of a width [pixels]."""
+        for path in paths:
+            for start, end in pairwise(path):
                 if not np.isfinite([start, end]).all() or np.linalg.norm(end - start) < 1e-5:
                     continue
                 geom = self._geom(kind, rgba)

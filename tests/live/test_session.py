@@ -45,10 +45,10 @@ def steps_on(session, count=3):
 
 def test_the_robot_moves_and_what_there_is_to_see_is_published(session):
     start = session.snapshot.body_q
-    until(lambda: session.snapshot.steps >= 3 and session.snapshot.ways is not None)
+    until(lambda: session.snapshot.steps >= 3 and session.snapshot.paths is not None)
     seen = session.snapshot
     assert not np.allclose(seen.body_q, start)
-    assert seen.ways.best.shape[-1] == 3
+    assert seen.paths.best.shape[-1] == 3
     assert np.isfinite([seen.cost, seen.eta, seen.beta, seen.plan_ms]).all()
 
 
@@ -66,8 +66,8 @@ def test_what_is_ahead_costs_what_the_plan_says(source):
     controller, plant = session.controller, session.plant
     for _ in range(2):
         plant.apply(controller.step(plant.observe()))
-    session._fan.update()
-    ahead = session._fan.forecast
+    session._rollouts.update()
+    ahead = session._rollouts.forecast
     summed = ahead.cost @ controller.planner.grid.weight
     np.testing.assert_allclose(summed, list(controller.info.terms.values()), rtol=1e-3, atol=1e-4)
     assert ahead.times[0] == controller.info.time
@@ -76,13 +76,13 @@ def test_what_is_ahead_costs_what_the_plan_says(source):
 
 def test_a_plan_that_fell_back_has_no_rollouts_to_look_at():
     session = Session("cylinder_push", overrides=FAST, device="cpu")
-    seen, fan = session.plant.observe(), session._fan
+    seen, rollouts = session.plant.observe(), session._rollouts
     session.controller.step(seen)
-    fan.update()
-    assert fan.ways.fan.shape[0] == len(fan.ways.colors) == 16
+    rollouts.update()
+    assert rollouts.paths.others.shape[0] == len(rollouts.paths.colors) == 16
     session.controller.step(replace(seen, joint_q=seen.joint_q * np.nan))
-    fan.update()  # costs of the plan before are still there
-    assert (fan.ways, fan.forecast) == (None, None)
+    rollouts.update()  # costs of the plan before are still there
+    assert (rollouts.paths, rollouts.forecast) == (None, None)
 
 
 def test_pause_holds_and_a_single_step_is_one_step(session):
@@ -165,12 +165,12 @@ def test_an_error_of_a_plan_pauses_and_is_told(session, monkeypatch):
 def test_without_planning_the_last_plan_is_followed_and_then_the_robot_holds(session):
     steps_on(session)
     session.plan_or_not(False)
-    until(lambda: not session.snapshot.planning and session.snapshot.ways is None)
+    until(lambda: not session.snapshot.planning and session.snapshot.paths is None)
     plan, dt = session._plan, session.scene.timing.control_dt
     seen = session.snapshot
     assert seen.time <= plan.times[-1]
     np.testing.assert_allclose(seen.control, plan.at(seen.time - dt), atol=1e-6)
-    until(lambda: session.snapshot.state == "the plan has ended")
+    until(lambda: session.snapshot.status == "the plan has ended")
     steps_on(session, 40)
     session.pause()
     until(lambda: session.snapshot.paused)
@@ -188,7 +188,7 @@ def test_without_control_the_drives_get_their_safe_command_and_plans_go_on(sessi
     place = session.snapshot.body_q
     steps_on(session, 10)
     np.testing.assert_allclose(session.snapshot.body_q, place, atol=0.01)
-    assert session.snapshot.ways is not None
+    assert session.snapshot.paths is not None
     assert session.controller.info.time > session.snapshot.time - 0.1
     session.control_or_not(True)
     until(lambda: not np.allclose(session.snapshot.body_q, place, atol=0.05))

@@ -16,7 +16,7 @@ from ..record.switch import RecordingSwitch
 from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
 from ..scene.load import load_scene
-from .fan import Fan
+from .rollouts import ShownRollouts
 from .snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class ClosedLoop:
         plan, layout = self._plan, self.plant.layout
         usable = plan is not None and not (self.planning and self.controller.info.fallback)
         ended = usable and not self.planning and observation.time > plan.times[-1]
-        self._state = "the plan has ended" if ended else "running"
+        self._status = "the plan has ended" if ended else "running"
         if self.controlling and usable and not ended:
             return plan.at(observation.time)
         dt = self.plant.scene.timing.control_dt
@@ -102,11 +102,12 @@ class ClosedLoop:
         """Another scene, seed or plant; what there was stays if it cannot be built."""
         scene = load_scene(source, overrides=[*overrides, *_texts(keys)])
         episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
-        fan = Fan(episode.controller)
+        rollouts = ShownRollouts(episode.controller)
         if source != self.source:
             self.tuned = {}
         self.source, self.overrides, self.keys, self.seed = source, tuple(overrides), keys, seed
-        self.scene, self.controller, self.plant, self._fan = episode.scene, episode.controller, episode.plant, fan
+        self.scene, self.controller, self.plant = episode.scene, episode.controller, episode.plant
+        self._rollouts = rollouts
         self.build += 1
         self._begin()
 
@@ -124,7 +125,7 @@ class ClosedLoop:
         self.episode += 1
         self._control = np.zeros(self.plant.layout.nu, np.float32)
         self._plan: Plan | None = None
-        self._published, self._state = 0.0, "running"
+        self._published, self._status = 0.0, "running"
         self._publish(rollouts=False)
 
     def _reset(self, seed: int | None) -> None:
@@ -160,17 +161,17 @@ class ClosedLoop:
         controller.step(self.plant.observe())  # what users' functions make of it shows now
         controller.reset(self._plan)
         self._recording.stop()
-        self.scene, self.controller, self.keys, self._fan = scene, controller, keys, Fan(controller)
+        self.scene, self.controller, self.keys, self._rollouts = scene, controller, keys, ShownRollouts(controller)
 
     def _publish(self, *, rollouts: bool) -> None:
         plant, task = self.plant, self.controller.task
         info = self.controller.info if self.planning else None
         if info is None or info.fallback:
-            self._fan.clear()
+            self._rollouts.clear()
         elif rollouts:
-            self._fan.update()
+            self._rollouts.update()
         forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
-        state = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._state
+        status = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._status
         nothing = float("nan")
         self.snapshot = Snapshot(
             source=self.source,
@@ -181,8 +182,8 @@ class ClosedLoop:
             body_q=np.array(plant.body_q).copy(),
             poses={name: task.pose(name).copy() for name in task.pose_name},
             values={name: float(task[name]) for name in (*task.weight_name, *task.scalar_name)},
-            ways=self._fan.ways,
-            forecast=self._fan.forecast,
+            paths=self._rollouts.paths,
+            forecast=self._rollouts.forecast,
             forces=forces,
             pull=plant.perturbation.spring,
             control=np.array(self._control),
@@ -190,7 +191,7 @@ class ClosedLoop:
             eta=nothing if info is None else info.eta,
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
-            state=state,
+            status=status,
             paused=self.paused,
             planning=self.planning,
             controlling=self.controlling,

@@ -22,8 +22,8 @@ from ..record.shapes import (
     shown_shapes,
 )
 from ..task.goal import GOAL
-from .fan import segments
 from .gizmos import Gizmo, place, pulls, split
+from .rollouts import segments
 
 if TYPE_CHECKING:
     import viser
@@ -85,7 +85,7 @@ class Drawing:
         self._mark_poses(layout)
         self._points = [ContactPoints(layout, pair.first, pair.second) for pair in plant.pairs]
         self._lines: dict[str, viser.LineSegmentsHandle | viser.ArrowHandle] = {}
-        self._ways = None
+        self._paths = None
 
     def _look(self, centre: np.ndarray) -> None:
         """Look at the whole scene, in pages that are open and in those to come."""
@@ -147,21 +147,21 @@ class Drawing:
         self._shown[moved] = snapshot.body_q[moved]
         for name, gizmo in self._gizmos.items():
             gizmo.update(snapshot.poses[name])
-        self._draw_ways(snapshot)
+        self._draw_paths(snapshot)
         self._draw_forces(snapshot)
         pull = np.zeros((0, 2, 3)) if snapshot.pull is None else snapshot.pull[None]
         self._line("/pull", pull, np.full(pull.shape, PULL_COLOR), 3.0)
 
-    def _draw_ways(self, snapshot: Snapshot) -> None:
-        ways = snapshot.ways
-        if ways is self._ways:
+    def _draw_paths(self, snapshot: Snapshot) -> None:
+        paths = snapshot.paths
+        if paths is self._paths:
             return
-        self._ways = ways
-        if ways is None:
+        self._paths = paths
+        if paths is None:
             self._hide("/rollouts/fan", "/rollouts/best")
             return
-        pieces, best = segments(ways.fan), segments(ways.best)
-        colors = np.repeat(ways.colors, len(pieces) // max(1, len(ways.colors)), axis=0)
+        pieces, best = segments(paths.others), segments(paths.best)
+        colors = np.repeat(paths.colors, len(pieces) // max(1, len(paths.colors)), axis=0)
         self._line("/rollouts/fan", pieces, np.repeat(colors[:, None], 2, axis=1), 1.5)
         self._line("/rollouts/best", best, np.full((len(best), 2, 3), BEST_COLOR), 4.0)
 

@@ -123,7 +123,7 @@ class Panels:
 
     def update(self, snapshot: Snapshot) -> None:
         """Show how it goes."""
-        text = f"**{snapshot.state}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
+        text = f"**{snapshot.status}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
         if snapshot.plan_ms == snapshot.plan_ms:
             text += f" · plan {snapshot.plan_ms:.0f} ms"
         if snapshot.recording:

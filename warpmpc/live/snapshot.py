@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from .fan import Ways
     from .forecast import Forecast
+    from .rollouts import RolloutPaths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Snapshot:
     """Goal, targets and movable obstacles ``[7]``."""
     values: dict[str, float]
     """Weights and scalars of the task."""
-    ways: Ways | None
+    paths: RolloutPaths | None
     """Best rollout and fan; None without a plan."""
     forecast: Forecast | None
     """Cost and controls that the best rollout expects; None without a plan."""
@@ -46,7 +46,7 @@ class Snapshot:
     eta: float
     beta: float
     plan_ms: float
-    state: str
+    status: str
     """Status in words."""
     paused: bool
     planning: bool

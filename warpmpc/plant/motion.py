@@ -16,7 +16,7 @@ SLACK = 1e-6
 """Tolerance of lapses of time [s]: times are sums of steps."""
 
 
-class Way:
+class MotionPath:
     """Path of one thing over time.
 
     Monotone between points along every axis (Fritsch and Carlson 1980): nothing is overshot, and what waits stands.
@@ -52,7 +52,7 @@ class Observer:
     """
 
     def __init__(self, motion: Motion, control_dt: float, seed: list[int]):
-        self.name, self.way, self._seen = motion.name, Way(motion), motion.seen
+        self.name, self.path, self._seen = motion.name, MotionPath(motion), motion.seen
         self._rate, self._seed = motion.seen.rate or 1.0 / control_dt, seed
         self.reset()
 
@@ -67,7 +67,7 @@ class Observer:
         if count > self._count:
             self._count = count
             at = count / self._rate
-            self._rows.append((at, self.way(at) + self._rng.normal(0.0, self._seen.noise, 3)))
+            self._rows.append((at, self.path(at) + self._rng.normal(0.0, self._seen.noise, 3)))
         if self._seen.lead == 0.0 or len(self._rows) < 2:
             return self._rows[-1][1]
         times, positions = map(np.array, zip(*self._rows, strict=True))
@@ -95,7 +95,7 @@ class Motions:
 
     def at(self, time: float) -> dict[str, np.ndarray]:
         """Positions of everything ``[3]``, by name."""
-        return {observer.name: observer.way(time) for observer in self._observers}
+        return {observer.name: observer.path(time) for observer in self._observers}
 
     def seen(self, time: float) -> dict[str, np.ndarray]:
         """Positions that the planner is shown ``[3]``, by name."""

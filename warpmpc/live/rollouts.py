@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Ways:
-    """Ways of the acting frames."""
+class RolloutPaths:
+    """Paths of the acting frames."""
 
     best: np.ndarray
     """The cheapest rollout ``[F, T+1, 3]`` [m]."""
-    fan: np.ndarray
+    others: np.ndarray
     """Others ``[n, F, T+1, 3]`` [m]."""
     colors: np.ndarray
     """Colours of the others by cost ``[n, 3]``, 0 to 255."""
 
 
-class Fan:
+class ShownRollouts:
     """Looks at rollouts of a controller's last plan.
 
     Args:
         controller: The controller.
     """
 
-    ways: Ways | None
+    paths: RolloutPaths | None
     """Paths to draw; None where no rollout survived."""
     forecast: Forecast | None
     """Cost ahead of the cheapest rollout; None likewise."""
@@ -47,7 +47,7 @@ class Fan:
 
     def clear(self) -> None:
         """There is nothing to see."""
-        self.ways = self.forecast = None
+        self.paths = self.forecast = None
 
     def update(self) -> None:
         """See what the last plan came to."""
@@ -57,12 +57,12 @@ class Fan:
             self.clear()
             return
         seen = controller.engine.record(worlds)
-        ways = paths_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
+        paths = paths_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
         colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
-        self.ways = Ways(ways[0], ways[1:], colors)
+        self.paths = RolloutPaths(paths[0], paths[1:], colors)
         self.forecast = self._forecaster(seen)
 
 
-def segments(ways: np.ndarray) -> np.ndarray:
+def segments(paths: np.ndarray) -> np.ndarray:
     """Lines ``[..., T+1, 3]`` cut into pieces ``[n, 2, 3]``."""
-    return np.stack([ways[..., :-1, :], ways[..., 1:, :]], axis=-2).reshape(-1, 2, 3)
+    return np.stack([paths[..., :-1, :], paths[..., 1:, :]], axis=-2).reshape(-1, 2, 3)
