@@ -38,6 +38,11 @@ def blueprint(
         rrb.Horizontal(series("effective samples η", "temperature/eta"), series("temperature β", "temperature/beta")),
         rrb.Tabs(*last, active_tab=0),
     )
+    return side_by_side(scene, right)
+
+
+def side_by_side(scene: rrb.Spatial3DView, right: rrb.Vertical) -> rrb.Blueprint:
+    """The scene on the left and curves on the right."""
     return rrb.Blueprint(
         rrb.Horizontal(scene, right, column_shares=[3, 2]),
         rrb.TimePanel(timeline="time", state="collapsed"),

@@ -21,7 +21,7 @@ from .forces import FORCE_COLOR, arrows
 from .rerun_shapes import body_path, entity_path
 from .rollout_paths import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, paths_of, predicted_lanes
 from .run_recorder import turning
-from .scene_drawing import draw_scene, writable
+from .scene_drawing import draw_scene, open_recording
 from .shapes import ContactPoints, scene_bounds, thinned
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Recorder:
     def __init__(self, path: str | Path, controller: Controller, plant: Plant, *, fan: int = FAN):
         if fan < 0:
             raise ValueError(f"fan is a number of rollouts, not {fan}")
-        self.path = writable(path)
+        self.path = Path(path)
         self._controller, self._plant, self._fan = controller, plant, fan
         self._layout, scene = plant.layout, plant.scene
         self._dt = scene.timing.control_dt
@@ -88,15 +88,9 @@ class Recorder:
         self._plans: list[tuple] = []
 
         centre, radius = scene_bounds(self._layout, plant.body_q, self._goal_pose)
-        self._recording = rr.RecordingStream(f"warpmpc_{scene.name}")
-        self._recording.set_log_tick_enabled(False)
-        self._recording.set_log_time_enabled(False)
         ground = None if scene.ground is None else scene.ground.height
         views = blueprint(centre, radius, ground=ground, contacts=bool(plant.pairs), clouds=bool(scene.cloud))
-        try:
-            self._recording.save(self.path, default_blueprint=views)
-        except RuntimeError as error:
-            raise OSError(f"cannot write the recording '{self.path}': {error}") from None
+        self._recording = open_recording(self.path, scene, views)
         self._failed = False
         self._recording.send_recording_name(scene.title or scene.name)
         self._draw_scene(2.0 * radius)

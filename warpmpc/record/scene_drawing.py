@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ..model.heightfields import heightfields
 from ..model.layout import WORLD
@@ -16,6 +17,7 @@ from .shapes import GHOST, drawn_shapes, shown_shapes
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant
+    from ..scene.schema import Scene
 
 
 def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> None:
@@ -43,18 +45,24 @@ def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> 
         recording.log("/goal/axes", rr.Arrows3D(vectors=length, colors=colors, radii=0.006), static=True)
 
 
-def writable(name: str | Path) -> Path:
-    """The path of a recording, once it is known that it can be written.
+def open_recording(name: str | Path, scene: Scene, views: rrb.Blueprint) -> rr.RecordingStream:
+    """Open a recording that is written to a file; an existing one is replaced.
 
     Raises:
-        ValueError: If its name does not end in ``.rrd``.
+        ValueError: If the file's name does not end in ``.rrd``.
         OSError: If it cannot be written.
     """
     file = Path(name)
     if file.suffix != ".rrd":
         raise ValueError(f"a recording is a .rrd file, not '{file}'")
+    recording = rr.RecordingStream(f"warpmpc_{scene.name}")
+    recording.set_log_tick_enabled(False)
+    recording.set_log_time_enabled(False)
     try:
         file.open("ab").close()
+        recording.save(file, default_blueprint=views)
     except OSError as error:
         raise type(error)(error.errno, f"cannot write the recording: {error.strerror}", str(file)) from None
-    return file
+    except RuntimeError as error:
+        raise OSError(f"cannot write the recording '{file}': {error}") from None
+    return recording

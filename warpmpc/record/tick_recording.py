@@ -13,9 +13,9 @@ import rerun.blueprint as rrb
 
 from ..realtime.agent import Fault
 from ..task.goal import GOAL
-from .blueprint import scene_view, series
+from .blueprint import scene_view, series, side_by_side
 from .rerun_shapes import body_path, entity_path
-from .scene_drawing import draw_scene, writable
+from .scene_drawing import draw_scene, open_recording
 from .shapes import scene_bounds
 
 if TYPE_CHECKING:
@@ -44,13 +44,9 @@ def record_ticks(path: str | Path, log: RunLog, plant: Plant) -> None:
     if not log.real_time:
         raise ValueError("this log is not one of a run in real time: it has no ticks")
     scene, layout, goal = plant.scene, plant.layout, plant.task.pose(GOAL)
-    path = writable(path)
     centre, radius = scene_bounds(layout, log.states.body_q[0], goal)
-    recording = rr.RecordingStream(f"warpmpc_{scene.name}")
-    recording.set_log_tick_enabled(False)
-    recording.set_log_time_enabled(False)
+    recording = open_recording(path, scene, _blueprint(plant, centre, radius, costs=len(log.plans) > 0))
     try:
-        recording.save(path, default_blueprint=_blueprint(plant, centre, radius, costs=len(log.plans) > 0))
         draw_scene(recording, plant, reach=2.0 * radius)
         recording.log("/goal", rr.Transform3D(translation=goal[:3], quaternion=goal[3:]), static=True)
         for name in layout.movable:
@@ -133,10 +129,4 @@ def _blueprint(plant: Plant, centre: np.ndarray, radius: float, *, costs: bool) 
         rrb.Tabs(series("plan [ms]", "plan_ms"), series("tick late [ms]", "late_ms"), active_tab=0),
         rrb.TextLogView(name="faults", origin="/faults"),
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(scene_view(centre, radius, ground=ground), right, column_shares=[3, 2]),
-        rrb.TimePanel(timeline="time", state="collapsed"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="collapsed"),
-        auto_views=False,
-    )
+    return side_by_side(scene_view(centre, radius, ground=ground), right)
