@@ -70,7 +70,7 @@ class Comparison:
 
     @property
     def excess(self) -> float:
-        """How far the value is beyond its bound; at most zero where it is within."""
+        """Distance of the value beyond its bound; at most zero where it is within."""
         return self.bound - self.value if self.above else self.value - self.bound
 
 
