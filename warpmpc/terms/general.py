@@ -82,7 +82,7 @@ class Distance(TermKeys):
 
 @wp.func
 def reached(s: StepView, p: Distance.Params) -> wp.vec3:
-    """Where the first frame is, or would coast to [m]."""
+    """Place of the first frame, or where it would coast to [m]."""
     a = frame_position(s, p.first)
     if p.lead != 0.0:
         a += p.lead * frame_velocity(s, p.first)
