@@ -128,16 +128,6 @@ def horner(k: np.ndarray, x: str) -> str:
     return "".join(f"({literal(a)} + {x} * " for a in k[:-1]) + literal(k[-1]) + ")" * (len(k) - 1)
 
 
-def decay(x: str, name: str) -> str:
-    """Statements that define exp(-x) of a value that is not negative, to a few units in the last place.
-
-    Args:
-        x: Name of the value.
-        name: Name of the result.
-    """
-    return two_to(f"{literal(-1.0 / np.log(2.0))} * {x}", name)
-
-
 def two_to(y: str, name: str) -> str:
     """Statements that define 2^y, y between -126 and 126 or taken for these, to a few units in the last place.
 

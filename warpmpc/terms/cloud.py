@@ -7,15 +7,14 @@ from typing import Any
 import warp as wp
 
 from ..cost.binding import Binding
-from ..cost.keys import TermKeys, term
+from ..cost.keys import term
 from ..cost.resources.cloud import PointClouds
 from ..kernels.geometry.volume import Volume, between_voxels, voxel_distance
 from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
-from ..scene.types import Names, NonNegative, Positive
-from .collision import CollisionForm
+from ..scene.types import NonNegative
 from .native import cloud as native
-from .spheres import SphereTable, fitted, moving_links, table_of
+from .spheres import LinkKeys
 
 
 class Lookup(StrEnum):
@@ -25,27 +24,17 @@ class Lookup(StrEnum):
     LINEAR = "linear"
 
 
-class CloudCollision(TermKeys):
+class CloudCollision(LinkKeys):
     """Least distance of a robot's links, as spheres, from a point cloud: max(0, margin - d) [m], or 1 if d < margin."""
 
     cloud: str | None = None
     """Cloud of the scene; may be left out where there is but one."""
-    of: str | None = None
-    """Robot; all robots when left out."""
-    links: Names | None = None
-    """Links, ``robot/link`` or the link's own name; all that joints move when left out."""
-    form: CollisionForm = CollisionForm.DISTANCE
-    """distance: max(0, margin - d); binary: 1 if d < margin, else 0."""
-    margin: NonNegative = 0.0
-    """Points closer than this cost something [m]."""
     lookup: Lookup = Lookup.LINEAR
     """nearest: of the voxel a sphere's centre is in; linear: between the centres of eight, which is more exact."""
     allowance: NonNegative | None = None
     """How much nearer than the volume says points are taken to be [m]; half a voxel's diagonal when left out."""
-    overhang: Positive = 0.03
-    """How far the spheres may stick out of the links [m]: less takes more spheres."""
 
-    derived = {"spheres": SphereTable, "volume": Volume, "allowance": float, "between": int, "binary": int}
+    derived = LinkKeys.derived | {"volume": Volume, "allowance": float, "between": int}
 
     def bind(self, p: Any, b: Binding) -> None:
         """Find spheres of links, and the cloud's volume."""
@@ -54,10 +43,8 @@ class CloudCollision(TermKeys):
         if name not in names:
             what = "no such cloud" if name else "give it a [[cloud]] of the scene" if not names else "which cloud?"
             raise SceneError(what, key=f"{b.key}.cloud", file=b.file, found=name, allowed=names)
-        robots = b.robots(self.of)
-        p.spheres = table_of(fitted(robots, moving_links(robots, self.links, b), self.overhang, b), b)
+        super().bind(p, b)
         seen = b.resources.get(PointClouds).request(p, name)
-        p.binary = int(self.form is CollisionForm.BINARY)
         p.between = int(self.lookup is Lookup.LINEAR)
         p.allowance = 0.5 * 3.0**0.5 * seen.voxel if self.allowance is None else self.allowance
         needed = self.margin + p.allowance + float(p.spheres.radius.numpy().max())

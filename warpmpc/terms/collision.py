@@ -2,7 +2,6 @@
 """Collision terms: spheres that cover a robot's links against each other and against the world."""
 
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -19,18 +18,11 @@ from ..scene.errors import SceneError
 from ..scene.types import Names, NonNegative, Positive
 from .mesh_volumes import mesh_volumes
 from .native import collision as native
-from .spheres import SphereTable, fitted, link_body, moving_links, table_of
+from .spheres import LinkKeys, SphereTable, fitted, link_body, table_of
 
 _FINENESS = wp.constant(0.25)
 """Least advance along a swept sphere's way, as a share of its radius."""
 _KINDS = {**PRIMITIVES, "mesh": int(MESH)}
-
-
-class CollisionForm(StrEnum):
-    """Form of the cost of a collision."""
-
-    DISTANCE = "distance"
-    BINARY = "binary"
 
 
 class SelfCollision(TermKeys):
@@ -130,42 +122,28 @@ def _local(body: int, shape: ShapeInfo) -> tuple[float, ...]:
     return shape.pose if body >= WORLD else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-class WorldCollision(TermKeys):
+class WorldCollision(LinkKeys):
     """Least distance of a robot's links, as spheres, from obstacles: max(0, margin - d) [m], or 1 if d < margin."""
 
-    of: str | None = None
-    """Robot; all robots when left out."""
-    links: Names | None = None
-    """Links, ``robot/link`` or the link's own name; all that joints move when left out."""
     against: Names = ("obstacles",)
     """Obstacles, objects, ``ground``, or the groups obstacles and objects."""
-    form: CollisionForm = CollisionForm.DISTANCE
-    """distance: max(0, margin - d); binary: 1 if d < margin, else 0."""
-    margin: NonNegative = 0.0
-    """Obstacles closer than this cost something [m]."""
     swept: bool = False
     """Look at the straight way of every sphere from the step before, so that no thin wall is jumped over."""
-    overhang: Positive = 0.03
-    """How far the spheres may stick out of the links [m]: less takes more spheres."""
     voxel: Positive | None = None
     """Edge of the voxels of meshes' distance volumes [m]; chosen by the size of each mesh when left out."""
 
-    derived = {
-        "spheres": SphereTable,
+    derived = LinkKeys.derived | {
         "body": wp.array[int],  # [obstacles] body, -1 world, -2 and below poses of the task
         "pose": wp.array[wp.transform],  # [obstacles] shape in the body's frame
         "kind": wp.array[int],  # [obstacles]
         "size": wp.array[wp.vec3],  # [obstacles] half extents or (radius, half length)
         "mesh": wp.array[int],  # [obstacles] which of the volumes, of those that are meshes
         "volumes": MeshVolumes,
-        "binary": int,  # 1 below the margin instead of how far below it
     }
 
     def bind(self, p: Any, b: Binding) -> None:
         """Find spheres of links, and the obstacles' shapes."""
-        robots = b.robots(self.of)
-        p.spheres = table_of(fitted(robots, moving_links(robots, self.links, b), self.overhang, b), b)
-        p.binary = int(self.form is CollisionForm.BINARY)
+        super().bind(p, b)
         obstacles = _obstacles(self.against, b)
         kinds = [_KINDS.get(shape.kind) for _, shape in obstacles]
         if None in kinds:

@@ -2,15 +2,19 @@
 """Spheres that cover links, as collision terms take them."""
 
 from collections.abc import Sequence
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ..cost.binding import Binding
+from ..cost.keys import TermKeys
 from ..model.layout import Entity
 from ..model.link_pairs import moving_bodies
 from ..model.spheres import Spheres, fit_spheres
 from ..scene.errors import SceneError
+from ..scene.types import Names, NonNegative, Positive
 
 
 @wp.struct
@@ -54,19 +58,6 @@ def fitted(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b: 
     return spheres
 
 
-def moving_links(robots: Sequence[Entity], links: Sequence[str] | None, b: Binding) -> list[int]:
-    """Bodies of the links a term names, or of all that joints move.
-
-    Raises:
-        SceneError: If there is no such link.
-    """
-    bodies = [body for robot in robots for body in robot.bodies]
-    if links is not None:
-        return [link_body(name, bodies, b, f"{b.key}.links") for name in links]
-    moving = moving_bodies(b.layout)
-    return [body for body in bodies if body in moving]
-
-
 def table_of(spheres: Spheres, b: Binding) -> SphereTable:
     """Spheres as kernels take them."""
     groups = spheres.groups
@@ -77,3 +68,38 @@ def table_of(spheres: Spheres, b: Binding) -> SphereTable:
     table.bound_centre = b.array(np.array([group.centre for group in groups], dtype=np.float32), wp.vec3)
     table.bound_radius = b.array([group.radius for group in groups], float)
     return table
+
+
+class CollisionForm(StrEnum):
+    """Form of the cost of a collision."""
+
+    DISTANCE = "distance"
+    BINARY = "binary"
+
+
+class LinkKeys(TermKeys):
+    """Links of a robot, as spheres, and the cost of what is near them."""
+
+    of: str | None = None
+    """Robot; all robots when left out."""
+    links: Names | None = None
+    """Links, ``robot/link`` or the link's own name; all that joints move when left out."""
+    form: CollisionForm = CollisionForm.DISTANCE
+    """distance: max(0, margin - d); binary: 1 if d < margin, else 0."""
+    margin: NonNegative = 0.0
+    """Distances below this cost something [m]."""
+    overhang: Positive = 0.03
+    """How far the spheres may stick out of the links [m]: less takes more spheres."""
+
+    derived = {"spheres": SphereTable, "binary": int}
+
+    def bind(self, p: Any, b: Binding) -> None:
+        """Find the spheres of the links."""
+        robots = b.robots(self.of)
+        own = [body for robot in robots for body in robot.bodies]
+        moving = moving_bodies(b.layout)
+        bodies = [body for body in own if body in moving]
+        if self.links is not None:
+            bodies = [link_body(name, own, b, f"{b.key}.links") for name in self.links]
+        p.spheres = table_of(fitted(robots, bodies, self.overhang, b), b)
+        p.binary = int(self.form is CollisionForm.BINARY)
