@@ -83,6 +83,7 @@ def result_from_json(data: dict[str, Any]) -> EpisodeResult:
         phases=tuple((entry["phase"], entry["time_s"]) for entry in data.get("phases", ())),
         reached=data.get("reached"),
         drawn=data.get("drawn", {}),
+        verdict=tuple(data.get("verdict", ())),
         mean_cost=None if data["success"] is not None else _number(data["mean_cost"]),
     )
 
