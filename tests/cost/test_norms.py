@@ -7,10 +7,12 @@ import warp as wp
 from pydantic import ValidationError
 
 from warpmpc.cost.norms import NormKeys
-from warpmpc.kernels.terms.norms import Norm, norm_bend, norm_part, norm_slope, norm_total
+from warpmpc.cost.residual import fixed_norm
+from warpmpc.kernels.terms.norms import SQUARES, Norm, norm_bend, norm_part, norm_slope, norm_total
 
 VALUE = {
     "quadratic": lambda x, p, q: 0.5 * (x * x).sum(),
+    "squares": lambda x, p, q: (x * x).sum(),
     "l22": lambda x, p, q: (np.linalg.norm(x) ** q + p**q) ** (1.0 / q) - p,
     "l2": lambda x, p, q: np.sqrt((x * x).sum() + p * p) - p,
     "cosh": lambda x, p, q: (p * p * (np.cosh(x / p) - 1.0)).sum(),
@@ -22,6 +24,7 @@ VALUE = {
 """The norms as they are defined."""
 NORMS = [
     {"kind": "quadratic"},
+    {"kind": "squares"},  # of terms that sum squares, without a key
     {"kind": "l22", "p": 0.3, "q": 3.0},
     {"kind": "l22", "p": 0.02, "q": 2.0},
     {"kind": "l22", "p": 0.5, "q": 1.4},
@@ -63,7 +66,8 @@ def derivatives(x: np.ndarray, norm: dict, device: str) -> tuple[float, np.ndarr
     n = len(x)
     out = [wp.zeros(shape, dtype=float, device=device) for shape in (1, n, (n, n))]
     residual = wp.array(x, dtype=float, device=device)
-    wp.launch(derivatives_kernel, 1, [residual, NormKeys.model_validate(norm).struct()], out, device=device)
+    given = fixed_norm(SQUARES) if norm["kind"] == "squares" else NormKeys.model_validate(norm).struct()
+    wp.launch(derivatives_kernel, 1, [residual, given], out, device=device)
     value, slope, bend = (array.numpy() for array in out)
     return float(value[0]), slope, bend
 
