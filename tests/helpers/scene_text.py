@@ -50,6 +50,7 @@ between = ["base", "obstacles"]
 
 [planner]
 samples = 64
+horizon = 16
 
 [success]
 position = 0.05

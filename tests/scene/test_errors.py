@@ -58,7 +58,7 @@ def set_to(tmp_path, override: str) -> SceneError:
         ("mass = 1.0", "mass = -1.0", "object.box.mass", ["must be above 0", "found -1.0"]),
         ("mass = 1.0", "mass = nan", "object.box.mass", ["must be finite", "found nan"]),
         ("mass = 1.0", "mass = inf", "object.box.mass", ["must be finite", "found inf"]),
-        ("samples = 64", "horizon = 0", "planner.horizon", ["must be at least 1", "found 0"]),
+        ("horizon = 16", "horizon = 0", "planner.horizon", ["must be at least 1", "found 0"]),
         ("samples = 64", "discount = 1.5", "planner.discount", ["must be at most 1", "found 1.5"]),
         ("samples = 64", "samples = 5000000000", "planner.samples", ["must be at most 2147483647"]),
         ("limit = [0.8, 0.8, 1.0]", "limit = [0.8, -0.8, 1.0]", "robot.base.drive.limit", ["value 2", "found -0.8"]),

@@ -207,3 +207,42 @@ def test_the_former_name_of_a_key_is_read_with_a_warning(tmp_path, caplog):
     with pytest.raises(SceneError, match=r"planner\.postures\.ripe"):
         load_scene(write(tmp_path, text + "ripe = 5\nmin_age = 6\n"))
     assert not caplog.text
+
+
+@pytest.mark.parametrize(
+    ("planner", "steps", "dt", "knots"),
+    [
+        ({}, 15, 0.08, 5),
+        ({"samples": 32, "method": "cem"}, 15, 0.08, 5),
+        ({"dt": 0.05}, 24, 0.05, 5),
+        ({"knots": 9}, 15, 0.08, 9),
+        ({"horizon": "auto", "dt": 0.4}, 3, 0.4, 3),
+    ],
+)
+def test_a_planner_without_a_horizon_gets_the_recipe(planner, steps, dt, knots):
+    data = load_scene("pendulum").model_dump(exclude_unset=True)  # controls of 0.02 s
+    scene = Scene.model_validate({**data, "planner": planner})
+    for found in (scene.planner, Scene.model_validate(scene.model_dump(exclude_unset=True)).planner):
+        assert (found.horizon, found.dt, found.knots, found.spline, found.discount) == (
+            steps,
+            (dt,),
+            knots,
+            "cubic",
+            1.0,
+        )
+        assert (found.noise.shape, found.noise.spread, found.temperature.ess) == ("identity", (0.02, 1.0), 4.0)
+
+
+def test_what_is_said_comes_before_the_recipe():
+    data = load_scene("pendulum").model_dump(exclude_unset=True)
+    said = {"noise": {"sigma": 0.3, "redraw": False}, "temperature": {"eta": (3.0, 8.0)}, "discount": 0.9}
+    planner = Scene.model_validate({**data, "planner": said}).planner
+    assert (planner.noise.sigma, planner.noise.redraw, planner.noise.constant) == ((0.3,), False, 0.1)
+    assert (planner.temperature.eta, planner.temperature.ess, planner.discount) == ((3.0, 8.0), None, 0.9)
+
+
+@pytest.mark.parametrize("planner", [{"horizon": 20}, {"method": "ilqg"}, {"refine": {"method": "gradient"}}])
+def test_a_horizon_that_is_given_and_derivatives_keep_the_steps_of_controls(planner):
+    data = load_scene("pendulum").model_dump(exclude_unset=True)
+    found = Scene.model_validate({**data, "planner": planner}).planner
+    assert (found.dt, found.spline, found.discount) == (None, "zero", 0.95)

@@ -121,7 +121,7 @@ def scenes(draw):
     planner = st.builds(
         Planner,
         method=st.sampled_from(Method),
-        samples=st.integers(8, 10_000),
+        samples=st.integers(8, 1_000),
         horizon=count,
         risk=st.sampled_from(Risk),
         knots=st.none() | st.integers(2, 50),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -122,8 +123,9 @@ def make_engine(name: str, request: EngineRequest) -> tuple[EngineEntry, Engine]
         raise SceneError(message, key="engine.name", file=scene.path, allowed=["auto", *others]) from error
 
 
-SUBSTEPS = 2
-"""Physics steps per control of a rollout where neither the scene nor an MJCF file says anything."""
+SUBSTEPS, LONGEST = 2, 0.02
+"""Least number of physics steps in a step of a rollout, and their greatest length [s], where neither the scene nor an
+MJCF file says anything."""
 
 
 def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> PhysicsSteps:
@@ -138,7 +140,8 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     Raises:
         SceneError: If a step is no multiple of the physics step, although that has one length in this engine.
     """
-    substeps = compiled.substeps(scene.engine.substeps, float(grid.dt[0]), SUBSTEPS)
+    default = max(SUBSTEPS, math.ceil(grid.dt[0] / LONGEST - 1e-6))
+    substeps = compiled.substeps(scene.engine.substeps, float(grid.dt[0]), default)
     if ENGINES[name].any_dt:
         return PhysicsSteps((substeps,) * grid.steps, tuple((grid.dt / substeps).tolist()))
     timestep = float(grid.dt[0]) / substeps

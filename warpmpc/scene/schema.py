@@ -24,28 +24,12 @@ from .schema_bodies import (
     ShapeKind,
 )
 from .schema_cloud import Camera, Cloud
+from .schema_engine import EngineName, EngineSettings, Solver
 from .schema_goal import Goal, Phase, Pose, Target
 from .schema_motion import Motion, Seen
+from .schema_noise import Noise, NoiseShape, NoiseSource, Renewal, ShareOfRange, Temperature
 from .schema_over import Condition, Failure, Success
-from .schema_planner import (
-    EngineName,
-    EngineSettings,
-    Growing,
-    Method,
-    Noise,
-    NoiseShape,
-    NoiseSource,
-    Planner,
-    Refinement,
-    Renewal,
-    Risk,
-    SampleCount,
-    ShareOfRange,
-    Solver,
-    SplineKind,
-    StepCount,
-    Temperature,
-)
+from .schema_planner import Growing, Method, Planner, Refinement, Risk, SampleCount, SplineKind, StepCount
 from .schema_plant import Kick, PlantFactors, PlantNoise, PlantSettings
 from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
 from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
@@ -209,9 +193,7 @@ class Scene(Section):
     @field_validator("planner")
     @classmethod
     def _with_horizon(cls, planner: Planner, info: ValidationInfo) -> Planner:
-        if planner.horizon is not StepCount.AUTO or "timing" not in info.data:
-            return planner
-        return planner.model_copy(update={"horizon": planner.steps_ahead(info.data["timing"].control_dt)})
+        return planner.with_horizon(info.data["timing"].control_dt) if "timing" in info.data else planner
 
     @field_validator("phase")
     @classmethod

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of what plans: the sampling-based planner, its noise and temperature, the physics of its rollouts."""
+"""The types of the planner."""
 
 from __future__ import annotations
 
@@ -9,26 +9,23 @@ from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, model_validator
 
-from ..registry import ENGINES, STRATEGIES, Name, Registry
+from ..registry import STRATEGIES, Name, Registry
 from .schema_ancillary import Ancillary
+from .schema_noise import Noise, Temperature, numbers_or_table
 from .schema_sampling import Covariance, Execute, Postures, TryMean
 from .types import (
-    Channel,
     Count,
     Finite,
     Flag,
-    Fraction,
     Natural,
     NonNegative,
     NonNegatives,
     OneOrMore,
-    Param,
     Positive,
     Positives,
     Section,
     Share,
     TwoOrMore,
-    Vec3,
 )
 
 
@@ -49,107 +46,6 @@ class Method(Name):
     def registry(cls) -> Registry:
         """Registry of users' strategies."""
         return STRATEGIES
-
-
-class NoiseSource(StrEnum):
-    """Sources of standard normals."""
-
-    HALTON = "halton"
-    SOBOL = "sobol"
-    RANDOM = "random"
-
-
-class NoiseShape(StrEnum):
-    """Correlations of standard normals along the horizon."""
-
-    IDENTITY = "identity"
-    BSPLINE = "bspline"
-    COMB = "comb"
-    COLOURED = "coloured"
-
-
-class Renewal(StrEnum):
-    """Ways in which a low-discrepancy table is drawn anew."""
-
-    ROTATE = "rotate"
-    START = "start"
-
-
-class ShareOfRange(Section):
-    """A standard deviation by the range of each control, from its lower to its upper limit."""
-
-    range: Positives
-    """Share of the range, one value or one per control: 0.25 is half of the way from the middle to a limit."""
-
-
-def _numbers_or_table(value: object) -> str:
-    return "table" if isinstance(value, dict | Section) else "numbers"
-
-
-Sigma = Annotated[
-    Annotated[Positives, Tag("numbers")] | Annotated[ShareOfRange, Tag("table")], Discriminator(_numbers_or_table)
-]
-
-
-class Noise(Section):
-    """Perturbation of the knots, ε = σ ⊙ (B z)."""
-
-    source: NoiseSource = NoiseSource.HALTON
-    """Where standard normals z come from."""
-    shape: NoiseShape = NoiseShape.BSPLINE
-    """How they are correlated along the horizon, B."""
-    sigma: Sigma = ShareOfRange(range=(0.25,))
-    """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
-    range, as when left out."""
-    spread: tuple[Positive, Positive] = (1.0, 1.0)
-    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
-    constant: Channel = 0.0
-    """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
-    several controls hardly ever draw."""
-    redraw: Flag | None = None
-    """Fresh noise in every round; when false it is drawn once, as in the papers. When left out it is drawn anew with
-    ``iterations`` above one or an adapted covariance: a σ that narrows onto the same draws carries the plan away."""
-    renewal: Renewal = Renewal.ROTATE
-    """How a Halton or Sobol table is drawn anew: ``rotate`` every column by a random shift modulo one, or ``start``
-    every column somewhere else, which takes a tenth of the time."""
-    comb: Vec3 = (0.3, 0.0, 0.7)
-    """Coefficients of the comb filter (STORM)."""
-    exponent: NonNegative = 1.0
-    """Exponent α of coloured noise, power ∝ 1/f^α."""
-    knots: Count | None = None
-    """Noise knots of the shape ``bspline``, fewer of them smoother; half of the knots of a plan when left out."""
-    null_sample: Flag = True
-    """Whether one sample asks for nothing: no speed or effort, or the observed position held."""
-    null_share: Fraction = 0.0
-    """Share of the samples that ask for nothing, where that is more than the one: an arm that is nearly there coasts
-    and stops (STORM)."""
-    anneal: tuple[Positive, Positive] | None = None
-    """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
-    present, h from 1/P at the first of P knots to 1 at the last."""
-
-
-class Temperature(Section):
-    """The inverse-exponential temperature β of MPPI."""
-
-    initial: Positive = 1.0
-    """β of the first plan, in units of cost."""
-    eta: tuple[Positive, Positive] | None = (5.0, 10.0)
-    """Bounds of the effective number of samples η; β follows them between plans [P6]."""
-    ess: Positive | None = None
-    """Effective sample size (Σw)²/Σw² that β is solved for within each plan, instead of ``eta``."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _ess_replaces_default_eta(cls, data: object) -> object:
-        return {"eta": None, **data} if isinstance(data, dict) and data.get("ess") else data
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Temperature:
-        if self.eta is not None and self.ess is not None:
-            raise ValueError("only one of eta and ess can steer the temperature: switch one off, as in eta = false")
-        if self.eta is not None and self.eta[0] >= self.eta[1]:
-            raise ValueError(f"eta = [low, high] needs low < high; found {list(self.eta)}")
-        return self
 
 
 class SplineKind(StrEnum):
@@ -186,8 +82,8 @@ class StepCount(StrEnum):
     """As many as look :data:`AHEAD` ahead."""
 
 
-AHEAD = 1.0
-"""How far ``horizon = "auto"`` looks ahead [s]."""
+AHEAD, STEP = 1.2, 0.08
+"""How far ``horizon = "auto"`` looks ahead, and the length of its steps, rounded to whole controls [s]."""
 
 
 def _number_or_flag(value: object) -> str:
@@ -220,7 +116,7 @@ class Growing(Section):
 
 
 Steps = Annotated[
-    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(_numbers_or_table)
+    Annotated[Positives, Tag("numbers")] | Annotated[Growing, Tag("table")], Discriminator(numbers_or_table)
 ]
 
 
@@ -272,8 +168,25 @@ the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The las
 derivatives (2212.00541)."""
 
 
+RECIPE = {
+    "horizon": "auto",
+    "knots": 5,
+    "spline": "cubic",
+    "discount": 1.0,
+    "noise": {"shape": "identity", "spread": (0.02, 1.0), "constant": 0.1, "redraw": True},
+    "temperature": {"ess": 4.0},
+}
+"""Defaults of a scene that leaves ``horizon`` out, or says ``auto``: smooth plans that look far ahead, samples from
+fine to coarse, a temperature that suits every cost."""
+
+
 class Planner(Section):
-    """The sampling-based planner."""
+    """The sampling-based planner.
+
+    A scene that leaves ``horizon`` out gets a recipe for all that it does not say itself: a look ahead of 1.2 s in
+    steps of about 0.08 s, 5 cubic knots, no discount, ``noise = { shape = "identity", spread = [0.02, 1.0],
+    constant = 0.1, redraw = true }`` and ``temperature = { ess = 4.0 }``.
+    """
 
     method: Method = Method.MPPI
     """Strategy of the plans, a registered one among them."""
@@ -281,11 +194,12 @@ class Planner(Section):
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
     horizon: Horizon = 16
-    """Steps T of a rollout, or ``auto``: as many as look 1 s ahead, the median of the shipped scenes, or as ``dt``
-    lists. How far to look is up to the task and not to the machine: ``samples`` alone are measured."""
+    """Steps T of a rollout, or ``auto``, as when left out: as many as look 1.2 s ahead, or as ``dt`` lists; 16 with
+    ``refine``. How far to look is up to the task and not to the machine: ``samples`` alone are measured."""
     dt: Steps | None = None
-    """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``);
-    ``timing.control_dt`` when left out. Longer steps look further ahead at the same price."""
+    """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
+    ``timing.control_dt``, or with ``horizon = "auto"`` about 0.08 s. Longer steps look further ahead at the same
+    price."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     randomize: Flag = True
@@ -347,14 +261,19 @@ class Planner(Section):
     @classmethod
     def _preset(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Fill in what a method means by itself; what the scene says comes first, and it alone counts as set."""
-        method = data.get("method") if isinstance(data, dict) else None
-        preset = PRESETS.get(method) if isinstance(method, str) else None
-        if preset is None:
+        if not isinstance(data, dict):
             return handler(data)
-        tables = {key: value for key, value in preset.items() if isinstance(value, dict)}
-        merged = {key: {**own, **data[key]} for key, own in tables.items() if isinstance(data.get(key), dict)}
-        out = {**preset, **data, **merged}
-        if method in DIRECT:
+        method, horizon = data.get("method"), data.get("horizon", StepCount.AUTO)
+        preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
+        recipe = RECIPE if horizon == StepCount.AUTO and "refine" not in {**preset, **data} else {}
+        out = {**recipe, **preset, **data}
+        for key in ("noise", "temperature", "covariance", "refine"):
+            tables = [part[key] for part in (recipe, preset, data) if key in part]
+            if all(isinstance(table, dict) for table in tables) and tables:
+                out[key] = {name: value for table in tables for name, value in table.items()}
+        if recipe and "eta" in (data.get("temperature") or {}):  # bounds of η take the place of a wanted sample size
+            out["temperature"] = data["temperature"]
+        if isinstance(method, str) and method in DIRECT:
             smooth = out.get("spline") in (SplineKind.CUBIC, SplineKind.BSPLINE)
             out |= {"knots": None} | ({"spline": SplineKind.ZERO} if smooth else {})
         planner = handler(out)
@@ -370,83 +289,28 @@ class Planner(Section):
             raise ValueError(f"dt has one number, or {self.horizon}: one for each step of the horizon")
         return self
 
-    def steps_ahead(self, control_dt: float) -> int:
-        """The horizon that ``auto`` stands for, with controls of a length [s]."""
-        dt = self.dt or (control_dt,)
-        return len(dt) if len(dt) > 1 else max(1, math.ceil(AHEAD / dt[0] - 1e-9))
+    def with_horizon(self, control_dt: float) -> Planner:
+        """Return the planner with the number of steps, and their length, that ``auto`` stands for.
+
+        Args:
+            control_dt: Length of a control [s].
+        """
+        if self.horizon is not StepCount.AUTO:
+            return self
+        whole = 1 if self.refine else max(1, round(STEP / control_dt))
+        dt = self.dt or (whole * control_dt,)
+        steps = len(dt) if len(dt) > 1 else max(1, math.ceil(AHEAD / dt[0] - 1e-9))
+        update = {"horizon": steps, "dt": dt}
+        if self.knots is not None and "knots" not in self.model_fields_set:
+            update["knots"] = max(2, min(self.knots, steps))
+        planner = self.model_copy(update=update)
+        # worked out is not said: the rest of the recipe goes with a horizon that is left out
+        said = self.model_fields_set - (set() if self.refine else {"horizon"})
+        planner.__pydantic_fields_set__.intersection_update(said)
+        return planner
 
     @model_validator(mode="after")
     def _domains_differ(self) -> Planner:
         if self.domains > 1 and not self.randomize:
             raise ValueError("domains > 1 tries samples in different worlds: set randomize = true or domains = 1")
         return self
-
-
-class EngineName(Name):
-    """Engines of rollouts."""
-
-    AUTO = "auto"
-    MUJOCO = "mujoco"
-    NEWTON = "newton"
-    KINEMATIC = "kinematic"
-    FUSED = "fused"
-
-    @classmethod
-    def registry(cls) -> Registry:
-        """Registry of users' engines."""
-        return ENGINES
-
-
-class Solver(StrEnum):
-    """Newton solvers of the engine ``newton``."""
-
-    MUJOCO = "mujoco"
-    XPBD = "xpbd"
-    FEATHERSTONE = "featherstone"
-    SEMI_IMPLICIT = "semi_implicit"
-    STEEL = "steel"
-    KAMINO = "kamino"
-
-
-class Integrator(StrEnum):
-    """Integrators by which MuJoCo moves on from accelerations to velocities and positions."""
-
-    EULER = "euler"
-    RK4 = "rk4"
-    IMPLICIT = "implicit"
-    IMPLICITFAST = "implicitfast"
-
-
-class Cone(StrEnum):
-    """MuJoCo's friction cone."""
-
-    PYRAMIDAL = "pyramidal"
-    ELLIPTIC = "elliptic"
-
-
-class EngineSettings(Section):
-    """The physics of the rollouts.
-
-    What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.
-    """
-
-    name: EngineName = EngineName.AUTO
-    """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
-    substeps: Count | None = None
-    """Physics steps per control; else as many as the MJCF file's timestep asks for, or 2."""
-    threads: Natural = 0
-    """CPU threads; 0 means one per core."""
-    iterations: Count | None = None
-    """Largest number of constraint solver iterations; else the MJCF file's, or 20."""
-    tolerance: NonNegative | None = None
-    """Constraint solver tolerance; else the MJCF file's, or 1e-6."""
-    integrator: Integrator | None = None
-    """Of the rollouts and of the plant; else the MJCF file's, or ``implicitfast``."""
-    cone: Cone | None = None
-    """Friction cone of the rollouts and of the plant; else the MJCF file's, or ``pyramidal``."""
-    impratio: Positive | None = None
-    """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
-    solver: Solver = Solver.MUJOCO
-    """``newton``: which of Newton's solvers."""
-    options: dict[str, Param] = Field(default_factory=dict)
-    """``newton``: further options, passed to the solver's constructor by name."""

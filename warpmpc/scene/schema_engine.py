@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The types of the engine: the physics of the rollouts."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import Field
+
+from ..registry import ENGINES, Name, Registry
+from .types import Count, Natural, NonNegative, Param, Positive, Section
+
+
+class EngineName(Name):
+    """Engines of rollouts."""
+
+    AUTO = "auto"
+    MUJOCO = "mujoco"
+    NEWTON = "newton"
+    KINEMATIC = "kinematic"
+    FUSED = "fused"
+
+    @classmethod
+    def registry(cls) -> Registry:
+        """Registry of users' engines."""
+        return ENGINES
+
+
+class Solver(StrEnum):
+    """Newton solvers of the engine ``newton``."""
+
+    MUJOCO = "mujoco"
+    XPBD = "xpbd"
+    FEATHERSTONE = "featherstone"
+    SEMI_IMPLICIT = "semi_implicit"
+    STEEL = "steel"
+    KAMINO = "kamino"
+
+
+class Integrator(StrEnum):
+    """Integrators by which MuJoCo moves on from accelerations to velocities and positions."""
+
+    EULER = "euler"
+    RK4 = "rk4"
+    IMPLICIT = "implicit"
+    IMPLICITFAST = "implicitfast"
+
+
+class Cone(StrEnum):
+    """MuJoCo's friction cone."""
+
+    PYRAMIDAL = "pyramidal"
+    ELLIPTIC = "elliptic"
+
+
+class EngineSettings(Section):
+    """The physics of the rollouts.
+
+    What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.
+    """
+
+    name: EngineName = EngineName.AUTO
+    """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
+    substeps: Count | None = None
+    """Physics steps in a step of a rollout; else as many as the MJCF file's timestep asks for, or 2, none longer
+    than 0.02 s."""
+    threads: Natural = 0
+    """CPU threads; 0 means one per core."""
+    iterations: Count | None = None
+    """Largest number of constraint solver iterations; else the MJCF file's, or 20."""
+    tolerance: NonNegative | None = None
+    """Constraint solver tolerance; else the MJCF file's, or 1e-6."""
+    integrator: Integrator | None = None
+    """Of the rollouts and of the plant; else the MJCF file's, or ``implicitfast``."""
+    cone: Cone | None = None
+    """Friction cone of the rollouts and of the plant; else the MJCF file's, or ``pyramidal``."""
+    impratio: Positive | None = None
+    """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
+    solver: Solver = Solver.MUJOCO
+    """``newton``: which of Newton's solvers."""
+    options: dict[str, Param] = Field(default_factory=dict)
+    """``newton``: further options, passed to the solver's constructor by name."""
