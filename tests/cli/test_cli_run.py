@@ -69,7 +69,7 @@ def test_json_is_all_there_is_on_stdout(two_episodes):
     assert two_episodes.stderr == ""
     first, second = results(two_episodes)
     for result in (first, second):
-        assert list(result) == KEYS
+        assert list(result) == [*KEYS, "verdict"]  # the run fails
         assert list(result["final"]) == ["position_error_m", "yaw_error_rad", "cost", "axis_error_m"]
         assert list(result["collisions"]) == ["max_force_N", "time_in_contact_s"]
         assert list(result["plan_ms"]) == ["p50", "p90", "p99", "max"]
@@ -131,7 +131,7 @@ def test_drawn_tasks_say_what_was_drawn(tmp_path, command):
     (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", draw))
     done = command("run", "mine.toml", "--json", "--episodes", "2", *TINY)
     first, second = results(done)
-    assert list(first) == [*KEYS, "drawn"]
+    assert list(first) == [*KEYS, "drawn", "verdict"]
     assert first["drawn"].keys() == second["drawn"].keys() == {"goal.position"}
     assert first["drawn"] != second["drawn"]
 
@@ -141,7 +141,7 @@ def test_the_table_has_one_row_per_episode_and_a_sum(command):
     assert (done.returncode, done.stderr) == (1, "")
     rows = [line.split()[:3] for line in done.stdout.splitlines() if "timeout" in line]
     assert rows == [["0", "timeout", "0.40"], ["1", "timeout", "0.40"]]
-    assert done.stdout.endswith("0 of 2 reached the goal\n")
+    assert "0 of 2 reached the goal\nwhy seed 0 did not succeed:\n  - not met: " in done.stdout
 
 
 def test_many_episodes_at_once(tmp_path, command):
@@ -151,7 +151,7 @@ def test_many_episodes_at_once(tmp_path, command):
     assert (done.returncode, done.stderr) == (1, "")
     found = results(done)
     assert [result["seed"] for result in found] == [3, 4, 5, 6, 7]
-    assert [list(result) for result in found] == [KEYS] * 5
+    assert [list(result) for result in found] == [[*KEYS, "verdict"]] * 5
     assert {(result["envs"], result["steps"], result["reason"]) for result in found} == {(2, 10, "timeout")}
     alone = results(command("run", "mine.toml", "--json", "--seed", "3", "--engine", "fused", *TINY))[0]
     assert alone["envs"] == 1
@@ -273,7 +273,8 @@ def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path,
         time.sleep(1.0)
         process.send_signal(number)
         out, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (code, "")
+    late = "sending the safe command"  # a loaded machine plans late, and the watchdog says so
+    assert (process.returncode, [line for line in errors.splitlines() if late not in line]) == (code, [])
     (result,) = map(json.loads, out.splitlines())
     assert result["reason"] == "interrupted"
     assert len(package.RunLog.load(tmp_path / "a.npz").controls) > 10

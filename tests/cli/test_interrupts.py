@@ -15,7 +15,7 @@ from pydantic import BaseModel, Discriminator, Tag
 from warpmpc.cli import run as run_module
 from warpmpc.cli.interrupts import Interrupts
 from warpmpc.cli.outputs import Outputs
-from warpmpc.cli.setup import Order
+from warpmpc.cli.setup import RunArguments
 
 
 @pytest.fixture(autouse=True)
@@ -97,6 +97,6 @@ def test_ctrl_c_while_a_scene_is_built_ends_the_run(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run_module, "Setup", interrupted)
-    order = Order(source="omni_push_box", device="cpu")
+    arguments = RunArguments(source="omni_push_box", device="cpu")
     quiet = {"jobs": None, "results_file": None, "json_lines": False, "quiet": True}
-    assert run_module.run(order, seeds=[0], envs=1, outputs=Outputs(), **quiet) == 130
+    assert run_module.run(arguments, seeds=[0], envs=1, outputs=Outputs(), **quiet) == 130

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from .interrupts import Interrupts
-from .setup import Order, start_warp, user_errors
+from .setup import RunArguments, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -19,11 +19,11 @@ NEEDED = ("viser", "tomlkit")
 """Packages of the extra ``live``."""
 
 
-def live(order: Order, *, host: str, port: int, seed: int) -> None:
+def live(arguments: RunArguments, *, host: str, port: int, seed: int) -> None:
     """Serve a scene's page until Ctrl-C or SIGTERM.
 
     Args:
-        order: Scene and engine.
+        arguments: Scene and engine.
         host: Address to listen at.
         port: Port to listen at.
         seed: Seed of the first episode.
@@ -39,8 +39,9 @@ def live(order: Order, *, host: str, port: int, seed: int) -> None:
         require_port(host, port)
         start_warp()
         try:
-            options = {"engine": order.engine, "device": order.device, "terms": load_terms(order.term_files)}
-            session = Session(order.source, overrides=order.overrides, seed=seed, **options)
+            options = {"engine": arguments.engine, "device": arguments.device}
+            options["terms"] = load_terms(arguments.term_files)
+            session = Session(arguments.source, overrides=arguments.overrides, seed=seed, **options)
             access = Access(host, port)
             serve(session, access, ready=lambda: _say_where(access))
         except KeyboardInterrupt:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from .setup import Order
+    from .setup import RunArguments
 
 # physics, kernels and tables take seconds to import: every command imports what it needs, when it needs it
 
@@ -142,7 +142,7 @@ def check(
     """Build everything a run would, make one plan, and show what was built."""
     from . import run as cli_run
 
-    raise typer.Exit(cli_run.check(_order(scene, overrides, terms, engine, device), seed=seed))
+    raise typer.Exit(cli_run.check(_arguments(scene, overrides, terms, engine, device), seed=seed))
 
 
 @app.command()
@@ -216,7 +216,7 @@ def run(
     from . import run as cli_run
     from .outputs import Outputs
 
-    order, seeds = _order(scene, overrides, terms, engine, device), range(seed, seed + episodes)
+    arguments, seeds = _arguments(scene, overrides, terms, engine, device), range(seed, seed + episodes)
     outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
     options = {"seeds": seeds, "outputs": outputs, "json_lines": json, "quiet": quiet}
     if real_time:
@@ -224,10 +224,10 @@ def run(
 
         given = {"--envs": envs > 1, "--jobs": jobs, "--results": results}
         refused = [option for option, value in given.items() if value]
-        raise typer.Exit(run_real_time(order, speed=1.0 if speed is None else speed, refused=refused, **options))
+        raise typer.Exit(run_real_time(arguments, speed=1.0 if speed is None else speed, refused=refused, **options))
     if speed is not None:
         raise typer.BadParameter("goes with --real-time", param_hint="--speed")
-    raise typer.Exit(cli_run.run(order, envs=envs, jobs=jobs, results_file=results, **options))
+    raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, **options))
 
 
 @app.command()
@@ -383,13 +383,13 @@ def live(
     """Watch and steer the controller on a page in the browser; Ctrl-C ends it."""
     from .live import live as cli_live
 
-    cli_live(_order(scene, overrides, terms, engine, device), host=host, port=port, seed=seed)
+    cli_live(_arguments(scene, overrides, terms, engine, device), host=host, port=port, seed=seed)
 
 
-def _order(scene: str, overrides: list[str], terms: list[Path], engine: str, device: str) -> Order:
-    from .setup import Order
+def _arguments(scene: str, overrides: list[str], terms: list[Path], engine: str, device: str) -> RunArguments:
+    from .setup import RunArguments
 
-    return Order(source=scene, overrides=tuple(overrides), term_files=tuple(terms), engine=engine, device=device)
+    return RunArguments(source=scene, overrides=tuple(overrides), term_files=tuple(terms), engine=engine, device=device)
 
 
 if __name__ == "__main__":

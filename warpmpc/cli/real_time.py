@@ -15,7 +15,7 @@ from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Messages
 from .run_folder import LOG
-from .setup import FAILURE, SUCCESS, Order, results_only, start_warp, user_errors
+from .setup import FAILURE, SUCCESS, RunArguments, results_only, start_warp, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def run_real_time(
-    order: Order,
+    arguments: RunArguments,
     *,
     seeds: Sequence[int],
     speed: float,
@@ -38,7 +38,7 @@ def run_real_time(
     """Run one episode per seed in real time, report, and return the exit code.
 
     Args:
-        order: Scene and engine.
+        arguments: Scene and engine.
         seeds: Seeds of the episodes.
         speed: Simulated seconds in a second of wall time.
         outputs: Files to write.
@@ -54,14 +54,14 @@ def run_real_time(
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
                 outputs.check(seeds, envs=1, jobs=None)
-                scene = load_scene(order.source, overrides=order.overrides)
+                scene = load_scene(arguments.source, overrides=arguments.overrides)
                 start_warp()
-                options = {"engine": order.engine, "device": order.device, "speed": speed}
+                options = {"engine": arguments.engine, "device": arguments.device, "speed": speed}
                 asked = {**options, "real_time": True}
-                folder = outputs.folder(scene, seeds=seeds, term_files=order.term_files, asked=asked)
+                folder = outputs.folder(scene, seeds=seeds, term_files=arguments.term_files, asked=asked)
                 from ..run.real_time import run_real_time
 
-                files = [path.absolute() for path in order.term_files]
+                files = [path.absolute() for path in arguments.term_files]
                 options |= {"check": interrupts.check, "terms": partial(load_terms, files) if files else None}
                 for seed in seeds:
                     with TickLog(outputs, seed) as log:

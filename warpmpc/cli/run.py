@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..scene.load import load_scene, variants
 from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
-from .setup import FAILURE, SUCCESS, WHILE_RUNNING, Order, Setup, results_only, user_errors
+from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, results_only, user_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("warpmpc")
 
 
-def check(order: Order, *, seed: int) -> int:
+def check(arguments: RunArguments, *, seed: int) -> int:
     """Build what a run of the scene would, make one plan and show what was built; returns the exit code.
 
     The scene's variants are read, too; one of them is built by its name.
@@ -35,10 +35,10 @@ def check(order: Order, *, seed: int) -> int:
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                setup = Setup(**vars(order))
+                setup = Setup(**vars(arguments))
                 if setup.scene.variant is None:
-                    for variant in variants(order.source):
-                        load_scene(f"{order.source}:{variant}", overrides=order.overrides)
+                    for variant in variants(arguments.source):
+                        load_scene(f"{arguments.source}:{variant}", overrides=arguments.overrides)
                 episode = setup.episode(seed)
                 observation = episode.plant.observe()
                 for _ in range(2):  # the first plan compiles kernels
@@ -56,7 +56,7 @@ def check(order: Order, *, seed: int) -> int:
 
 
 def run(
-    order: Order,
+    arguments: RunArguments,
     *,
     seeds: Sequence[int],
     envs: int,
@@ -77,15 +77,15 @@ def run(
             with user_errors():
                 _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
-                setup = Setup(**vars(order))
-                kept = _kept(results_file, setup, order.term_files)
-                asked = {"engine": order.engine, "device": order.device, "jobs": jobs}
-                folder = outputs.folder(setup.scene, seeds=seeds, term_files=order.term_files, asked=asked)
+                setup = Setup(**vars(arguments))
+                kept = _kept(results_file, setup, arguments.term_files)
+                asked = {"engine": arguments.engine, "device": arguments.device, "jobs": jobs}
+                folder = outputs.folder(setup.scene, seeds=seeds, term_files=arguments.term_files, asked=asked)
             if jobs is not None:
                 from .spread import run_spread
 
                 files = {"outputs": outputs, "kept": kept}
-                episodes = run_spread(order, setup, seeds, envs, jobs=jobs, shown=not quiet, **files)
+                episodes = run_spread(arguments, setup, seeds, envs, jobs=jobs, shown=not quiet, **files)
             elif envs > 1:
                 episodes = _run_batch(setup, seeds, envs, interrupts, shown=not quiet)
             else:

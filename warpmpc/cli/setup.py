@@ -92,7 +92,7 @@ def start_warp() -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class RunArguments:
     """Scene, engine and device that a command is given; keys of :class:`Setup`."""
 
     source: str

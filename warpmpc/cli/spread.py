@@ -18,7 +18,7 @@ from ..scene.load import shipped_scenes
 from ..scene.schema import SampleCount
 from .outputs import Outputs
 from .progress import BatchBar
-from .setup import FAILURE, Order, Setup, user_errors
+from .setup import FAILURE, RunArguments, Setup, user_errors
 
 if TYPE_CHECKING:
     from ..log.run_log import RunLog
@@ -34,14 +34,14 @@ def portable(source: str, setup: Setup) -> str:
     return str(path) if variant is None else f"{path}:{variant}"
 
 
-def run_seeds(order: Order, seeds: Sequence[int], logs: bool) -> list[tuple[EpisodeResult, RunLog | None]]:
+def run_seeds(arguments: RunArguments, seeds: Sequence[int], logs: bool) -> list[tuple[EpisodeResult, RunLog | None]]:
     """Run the episodes of some seeds, planned for together if there are several; returns results, and logs if wanted.
 
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown or not to be had here, or a file of terms cannot be used.
     """
-    setup = shared_setup(order)
+    setup = shared_setup(arguments)
     if len(seeds) > 1:
         return [(result, None) for result in setup.batch(seeds, len(seeds)).run()]
     episode = setup.episode(seeds[0])
@@ -54,9 +54,9 @@ def run_seeds(order: Order, seeds: Sequence[int], logs: bool) -> list[tuple[Epis
 
 
 @lru_cache(maxsize=1)
-def shared_setup(order: Order) -> Setup:
+def shared_setup(arguments: RunArguments) -> Setup:
     """A scene with everything that the episodes of a process share."""
-    return Setup(**vars(order))
+    return Setup(**vars(arguments))
 
 
 def shares(seeds: Sequence[int], envs: int, workers: int) -> list[Sequence[int]]:
@@ -66,7 +66,7 @@ def shares(seeds: Sequence[int], envs: int, workers: int) -> list[Sequence[int]]
 
 
 def run_spread(
-    order: Order,
+    arguments: RunArguments,
     setup: Setup,
     seeds: Sequence[int],
     envs: int,
@@ -79,7 +79,7 @@ def run_spread(
     """Run one episode per seed at some place, ``envs`` environments in all at once, those of a job planned together.
 
     Args:
-        order: Scene and engine.
+        arguments: Scene and engine.
         setup: The same, built here.
         seeds: Seeds of the episodes.
         envs: Environments of all jobs together.
@@ -110,14 +110,14 @@ def run_spread(
                     bar.finish(result)
                 if not found:
                     todo.append(share)
-            order = replace(
-                order,
-                source=portable(order.source, setup),
-                overrides=tuple(one_thread(workers, order.overrides)),
-                term_files=tuple(path.absolute() for path in order.term_files),
+            arguments = replace(
+                arguments,
+                source=portable(arguments.source, setup),
+                overrides=tuple(one_thread(workers, arguments.overrides)),
+                term_files=tuple(path.absolute() for path in arguments.term_files),
                 device=device,
             )
-            futures = {workers.submit(run_seeds, order, share, outputs.logs): share for share in todo}
+            futures = {workers.submit(run_seeds, arguments, share, outputs.logs): share for share in todo}
             bar.advance()
             for future in as_completed(futures):
                 for result, log in _outcome(future):

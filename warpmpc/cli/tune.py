@@ -16,7 +16,7 @@ from ..run.workers import LostJob, check_jobs, one_thread, open_workers
 from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Bar, Messages
-from .setup import FAILURE, SUCCESS, Order, Setup, results_only, start_warp, user_errors
+from .setup import FAILURE, SUCCESS, RunArguments, Setup, results_only, start_warp, user_errors
 from .spread import portable, shared_setup
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def tune(
     return SUCCESS
 
 
-def run_trial(order: Order, changes: tuple[str, ...], seed: int, contact_penalty: float) -> Outcome:
+def run_trial(arguments: RunArguments, changes: tuple[str, ...], seed: int, contact_penalty: float) -> Outcome:
     """Run one episode of a trial.
 
     Raises:
@@ -121,8 +121,8 @@ def run_trial(order: Order, changes: tuple[str, ...], seed: int, contact_penalty
     """
     from ..tuning.score import Score
 
-    episode = shared_setup(replace(order, overrides=(*order.overrides, *changes))).episode(seed)
-    own = load_scene(order.source, overrides=order.overrides)
+    episode = shared_setup(replace(arguments, overrides=(*arguments.overrides, *changes))).episode(seed)
+    own = load_scene(arguments.source, overrides=arguments.overrides)
     score = Score(own, episode.plant, contact_penalty=contact_penalty)
     try:
         return score.outcome(episode.run(on_step=score))
@@ -146,7 +146,7 @@ def _submitter(
         workers, device = open_workers(jobs, device=device, prepare=start_warp)
         end.enter_context(workers)
     orders = {
-        source: Order(
+        source: RunArguments(
             source=portable(source, setup),
             overrides=tuple(task.overrides) if workers is None else one_thread(workers, task.overrides),
             term_files=tuple(path.absolute() for path in term_files),

@@ -112,25 +112,25 @@ class RolloutEngine(ABC):
         if self._on_gpu:
             self._begin(proposal)
             for part in self._split(proposal.samples):
-                self._take(proposal, part)
+                self._evaluate_part(proposal, part)
         else:
             if id(proposal) not in self._replays:
-                parts = [Replay(partial(self._take, proposal, part)) for part in self._split(proposal.samples)]
+                parts = [Replay(partial(self._evaluate_part, proposal, part)) for part in self._split(proposal.samples)]
                 self._replays[id(proposal)] = proposal, Replay(partial(self._begin, proposal)), parts
             _, begin, parts = self._replays[id(proposal)]
             begin()
             self._run(parts)
         if not self.costs.capturable:
             self.evaluator.launch_arrays()
-            self._finish(0, self.shape.envs * self.shape.samples)
+            self._reduce(0, self.shape.envs * self.shape.samples)
 
-    def _take(self, proposal: Proposal, part: Part) -> None:
+    def _evaluate_part(self, proposal: Proposal, part: Part) -> None:
         """Take a part of the samples from knots to costs."""
         proposal.sample(part.sample, part.samples)
-        self._roll(proposal, part)
+        self._simulate(proposal, part)
         if self._apart:
             self.evaluator.launch(part.sample * self.shape.domains, part.samples * self.shape.domains)
-        self._finish(part.sample, part.samples)
+        self._reduce(part.sample, part.samples)
 
     def _begin(self, proposal: Proposal) -> None:  # noqa: B027
         """Get ready for all parts."""
@@ -144,10 +144,10 @@ class RolloutEngine(ABC):
         """Run one sequence of launches for every part, on as many threads as there are."""
 
     @abstractmethod
-    def _roll(self, proposal: Proposal, part: Part) -> None:
+    def _simulate(self, proposal: Proposal, part: Part) -> None:
         """Roll a part of the samples out, and evaluate the terms that are part of the launch."""
 
-    def _finish(self, first: int, count: int) -> None:
+    def _reduce(self, first: int, count: int) -> None:
         """Costs of some samples from what their terms cost, at every step or over the horizon."""
         inputs = [self.evaluator.cost, self._on_record, self._on_the_way, self.grid.weight, self._stage_risk]
         inputs += [self._failed, self.state.observed, *self._risk, first]
@@ -205,7 +205,7 @@ class SimulatorEngine(RolloutEngine):
         """Run one sequence of launches for every part, as the simulator does."""
         self.simulator.run(replays)
 
-    def _roll(self, proposal: Proposal, part: Part) -> None:
+    def _simulate(self, proposal: Proposal, part: Part) -> None:
         """Roll a part of the simulator out."""
         first, count = self.simulator.parts[part.first]
         self.simulator.clone(self.state, first, count)

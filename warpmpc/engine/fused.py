@@ -17,14 +17,14 @@ from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..physics.kernel import WARP, RolloutWork, options
 from ..scene.errors import SceneError
-from .baking import bake
 from .fused_simulator import FusedSimulator
-from .fused_state import PhysicsState, evaluation
+from .fused_state import PhysicsState, cost_code
+from .inlining import inline_terms
 from .launch_kernel import RECORDS_ALONE
 from .launched import LaunchedEngine
 
 if TYPE_CHECKING:
-    from ..physics.source import Evaluation
+    from ..physics.source import AddedCode
     from .request import EngineRequest, PhysicsSteps
 
 KNOTS = {int(ZERO): 1, int(LINEAR): 2}
@@ -68,19 +68,19 @@ class FusedEngine(LaunchedEngine):
         self._allocate_record(on_record, apart=self._on_gpu and simulator.sharing == 1)
         work.records, work.force = int(self.records), self.recorded.contact_force
         work.record_act = self.recorded.act
-        source = simulator.source(evaluation=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
+        source = simulator.source(added=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
         simulator.fill(work)
         code, params = (self.costs.code, self.costs.params) if written else self.costs.code_of([])
         shared = {"sharing": simulator.sharing, "threads": WARP, "options": options(self.lanes)}
         self._compile(source, (code.params, params), **shared)
 
-    def _bake(self) -> tuple[Evaluation | None, list[int]]:
+    def _bake(self) -> tuple[AddedCode | None, list[int]]:
         """Terms that are part of the source, and the numbers of all others."""
         if self._on_gpu:
             return None, list(range(len(self.costs.terms)))
         writer = PhysicsState(self.layout, self.simulator.map)
-        terms, on_record = bake(self.costs, writer, stage_risk=self._stage_risk)
-        return evaluation(writer, terms) if terms else None, on_record
+        terms, on_record = inline_terms(self.costs, writer, stage_risk=self._stage_risk)
+        return cost_code(writer, terms) if terms else None, on_record
 
     def record(self, worlds: Sequence[int]) -> Trajectory:
         """States and controls of some worlds in the last evaluation, on the host; rolled out again if not recorded."""

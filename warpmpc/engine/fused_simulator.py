@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
-    from ..physics.source import Evaluation
+    from ..physics.source import AddedCode
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
 
@@ -92,11 +92,11 @@ class FusedSimulator:
         self.map = state_map(compiled, world, self.model, own_start=own_start)
         self._substeps, self._scene = list(substeps), scene
 
-    def source(self, *, evaluation: Evaluation | None = None, knots: int = 1) -> str:
+    def source(self, *, added: AddedCode | None = None, knots: int = 1) -> str:
         """Source of a rollout; parameters of the worlds are known when it is written.
 
         Args:
-            evaluation: Statements that evaluate rollouts on the way.
+            added: Statements that evaluate rollouts on the way.
             knots: Most knots that a control depends on.
 
         Raises:
@@ -104,7 +104,7 @@ class FusedSimulator:
         """
         shared = self.sharing > 1
         try:
-            return RolloutSource(self.model, self.map, native_lanes(), shared, evaluation, knots).write()
+            return RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).write()
         except OutOfRange as error:
             raise refusal(error, self._scene, self.world, self.layout) from error
 

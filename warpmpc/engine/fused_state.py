@@ -17,7 +17,7 @@ from ..cost.code.tree import Axis, Place, Tree
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
 from ..model.joints import driving
 from ..model.layout import IDENTITY
-from ..physics.source import Evaluation
+from ..physics.source import AddedCode
 
 if TYPE_CHECKING:
     from ..cost.code.terms import TermSource
@@ -197,7 +197,7 @@ def _plain(turn: Turn) -> bool:
     return not turn.ball and bool((np.stack([turn.parent, turn.child]) == IDENTITY).all())
 
 
-def evaluation(state: PhysicsState, terms: Sequence[TermSource]) -> Evaluation:
+def cost_code(state: PhysicsState, terms: Sequence[TermSource]) -> AddedCode:
     """Statements that sum cost terms on the way.
 
     Args:
@@ -221,7 +221,7 @@ def evaluation(state: PhysicsState, terms: Sequence[TermSource]) -> Evaluation:
         *(f"{name} = {value};" for value, name in state.kept.items()),
     )
     before = (f"const T d{u} = h > 0 ? w.c[{u}] : (T)last_control[{u}];" for u in controls)
-    return Evaluation(
+    return AddedCode(
         start="\n".join(start),
         before="\n".join(before),
         step="\n".join(step),

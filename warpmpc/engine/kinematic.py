@@ -29,7 +29,7 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
-from .baking import bake
+from .inlining import inline_terms
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
 from .launched import LaunchedEngine
@@ -58,7 +58,7 @@ class KinematicEngine(LaunchedEngine):
         super().__init__(request, KinematicWork)
         self._no_physics = self._zeros(0, dtype=int)
         writer = StateCode(self.layout, moving_dofs(self.layout), quaternions=True)
-        baked, on_record = bake(self.costs, writer, stage_risk=self._stage_risk)
+        baked, on_record = inline_terms(self.costs, writer, stage_risk=self._stage_risk)
         spline = request.spline
         source = RolloutSource(writer, baked, spline.kind, len(spline.time), self.lanes, bool(on_record)).write()
         self._allocate_record(on_record)

@@ -130,7 +130,7 @@ class LaunchedEngine(RolloutEngine):
         inputs = [self._unit, self.request.spline, self.grid.t, self._step_place, offset]
         self._launch(taps_kernel, self._work.tap.shape[:2], inputs, [self._work.tap, self._work.share])
 
-    def _roll(self, proposal: Proposal, part: Part) -> None:
+    def _simulate(self, proposal: Proposal, part: Part) -> None:
         """Roll some groups of lanes out, on a GPU all worlds."""
         self._work.knots = proposal.knots
         groups = 0 if self._on_gpu else -(-self.shape.rollouts // self.lanes)

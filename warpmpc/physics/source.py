@@ -47,7 +47,7 @@ _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LAN
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class AddedCode:
     """Statements around the steps of a rollout that evaluate it on the way, on a CPU (``native/rollout.h``)."""
 
     start: str
@@ -71,7 +71,7 @@ class RolloutSource:
         state_map: Where the model keeps what is observed, driven, watched and recorded.
         lanes: Worlds in a number on a CPU.
         shared: Whether on a GPU the lanes of a warp share a world; else every thread has one of its own.
-        evaluation: Statements that evaluate a rollout on the way, if there are any.
+        added: Statements that evaluate a rollout on the way, if there are any.
         knots: Most knots that a control depends on.
     """
 
@@ -79,7 +79,7 @@ class RolloutSource:
     state_map: StateMap
     lanes: int
     shared: bool
-    evaluation: Evaluation | None = None
+    added: AddedCode | None = None
     knots: int = 1
 
     def write(self) -> str:
@@ -113,8 +113,8 @@ class RolloutSource:
         defines["LANES"] = self.lanes
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
-        defines |= self.state_map.sizes | {"TERMS": int(self.evaluation is not None)}
-        defines["FIRST"] = self.evaluation.first if self.evaluation else 0
+        defines |= self.state_map.sizes | {"TERMS": int(self.added is not None)}
+        defines["FIRST"] = self.added.first if self.added else 0
         undo = "\n".join(f"#undef {name.partition('(')[0]}" for name in (*_MACROS, *defines))
         defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
         return "\n".join(
@@ -124,7 +124,7 @@ class RolloutSource:
     def _rollout(self) -> str:
         parts = {"STEP_CONTROL": CONTROL, "START": self._native("start"), "RECORD": self._native("record")}
         parts |= {f"TERMS_{name}": "" for name in ("START", "BEFORE", "STEP", "END")}
-        if (own := self.evaluation) is not None:
+        if (own := self.added) is not None:
             texts = {"START": own.start, "BEFORE": own.before, "STEP": own.step, "END": own.end}
             parts |= {f"TERMS_{name}": text for name, text in texts.items()}
         return re.sub("|".join(sorted(parts, key=len, reverse=True)), lambda m: parts[m[0]], self._native("rollout"))

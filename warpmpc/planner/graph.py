@@ -56,7 +56,7 @@ class PlanGraph:
         self._best = wp.zeros(envs, dtype=int, device=self.device)
         self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
         self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
-        self._learned = self._views()
+        self._planned = self._views()
         pieces = (self._unpack, self._pack)
         self._take_in, self._give_out = pieces if cuda else [Replay(piece, blocks=True) for piece in pieces]
         self.captured: wp.Graph | None = None
@@ -91,7 +91,7 @@ class PlanGraph:
         packed[:, 0], packed[:, 1], packed[:, 2] = observed, elapsed, start
         seen = self._observed_columns
         packed[:, seen] = state
-        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state, self._learned)
+        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state, self._planned)
         packed[:, -task.shape[1] :] = task
         self.plan.costs.refresh()
         if self.captured is not None:
@@ -104,7 +104,7 @@ class PlanGraph:
                 self.captured = capture.graph
         if self.device.is_cuda:
             wp.synchronize_device(self.device)
-        return self._learned
+        return self._planned
 
     def _packed_arrays(self, envs: int, columns: int) -> tuple[np.ndarray, wp.array]:
         """A block ``[E, columns]`` that host and device both see: a GPU reads and writes the host's pinned memory."""
@@ -150,9 +150,9 @@ class PlanGraph:
         inputs, outputs = [engine.cost, engine.diverged, engine.overflow], [self._best, self._best_cost, self._failures]
         self._launch(survey_kernel, envs, inputs, outputs, block_dim=block_dim(engine.cost.shape[1]))
         engine.explain(self._best)
-        learned = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
-        about = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
-        self._launch(report_kernel, (envs, self._lanes), [*learned, *about, self._lanes], [self._out])
+        numbers = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
+        arrays = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
+        self._launch(report_kernel, (envs, self._lanes), [*numbers, *arrays, self._lanes], [self._out])
 
 
 def _numbers(poses: wp.array) -> wp.array:

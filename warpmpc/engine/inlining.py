@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 logger = logging.getLogger("warpmpc")
 
 
-def bake(costs: CostStack, state: StateCode, *, stage_risk: float = 0.0) -> tuple[tuple[TermSource, ...], list[int]]:
+def inline_terms(
+    costs: CostStack, state: StateCode, *, stage_risk: float = 0.0
+) -> tuple[tuple[TermSource, ...], list[int]]:
     """Source of all terms that can be written, and the numbers of those that cannot.
 
     Args:
@@ -29,18 +31,18 @@ def bake(costs: CostStack, state: StateCode, *, stage_risk: float = 0.0) -> tupl
         state: What they may ask about a state, in which they leave what they share.
         stage_risk: R of ρ(l; R), which needs all terms of a step together: none is written where it is not zero.
     """
-    baked, staged = [], []
+    inlined, recorded = [], []
     for i, (term, bound) in enumerate(costs.terms):
         code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
-        value = write(code, term, bound, costs.labels[i]) if stage_risk == 0.0 else None
+        value = term_source(code, term, bound, costs.labels[i]) if stage_risk == 0.0 else None
         if value is None:
-            staged.append(i)
+            recorded.append(i)
         else:
-            baked.append(TermSource(i, code.lines, value))
-    return tuple(baked), staged
+            inlined.append(TermSource(i, code.lines, value))
+    return tuple(inlined), recorded
 
 
-def write(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) -> Operand | None:
+def term_source(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) -> Operand | None:
     """Write a term as source: by hand where it has such a form, else traced; None where neither can be.
 
     Args:
