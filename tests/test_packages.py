@@ -92,7 +92,7 @@ def test_the_main_job_needs_no_extra_and_its_folder_has_no_recording(tmp_path):
     said = '--out: the folder gets no recording: a recording needs rerun: pip install "warpmpc[record]"'
     assert said in done.stderr.splitlines()
     assert sorted(file.name for file in (tmp_path / "push").iterdir()) == [
-        "history.npz",
+        "episode.runlog",
         "results.jsonl",
         "run.json",
         "scene.toml",

@@ -83,7 +83,7 @@ def raising(batch):
 
 @pytest.mark.parametrize("term", [broken, raising])
 def test_a_stack_neither_compiles_nor_runs_what_users_wrote_and_their_trial_does(term):
-    scene = make_scene(cost=[{"term": term.name}])
+    scene = make_scene(cost=[{"term": term.name, **({"gain": 1.0} if term is broken else {})}])
     stack = CostStack(scene, layout_of(scene), Task(scene), terms=[term])
     with pytest.raises(SceneError, match=rf"cost\.{term.name}: .*test_stack\.py"):
         try_terms(stack, scene)

@@ -13,7 +13,7 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 
 import warpmpc
 from warpmpc import Controller, SceneError, State
-from warpmpc.engine import fused as fused_engine
+from warpmpc.engine import launched
 from warpmpc.engine.fused_simulator import FusedSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
@@ -171,13 +171,13 @@ def test_one_seed_gives_the_same_commands_on_any_number_of_threads(scene):
 def sources(monkeypatch):
     """Sources that simulators compile."""
     written: list[str] = []
-    make = fused_engine.make_kernel
+    make = launched.make_kernel
 
     def remember(text: str, *args, **kwargs):
         written.append(text)
         return make(text, *args, **kwargs)
 
-    monkeypatch.setattr(fused_engine, "make_kernel", remember)
+    monkeypatch.setattr(launched, "make_kernel", remember)
     return written
 
 
