@@ -326,10 +326,13 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
 
 def print_verdicts(results: Sequence[EpisodeResult], console: Console) -> None:
     """Print why the first episodes that did not succeed failed, and what to try."""
-    for result in [result for result in results if result.verdict][:VERDICTS]:
+    failed = [result for result in results if result.verdict]
+    for result in failed[:VERDICTS]:
         console.print(f"why seed {result.seed} did not succeed:", markup=False)
         for sentence in result.verdict:
             console.print(f"  - {sentence}", markup=False, soft_wrap=True)
+    if len(failed) > VERDICTS:
+        console.print(f"{len(failed) - VERDICTS} more did not succeed: --json has why", markup=False)
 
 
 def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:

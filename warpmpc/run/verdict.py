@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..scene.schema import Method
-from .advice import slow_plans, some
+from .advice import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,7 +37,6 @@ class Symptoms:
     def __init__(self, controller: Controller, plant: Plant):
         self.controller, self.plant, layout = controller, plant, controller.layout
         self._steps = self._diverged = self._fallbacks = self._lone = self._even = 0
-        self._plan_ms: list[float] = []
         self._at_limit = np.zeros(layout.nu)
         self._axes = np.flatnonzero((layout.dof_coord >= 0) & (layout.dof_upper - layout.dof_lower < 1e3))
         self._at_stop = np.zeros(len(self._axes))
@@ -53,7 +52,6 @@ class Symptoms:
         edge = EDGE * (upper - lower)
         self._at_stop += (q <= lower + edge) | (q >= upper - edge)
         self._steps += 1
-        self._plan_ms.append(info.plan_ms)
         self._diverged += info.diverged_worlds
         self._fallbacks += info.fallback
         self._lone += info.eta < ONE
@@ -102,9 +100,6 @@ class Symptoms:
             yield f"{self._fallbacks} safe commands were sent because no rollout survived or had a finite cost"
         if controller.scene.planner.method is Method.MPPI:
             yield from self._weights()
-        late = slow_plans(float(np.median(self._plan_ms)), controller.scene.timing.control_dt)
-        if late:
-            yield late
 
     def _weights(self) -> Iterator[str]:
         """Weights of MPPI that lie on one sample, or on all alike."""
