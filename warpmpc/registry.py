@@ -94,21 +94,21 @@ TERMS: Registry[Any] = Registry("cost term", "warpmpc.terms")
 
 
 class Name(StrEnum):
-    """Names of a registry in scene files: the shipped ones are members, and registered ones become members."""
+    """Names of a registry in scene files: the shipped ones are members, and registered ones become members.
 
-    @classmethod
-    def registry(cls) -> Registry:
-        """The registry that knows the others."""
-        raise NotImplementedError
+    A subclass says ``registry = nonmember(...)``: the registry that knows the others.
+    """
+
+    registry: Registry
 
     @classmethod
     def names(cls) -> list[str]:
-        """All that there is."""
-        return list(dict.fromkeys((*cls, *cls.registry())))
+        """Names of all members and of all that is registered."""
+        return list(dict.fromkeys((*cls, *cls.registry)))
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
-        if not isinstance(value, str) or value not in cls.registry():
+        if not isinstance(value, str) or value not in cls.registry:
             return None
         member = str.__new__(cls, value)
         member._name_ = member._value_ = value

@@ -47,7 +47,7 @@ BOARD = (
     + ("GRAPHS", "THREAD", "PARTS")  # addresses of the parts' graphs, of what tells who took each; their number
     + ("NEXT", "FINISHED", "FAILED", "QUIT", "READY", "WOKEN")  # the next part; counts; flags
 )
-"""What stands in each number of the board that a pool shares, as unsigned 64 bits."""
+"""Meaning of each number of the board that a pool shares, as unsigned 64 bits."""
 
 _SOURCE = _TAKE
 for _place, _name in enumerate(BOARD):

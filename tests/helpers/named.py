@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages name in code marks and in blocks of commands and TOML, and whether it exists."""
+"""Names that pages have in code marks and in blocks of commands and TOML, and a search for them."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def section_keys() -> frozenset[str]:
 
 
 def is_key(path: list[str], within: list[type[BaseModel]] | None = None) -> bool:
-    """Whether a dotted key leads somewhere from a scene's root; names of things count as any name."""
+    """Return whether a dotted key leads somewhere from a scene's root; names of things count as any name."""
     sections = within or [Scene]
     for i, part in enumerate(path):
         fields = [keys(section)[part] for section in sections if part in keys(section)]
@@ -123,7 +123,7 @@ def is_key(path: list[str], within: list[type[BaseModel]] | None = None) -> bool
 
 
 def _takes_names(kind: object) -> bool:
-    """Whether a type takes a table with names of things as its keys."""
+    """Return whether a type takes a table with names of things as its keys."""
     return get_origin(kind) is dict or any(_takes_names(part) for part in get_args(kind))
 
 
@@ -151,7 +151,7 @@ def shown() -> str:
 
 
 def is_file(path: str) -> bool:
-    """Whether a path, its last parts alone, or with ``*``, is one of the repository or of a file in a page's blocks."""
+    """Return whether a path, its last parts or a pattern with ``*`` is in the repository or in a page's blocks."""
     shape = re.escape(path.strip("/").removeprefix("./")).replace(r"\*", "[^/]*")
     if any(re.search(rf"(?:^|/){shape}$", known) for known in repository()):
         return True
@@ -159,7 +159,7 @@ def is_file(path: str) -> bool:
 
 
 def missing(page: str) -> list[str]:
-    """What a page names and is not there."""
+    """Names on a page that lead nowhere."""
     text = (ROOT / page).read_text(encoding="utf-8")
     own = set(WORD.findall("\n".join(body for _, body in blocks(page))))
     prose = re.sub(r"^\s*```.*?^\s*```$", "", text, flags=re.MULTILINE | re.DOTALL)
@@ -227,7 +227,7 @@ def _known(word: str, own: set[str]) -> bool:
 
 
 def _is_path(word: str) -> bool:
-    """Whether a word is meant as a file: by its ending, or as it begins with a folder."""
+    """Return whether a word is meant as a file: by its ending, or as it begins with a folder."""
     folder = word.partition("/")[0] if "/" in word else ""
     above = [ROOT / above / folder for above in ("", "warpmpc")] if folder else []
     return (bool(FILE.search(word)) and not word.startswith(".")) or any(path.is_dir() for path in above)

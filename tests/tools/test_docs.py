@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What README and the documentation name exists; their figures are those of docs/data."""
+"""Names in README and the documentation exist; their figures are those of docs/data."""
 
 import subprocess
 import sys

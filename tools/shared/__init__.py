@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What benches, studies and development share."""
+"""Code that benches, studies and development share."""

@@ -132,7 +132,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Run:
-    """What became of one ball."""
+    """Result of one ball."""
 
     seed: int
     path: np.ndarray
@@ -148,7 +148,7 @@ class Run:
         return np.linalg.norm(self.path[:, :2], axis=1)
 
     def to_json(self) -> dict[str, object]:
-        """What is printed."""
+        """Text that is printed."""
         late = self.distance[round(SETTLED / self.dt) :]
         outside = np.flatnonzero(self.distance > NEAR)
         lost = self.path[-1, 2] < 0.0

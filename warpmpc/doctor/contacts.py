@@ -29,7 +29,7 @@ HIGH_ROOT = 0.2
 def contact_findings(subject: Subject) -> Iterator[Finding]:
     """Overlaps, entities that nothing can touch, implausible densities, ice, welded roots, goals in obstacles."""
     yield from _overlaps(subject)
-    yield from _ghosts(subject)
+    yield from _untouchable(subject)
     yield from _densities(subject)
     yield from _slippery(subject)
     yield from _welded(subject)
@@ -61,7 +61,7 @@ def collides(model: mujoco.MjModel, g: int, h: int) -> bool:
     return bool(a & int(model.geom_conaffinity[h]) or b & int(model.geom_contype[h]))
 
 
-def _ghosts(subject: Subject) -> Iterator[Finding]:
+def _untouchable(subject: Subject) -> Iterator[Finding]:
     """Objects that no robot can touch."""
     model, world = subject.world.model, subject.world
     explicit = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}

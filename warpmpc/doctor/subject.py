@@ -30,7 +30,7 @@ class Finding:
     text: str
     """The mistake and its effect, in one sentence."""
     cure: str
-    """What to change."""
+    """Change that mends it."""
 
     def __str__(self) -> str:
         return f"{self.key}: {self.text}; {self.cure}"

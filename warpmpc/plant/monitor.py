@@ -62,7 +62,7 @@ class Monitor:
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
     progress: dict[str, Progress]
-    """What the success, or the end of the present phase, waits for: by name, how near it came."""
+    """Numbers that the success, or the end of the present phase, waits for, by name."""
     failure: str | None
     """Name of the failure that came first, None while there is none; what comes later is no success."""
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import StrEnum, nonmember
 
 from pydantic import Field
 
-from ..registry import ENGINES, Name, Registry
+from ..registry import ENGINES, Name
 from .types import Count, Natural, NonNegative, Param, Positive, Section
 
 
@@ -20,10 +20,7 @@ class EngineName(Name):
     KINEMATIC = "kinematic"
     FUSED = "fused"
 
-    @classmethod
-    def registry(cls) -> Registry:
-        """Registry of users' engines."""
-        return ENGINES
+    registry = nonmember(ENGINES)
 
 
 class Solver(StrEnum):

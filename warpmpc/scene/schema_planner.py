@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
+from enum import StrEnum, nonmember
 from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, model_validator
 
-from ..registry import STRATEGIES, Name, Registry
+from ..registry import STRATEGIES, Name
 from .schema_ancillary import Ancillary
 from .schema_noise import Noise, Temperature, numbers_or_table
 from .schema_sampling import Covariance, Execute, Postures, TryMean
@@ -42,10 +42,7 @@ class Method(Name):
     ILQG = "ilqg"
     ILQS = "ilqs"
 
-    @classmethod
-    def registry(cls) -> Registry:
-        """Registry of users' strategies."""
-        return STRATEGIES
+    registry = nonmember(STRATEGIES)
 
 
 class SplineKind(StrEnum):

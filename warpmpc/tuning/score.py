@@ -30,7 +30,7 @@ class Outcome:
     value: float
     """Its value: seconds where the scene has a ``success``, else cost."""
     passed: bool
-    """Whether it ended as it should."""
+    """True when it ended as it should."""
 
 
 class Score:
