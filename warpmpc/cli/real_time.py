@@ -145,7 +145,7 @@ def described(result: RealTimeResult) -> Iterator[str]:
 
 def slow_planner(result: RealTimeResult) -> str | None:
     """Advice on a planner that does not keep up with the clock; None where it does."""
-    from ..run.advice import slow_plans  # slow to import
+    from ..doctor.advice import slow_plans  # slow to import
 
     if not result.report.plan_rate:
         return "no plan came in time: real time would need a faster planner, or a lower --speed"

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..scene.describe import default, takes
+from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method, ShareOfRange
 from ..scene.waypoints import runs_of
@@ -358,7 +359,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
             f"{statistics.mean(r.sim_time for r in group):.2f}",
             _metres(None if _position(group[0]) is None else statistics.mean(map(_position, group))),
             f"{statistics.mean(r.time_in_contact for r in group):.2f}",
-            "" if group[0].passed else _some([str(r.seed) for r in group]),
+            "" if group[0].passed else some([str(r.seed) for r in group], most=12),
         )
     console = _console(out)
     console.print(table)
@@ -394,8 +395,3 @@ def _metres(value: float | None) -> str:
 def _ms(value: float) -> str:
     """A wall time [ms]; a dash without a plan."""
     return "-" if math.isnan(value) else f"{value:.1f}"
-
-
-def _some(names: Sequence[str], *, most: int = 12) -> str:
-    """The first of many names."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

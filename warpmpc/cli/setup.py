@@ -151,7 +151,7 @@ class Setup:
             plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].
             compiled: The scene compiled; None where every episode has bodies of its own.
         """
-        from ..run.advice import advise, slow_plans
+        from ..doctor.advice import advise, slow_plans
 
         late = slow_plans(plan_ms, self.scene.timing.control_dt)
         return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]

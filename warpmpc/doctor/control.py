@@ -12,8 +12,9 @@ import warp as wp
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..scene.errors import some
 from .contacts import collides
-from .subject import Finding, some
+from .subject import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

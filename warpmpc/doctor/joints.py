@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .subject import Finding, some
+from ..scene.errors import some
+from .subject import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

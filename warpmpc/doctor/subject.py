@@ -72,8 +72,3 @@ class Subject:
         robots = [robot.name for robot in self.scene.robot]
         found = next((robot for robot in robots if name.startswith(f"{robot}/")), robots[0] if robots else "")
         return f"robot.{found}"
-
-
-def some(names: list[str], *, most: int = 3) -> str:
-    """The first of many names."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

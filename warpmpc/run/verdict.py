@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..scene.errors import some
 from ..scene.schema import Method
-from .advice import some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from ..registry import Name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from pydantic import ValidationError
@@ -251,3 +251,8 @@ def _shown(value: object) -> str:
     else:
         text = repr(value)
     return text if len(text) <= 80 else f"{text[:30]}...{text[-47:]}"
+
+
+def some(names: Sequence[str], *, most: int = 3) -> str:
+    """List the first of many names."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -4,7 +4,7 @@
 import pytest
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc.run.advice import advise, slow_plans
+from warpmpc.doctor.advice import advise, slow_plans
 
 
 def said(**sections) -> list[str]:

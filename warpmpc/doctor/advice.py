@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..planner.covariance import control_sigma
+from ..scene.errors import some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from ..model.compiled import CompiledScene
     from ..model.layout import Layout
@@ -102,8 +103,3 @@ def _shapes(layout: Layout) -> Iterator[str]:
 
 def _unit(what: str, unit: str) -> str:
     return f"{what} is implausible, lengths are in metres and masses in kilograms: is it in {unit}?"
-
-
-def some(names: Sequence[str]) -> str:
-    """The first of many names."""
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
