@@ -47,7 +47,7 @@ class Gliding(OnePart):
 
 
 def make_gliding(request, steps):
-    return SimulatorEngine(request, Gliding(request, steps))
+    return SimulatorEngine(request, steps, Gliding)
 
 
 class BestThree:
@@ -121,6 +121,40 @@ def test_a_registered_engine_and_strategy_drive_to_the_goal_of_a_scene_file(tmp_
         plant.apply(controller.step(plant.observe()))
         assert controller.info.eta == 3.0
     assert plant.reason == "goal reached"
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize("method", ["ilqg", "gradient_descent"])
+def test_a_planner_with_derivatives_drives_to_the_goal_on_a_registered_engine(tmp_path, method):
+    scene = warpmpc.load_scene(scene_file(tmp_path, engine="gliding", method=method))
+    controller = warpmpc.Controller(scene)
+    linear = controller.planner.refiner.differences
+    assert isinstance(linear.worlds._simulator, Gliding)
+    plant = warpmpc.Plant(scene, task=controller.task)
+    while not plant.done:
+        plant.apply(controller.step(plant.observe()))
+    assert plant.reason == "goal reached"
+
+
+class Silent:
+    """An engine that says nothing about derivatives."""
+
+    name = "silent"
+
+    def __init__(self, request, steps):
+        self.cost = wp.zeros((1, request.shape.samples), dtype=float, device="cpu")
+
+    def close(self):
+        pass
+
+
+def test_an_engine_without_derivatives_is_told_with_the_cure(tmp_path, monkeypatch):
+    monkeypatch.setitem(ENGINES, "silent", EngineEntry(name="silent", make=Silent))
+    scene = warpmpc.load_scene(scene_file(tmp_path, engine="silent", method="ilqg"))
+    wanted = "no derivatives of the engine silent: its class Silent has no step_worlds .* take another engine"
+    with pytest.raises(SceneError, match=wanted) as caught:
+        warpmpc.Controller(scene)
+    assert caught.value.key == "engine.name"
 
 
 @pytest.mark.usefixtures("registered")

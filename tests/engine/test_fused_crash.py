@@ -7,7 +7,7 @@ import warp as wp
 from small_scenes import DISC, make_scene, observed
 
 from warpmpc import Scene
-from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
@@ -65,7 +65,7 @@ def test_forces_between_robots_are_those_of_mujoco(scene):
     forces = []
     for engine in (
         MujocoSimulator(compiled, shape, threads=1, **options),
-        FusedSimulator(scene, compiled, shape, **options),
+        FusedPhysics(scene, compiled, shape, **options),
     ):
         engine.clone(observed(layout.joint_q, layout.joint_qd))
         engine.rollout(wp.array(control, dtype=float))

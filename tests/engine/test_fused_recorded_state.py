@@ -9,7 +9,7 @@ import warp as wp
 from native_robots import QUADROTOR, native_scene
 from small_scenes import chain_scene
 
-from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
@@ -42,7 +42,7 @@ def test_both_engines_record_the_same(make, tmp_path):
         pose=rows(np.zeros((2, 0, 7)), wp.transform),
     )
     common = {"substeps": [2] * SHAPE.horizon, "timestep": 0.004}
-    fused = FusedSimulator(scene, compiled, SHAPE, device="cpu", **common)
+    fused = FusedPhysics(scene, compiled, SHAPE, device="cpu", **common)
     reference = MujocoSimulator(compiled, SHAPE, threads=1, options=Options.of(scene.engine), sensors=(), **common)
     control = rows(rng.uniform(0.2, 1.0, size=(SHAPE.horizon, SHAPE.worlds, layout.nu)))
     for engine in (fused, reference):

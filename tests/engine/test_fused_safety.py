@@ -14,7 +14,7 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine import launched
-from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 from warpmpc.model.properties import draw_properties
@@ -36,7 +36,7 @@ def scene():
 
 
 def make_simulator(scene, *, samples: int, horizon: int = 8, substeps: int = 3, envs: int = 1, pairs=PAIRS):
-    return FusedSimulator(
+    return FusedPhysics(
         scene,
         compiled(scene),
         BatchSize(envs, samples, 1, horizon),
@@ -53,7 +53,7 @@ def forward(steps: int, worlds: int, seed: int = 0) -> np.ndarray:
     return rng.uniform([0.2, -0.5, -1.0], [1.0, 0.5, 1.0], size=(steps, worlds, 3)).astype(np.float32)
 
 
-def rolled(engine: FusedSimulator, control: np.ndarray, q, qd) -> dict[str, np.ndarray]:
+def rolled(engine: FusedPhysics, control: np.ndarray, q, qd) -> dict[str, np.ndarray]:
     engine.clone(observed(q, qd))
     engine.rollout(wp.array(control, dtype=float, device="cpu"))
     return {name: getattr(engine.trajectory, name).numpy().copy() for name in NAMES}

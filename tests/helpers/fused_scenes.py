@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 import warpmpc
-from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.compiled import compile_scene
@@ -83,7 +83,7 @@ class Comparison:
             "pairs": self.pairs,
             "properties": draw_properties(self.scene, self.layout, samples, seed=1),
         }
-        self.fused = FusedSimulator(self.scene, self.compiled, self.shape, device="cpu", **common)
+        self.fused = FusedPhysics(self.scene, self.compiled, self.shape, device="cpu", **common)
         self.mujoco = MujocoSimulator(
             self.compiled, self.shape, threads=1, options=Options.of(self.scene.engine), sensors=(), **common
         )
@@ -112,7 +112,7 @@ class Comparison:
         controller.engine.close()
         return ObservedState(**tiled), np.concatenate(sampled), float(timestep)
 
-    def _roll(self, engine: FusedSimulator | MujocoSimulator, control: np.ndarray) -> dict[str, np.ndarray]:
+    def _roll(self, engine: FusedPhysics | MujocoSimulator, control: np.ndarray) -> dict[str, np.ndarray]:
         engine.clone(self.state)
         engine.rollout(wp.array(control, dtype=float, device="cpu"))
         out = engine.trajectory

@@ -61,6 +61,6 @@ def stepping(
     )
     steps = physics_steps(engine, scene, controller.compiled, plan.grid)
     residuals = Residuals(controller.costs)
-    rollouts = PolicyRollouts(engine, request, steps, residuals, candidates)
-    differences = Differences(engine, request, steps, residuals, rollouts.tangent)
+    rollouts = PolicyRollouts(controller.engine, request, steps, residuals, candidates)
+    differences = Differences(controller.engine, request, steps, residuals, rollouts.tangent)
     return Stepping(controller, request, steps, residuals, rollouts, differences)

@@ -14,7 +14,7 @@ from needs import needs
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 from warp_lanes import LaneRollout, Lanes
 
-from warpmpc.engine.fused_simulator import FusedSimulator
+from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 from warpmpc.model.properties import draw_properties
@@ -69,7 +69,7 @@ def test_lanes_read_and_record_a_scene_as_registers_do(tmp_path_factory):
         randomize={"box": {"mass": {"uniform": 0.3}, "size": {"normal": 0.01}}},
     )
     layout, steps = layout_of(scene), 5
-    simulator = FusedSimulator(
+    simulator = FusedPhysics(
         scene,
         compiled(scene),
         BatchSize(2, 3, 1, steps),

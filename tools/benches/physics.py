@@ -29,7 +29,7 @@ from shared.machine import machine
 from shared.models import FULL, OTHERS, OWN, SCENES, load_model, spread
 
 from warpmpc.cli.setup import start_warp
-from warpmpc.engine.fused_simulator import shares
+from warpmpc.engine.fused_physics import shares
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics.rollout import PlainRollout
 

@@ -12,9 +12,9 @@ import warp as wp
 
 from ..kernels.planning.derivatives import Moves, difference_kernel, move_kernel
 from ..launch import Launcher
-from .kinds import step_worlds
 
 if TYPE_CHECKING:
+    from ..engine.protocol import Engine
     from ..engine.request import EngineRequest, PhysicsSteps
     from .residuals import Residuals
     from .tangent import Tangent
@@ -50,18 +50,20 @@ class Differences:
     """Centred differences at all steps of a horizon at once, in E·T·(1 + 2(n + nu)) worlds.
 
     Args:
-        name: Engine of the worlds.
-        request: What the plans' engine was built for.
+        engine: Engine of the plans.
+        request: What it was built for.
         steps: Physics steps of the horizon.
         residuals: Residuals of the terms.
         tangent: Tangent space of the model's states.
     """
 
-    def __init__(self, name: str, request: EngineRequest, steps: PhysicsSteps, residuals: Residuals, tangent: Tangent):
+    def __init__(
+        self, engine: Engine, request: EngineRequest, steps: PhysicsSteps, residuals: Residuals, tangent: Tangent
+    ):
         layout, device = request.costs.layout, request.device
         self._n, nu = tangent.size, layout.nu
         envs, horizon, rows = request.shape.envs, request.shape.horizon, 1 + self._n + nu
-        self.worlds = worlds = step_worlds(name, request, steps, horizon * (2 * rows - 1), residuals)
+        self.worlds = worlds = engine.step_worlds(request, steps, horizon * (2 * rows - 1), residuals)
         self._launch, self._table = Launcher(device), tangent.table(device)
 
         def doubles(values: np.ndarray) -> wp.array:

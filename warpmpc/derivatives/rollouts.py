@@ -11,10 +11,10 @@ import warp as wp
 
 from ..kernels.planning.feedback import add_cost_kernel, follow_kernel
 from ..launch import Launcher
-from .kinds import step_worlds
 from .tangent import Tangent
 
 if TYPE_CHECKING:
+    from ..engine.protocol import Engine
     from ..engine.request import EngineRequest, PhysicsSteps
     from .residuals import Residuals
 
@@ -49,8 +49,8 @@ class PolicyRollouts:
     """Rolls a policy out with several α at once.
 
     Args:
-        name: Engine of the worlds.
-        request: What the plans' engine was built for.
+        engine: Engine of the plans.
+        request: What it was built for.
         steps: Physics steps of the horizon.
         residuals: Residuals of the terms.
         candidates: N.
@@ -59,7 +59,7 @@ class PolicyRollouts:
 
     def __init__(
         self,
-        name: str,
+        engine: Engine,
         request: EngineRequest,
         steps: PhysicsSteps,
         residuals: Residuals,
@@ -68,7 +68,7 @@ class PolicyRollouts:
     ):
         self._hold = hold
         device, layout, costs = request.device, request.costs.layout, request.costs
-        self.worlds = worlds = step_worlds(name, request, steps, candidates, residuals)
+        self.worlds = worlds = engine.step_worlds(request, steps, candidates, residuals)
         self.tangent = tangent = Tangent(worlds.model)
         self._launch, self._candidates = Launcher(device), candidates
         self._envs, self._horizon, self._residuals = request.shape.envs, request.shape.horizon, residuals

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,12 +16,14 @@ from ..kernels.planning.costs import explain_kernel, finish_kernel
 from ..kernels.planning.splines import spline_control_kernel
 from ..launch import Launcher, Replay, step_lanes
 from ..scene.schema import Risk
+from .step_worlds import SimulatedWorlds
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
     from ..model.trajectory import Trajectory
     from .protocol import Proposal, Simulator
-    from .request import EngineRequest
+    from .request import EngineRequest, PhysicsSteps
+    from .step_worlds import StepWorlds
 
 RISKS = {risk: getattr(kernels, risk.name) for risk in Risk}
 """Modes of the kernels by the risk over domains."""
@@ -182,12 +184,21 @@ class SimulatorEngine(RolloutEngine):
 
     Args:
         request: What the engine is built for.
-        simulator: Steps the worlds.
+        steps: Physics steps.
+        make: Makes the simulator, here and for the worlds that derivatives are taken in.
+        step_worlds: Worlds of the simulator's own for derivatives; any simulator's if None.
     """
 
-    def __init__(self, request: EngineRequest, simulator: Simulator):
+    def __init__(
+        self,
+        request: EngineRequest,
+        steps: PhysicsSteps,
+        make: Callable[[EngineRequest, PhysicsSteps], Simulator],
+        step_worlds: type[StepWorlds] | None = None,
+    ):
         super().__init__(request)
-        self.simulator, self.name = simulator, simulator.name
+        self.simulator = simulator = make(request, steps)
+        self.name, self.step_worlds = simulator.name, step_worlds or partial(SimulatedWorlds, make)
         out = simulator.trajectory
         self.diverged, self.overflow = out.diverged, out.overflow
         self._place_terms(range(len(self.costs.terms)), out, self.shape, apart=True)

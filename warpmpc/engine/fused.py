@@ -17,24 +17,70 @@ from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..physics.kernel import WARP, RolloutWork, options
 from ..scene.errors import SceneError
-from .fused_simulator import FusedSimulator
+from .fused_physics import FusedPhysics
 from .fused_state import PhysicsState, cost_code
 from .inlining import inline_terms
 from .launch_kernel import RECORDS_ALONE
 from .launched import LaunchedEngine
+from .step_worlds import LEAD, StepWorlds
+from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..physics.source import AddedCode
     from .request import EngineRequest, PhysicsSteps
+    from .step_worlds import Residuals
 
 KNOTS = {int(ZERO): 1, int(LINEAR): 2}
 """Most knots that a control depends on, by the kind of spline; :data:`TAPS` for all others."""
 
 
+class FusedWorlds(StepWorlds):
+    """Worlds of the engine ``fused``, in single precision."""
+
+    def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
+        one, step = request.one_step(steps, worlds)
+        given = {"device": request.device, "own_start": True, **one.worlds(step)}
+        self._physics = physics = FusedPhysics(one.scene, one.compiled, one.shape, **given)
+        super().__init__(request, worlds, residuals, physics.world)
+        physics.trajectory = self._recorded
+        physics.clone(self._state)
+        work, nu, shape = physics.work, request.costs.layout.nu, self.shape
+        work.knots = self._whole.control[LEAD].reshape((shape.envs, worlds, 1, nu))
+        threads = thread_count(request.scene.engine.threads)
+        self._groups = self._split(threads)
+        parts = [(first, count) for _, _, first, count in self._groups]
+        ends = work.reached.reshape((shape.worlds, 1, work.reached.shape[1]))
+        self._bind(work.initial, ends, parts, None if self._on_gpu else ThreadPool(threads, len(parts)))
+
+    def _split(self, threads: int) -> list[tuple[int, int, int, int]]:
+        """First group of lanes, groups, first world and worlds of each part."""
+        shape, lanes = self.shape, self._physics.lanes
+        if self._on_gpu:
+            return [(0, shape.worlds, 0, shape.worlds)]
+        groups = -(-shape.samples // lanes)
+        size = groups if threads == 1 else max(1, -(-groups * shape.envs // (PARTS * threads)))
+        out = []
+        for e in range(shape.envs):
+            for first in range(0, groups, size):
+                count = min(size, groups - first)
+                end = min((first + count) * lanes, shape.samples)
+                out.append((e * groups + first, count, e * shape.samples + first * lanes, end - first * lanes))
+        return out
+
+    def follow(self) -> None:
+        """Take over nothing: the observed arrays are read at every step."""
+
+    def take(self, part: int) -> None:
+        """Take the step in a part of the worlds; capture-safe."""
+        first, groups, world, worlds = self._groups[part]
+        self._physics.launch(first, groups)
+        self._write_residuals(world, worlds)
+
+
 class FusedEngine(LaunchedEngine):
     """Rolls knots out with physics and evaluates the terms in the same launch.
 
-    Terms with source are summed after every control, for all worlds of a number at once, and nothing is recorded. For
+    Terms with source are summed after every control, for all worlds of a register at once, and nothing is recorded. For
     other terms all worlds are recorded, and the launch evaluates the record at its end; so it does with all terms on a
     GPU, but that another launch evaluates them where each world has one thread.
 
@@ -47,6 +93,7 @@ class FusedEngine(LaunchedEngine):
     """
 
     name = "fused"
+    step_worlds = FusedWorlds
 
     def __init__(self, request: EngineRequest, steps: PhysicsSteps):
         if request.costs.sensors:
@@ -56,7 +103,7 @@ class FusedEngine(LaunchedEngine):
                 file=request.scene.path,
                 allowed=["auto", "mujoco", "newton"],
             )
-        self.simulator = simulator = FusedSimulator(
+        self.simulator = physics = FusedPhysics(
             request.scene, request.compiled, request.shape, device=request.device, **request.worlds(steps)
         )
         super().__init__(request, RolloutWork)
@@ -65,13 +112,13 @@ class FusedEngine(LaunchedEngine):
         work.diverged, work.overflow = self.diverged, self.overflow
         written, on_record = self._bake()
         # a thread for each step keeps a GPU busier than one for all steps of a world, as rollouts have it then
-        self._allocate_record(on_record, apart=self._on_gpu and simulator.sharing == 1)
+        self._allocate_record(on_record, apart=self._on_gpu and physics.sharing == 1)
         work.records, work.force = int(self.records), self.recorded.contact_force
         work.record_act = self.recorded.act
-        source = simulator.source(added=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
-        simulator.fill(work)
+        source = physics.source(added=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
+        physics.fill(work)
         code, params = (self.costs.code, self.costs.params) if written else self.costs.code_of([])
-        shared = {"sharing": simulator.sharing, "threads": WARP, "options": options(self.lanes)}
+        shared = {"sharing": physics.sharing, "threads": WARP, "options": options(self.lanes)}
         self._compile(source, (code.params, params), **shared)
 
     def _bake(self) -> tuple[AddedCode | None, list[int]]:

@@ -23,6 +23,7 @@ from ..kernels.worlds.kinematic import (
     Drives,
     KinematicWork,
     kinematic_rollout_kernel,
+    kinematic_step_kernel,
 )
 from ..launch import capturing
 from ..model.batch_size import BatchSize
@@ -33,12 +34,31 @@ from .inlining import inline_terms
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
 from .launched import LaunchedEngine
+from .step_worlds import ConvertedWorlds
+from .thread_pool import thread_count
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
-    from .request import EngineRequest
+    from .request import EngineRequest, PhysicsSteps
+    from .step_worlds import Residuals
 
 MODES = {"velocity": int(VELOCITY), "position": int(POSITION), "acceleration": int(ACCELERATION)}
+
+
+class KinematicWorlds(ConvertedWorlds):
+    """Worlds of the engine ``kinematic``."""
+
+    def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
+        super().__init__(request, steps, worlds, residuals)
+        self._drives, self._dt = drives(request.costs.layout, self.device), float(request.grid.dt[0])
+        threads = thread_count(request.scene.engine.threads)
+        self._bind_rows(0 if self._on_gpu else threads)
+
+    def _advance(self, first: int, count: int) -> None:
+        """Take the step from slice 0 of the record to slice 1, in some worlds."""
+        out = self.trajectory
+        outputs = [out.joint_q, out.joint_qd, out.body_q, out.body_qd]
+        self._launch(kinematic_step_kernel, count, [self._table, self._drives, out.control, self._dt, first], outputs)
 
 
 class KinematicEngine(LaunchedEngine):
@@ -52,6 +72,7 @@ class KinematicEngine(LaunchedEngine):
     """
 
     name = "kinematic"
+    step_worlds = KinematicWorlds
 
     def __init__(self, request: EngineRequest):
         _refuse(request)

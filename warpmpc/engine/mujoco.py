@@ -6,7 +6,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import mujoco
 import numpy as np
@@ -26,12 +26,15 @@ from ..model.pairs import Pair
 from ..model.randomize import randomize_model
 from ..model.trajectory import Trajectory
 from .mujoco_states import MujocoModelSimulator
+from .step_worlds import StepWorlds
 from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
     from ..task.observed import ObservedState
+    from .request import EngineRequest, PhysicsSteps
+    from .step_worlds import Residuals
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
@@ -302,3 +305,30 @@ class MujocoSimulator(MujocoModelSimulator):
     def close(self) -> None:
         """Stop the threads."""
         self.pool.close()
+
+    @classmethod
+    def of(cls, request: EngineRequest, steps: PhysicsSteps) -> Self:
+        """Simulator of a scene's physics steps."""
+        engine, common = request.scene.engine, {"sensors": request.costs.sensors, **request.worlds(steps)}
+        options = Options.of(engine)
+        return cls(request.compiled, request.shape, threads=engine.threads, options=options, **common)
+
+
+class MujocoWorlds(StepWorlds):
+    """Worlds of the engine ``mujoco``, in double precision; the solver starts cold in every one of them."""
+
+    def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
+        self._engine = engine = MujocoSimulator.of(*request.one_step(steps, worlds))
+        super().__init__(request, worlds, residuals, engine.world)
+        engine.trajectory = self._recorded
+        self._bind(engine.initial_array, engine.state_array, engine.parts, engine.pool)
+
+    def follow(self) -> None:
+        """Take over what was observed besides the state, mocap bodies for instance; overwrites :attr:`start`."""
+        self._engine.clone(self._state)
+
+    def take(self, part: int) -> None:
+        """Take the step in a part of the worlds; capture-safe."""
+        self._engine.read_start(self.starts, *self.parts[part])
+        self._engine.rollout_part(self._engine.trajectory.control, part)
+        self._write_residuals(*self.parts[part])

@@ -79,7 +79,11 @@ class Proposal:
 
 
 class Engine(Protocol):
-    """Turns knots into costs, and chosen worlds into trajectories."""
+    """Turns knots into costs, and chosen worlds into trajectories.
+
+    Planners with derivatives ask for ``step_worlds(request, steps, worlds, residuals)`` besides, a
+    :class:`~warpmpc.engine.step_worlds.StepWorlds`: every :class:`~warpmpc.engine.evaluation.SimulatorEngine` has it.
+    """
 
     name: str  # of its entry in the registry, which says what it can do
     device: str

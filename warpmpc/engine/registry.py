@@ -14,7 +14,6 @@ import warp as wp
 
 from ..bake.lines import OutOfRange
 from ..compiling import KernelError
-from ..model.mujoco_model import Options
 from ..registry import ENGINES
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName, Solver
@@ -157,15 +156,6 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     return PhysicsSteps(tuple(np.round(count).astype(int).tolist()), (timestep,) * grid.steps)
 
 
-def mujoco_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
-    """Simulator of the engine ``mujoco``."""
-    from .mujoco import MujocoSimulator
-
-    engine, common = request.scene.engine, {"sensors": request.costs.sensors, **request.worlds(steps)}
-    options = Options.of(engine)
-    return MujocoSimulator(request.compiled, request.shape, threads=engine.threads, options=options, **common)
-
-
 def newton_simulator(request: EngineRequest, steps: PhysicsSteps) -> Simulator:
     """Simulator of the engine ``newton``, with the solver that the scene asks for.
 
@@ -205,11 +195,13 @@ def _make_kinematic(request: EngineRequest, steps: PhysicsSteps) -> Engine:
 
 
 def _make_mujoco(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    return SimulatorEngine(request, mujoco_simulator(request, steps))
+    from .mujoco import MujocoSimulator, MujocoWorlds
+
+    return SimulatorEngine(request, steps, MujocoSimulator.of, MujocoWorlds)
 
 
 def _make_newton(request: EngineRequest, steps: PhysicsSteps) -> Engine:
-    return SimulatorEngine(request, newton_simulator(request, steps))
+    return SimulatorEngine(request, steps, newton_simulator)
 
 
 ON_GPU = {"cuda": True, "capturable": True}

@@ -3,20 +3,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+from ..model.batch_size import BatchSize
+from .timegrid import TimeGrid
 
 if TYPE_CHECKING:
     import warp as wp
 
     from ..cost.stack import CostStack
     from ..kernels.planning.splines import Spline
-    from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
-    from .timegrid import TimeGrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +54,11 @@ class EngineRequest:
             "pairs": self.costs.pairs,
             "properties": self.properties,
         }
+
+    def one_step(self, steps: PhysicsSteps, worlds: int) -> tuple[Self, PhysicsSteps]:
+        """Request and physics steps of nominal worlds that take one control step, so many of every environment."""
+        shape, grid = BatchSize(self.shape.envs, worlds, 1, 1), TimeGrid(self.grid.dt[:1], self.grid.weight[:1])
+        return replace(self, shape=shape, grid=grid, properties=None), PhysicsSteps(steps.count[:1], steps.length[:1])
 
 
 @dataclass(frozen=True)

@@ -44,10 +44,9 @@ class Refiner(ABC):
     """Improves a strategy's mean by derivatives along its rollout.
 
     Args:
-        name: Name of the plans' engine.
+        engine: Engine of the plans.
         request: What it was built for.
         steps: Physics steps of the horizon.
-        engine: The engine.
         strategy: The strategy.
 
     Raises:
@@ -57,9 +56,7 @@ class Refiner(ABC):
     feedback: Feedback | None = None
     """Gains of the last plan, if there are any, over the time since its start."""
 
-    def __init__(
-        self, name: str, request: EngineRequest, steps: PhysicsSteps, engine: Engine, strategy: SamplingStrategy
-    ):
+    def __init__(self, engine: Engine, request: EngineRequest, steps: PhysicsSteps, strategy: SamplingStrategy):
         scene, layout = request.scene, request.costs.layout
         self._planner = planner = scene.planner
         if not request.grid.even:
@@ -72,9 +69,9 @@ class Refiner(ABC):
         self._launch = Launcher(request.device)
         self.residuals = Residuals(request.costs)
         self.hold = control_hold(scene)
-        self.rollouts = PolicyRollouts(name, request, steps, self.residuals, self._settings.candidates, self.hold)
+        self.rollouts = PolicyRollouts(engine, request, steps, self.residuals, self._settings.candidates, self.hold)
         self.tangent = self.rollouts.tangent
-        self.differences = Differences(name, request, steps, self.residuals, self.tangent)
+        self.differences = Differences(engine, request, steps, self.residuals, self.tangent)
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
@@ -319,9 +316,20 @@ def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: Samp
         request: What it was built for.
         engine: The engine.
         strategy: The strategy.
+
+    Raises:
+        SceneError: If no derivatives of the engine are to be had, or the scene does not allow them.
     """
     settings = request.scene.planner.refine
     if settings is None:
         return None
+    if not hasattr(engine, "step_worlds"):
+        raise SceneError(
+            f"no derivatives of the engine {name}: its class {type(engine).__name__} has no step_worlds (as "
+            "SimulatorEngine has); take another engine or a planner without derivatives",
+            key="engine.name",
+            file=request.scene.path,
+            found=name,
+        )
     steps = physics_steps(name, request.scene, request.compiled, request.grid)
-    return REFINERS[settings.method](name, request, steps, engine, strategy)
+    return REFINERS[settings.method](engine, request, steps, strategy)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base of worlds that take one control step, each from a state of its own."""
+"""Worlds that take one control step, each from a state of its own: derivatives of an engine are their differences."""
 
 from __future__ import annotations
 
@@ -7,25 +7,38 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
 
 from ..cost.stack import CostEvaluator
-from ..engine.thread_pool import ThreadPool
+from ..kernels.worlds.clone import gather_kernel
 from ..launch import Replay, capturing
 from ..model.batch_size import BatchSize
+from ..model.mujoco_model import Options, make_world
 from ..model.state_rows import StateRows
 from ..model.trajectory import Trajectory
+from .mujoco_states import MujocoModelSimulator
+from .thread_pool import PARTS, ThreadPool
 
 if TYPE_CHECKING:
-    from ..engine.request import EngineRequest
+    from ..kernels.terms.view import StepView
     from ..model.mujoco_model import MujocoWorld
-    from .residuals import Residuals
+    from .protocol import Simulator
+    from .request import EngineRequest, PhysicsSteps
 
 LEAD = 1
 """Slices of the record before the states that worlds start in: terms that ask for the control before find it there."""
+
+
+class Residuals(Protocol):
+    """Residuals of the terms, as :class:`warpmpc.derivatives.residuals.Residuals`."""
+
+    width: int  # R
+
+    def launch(self, view: StepView, rollouts: int, first: int, count: int, out: wp.array) -> None:
+        """Write those of some worlds after the step ``[W, R]``; capture-safe."""
 
 
 class StepWorlds(ABC):
@@ -132,3 +145,73 @@ class StepWorlds(ABC):
 
     def _write_residuals(self, first: int, count: int) -> None:
         self._residuals.launch(self._view, self.shape.rollouts, first, count, self.residuals)
+
+
+class ConvertedWorlds(StepWorlds, MujocoModelSimulator):
+    """Worlds whose states are joint coordinates as Newton has them, in single precision."""
+
+    def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
+        world = make_world(request.compiled, timestep=steps.length[0], options=Options.of(request.scene.engine))
+        super().__init__(request, worlds, residuals, world)
+        self.trajectory, model, count = self._recorded, world.model, self.shape.worlds
+        self._bind_model(world, request.costs.layout, [0], self.device)
+        rows = count, 1 + model.nq + model.nv + model.na
+        self._initial, self._reached = (wp.zeros(rows, dtype=wp.float64, device=self.device) for _ in range(2))
+
+    def follow(self) -> None:
+        """Take over what MuJoCo's states do not hold, such as mocap bodies."""
+        self.clone(self._state)
+
+    def take(self, part: int) -> None:
+        """Take the step in a part of the worlds; capture-safe."""
+        first, count = self.parts[part]
+        self.read_start(self._initial, first, count)
+        if self._activation.size:
+            starts = self._initial.reshape((len(self._initial), 1, self._initial.shape[1]))
+            inputs = [starts, self._activation, self._end, 0, first]
+            self._launch(gather_kernel, (1, count), inputs, [self.trajectory.act])
+        self._advance(first, count)
+        self._write_state(self._reached, first, count, 1)
+        self._write_residuals(first, count)
+
+    def _bind_rows(self, threads: int) -> None:
+        """Say who takes which worlds; no threads: all at once, launch by launch."""
+        count = self.shape.worlds
+        size = -(-count // (PARTS * threads)) if threads > 1 else count
+        parts = [(first, min(size, count - first)) for first in range(0, count, size)]
+        ends = self._reached.reshape((count, 1, self._reached.shape[1]))
+        self._bind(self._initial, ends, parts, ThreadPool(threads, len(parts)) if threads else None)
+
+    @abstractmethod
+    def _advance(self, first: int, count: int) -> None:
+        """Take the step from slice 0 of the record to slice 1, in some worlds."""
+
+
+class SimulatedWorlds(ConvertedWorlds):
+    """Worlds of any simulator, all of which take the step at once.
+
+    Args:
+        make: Makes the simulator.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[EngineRequest, PhysicsSteps], Simulator],
+        request: EngineRequest,
+        steps: PhysicsSteps,
+        worlds: int,
+        residuals: Residuals,
+    ):
+        super().__init__(request, steps, worlds, residuals)
+        self._simulator = make(*request.one_step(steps, worlds))
+        self._simulator.trajectory = self.trajectory
+        self._bind_rows(0)
+
+    def follow(self) -> None:
+        """Take over what MuJoCo's states do not hold, such as mocap bodies."""
+        super().follow()
+        self._simulator.clone(self._state)
+
+    def _advance(self, first: int, count: int) -> None:
+        """Take the step from slice 0 of the record to slice 1, in all worlds."""
+        self._simulator.rollout(self.trajectory.control)

@@ -46,7 +46,7 @@ def shares(model: mujoco.MjModel, worlds: int) -> bool:
     return worlds <= SHARED_PER_DOF * model.nv
 
 
-class FusedSimulator:
+class FusedPhysics:
     """The worlds of a scene.
 
     Args:
