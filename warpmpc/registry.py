@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Engines, strategies and cost terms by name: shipped, registered by a program, or brought by installed packages.
+"""Engines, strategies, cost terms and robots by name: shipped, or registered by programs and installed packages.
 
 A package brings one as an entry point of the registry's group, in its ``pyproject.toml``::
 
@@ -91,6 +91,9 @@ STRATEGIES: Registry[Any] = Registry("strategy", "warpmpc.strategies")
 """Strategies, each a function with the arguments of :class:`warpmpc.planner.strategy.SamplingStrategy`."""
 TERMS: Registry[Any] = Registry("cost term", "warpmpc.terms")
 """Cost terms of installed packages, beside the built-in ones and those that a program hands over."""
+ROBOTS: Registry[Any] = Registry("robot", "warpmpc.robots")
+"""Drivers of robots, each ``make(scene, *, seed, task, terms, watch, compiled)``, as
+:func:`~warpmpc.realtime.robot.simulated_robot`, for a :class:`~warpmpc.realtime.loop.Robot`."""
 
 
 class Name(StrEnum):

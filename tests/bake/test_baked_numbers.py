@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.bake.number import WIDE, direction, header, native_lanes
+from warpmpc.bake.simd import WIDE, direction, header, native_lanes
 
 
 def directions(height: np.ndarray, width: np.ndarray, lanes: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from rollouts import OBSTACLES, Rollouts
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX
 
-from warpmpc.bake.number import native_lanes
+from warpmpc.bake.simd import native_lanes
 from warpmpc.model.batch_size import BatchSize
 
 SHAPE = BatchSize(2, 21, 2, 5)  # a number of worlds that fills no register; 420 states

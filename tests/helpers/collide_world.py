@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 import warpmpc.physics
-from warpmpc.bake import number
+from warpmpc.bake import simd
 from warpmpc.physics.meshes import Hulls
 
 NATIVE = Path(warpmpc.physics.__file__).parent / "native"
@@ -128,9 +128,9 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         speed: `put` keeps what it gets anywhere, which costs little.
         tables: Constants before the functions.
     """
-    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", number._ONE)
-    one = f"#if defined(__CUDA_ARCH__)\n{number._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
-    head = "\n".join(f"#undef {name}" for name in number.NAMES) + "\n" + one if lanes == 1 else number.header(lanes)
+    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", simd._ONE)
+    one = f"#if defined(__CUDA_ARCH__)\n{simd._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
+    head = "\n".join(f"#undef {name}" for name in simd.NAMES) + "\n" + one if lanes == 1 else simd.header(lanes)
     cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
     # the cases hold words of the others
@@ -159,7 +159,7 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         blocks: wp.array[int],
     ): ...
 
-    flags = (wp.config.cpu_compiler_flags or "") + (number.WIDE if lanes == 16 else "") + EXTRA
+    flags = (wp.config.cpu_compiler_flags or "") + (simd.WIDE if lanes == 16 else "") + EXTRA
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": flags})
     def kernel(

@@ -10,7 +10,7 @@ from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
 from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
-from warpmpc.bake.number import WIDE, header, native_lanes
+from warpmpc.bake.simd import WIDE, header, native_lanes
 from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
 from warpmpc.engine.inlining import term_source as write_term
 from warpmpc.kernels.terms.view import TASK_BODY, StepView

@@ -9,7 +9,7 @@ import pytest
 from collide_pairs import MESH, draw
 from collide_world import MARGIN, Poses, compare, make_kernel, mesh_tables, model, nanoseconds, ours, theirs
 
-from warpmpc.bake.number import native_lanes
+from warpmpc.bake.simd import native_lanes
 
 KINDS = (
     "plane_sphere", "plane_capsule", "plane_box", "plane_cylinder", "plane_ellipsoid", "sphere_sphere",

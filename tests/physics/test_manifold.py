@@ -11,7 +11,7 @@ from collide_pairs import MESH, draw
 from collide_world import compare, make_kernel, mesh_tables, model, ours, theirs
 from fused_steps import turned
 
-from warpmpc.bake.number import native_lanes
+from warpmpc.bake.simd import native_lanes
 from warpmpc.physics.model import PhysicsModel
 from warpmpc.physics.rings import MOST_CORNERS, RIM, faces, ring_size, ring_tables
 from warpmpc.physics.rollout import PlainRollout

@@ -36,7 +36,7 @@ def literal(x: float) -> str:
 
 
 def text(x: Operand) -> str:
-    """An operand in C, of the number type."""
+    """An operand in C, of the SIMD type."""
     return x if isinstance(x, str) else f"((T){literal(x)})"
 
 

@@ -205,6 +205,12 @@ def run(
             min=0.001, max=1.0, help="With --real-time: simulated seconds in a second; 1 when left out, 0.1 is slow."
         ),
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="With --real-time: driver of the robot, simulated or one that a package registers."
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,
 ) -> None:
@@ -224,9 +230,11 @@ def run(
 
         given = {"--envs": envs > 1, "--jobs": jobs, "--results": results}
         refused = [option for option, value in given.items() if value]
-        raise typer.Exit(run_real_time(arguments, speed=1.0 if speed is None else speed, refused=refused, **options))
-    if speed is not None:
-        raise typer.BadParameter("goes with --real-time", param_hint="--speed")
+        options |= {"robot": robot or "simulated", "speed": 1.0 if speed is None else speed}
+        raise typer.Exit(run_real_time(arguments, refused=refused, **options))
+    for option, value in (("--speed", speed), ("--robot", robot)):
+        if value is not None:
+            raise typer.BadParameter("goes with --real-time", param_hint=option)
     raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, **options))
 
 

@@ -29,6 +29,7 @@ def run_real_time(
     arguments: RunArguments,
     *,
     seeds: Sequence[int],
+    robot: str,
     speed: float,
     outputs: Outputs,
     refused: Sequence[str],
@@ -40,6 +41,7 @@ def run_real_time(
     Args:
         arguments: Scene and engine.
         seeds: Seeds of the episodes.
+        robot: Name of the robot's driver.
         speed: Simulated seconds in a second of wall time.
         outputs: Files to write.
         refused: Options that were given and do not go with real time.
@@ -53,10 +55,12 @@ def run_real_time(
             with user_errors():
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
+                if outputs.any and robot != "simulated":
+                    raise ValueError(f"--robot {robot}: --record, --csv, --npz and --out show the simulated one alone")
                 outputs.check(seeds, envs=1, jobs=None)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
                 start_warp()
-                options = {"engine": arguments.engine, "device": arguments.device, "speed": speed}
+                options = {"engine": arguments.engine, "device": arguments.device, "robot": robot, "speed": speed}
                 asked = {**options, "real_time": True}
                 folder = outputs.folder(scene, seeds=seeds, term_files=arguments.term_files, asked=asked)
                 from ..run.real_time import run_real_time

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..bake.lines import OutOfRange
-from ..bake.number import native_lanes
+from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
 from ..kernels.worlds.evaluation import TAPS
 from ..launch import Launcher

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..bake.number import WIDE
+from ..bake.simd import WIDE
 from ..cost.code.state import StateCode, moving_dofs
 from ..kernels.worlds.kinematic import (
     ACCELERATION,

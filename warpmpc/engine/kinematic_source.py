@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of whole rollouts without physics: controls, motion, kinematics and terms of all steps in one go.
 
-On a CPU a call takes as many samples as the number type holds from the first step to the last, with states in
+On a CPU a call takes as many samples as the SIMD type has lanes from the first step to the last, with states in
 registers. On a GPU a warp takes one sample, a lane one step: sums over time are scans over the lanes.
 """
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..bake.knots import CONTROL
 from ..bake.lines import Operand, text
-from ..bake.number import header
+from ..bake.simd import header
 from ..cost.code.terms import POINTERS, TIMES, TermSource, sums
 from ..kernels.planning.splines import LINEAR, ZERO
 from ..kernels.worlds.evaluation import TAPS
@@ -32,7 +32,7 @@ class RolloutSource:
         terms: Terms that are summed on the way.
         spline: Kind of spline from knots to controls.
         knots: Knots of a sample.
-        lanes: Samples in a number on a CPU.
+        lanes: Samples in a vector on a CPU.
         records: Whether all states are written down, for terms that are not summed on the way.
     """
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..bake.number import native_lanes
+from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
 from ..cost.term import CostTerm
 from ..kernels.planning.splines import ZERO

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..bake.lines import Lines, Operand, Vector, literal, text
-from ..bake.number import angle
+from ..bake.simd import angle
 from .base import rotation
 from .equalities import CONNECT, JOINT, TENDON, Constraint, ends
 from .limits import within

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ..bake.number import WIDE
+from ..bake.simd import WIDE
 
 CONTRACT = " -ffp-contract=fast"
 """Compiler flag for products and sums in one instruction: a fifth less time in `mobile_pick`."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..bake.number import native_lanes
+from ..bake.simd import native_lanes
 from ..kernels.worlds.evaluation import TAPS
 from ..launch import Launcher
 from .kernel import WARP, RolloutWork, make_kernel
@@ -29,7 +29,7 @@ class PlainRollout:
         substeps: Physics steps per control.
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
         device: Warp device.
-        lanes: Worlds in a number on a CPU; as many as its registers hold if None.
+        lanes: Worlds in a vector on a CPU; as many as a register holds if None.
         share: Whether on a GPU a warp shares a world.
 
     Raises:
@@ -86,7 +86,7 @@ class PlainRollout:
         """Source of a rollout.
 
         Args:
-            lanes: Worlds in a number on a CPU.
+            lanes: Worlds in a vector on a CPU.
             shared: Whether on a GPU a warp shares a world.
         """
         plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu))

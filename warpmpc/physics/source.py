@@ -13,7 +13,7 @@ import numpy as np
 
 from ..bake.knots import CONTROL
 from ..bake.lines import literal
-from ..bake.number import header, sincos
+from ..bake.simd import header, sincos
 from . import base as kinds
 from .base import packed
 from .constraint_tables import ConstraintTables
@@ -69,7 +69,7 @@ class RolloutSource:
     Args:
         model: The model.
         state_map: Where the model keeps what is observed, driven, watched and recorded.
-        lanes: Worlds in a number on a CPU.
+        lanes: Worlds in a vector on a CPU.
         shared: Whether on a GPU the lanes of a warp share a world; else every thread has one of its own.
         added: Statements that evaluate a rollout on the way, if there are any.
         knots: Most knots that a control depends on.
@@ -90,7 +90,7 @@ class RolloutSource:
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
         parts = [
-            *(self._native(name) for name in ("number", "world", "lanes", "collide_common")),
+            *(self._native(name) for name in ("simd", "world", "lanes", "collide_common")),
             *baked,
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("cones" if self.model.frictions > 1 else "pyramid"),

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from ..bake.lines import Lines, Matrix, Operand, Vector, known, text
-from ..bake.number import sincos
+from ..bake.simd import sincos
 from .base import BALL, FREE, IDENTITY, NOTHING, SLIDE, packed, rotation
 
 if TYPE_CHECKING:

@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 
 
 class Robot(Protocol):
-    """A robot, real or simulated, in two functions."""
+    """A robot, real or simulated, in two functions.
+
+    Optional: ``simulated``, true where it moves on by a tick with every command; ``done``, true where the driver ends
+    the run; ``close()``. They count where a robot is chosen by its name.
+    """
 
     def observe(self) -> State:
         """The newest state, with its time; returns at once. Its arrays are copied, so they may be used again."""

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One episode in real time: the planner in a process of its own, the simulated plant here, neither waits."""
+"""One episode in real time: the planner in a process of its own, the robot here, neither waits."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..plant.simulated import SimulatedPlant
 from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
-from ..realtime.robot import simulated_robot
+from ..realtime.robot import MonitoredRobot
+from ..registry import ROBOTS
 from ..scene.draw import draw_task
 from .choose_engine import with_samples
 from .episode import Result, compile_shared, plain, watched
@@ -70,6 +73,7 @@ def run_real_time(
     engine: str = "auto",
     device: str = "auto",
     terms: MakeTerms | None = None,
+    robot: str = "simulated",
     speed: float = 1.0,
     check: Callable[[], None] = lambda: None,
     recorder: Callable[[Plant], TickLogger] | None = None,
@@ -83,34 +87,44 @@ def run_real_time(
         engine: Engine of the roll-outs, as for :class:`~warpmpc.Controller`.
         device: Device of the roll-outs, as for :class:`~warpmpc.Controller`.
         terms: Makes users' cost terms, here and in the planner's process.
+        robot: Name of the robot's driver (``warpmpc.registry.ROBOTS``).
         speed: Simulated seconds in a second of wall time.
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
-        recorder: Makes what takes note of every tick, from the simulated robot, such as
+        recorder: Makes what takes note of every tick, from a simulated plant, such as
             :class:`~warpmpc.RunRecorder`; it is closed.
         log: Run log beside which plans are noted.
 
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
-        ValueError: If the speed is no positive number, or the engine or device is not to be had here.
+        ValueError: If the speed is no positive number, the engine or device is not to be had here, there is no such
+            robot, or one that is not simulated is to be slowed down.
     """
     if not 0.0 < speed < float("inf"):
         raise ValueError(f"the speed is a positive number, not {speed}")
     made = tuple(terms()) if terms else ()
+    make_robot = ROBOTS.find(robot)
     shared = compile_shared(scene)
     samples, engine, device = fit_to_machine(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], samples)
     options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
-    with PlannerProcess(drawn, speed=speed, log=log, **options) as planner:
+    with PlannerProcess(drawn, speed=speed, log=log, **options) as planner, ExitStack() as stack:
         keys = {"seed": seed, "terms": made, "watch": watched(scene), "compiled": planner.compiled}
-        robot = simulated_robot(drawn, task=planner.task, **keys)
-        made_recorder = recorder(robot) if recorder else None
-        loop = RobotLoop(drawn, robot, planner, speed=speed, simulated=True, recorder=made_recorder)
+        driver = make_robot(drawn, task=planner.task, **keys)
+        stack.callback(getattr(driver, "close", lambda: None))
+        plant = isinstance(driver, SimulatedPlant)
+        simulated = plant or getattr(driver, "simulated", False)
+        if speed != 1.0 and not simulated:
+            raise ValueError(f"the robot '{robot}' is not simulated: its speed is 1, not {speed:g}")
+        watch = {"task": planner.task, "terms": made, "compiled": planner.compiled}
+        run = driver if plant else MonitoredRobot(drawn, driver, **watch)
+        made_recorder = recorder(run) if recorder else None
+        loop = RobotLoop(drawn, run, planner, speed=speed, simulated=simulated, recorder=made_recorder)
         ends = []  # success, reason and time as the robot is before it is stopped
 
         def over() -> bool:
             check()
-            ends[:] = [robot.success, robot.reason, robot.time]
-            return robot.done
+            ends[:] = [run.success, run.reason, run.time]
+            return run.done
 
         reason = None
         try:
@@ -121,7 +135,7 @@ def run_real_time(
             if made_recorder is not None:
                 made_recorder.close()
         report = loop.report()
-    success, why, moment = ends or (robot.success, robot.reason, robot.time)
+    success, why, moment = ends or (run.success, run.reason, run.time)
     return RealTimeResult(
         scene=scene.name,
         variant=scene.variant,
@@ -133,5 +147,5 @@ def run_real_time(
         wall_time=loop.wall,
         period=scene.timing.control_dt,
         report=report,
-        mean_cost=None if scene.success else robot.mean_cost,
+        mean_cost=None if scene.success else run.mean_cost,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...bake.lines import Lines, Matrix, Operand, Vector, known
-from ...bake.number import sincos
+from ...bake.simd import sincos
 from ...kernels.geometry.kinematics import BALL, DISTANCE, FREE
 
 if TYPE_CHECKING:

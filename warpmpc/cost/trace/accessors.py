@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...bake import number
+from ...bake import simd
 from .functions import Functions
 from .values import Num, Pose, Refused, Rot, Step, Time, Vec, constant, plain, value
 
@@ -100,7 +100,7 @@ class Accessors(Functions):
         miss = Vec(tuple(d for x, y in pairs for d in self.binary("-", Vec(x), Vec(y)).x))
         squared = self.binary("*", 0.125, self.dot(miss, miss))
         cosine = self.wp_sqrt(self.wp_max(self.binary("-", 1.0, squared), 0.0))
-        half = self.defined(number.angle, self.lanes(self.wp_sqrt(squared)), self.lanes(cosine))
+        half = self.defined(simd.angle, self.lanes(self.wp_sqrt(squared)), self.lanes(cosine))
         return self.binary("*", 2.0, half)
 
     def view_wrap_angle(self, a: Any) -> Any:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from ...bake import number
+from ...bake import simd
 from ...bake.lines import literal
 from .arithmetic import INTEGERS, Arithmetic
 from .values import Mat, Num, Pose, Refused, Rot, Vec, plain, value
@@ -17,7 +17,7 @@ class Functions(Arithmetic):
     """Writes calls of Warp's functions."""
 
     def defined(self, write: Callable[..., str], *args: str) -> Num:
-        """Write a function of ``bake.number``, once for the same arguments."""
+        """Write a function of ``bake.simd``, once for the same arguments."""
         key = f"{write.__name__}({', '.join(args)})"
         if key not in self.out.memo:
             self.out.memo[key] = name = self.out.fresh()
@@ -32,7 +32,7 @@ class Functions(Arithmetic):
         key = f"sincos({name})"
         if key not in self.out.memo:
             self.out.memo[key] = own = self.out.fresh()
-            self.out.add(number.sincos(name, f"{own}s", f"{own}c"))
+            self.out.add(simd.sincos(name, f"{own}s", f"{own}c"))
         own = self.out.memo[key]
         return Num(f"{own}s"), Num(f"{own}c")
 
@@ -75,10 +75,10 @@ class Functions(Arithmetic):
     def wp_exp(self, x: Any) -> Any:
         if plain(x):
             return math.exp(x)
-        return self.defined(number.two_to, f"{literal(1.0 / math.log(2.0))} * {self.lanes(x)}")
+        return self.defined(simd.two_to, f"{literal(1.0 / math.log(2.0))} * {self.lanes(x)}")
 
     def _log_two(self, x: Any) -> Num:
-        return self.defined(number.log_two, self.lanes(self.wp_max(x, 1e-37)))
+        return self.defined(simd.log_two, self.lanes(self.wp_max(x, 1e-37)))
 
     def wp_log(self, x: Any) -> Any:
         return math.log(x) if plain(x) else self.binary("*", math.log(2.0), self._log_two(x))
@@ -91,7 +91,7 @@ class Functions(Arithmetic):
             for _ in range(int(b) - 1):
                 out = self.binary("*", out, a)
             return out
-        return self.defined(number.two_to, self.lanes(self.binary("*", b, self._log_two(a))))
+        return self.defined(simd.two_to, self.lanes(self.binary("*", b, self._log_two(a))))
 
     def wp_sin(self, x: Any) -> Any:
         return self.sincos(x)[0]
@@ -105,7 +105,7 @@ class Functions(Arithmetic):
     def wp_atan2(self, y: Any, x: Any) -> Any:
         if plain(y) and plain(x):
             return math.atan2(y, x)
-        return self.defined(number.direction, self.lanes(y), self.lanes(x))
+        return self.defined(simd.direction, self.lanes(y), self.lanes(x))
 
     def wp_atan(self, x: Any) -> Any:
         return self.wp_atan2(x, 1.0)

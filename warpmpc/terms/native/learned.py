@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ...bake.number import sincos
+from ...bake.simd import sincos
 
 if TYPE_CHECKING:
     from ...bake.lines import Operand

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from ...bake.lines import Operand, literal, text
-from ...bake.number import angle, direction
+from ...bake.simd import angle, direction
 from ...kernels.geometry.fields import ATAN_HALF
 from ...kernels.terms.pushing import (
     BESIDE_CORNER,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The number type ``T`` of baked source: one float on a GPU, several samples at once on a CPU."""
+"""The SIMD type ``T`` of baked source: one float on a GPU, several samples at once on a CPU."""
 
 from __future__ import annotations
 
@@ -196,4 +196,4 @@ def native_lanes() -> int:
 
 
 WIDE = " -mprefer-vector-width=512"
-"""Compiler flag for 16 samples in a number: without it LLVM splits them into two registers."""
+"""Compiler flag for 16 lanes: without it LLVM splits them into two registers."""
