@@ -135,7 +135,8 @@ def mermaid(found: list[Import]) -> str:
     direct = [(a, b) for a, b in edges if not any(b in reach(c) for c in below[a] - {b})]
     order = [room for rooms in FLOORS for room in rooms]
     direct.sort(key=lambda edge: (order.index(edge[0]), order.index(edge[1])))
-    return "\n".join(["graph TD", *(f"    {a} --> {b}" for a, b in direct)])
+    targets = {a: " & ".join(b for c, b in direct if c == a) for a, _ in direct}
+    return "\n".join(["graph TD", *(f"    {a} --> {b}" for a, b in targets.items())])
 
 
 def main() -> int:
