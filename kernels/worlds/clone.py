@@ -3,13 +3,7 @@
 
 import warp as wp
 
-from ..geometry.kinematics import (
-    BALL,
-    DISTANCE,
-    FREE,
-    JointTable,
-    forward_kinematics,
-)
+from ..geometry.kinematics import BALL, DISTANCE, FREE, JointTable, forward_kinematics
 
 wp.set_module_options({"enable_backward": False})
 
@@ -287,10 +281,11 @@ def record_mujoco_kernel(
     nq_mujoco: int,
     end: wp.array[int],  # [T] last physics step of each control step
     state: wp.array3d[wp.float64],  # [W, N, nstate]
+    slice: int,  # of the outputs that the first control step fills
     first: int,  # world of thread 0
     lanes: int,  # threads that share the steps of a world
     # outputs
-    joint_q: wp.array3d[float],  # [T+1, W, nq] slices 1..T are written
+    joint_q: wp.array3d[float],  # [T+1, W, nq]
     joint_qd: wp.array3d[float],  # [T+1, W, nv]
     body_q: wp.array3d[wp.transform],  # [T+1, W, nb]
     body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
@@ -299,27 +294,8 @@ def record_mujoco_kernel(
     lane, thread = wp.tid()
     w = first + thread
     for t in range(lane, end.shape[0], lanes):
-        read_mujoco_state(table, w, end[t], t + 1, nq_mujoco, state, joint_q, joint_qd)
-        forward_kinematics(table, t + 1, w, joint_q, joint_qd, body_q, body_qd)
-
-
-@wp.kernel
-def start_mujoco_kernel(
-    # inputs
-    table: JointTable,
-    nq_mujoco: int,
-    state: wp.array3d[wp.float64],  # [W, 1, nstate]
-    first: int,  # world of thread 0
-    # outputs
-    joint_q: wp.array3d[float],  # [T+1, W, nq] slice 0 is written
-    joint_qd: wp.array3d[float],  # [T+1, W, nv]
-    body_q: wp.array3d[wp.transform],  # [T+1, W, nb]
-    body_qd: wp.array3d[wp.spatial_vector],  # [T+1, W, nb]
-):
-    """One thread: the state that one world starts in, with its body poses."""
-    w = first + wp.tid()
-    read_mujoco_state(table, w, 0, 0, nq_mujoco, state, joint_q, joint_qd)
-    forward_kinematics(table, 0, w, joint_q, joint_qd, body_q, body_qd)
+        read_mujoco_state(table, w, end[t], slice + t, nq_mujoco, state, joint_q, joint_qd)
+        forward_kinematics(table, slice + t, w, joint_q, joint_qd, body_q, body_qd)
 
 
 @wp.kernel

@@ -16,7 +16,7 @@ from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
 from ..kernels.worlds.evaluation import TAPS
 from ..launch import Launcher
-from ..model.mujoco_model import MujocoWorld, Options, make_world
+from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import batched_arrays
 from ..model.trajectory import Trajectory
@@ -79,7 +79,9 @@ class FusedPhysics:
     ):
         self.shape, self.pairs, self.device = shape, pairs, device
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=Options.of(scene.engine), sensors=())
-        refuse(scene, world)
+        if lack := missing(world.model):
+            allowed = ["auto", "mujoco", "newton"]
+            raise SceneError(f"the engine fused has no {lack}", key="engine.name", file=scene.path, allowed=allowed)
         self.world, self.layout = world, compiled.layout
         on_gpu = wp.get_device(device).is_cuda
         self.sharing = WARP if on_gpu and shares(world.model, shape.worlds) else 1
@@ -175,16 +177,3 @@ class FusedPhysics:
         """
         kernel, work = self._ready
         self._launch(kernel, groups * self.sharing, [first], [work], threads=WARP)
-
-
-def refuse(scene: Scene, world: MujocoWorld) -> None:
-    """Refuse a scene that has what this engine lacks.
-
-    Raises:
-        SceneError: If there is such a thing.
-    """
-    lack = missing(world.model)
-    if lack:
-        raise SceneError(
-            f"the engine fused has no {lack}", key="engine.name", file=scene.path, allowed=["auto", "mujoco", "newton"]
-        )

@@ -12,11 +12,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.clone import (
-    divergence_kernel,
-    mujoco_control_kernel,
-    mujoco_mocap_kernel,
-)
+from ..kernels.worlds.clone import divergence_kernel, mujoco_control_kernel, mujoco_mocap_kernel
 from ..kernels.worlds.contacts import mujoco_contact_force_kernel
 from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
 from ..launch import Replay

@@ -15,7 +15,6 @@ from ..kernels.worlds.clone import (
     mujoco_activation_kernel,
     mujoco_state_kernel,
     record_mujoco_kernel,
-    start_mujoco_kernel,
 )
 from ..launch import Launcher
 from ..model.joints import joint_table
@@ -55,7 +54,7 @@ class MujocoModelSimulator:
         self._mocap, self._movable, self._sensors = upload(world.mocap), upload(world.movable), upload(world.sensor)
         self._senses = bool((world.sensor >= 0).any())
         self._obstacle_pose = wp.zeros((worlds, len(world.movable)), dtype=wp.transform, device=device)
-        self._end = upload(end)
+        self._end, self._zero = upload(end), upload([0])
 
     def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
         """Put worlds into the observed state; warm starts and forces of earlier plans are gone with it.
@@ -88,7 +87,8 @@ class MujocoModelSimulator:
         """Take states ``[W, 1+nx]`` for slice 0 of the record of some worlds; capture-safe."""
         out, starts = self.trajectory, rows.reshape((rows.shape[0], 1, rows.shape[1]))
         outputs = [out.joint_q, out.joint_qd, out.body_q, out.body_qd]
-        self._launch(start_mujoco_kernel, count, [self._table, self._nq, starts, first], outputs)
+        inputs = [self._table, self._nq, self._zero, starts, 0, first, 1]
+        self._launch(record_mujoco_kernel, (1, count), inputs, outputs)
 
     def _write_state(self, rows: wp.array, first: int, count: int, t: int = 0) -> None:
         """Write slice t of the record of some worlds into rows ``[W, 1+nx]``."""
@@ -110,7 +110,7 @@ class MujocoModelSimulator:
             lanes: Threads that share the steps of a world.
         """
         out, dim = self.trajectory, (self.shape.horizon, count)
-        inputs = [self._table, self._nq, self._end, rows, first, lanes]
+        inputs = [self._table, self._nq, self._end, rows, 1, first, lanes]
         outputs = [out.joint_q, out.joint_qd, out.body_q, out.body_qd]
         self._launch(record_mujoco_kernel, (lanes, count), inputs, outputs)
         if self._activation.size:

@@ -14,9 +14,7 @@ import mujoco_warp
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.clone import (
-    finite_state_kernel,
-)
+from ..kernels.worlds.clone import finite_state_kernel
 from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel
 from ..kernels.worlds.mujoco_warp import (
     drive_kernel,
@@ -34,7 +32,7 @@ from ..model.trajectory import Trajectory
 from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
 from .mujoco_states import MujocoModelSimulator
-from .protocol import OnePart
+from .protocol import LARGEST_SPEED, OnePart
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -43,8 +41,6 @@ if TYPE_CHECKING:
     from ..model.properties import Properties
     from ..scene.schema import Scene
 
-LARGEST_SPEED = 1.0e10
-"""Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
 _CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
 """Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
 _ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
@@ -187,22 +183,20 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
         self.trajectory.contact_force.zero_()
         self.trajectory.overflow.zero_()
         self._load()
+        self.step_physics(records=True)
+        self._record()
+
+    def step_physics(self, *, records: bool = False) -> None:
+        """Step with the last controls; unless something is recorded, the physics alone."""
         with default_device(self.device):  # MuJoCo Warp's steps launch and allocate on the default device
             for t, substeps in enumerate(self.substeps):
                 self._drive(t)
                 for _ in range(substeps):
                     mujoco_warp.step(self.model, self.data)
-                    self._add_forces(t, 1.0 / substeps)
-                self._store(t)
-        self._record()
-
-    def step_physics(self) -> None:
-        """The physics alone: the same steps with the last controls, nothing recorded."""
-        with default_device(self.device):
-            for t, substeps in enumerate(self.substeps):
-                self._drive(t)
-                for _ in range(substeps):
-                    mujoco_warp.step(self.model, self.data)
+                    if records:
+                        self._add_forces(t, 1.0 / substeps)
+                if records:
+                    self._store(t)
 
     def _load(self) -> None:
         """Start the worlds from slice 0 of the trajectory; nothing of an earlier rollout remains."""

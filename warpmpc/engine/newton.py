@@ -20,7 +20,7 @@ from ..model.randomize import randomize_newton
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from .newton_solver import make_solver
-from .protocol import OnePart
+from .protocol import LARGEST_SPEED, OnePart
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from ..task.observed import ObservedState
 
 _MODES = {"velocity": 0, "position": 1, "effort": 2}
-LARGEST_SPEED = 1.0e10
-"""Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
 
 
 class NewtonSimulator(OnePart):
@@ -161,24 +159,22 @@ class NewtonSimulator(OnePart):
             self._control_step(t)
         self._launch(finite_state_kernel, self.shape.worlds, [out.joint_q, out.joint_qd, LARGEST_SPEED], [out.diverged])
 
-    def _control_step(self, t: int) -> None:
-        """The physics steps of one control step, from slice t to slice t + 1."""
+    def _control_step(self, t: int, *, records: bool = True) -> None:
+        """The physics steps of one control step, from slice t to slice t + 1; without a record the physics alone."""
         before, control, substeps = self._states[t], self._controls[t], self.substeps[t]
         for n in range(substeps):
             after = self._states[t + 1] if n == substeps - 1 else self._scratch[n % 2]
             self.solver.step(before, after, control, self.dt)
-            self.solver.add_forces(t, 1.0 / substeps, self.trajectory.contact_force, self.trajectory.overflow)
+            if records:
+                self.solver.add_forces(t, 1.0 / substeps, self.trajectory.contact_force, self.trajectory.overflow)
             before = after
-        self.solver.finish(before)
+        if records:
+            self.solver.finish(before)
 
     def step_physics(self) -> None:
         """The physics alone: the same solver steps with the last controls, nothing recorded but their states."""
         for t in range(self.shape.horizon):
-            before, control, substeps = self._states[t], self._controls[t], self.substeps[t]
-            for n in range(substeps):
-                after = self._states[t + 1] if n == substeps - 1 else self._scratch[n % 2]
-                self.solver.step(before, after, control, self.dt)
-                before = after
+            self._control_step(t, records=False)
 
     def overflow_message(self, bits: int) -> str:
         """A sentence about what overflowed, and which setting to raise."""

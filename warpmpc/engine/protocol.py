@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from ..model.trajectory import Trajectory
     from ..task.observed import ObservedState
 
+LARGEST_SPEED = 1.0e10
+"""Joint speed above which a world counts as blown up, MuJoCo's own limit [m/s or rad/s]."""
+
 
 class Simulator(Protocol):
     """Rolls controls out from a state and records them."""

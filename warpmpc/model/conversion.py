@@ -150,7 +150,7 @@ class MujocoStates:
         """
         row = self._row.numpy()[0, 0]
         row[1 : 1 + self._model.nq], row[1 + self._model.nq :] = data.qpos, data.qvel
-        inputs = [self._table, self._model.nq, self._first, self._row, 0, 1]
+        inputs = [self._table, self._model.nq, self._first, self._row, 1, 0, 1]
         self._launch(record_mujoco_kernel, (1, 1), inputs, self._slices)
         q, qd = (array.numpy()[1, 0].copy() for array in self._slices[:2])
         state = replace(self._joints.state(q, qd, others), time=float(data.time))

@@ -53,7 +53,7 @@ class Conversion:
         outputs += [wp.zeros((*shape, layout.nb), dtype=t, device="cpu") for t in (wp.transform, wp.spatial_vector)]
         states = wp.array(state, dtype=wp.float64, device="cpu")
         end = wp.array(substeps * np.arange(1, steps + 1) - 1, dtype=int, device="cpu")
-        inputs = [self.table, self.model.nq, end, states, 0, 2]
+        inputs = [self.table, self.model.nq, end, states, 1, 0, 2]
         wp.launch(record_mujoco_kernel, dim=(2, worlds), inputs=inputs, outputs=outputs, device="cpu")
         return tuple(a.numpy() for a in outputs)
 
