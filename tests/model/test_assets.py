@@ -10,7 +10,6 @@ from needs import needs
 from warpmpc.model.assets import (
     AssetKind,
     asset_kind,
-    mesh_file,
     package_dirs,
     resolve_asset,
 )
@@ -160,14 +159,3 @@ def test_other_assets_are_refused_with_a_reason(tmp_path, name, text, says):
         asset_kind(put(tmp_path / name, text), key="robot.arm.asset", file="scene.toml")
     assert str(caught.value).startswith("scene.toml: robot.arm.asset: ")
     assert says in str(caught.value)
-
-
-def test_meshes_have_known_formats(tmp_path):
-    path = put(tmp_path / "thing.STL", "solid\nendsolid")
-    assert mesh_file("thing.STL", base=tmp_path, key="object.thing.mesh") == path
-    with pytest.raises(
-        SceneError, match=r"object\.thing\.mesh: no such kind of mesh; found 'thing\.step'; allowed: \.stl"
-    ):
-        mesh_file("thing.step", base=tmp_path, key="object.thing.mesh")
-    with pytest.raises(SceneError, match="no such file"):
-        mesh_file("other.obj", base=tmp_path, key="object.thing.mesh")

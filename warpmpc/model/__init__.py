@@ -1,2 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene as physics: Newton world, MuJoCo model, and tables of what is in them."""
+"""A scene as physics: Newton world, MuJoCo model, and tables of what is in them.
+
+``compiled`` is the entry: scene → model and layout, cached. ``builder`` makes the Newton world from ``importers``
+(``urdf``, USD) and ``mjcf`` files; ``compose`` joins MJCF files to it as one MuJoCo model, ``mujoco_model`` opens that.
+``layout`` tells which joints, bodies, shapes and controls there are, ``controls`` makes controls of drives, ``properties``
+and ``randomize`` vary masses and sizes, ``spheres``, ``hulls`` and ``link_pairs`` simplify shapes, ``conversion`` maps
+states from and to other simulators.
+"""

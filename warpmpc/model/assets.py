@@ -20,7 +20,6 @@ _XML_ROOTS = {"robot": "urdf", "mujoco": "mjcf"}
 _URI = re.compile(r"[a-z]+://|file:")
 _SLASHES = re.compile(r"^(package|model):/{3,}")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_MESHES = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")
 
 
 class AssetKind(StrEnum):
@@ -138,17 +137,6 @@ def find_mesh(uri: str, urdf: Path) -> Path | None:
         return _resolve_uri(uri, key="", file=None, folders=package_dirs(urdf)).absolute()
     except SceneError:
         return None
-
-
-def mesh_file(uri: str, *, base: Path | None, key: str, file: Path | str | None = None) -> Path:
-    """Find a mesh file like :func:`resolve_asset`.
-
-    Raises:
-        SceneError: If there is no such file, or its format is not read.
-    """
-    if Path(uri).suffix.lower() not in _MESHES:
-        raise SceneError("no such kind of mesh", key=key, file=file, found=uri, allowed=", ".join(_MESHES))
-    return resolve_asset(uri, base=base, key=key, file=file)
 
 
 def _shipped() -> list[Path]:

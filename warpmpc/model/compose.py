@@ -7,6 +7,8 @@ scene touches every geom of it that collides at all, by bits that no file uses.
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -113,13 +115,9 @@ def _share_bits(
     The scene's own bits move to where no file has one. Its solids and its planes get a bit each, which the files'
     geoms answer to; a robot without self-collision shows a bit of its own to the others instead of its file's.
     """
-    authored = 0
-    for geom in _geoms(children):
-        authored |= geom.contype | geom.conaffinity
+    authored = _bits(geom.contype | geom.conaffinity for child in children for geom in child.geoms)
     free = [bit for bit in _BITS if not authored >> bit & 1]
-    used = 0
-    for geom in spec.geoms:
-        used |= geom.contype
+    used = _bits(geom.contype for geom in spec.geoms)
     moved = [bit for bit in _BITS if used >> bit & 1]
     quiet = [i for i, mjcf_robot in enumerate(mjcf_robots) if mjcf_robot.robot.self_collision is False]
     if len(free) < len(moved) + 2 + len(quiet):
@@ -146,22 +144,15 @@ def _share_bits(
             if geom.name in static:  # a floor or wall of the file: it is no link
                 geom.conaffinity |= body | sum(shown.values())
             elif i in shown:
-                geom.contype, geom.conaffinity = shown[i], answers | others | _contypes(children, i)
+                theirs = _bits(g.contype for j, other in enumerate(children) if j != i for g in other.geoms)
+                geom.contype, geom.conaffinity = shown[i], answers | others | theirs
             else:
                 geom.conaffinity |= answers | others
 
 
-def _contypes(children: Sequence[mujoco.MjSpec], own: int) -> int:
-    """Bits that the geoms of the other files show."""
-    bits = 0
-    for geom in _geoms(child for i, child in enumerate(children) if i != own):
-        bits |= geom.contype
-    return bits
-
-
-def _geoms(specs: Iterable[mujoco.MjSpec]) -> Iterable[mujoco.MjsGeom]:
-    for spec in specs:
-        yield from spec.geoms
+def _bits(masks: Iterable[int]) -> int:
+    """Bits that any of the masks has."""
+    return reduce(or_, masks, 0)
 
 
 def _moved(bits: int, place: dict[int, int]) -> int:

@@ -84,8 +84,10 @@ def _no_indices() -> np.ndarray:
     return np.zeros(0, dtype=np.int32)
 
 
-def _no_poses() -> np.ndarray:
-    return np.zeros((0, 7), dtype=np.float32)
+def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Vectors ``[..., 3]`` turned by quaternions ``[..., 4]`` (x, y, z, w)."""
+    u, w = q[..., :3], q[..., 3:]
+    return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,9 @@ class Layout:
     act: np.ndarray = field(default_factory=_no_floats)  # [na] start
     mocap_name: tuple[str, ...] = ()  # [nm] robot/body
     mocap_body: np.ndarray = field(default_factory=_no_indices)  # [nm]
-    mocap: np.ndarray = field(default_factory=_no_poses)  # [nm, 7] start pose in the world's frame
+    mocap: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 7), dtype=np.float32)
+    )  # [nm, 7] start pose in the world's frame
     sensor_name: tuple[str, ...] = ()  # robot/sensor
     sensor_start: np.ndarray = field(default_factory=_no_indices)  # first of the sensor's numbers among the ns of all
     sensor_dim: np.ndarray = field(default_factory=_no_indices)  # how many numbers the sensor shows

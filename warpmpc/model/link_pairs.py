@@ -12,6 +12,7 @@ import warp as wp
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
 from .hulls import SPACING, shape_hull, thinned
 from .joints import joint_table
+from .layout import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -130,12 +131,7 @@ def _postures(layout: Layout) -> np.ndarray:
 def _placed(poses: np.ndarray, body: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points ``[n, 3]`` of bodies in the world, ``[postures, n, 3]``."""
     at = poses[:, body]
-    return at[..., :3] + _turned(at[..., 3:], points)
-
-
-def _turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    u, w = q[..., :3], q[..., 3:]
-    return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
+    return at[..., :3] + rotate(at[..., 3:], points)
 
 
 def _overlap(spheres: Spheres, centre: np.ndarray, a: int, b: int, margin: float) -> np.ndarray:
@@ -156,9 +152,9 @@ def _touch(layout: Layout, bodies: tuple[int, int], poses: np.ndarray) -> bool:
     points = [np.concatenate([thinned(hull.surface, count=_POINTS) for hull in side]) for side in hulls]
     for pose in poses:
         for mine, other in ((0, 1), (1, 0)):
-            placed = _turned(pose[bodies[mine], 3:], points[mine]) + pose[bodies[mine], :3]
+            placed = rotate(pose[bodies[mine], 3:], points[mine]) + pose[bodies[mine], :3]
             back = pose[bodies[other], 3:] * [-1.0, -1.0, -1.0, 1.0]
-            local = _turned(back, placed - pose[bodies[other], :3])
+            local = rotate(back, placed - pose[bodies[other], :3])
             if any((hull.depth(local) > 0.0).any() for hull in hulls[other]):
                 return True
     return False

@@ -85,7 +85,9 @@ class Urdf:
             what = f"link '{mesh.link}': the {mesh.element.tag} mesh {mesh.path} cannot be read"
             if mesh.collides:
                 raise self.error(f"{what}; correct the file or take the <collision> out of the URDF", mesh.uri)
-            self._drop(mesh)
+            for link in self.root.iter("link"):
+                if mesh.element in list(link):
+                    link.remove(mesh.element)
             self.meshes.remove(mesh)
             self.repaired.append(f"{what}; it is not drawn")
             dropped = True
@@ -117,11 +119,6 @@ class Urdf:
         if mesh.element in list(link):  # or it went with another mesh of the same <visual>
             link.remove(mesh.element)
         self.repaired.append(f"{what}; it is not drawn")
-
-    def _drop(self, mesh: MeshUse) -> None:
-        for link in self.root.iter("link"):
-            if mesh.element in list(link):
-                link.remove(mesh.element)
 
 
 def _readable(path: Path) -> bool:

@@ -17,23 +17,12 @@ if TYPE_CHECKING:
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
-    int(kind)
-    for kind in (
-        GEOM.mjGEOM_PLANE,
-        GEOM.mjGEOM_HFIELD,
-        GEOM.mjGEOM_SPHERE,
-        GEOM.mjGEOM_CAPSULE,
-        GEOM.mjGEOM_CYLINDER,
-        GEOM.mjGEOM_BOX,
-        GEOM.mjGEOM_ELLIPSOID,
-        GEOM.mjGEOM_MESH,
-    )
+    int(getattr(GEOM, f"mjGEOM_{kind}"))
+    for kind in ("PLANE", "HFIELD", "SPHERE", "CAPSULE", "CYLINDER", "BOX", "ELLIPSOID", "MESH")
 )
-FREE, BALL, SLIDE, HINGE = (
-    int(kind) for kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_BALL, JOINT.mjJNT_SLIDE, JOINT.mjJNT_HINGE)
-)
+FREE, BALL, SLIDE, HINGE = (int(getattr(JOINT, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE"))
 WRAP_JOINT, WRAP_PULLEY, WRAP_SITE = (
-    int(kind) for kind in (mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_PULLEY, mujoco.mjtWrap.mjWRAP_SITE)
+    int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("JOINT", "PULLEY", "SITE")
 )
 NOTHING: Vector = [0.0, 0.0, 0.0]
 IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -102,6 +91,11 @@ class Structure:
         return bool(self.mj.opt.disableflags & flag)
 
     @property
+    def gravity(self) -> list[float]:
+        """Acceleration of gravity [m/s²], zero where the options disable it."""
+        return NOTHING[:] if self.off("GRAVITY") else self.mj.opt.gravity.tolist()
+
+    @property
     def passive(self) -> bool:
         """Return whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
         return not (self.off("SPRING") and self.off("DAMPER"))
@@ -146,15 +140,6 @@ class Structure:
         """Return whether joints move a body."""
         return bool(self.body_dofs[body])
 
-    @cached_property
-    def dof_coordinate(self) -> list[int]:
-        """Coordinate of the degrees of freedom of slides and hinges, -1 for others."""
-        m, out = self.mj, [-1] * self.mj.nv
-        for j in range(m.njnt):
-            if m.jnt_type[j] in (SLIDE, HINGE):
-                out[m.jnt_dofadr[j]] = int(m.jnt_qposadr[j])
-        return out
-
     def rigid(self, root: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mass, mass times centre and inertia of a body with all that is welded to it, about its origin in its frame.
 
@@ -190,9 +175,7 @@ class Structure:
 
     def rows(self, solref: np.ndarray, solimp: np.ndarray) -> Rows:
         """Soft constraint parameters with this model's options."""
-        option = self.mj.opt
-        safe = not option.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
-        return Rows.of(solref, solimp, float(option.timestep), safe=bool(safe))
+        return Rows.of(solref, solimp, float(self.mj.opt.timestep), safe=not self.off("REFSAFE"))
 
     @cached_property
     def standing(self) -> list[int]:

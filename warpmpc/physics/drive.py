@@ -68,7 +68,7 @@ class Drive:
         """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
         m, lines = self.mj, Lines("d")
         for a in range(m.nu):
-            if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+            if self.model.off("ACTUATION"):
                 break
             reach = self._reach(lines, a)
             value, rate = self._actuator(lines, a, reach)

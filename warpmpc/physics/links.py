@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from .base import BALL, FREE, HINGE, SLIDE, packed, rotation
@@ -64,7 +63,6 @@ class Links:
         joints = range(m.njnt)
         dof_body = [self._row[int(b)] for b in m.dof_bodyid]
         entries = [(i, j) for i in range(m.nv) for j in [i, *model.ancestors[i]]]
-        off = m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         top = {b: min(model.body_dofs[b]) for b in self.bodies}
         rows = sorted(self.dynamics.bodies.recorded)
         sites = [self.dynamics.sites.all[n] for n in self._sites]
@@ -82,7 +80,7 @@ class Links:
             floats("moving_lift", [model.lift(b) for b in self.bodies]),
             floats("moving_mass", self._mass),
             ints("moving_mass_at", self._mass_at),
-            floats("gravity", np.zeros(3) if off else m.opt.gravity),
+            floats("gravity", model.gravity),
             ints("joint_kind", [m.jnt_type[j] for j in joints]),
             ints("joint_q", [m.jnt_qposadr[j] for j in joints]),
             ints("joint_dof", [m.jnt_dofadr[j] for j in joints]),
@@ -156,11 +154,10 @@ class Links:
         for i in range(m.nv):
             j = int(m.dof_jntid[i])
             k, kind = i - int(m.jnt_dofadr[j]), int(m.jnt_type[j])
-            slides = kind == SLIDE or (kind == FREE and k < 3)
             axis = m.jnt_axis[j] if kind in (SLIDE, HINGE) else np.eye(3)[k % 3]
             at = m.jnt_pos[j] if kind != FREE else np.zeros(3)
             root, root_at = self._root(int(m.dof_bodyid[self.model.dof_top[i]]))
-            rows.append((self._of_joint[j], axis, at, not slides, kind == FREE and k < 3, root, root_at))
+            rows.append((self._of_joint[j], axis, at, not self.model.slides(i), kind == FREE and k < 3, root, root_at))
         links, axes, at, turns, world, root, root_at = zip(*rows, strict=True) if rows else ([],) * 7
         return [
             ints("dof_link", links),

@@ -20,7 +20,7 @@ regular polygon none of the others is farther outside than 0.018 of its radius; 
 def flat_geoms(model: PhysicsModel) -> set[int]:
     """Geoms that may have several contacts with another by the general collision of convex shapes."""
     m = model.mj
-    if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD:
+    if model.off("MULTICCD"):
         return set()
     kinds = {pair.geoms: tuple(int(m.geom_type[g]) for g in pair.geoms) for pair in model.pairs}
     return {g for geoms, kind in kinds.items() if kind in CONVEX and FLAT.issuperset(kind) for g in geoms}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from ..bake.lines import Lines, Matrix, Operand, Vector, known, text
@@ -45,12 +44,11 @@ class Tree:
 
     def write(self) -> None:
         """Write the tree."""
-        parent, m = int(self.mj.body_parentid[self.root]), self.mj
+        parent = int(self.mj.body_parentid[self.root])
         columns, position = IDENTITY, NOTHING
         if parent:
             columns, position = self._fixed(parent)
-        gravity = [0.0 if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY else float(x) for x in m.opt.gravity]
-        self.gravity = gravity
+        self.gravity = gravity = self.model.gravity
         self._visit(self.root, position, columns, (NOTHING, NOTHING, NOTHING, [-x for x in gravity]))
 
     def _fixed(self, body: int) -> tuple[Matrix, Vector]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .shapes import rotate
+from ..model.layout import rotate
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller

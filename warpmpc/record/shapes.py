@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.layout import IDENTITY, WORLD
+from ..model.layout import IDENTITY, WORLD, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,12 +22,6 @@ GROUND_COLOR = (0.32, 0.34, 0.37)
 DEFAULT_COLOR = (0.7, 0.7, 0.7)
 GHOST = 0.35
 """Opacity of the goal."""
-
-
-def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors ``[..., 3]`` turned by quaternions ``[..., 4]`` (x, y, z, w)."""
-    u, w = q[..., :3], q[..., 3:]
-    return v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
 
 
 def shown_shapes(layout: Layout, entity: Entity) -> tuple[ShapeInfo, ...]:

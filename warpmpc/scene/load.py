@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from .overrides import Key
-    from .schema import Robot
 
 RESERVED = ("goal", "ground", "world", "obstacles", "objects")
 """Names with a meaning of their own in costs and frames."""
@@ -189,7 +188,7 @@ def check_scene(scene: Scene) -> None:
         _check_goal,
         _check_phases,
         _check_motions,
-        _check_robots,
+        _check_drives,
         _check_plant,
         _check_randomization,
         _check_draws,
@@ -308,30 +307,26 @@ def _check_frame(scene: Scene, frame: str, key: str) -> None:
         raise SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
 
 
-def _check_robots(scene: Scene) -> None:
+def _check_drives(scene: Scene) -> None:
     for robot in scene.robot:
-        _check_drives(robot)
-
-
-def _check_drives(robot: Robot) -> None:
-    taken: set[str] = set()
-    for i, drive in enumerate(robot.drive):
-        key = f"robot.{robot.name}.drive" + f".{i}" * (len(robot.drive) > 1)
-        if drive.joints is None:
-            if len(robot.drive) > 1:
-                raise SceneError("of several drives each must name its joints", key=f"{key}.joints")
-            continue
-        for joint in drive.joints:
-            if joint in taken:
-                raise SceneError("this joint is driven twice", key=f"{key}.joints", found=joint)
-            taken.add(joint)
-        count = len(drive.joints)
-        for name in ("stiffness", "damping", "effort_limit", "limit", "lower", "upper"):
-            values = getattr(drive, name)
-            if values is not None and len(values) not in (1, count):
-                what = "controls" if drive.mode is DriveMode.DIFF_DRIVE else "joints"
-                allowed = f"1 value, or {count}: one for each of its {what}"
-                raise SceneError("wrong number of values", key=f"{key}.{name}", found=values, allowed=allowed)
+        taken: set[str] = set()
+        for i, drive in enumerate(robot.drive):
+            key = f"robot.{robot.name}.drive" + f".{i}" * (len(robot.drive) > 1)
+            if drive.joints is None:
+                if len(robot.drive) > 1:
+                    raise SceneError("of several drives each must name its joints", key=f"{key}.joints")
+                continue
+            for joint in drive.joints:
+                if joint in taken:
+                    raise SceneError("this joint is driven twice", key=f"{key}.joints", found=joint)
+                taken.add(joint)
+            count = len(drive.joints)
+            for name in ("stiffness", "damping", "effort_limit", "limit", "lower", "upper"):
+                values = getattr(drive, name)
+                if values is not None and len(values) not in (1, count):
+                    what = "controls" if drive.mode is DriveMode.DIFF_DRIVE else "joints"
+                    allowed = f"1 value, or {count}: one for each of its {what}"
+                    raise SceneError("wrong number of values", key=f"{key}.{name}", found=values, allowed=allowed)
 
 
 def _check_plant(scene: Scene) -> None:
