@@ -24,7 +24,7 @@ NAMES = (
     "VTWO",
     "VEXPONENT",
 )
-"""What baked source may do with a ``T`` besides arithmetic: macros, undefined again before they are defined."""
+"""Operations of baked source on a ``T`` besides arithmetic: macros, undefined again before they are defined."""
 
 _ONE = """
 typedef float T;
@@ -74,7 +74,7 @@ _GATHER = {
     16: ("__AVX512F__", "(T)__builtin_ia32_gathersiv16sf((T)0.0f, p, i, (unsigned short)0xffff, 4)"),
     8: ("__AVX2__", "(T)__builtin_ia32_gatherd_d256((I)0, (const int*)p, i, (I)-1, 4)"),
 }
-"""What a processor must have for one instruction that reads so many floats, and that instruction."""
+"""Feature of a processor with one instruction that reads so many floats, and that instruction."""
 
 
 def header(lanes: int) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Success, failure and phase of a task, judged from the states of a plant."""
+"""Success, failure and phase of a task, from the states of a plant."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class Monitor:
             of_goal = self.error.compared(wanted) if self.error else ()
             reached = self._progress([*of_goal, *self._success.compared(snapshot)])
         self._within = self._since(self._within, reached)
-        self._judge_failures(snapshot)
+        self._note_failures(snapshot)
         if not last_phase:
             self._advance(snapshot)
 
@@ -162,7 +162,7 @@ class Monitor:
             self._entered = self._begun = time
         self._now = time
 
-    def _judge_failures(self, snapshot: StateSnapshot) -> None:
+    def _note_failures(self, snapshot: StateSnapshot) -> None:
         """Take note of the first failure that holds long enough, where there is no success."""
         phase = self._scene.phase[self._task.phase[self._e]].name if self._scene.phase else None
         for i, (failure, conditions) in enumerate(zip(self._scene.failure, self._fails, strict=True)):
