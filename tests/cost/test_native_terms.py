@@ -131,9 +131,9 @@ def level(r: Rollouts) -> None:
         Rotation.from_quat(own[:, 3:]) * Rotation.from_euler("z", angles[:, None] + 1e-3)
     ).as_quat()
     body_q[2, ::2, box, :2] = own[::2, :2] + 0.03 * rng.normal(size=(SHAPE.worlds // 2, 2))
-    # the pusher around the box, near and on the circle of the term's walk, and on top of it
+    # the pusher around the box, beside the circle where the term's walk begins (it jumps there), and on top of it
     circle = (
-        np.hypot(0.15, 0.25) + rng.choice([0.1, 0.4], SHAPE.worlds) + rng.choice([-1e-6, 0.0, 1e-6, 0.1], SHAPE.worlds)
+        np.hypot(0.15, 0.25) + rng.choice([0.1, 0.4], SHAPE.worlds) + rng.choice([-1e-5, 1e-5, 1e-4, 0.1], SHAPE.worlds)
     )
     circle[:4] = 0.02
     around = np.stack([np.cos(angles + 0.3), np.sin(angles + 0.3)], axis=1)

@@ -13,7 +13,6 @@ from ..kernels.terms.shapes import shape_distance
 from ..kernels.terms.view import StepView, frame_pose, frame_position, yaw
 from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Positive
-from .native import clearance as native
 
 
 class ObstacleClearance(TermKeys):
@@ -126,7 +125,7 @@ def apart_of(
     return wp.vec2(nearest, gap)
 
 
-@term("outline_clearance", OutlineClearance, native=native.outline_clearance)
+@term("outline_clearance", OutlineClearance)
 def outline_clearance(s: StepView, p: OutlineClearance.Params) -> float:
     """Σ max(0, 1 - d/within) over the obstacles, with d between their outlines and a body's, seen from above.
 

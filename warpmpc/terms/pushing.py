@@ -27,7 +27,6 @@ from ..kernels.terms.pushing import (
 from ..kernels.terms.view import StepView, frame_pose, frame_position, frame_velocity, wrap_angle, yaw
 from ..scene.types import NonNegative, Positive
 from .general import Metric, field_of
-from .native import pushing as native
 
 _LEAST_ARM = 0.4
 """A place to turn a box from is at least this far beside the middle of a broad side [rad], for broad pushers."""
@@ -140,7 +139,7 @@ class PushPath(TermKeys):
         b.resources.get(PushValues).request(p, request)
 
 
-@term("push_path", PushPath, native=native.push_path)
+@term("push_path", PushPath)
 def push_path(s: StepView, p: PushPath.Params) -> float:
     """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
 
