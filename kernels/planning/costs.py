@@ -20,10 +20,19 @@ EXPONENTIAL = wp.constant(5)
 TAIL_TOLERANCE = wp.constant(1.0e-4)
 
 
+@wp.struct
+class CostWeights:
+    """Factors by which terms n_i become the cost of a rollout, Σ_t γ_t ρ(Σ_i τ_it w_i n_i) (``cost.weights``)."""
+
+    term: wp.array2d[float]  # [E, term] w, which the task changes between plans
+    terminal: wp.array2d[float]  # [T, term] τ: 1, and at the last step the term's terminal factor
+    discount: wp.array[float]  # [T] γ
+
+
 @wp.func
-def stage_weight(weight: wp.array2d[float], terminal: wp.array[float], e: int, i: int, last: bool) -> float:
-    """Factor on what term i costs at a step: its weight, and at the last step its terminal factor."""
-    return wp.where(last, terminal[i], 1.0) * weight[e, i]
+def stage_weight(weights: CostWeights, e: int, t: int, i: int) -> float:
+    """Factor τ_it w_i on what term i costs at step t."""
+    return weights.terminal[t, i] * weights.term[e, i]
 
 
 @wp.func
@@ -156,7 +165,7 @@ def finish_kernel(
     stage_cost: wp.array3d[float],  # [term, T, W] of terms that are evaluated at every step, on the record
     on_record: wp.array[int],  # [n] which they are
     on_the_way: wp.array[int],  # [m] all others, whose total is there already
-    step_weight: wp.array[float],  # [T] γ^t, or whatever the time grid says
+    weights: CostWeights,
     stage_risk: float,  # R of ρ(l; R); where it is not zero every term is on the record
     failed: wp.array[int],  # [W] nonzero where the physics failed; empty where there is none
     observed: wp.array[int],  # [E] whether there is an observation to plan from
@@ -181,7 +190,7 @@ def finish_kernel(
             for n in range(on_record.shape[0]):
                 total[on_record[n], w] = 0.0
             for t in range(stage_cost.shape[1]):
-                factor = step_weight[t] * stage_risk_ratio(stage_cost, t, w, stage_risk)
+                factor = weights.discount[t] * stage_risk_ratio(stage_cost, t, w, stage_risk)
                 for n in range(on_record.shape[0]):
                     i = on_record[n]
                     part = factor * stage_cost[i, t, w]
@@ -227,8 +236,7 @@ def explain_kernel(
 def weigh_values_kernel(
     # inputs
     value: wp.array2d[float],  # [T, W] what a term over whole arrays returned
-    weight: wp.array2d[float],  # [E, term]
-    terminal: wp.array[float],  # [term] factor on the last step
+    weights: CostWeights,
     term: int,
     rollouts: int,  # worlds of an environment
     # outputs
@@ -236,7 +244,7 @@ def weigh_values_kernel(
 ):
     """One thread: the cost of one step of one world; a term without weight is off, whatever it says."""
     t, w = wp.tid()
-    factor = stage_weight(weight, terminal, w // rollouts, term, t == cost.shape[1] - 1)
+    factor = stage_weight(weights, w // rollouts, t, term)
     cost[term, t, w] = 0.0
     if factor != 0.0:
         cost[term, t, w] = factor * value[t, w]

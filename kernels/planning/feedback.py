@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..terms.norms import Norm, norm_part, norm_total
-from .costs import risk_ratio, stage_weight
+from .costs import CostWeights, risk_ratio, stage_weight
 
 wp.set_module_options({"enable_backward": False})
 
@@ -112,16 +112,13 @@ def add_cost_kernel(
     t: int,  # step
     first: int,  # world of thread 0
     rollouts: int,  # worlds of an environment
-    last: int,  # whether the step is the last one
     residual: wp.array2d[float],  # [W, R]
     begin: wp.array[int],  # [term] first of each term's residuals
     count: wp.array[int],  # [term] how many they are
     kind: wp.array[int],  # [term] norm
     p: wp.array[float],  # [term]
     q: wp.array[float],  # [term]
-    weight: wp.array2d[float],  # [E, term]
-    terminal: wp.array[float],  # [term] factor at the last step
-    step_weight: wp.array[float],  # [T]
+    weights: CostWeights,
     risk: float,  # R of ρ(l; R)
     diverged: wp.array[int],  # [W]
     # inputs and outputs
@@ -134,7 +131,7 @@ def add_cost_kernel(
         cost[w] = wp.float64(0.0)
     total = float(0.0)
     for i in range(count.shape[0]):
-        factor = stage_weight(weight, terminal, e, i, last != 0)
+        factor = stage_weight(weights, e, t, i)
         if factor != 0.0:
             norm = Norm()
             norm.kind = kind[i]
@@ -144,7 +141,7 @@ def add_cost_kernel(
             for j in range(count[i]):
                 parts += norm_part(residual[w, begin[i] + j], norm)
             total += factor * norm_total(parts, norm)
-    value = wp.float64(step_weight[t] * total * risk_ratio(risk * total))
+    value = wp.float64(weights.discount[t] * total * risk_ratio(risk * total))
     if diverged[w] != 0 or not wp.isfinite(value):
         value = wp.float64(wp.inf)
     cost[w] = cost[w] + value

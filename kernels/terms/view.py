@@ -35,7 +35,6 @@ class StepView:
     body_mass: wp.array[float]  # [nb] [kg]
     body_robot: wp.array[int]  # [nb] number of the robot or object it belongs to
     memory: wp.array3d[float]  # [T+1, W, nx] numbers that terms carry along the rollouts
-    terminal: wp.array[float]  # [term] factor on what each costs at the last step
 
 
 @wp.func

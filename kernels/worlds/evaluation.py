@@ -7,6 +7,7 @@ storage for blocks is one per module there.
 
 import warp as wp
 
+from ..planning.costs import CostWeights
 from ..planning.splines import Spline, evaluate_spline, knot_place, locate
 
 wp.set_module_options({"enable_backward": False})
@@ -17,11 +18,10 @@ TAPS = wp.constant(4)
 
 @wp.struct
 class TermSums:
-    """Sums of cost terms over the steps of rollouts, and what they are weighed by, for terms inside a launch."""
+    """Sums of the cost terms inside a launch over the steps of rollouts, and the factors they are taken by."""
 
     dt: wp.array[float]  # [T] [s]
-    step_weight: wp.array[float]  # [T]
-    weight: wp.array2d[float]  # [E, term]
+    weights: CostWeights
     total: wp.array2d[float]  # [term, W] cost of each term over the horizon
 
 

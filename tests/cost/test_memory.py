@@ -105,7 +105,7 @@ def test_the_kinematic_engine_carries_what_the_plain_kernels_carry(device):
         whole = BatchSize(1, shape.samples, 1, shape.horizon)
         evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
         evaluator.launch()
-        expected = (evaluator.cost.numpy() * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
+        expected = (evaluator.cost.numpy() * mpc.planner.grid.discount[None, :, None]).sum(axis=1)
         assert np.ptp(expected[0]) > 0.1
         np.testing.assert_allclose(engine.total.numpy(), expected, rtol=2e-3, atol=1e-3)
 
@@ -132,7 +132,7 @@ def test_a_ball_rolls_as_its_equation_says(carried):
             pull = np.array([0.0, 0.0, -9.81]) - carried * (speed[t + 1] - speed[t]) / dt[t]
             v = v + 0.6 * dt[t] * turn[t + 1].inv().apply(pull)[:2]
             x = x + dt[t] * v
-            total += mpc.planner.grid.weight[t] * (x @ x + 0.16 * v @ v)
+            total += mpc.planner.grid.discount[t] * (x @ x + 0.16 * v @ v)
         assert mpc.engine.total.numpy()[0, worlds[w]] == pytest.approx(total, rel=2e-3)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times and weights of the steps of a horizon, and rollouts whose steps differ in length."""
+"""Times and discount of the steps of a horizon, and rollouts whose steps differ in length."""
 
 import mujoco
 import numpy as np
@@ -35,12 +35,11 @@ def test_steps_are_of_one_length_listed_or_growing(dt, expected):
 
 @pytest.mark.parametrize(("discount", "terminal"), [(1.0, 1.0), (0.9, 1.0), (0.95, 4.0), (1.0, 0.0)])
 def test_steps_count_by_the_discount_and_the_last_one_by_the_terminal_factor(discount, terminal):
-    weight = discount ** np.arange(5)
-    weight[-1] *= terminal
+    expected = discount ** np.arange(5)
+    expected[-1] *= terminal
     found = grid(discount=discount, terminal=terminal)
-    np.testing.assert_allclose(found.weight, weight, rtol=1e-6)
+    np.testing.assert_allclose(found.discount, expected, rtol=1e-6)
     arrays = found.arrays("cpu")
-    np.testing.assert_allclose(arrays.weight.numpy(), weight, rtol=1e-6)
     np.testing.assert_allclose(arrays.t.numpy(), found.t, rtol=1e-6)
     np.testing.assert_allclose(arrays.dt.numpy(), found.dt, rtol=1e-6)
 

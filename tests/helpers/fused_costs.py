@@ -48,7 +48,7 @@ def expected_totals(mpc: Controller) -> np.ndarray:
     evaluator.launch()
     evaluator.launch_arrays()
     stage = evaluator.cost.numpy().astype(np.float64)
-    return (stage * mpc.planner.grid.weight[None, :, None]).sum(axis=1)
+    return (stage * mpc.planner.grid.discount[None, :, None]).sum(axis=1)
 
 
 def assert_costs(mpc: Controller, expected: np.ndarray, rtol: float = 1e-5) -> None:

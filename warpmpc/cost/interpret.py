@@ -35,7 +35,6 @@ WHAT = {
     "body_mass": "bodies",
     "body_robot": "bodies",
     "memory": "numbers carried along",
-    "terminal": "terms",
 }
 """Things that the last index of an array of a ``StepView`` counts."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from ..kernels.planning.costs import stage_weight
+from ..kernels.planning.costs import CostWeights, stage_weight
 from ..kernels.terms.view import StepView
 
 if TYPE_CHECKING:
@@ -29,9 +29,8 @@ class TermParams:
 
 
 @wp.func
-def evaluate_step(s: StepView, p: TermParams, weight: wp.array2d[float], cost: wp.array3d[float]):
+def evaluate_step(s: StepView, p: TermParams, weights: CostWeights, cost: wp.array3d[float]):
     """Weighted cost of every term at one step of one world."""
-    last = s.t == s.controls.shape[0]
 {calls}
 
 
@@ -64,7 +63,7 @@ def evaluate_kernel(
     # inputs
     view: StepView,
     p: TermParams,
-    weight: wp.array2d[float],  # [E, term]
+    weights: CostWeights,
     rollouts: int,  # per environment
     first: int,  # world of thread 0
     # outputs
@@ -76,7 +75,7 @@ def evaluate_kernel(
     s.t = t + 1
     s.w = first + thread
     s.e = s.w // rollouts
-    evaluate_step(s, p, weight, cost)
+    evaluate_step(s, p, weights, cost)
 '''
 
 
@@ -87,7 +86,7 @@ class EvaluationCode:
     params: Any
     """``wp.struct`` of all their parameters, fields ``p0``, ``p1``, ..."""
     step: wp.Function
-    """``(s: StepView, p: params, weight [E, term], cost [term, T, W])``, for kernels that evaluate terms on the way."""
+    """``(s: StepView, p: params, weights: CostWeights, cost [term, T, W])``, for kernels that do more than evaluate."""
     kernel: wp.Kernel
     """One thread per step and world."""
     advance: wp.Function
@@ -104,7 +103,7 @@ def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:
     Args:
         terms: Row in the cost array of each term, and the term.
     """
-    names: dict[str, Any] = {"wp": wp, "StepView": StepView, "stage_weight": stage_weight}
+    names: dict[str, Any] = {"wp": wp, "StepView": StepView, "CostWeights": CostWeights, "stage_weight": stage_weight}
     fields, calls, advances = ["    none: int"], [], []
     # Warp knows what it has cached by this source and by the functions in it, each once: one function has one name
     called: dict[wp.Function, str] = {}
@@ -116,8 +115,8 @@ def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:
         fields.append(f"    p{i}: Params{i}")
         # a term without weight is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
-        calls.append(f"    if weight[s.e, {i}] != 0.0:")
-        factor = f"stage_weight(weight, s.terminal, s.e, {i}, last)"
+        calls.append(f"    if weights.term[s.e, {i}] != 0.0:")
+        factor = f"stage_weight(weights, s.e, s.t - 1, {i})"
         calls.append(f"        cost[{i}, s.t - 1, s.w] = {factor} * {function}(s, p.p{i})")
     names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])

@@ -23,6 +23,7 @@ from .builtin import BUILTIN
 from .deadline import deadline
 from .kernel import EvaluationCode, evaluation_code
 from .term import ArrayCost, CostTerm, UserTerm
+from .weights import cost_weights
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -203,8 +204,8 @@ class CostEvaluator:
         owner = {body: i for i, entity in enumerate(layout.entities) for body in entity.bodies}
         view.body_robot = wp.array([owner.get(body, -1) for body in range(layout.nb)], dtype=int, device=device)
         slices, worlds = trajectory.joint_q.shape[:2]
-        view.terminal = wp.array(stack.terminal, dtype=float, device=device)
         view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)
+        self._weights = cost_weights(stack, state, np.ones(shape.horizon))  # what is evaluated is not discounted
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
     def launch(self, first: int = 0, count: int | None = None) -> None:
@@ -229,7 +230,7 @@ class CostEvaluator:
         count, rollouts = self.shape.worlds - first if count is None else count, self.shape.rollouts
         if code.advances:
             self._launch(code.advance_kernel, count, [self.view, params, rollouts, self.shape.horizon, first], [])
-        inputs = [self.view, params, self._state.weight, rollouts, first]
+        inputs = [self.view, params, self._weights, rollouts, first]
         self._launch(code.kernel, (self.shape.horizon, count), inputs, [self.cost])
 
     def launch_arrays(self) -> None:
@@ -286,5 +287,5 @@ class CostEvaluator:
             value = wp.from_dlpack(value)
             if value.dtype is not wp.float32:
                 raise complaint(label, term, "on a GPU an array cost returns numbers of type float32", file=file)
-        inputs = [value, self._state.weight, self.view.terminal, i, self.shape.rollouts]
+        inputs = [value, self._weights, i, self.shape.rollouts]
         self._launch(weigh_values_kernel, wanted, inputs, [self.cost])

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from ..cost.weights import stage_weights
 from ..kernels.planning.derivatives import Moves, difference_kernel, move_kernel
 from ..launch import Launcher
 
 if TYPE_CHECKING:
     from ..engine.protocol import Engine
     from ..engine.request import EngineRequest, PhysicsSteps
+    from ..kernels.planning.costs import CostWeights
     from .residuals import Residuals
     from .tangent import Tangent
 
@@ -155,9 +157,7 @@ class Quadratic:
     """``[E, T, nu, nu]``."""
 
 
-def gauss_newton(
-    linear: Linear, residuals: Residuals, weight: np.ndarray, discount: np.ndarray, risk: float
-) -> Quadratic:
+def gauss_newton(linear: Linear, residuals: Residuals, weights: CostWeights, risk: float) -> Quadratic:
     """Expand γ_t ρ(l_t; R), l = Σ_i w_i n_i(r_i), without second derivatives of the residuals.
 
     Howell et al. 2022, Eq. 7 and 8.
@@ -165,12 +165,12 @@ def gauss_newton(
     Args:
         linear: Residuals and their derivatives.
         residuals: Says how they become costs.
-        weight: Weight of each term at every step ``[E, T, term]``.
-        discount: γ_t ``[T]``.
+        weights: Factors on what the terms cost.
         risk: R of ρ(l; R).
     """
     envs, steps, width = linear.residual.shape
     value, slope, bend = residuals.norms(linear.residual.reshape(-1, width))
+    weight = stage_weights(weights)
     each = weight.repeat(residuals.count, axis=-1)
     slope = each * slope.reshape(envs, steps, width)
     bend = each[..., None] * bend.reshape(envs, steps, width, width)
@@ -180,7 +180,7 @@ def gauss_newton(
     if risk:
         xx, ux, uu = (m + risk * p[..., None] * q[..., None, :] for m, p, q in ((xx, x, x), (ux, u, x), (uu, u, u)))
     stage = np.sum(weight * value.reshape(weight.shape), axis=-1)
-    factor = discount * np.exp(risk * stage)
+    factor = weights.discount.numpy().astype(float) * np.exp(risk * stage)
     return Quadratic(*(factor.reshape(envs, steps, *(1,) * (m.ndim - 2)) * m for m in (x, u, xx, ux, uu)))
 
 

@@ -67,7 +67,7 @@ class PolicyRollouts:
         hold: int = 1,
     ):
         self._hold = hold
-        device, layout, costs = request.device, request.costs.layout, request.costs
+        device, layout = request.device, request.costs.layout
         self.worlds = worlds = engine.step_worlds(request, steps, candidates, residuals)
         self.tangent = tangent = Tangent(worlds.model)
         self._launch, self._candidates = Launcher(device), candidates
@@ -87,9 +87,7 @@ class PolicyRollouts:
             wp.array(limit, dtype=wp.float64, device=device) for limit in (layout.control_lower, layout.control_upper)
         ]
         norms = [wp.clone(array, device=device) for array in residuals.norm_arrays]
-        terminal = wp.array(costs.terminal, dtype=float, device=device)
-        step_weight = wp.array(request.grid.weight, dtype=float, device=device)
-        self._costing = [*norms, request.state.weight, terminal, step_weight, request.scene.planner.stage_risk]
+        self._costing = [*norms, request.weights, request.scene.planner.stage_risk]
         self._replays = worlds.replays(self._roll)
 
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -140,8 +138,7 @@ class PolicyRollouts:
             self._launch(follow_kernel, count, inputs, outputs)
             if t < self._horizon:
                 worlds.take(part)
-                last = int(t + 1 == self._horizon)
-                inputs = [t, first, self._candidates, last, worlds.residuals, *self._costing, worlds.diverged]
+                inputs = [t, first, self._candidates, worlds.residuals, *self._costing, worlds.diverged]
                 self._launch(add_cost_kernel, count, inputs, [self._cost])
 
     def close(self) -> None:

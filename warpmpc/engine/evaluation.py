@@ -79,7 +79,7 @@ class RolloutEngine(ABC):
         planner, grid, shape = request.scene.planner, request.grid, self.shape
         level = planner.aversion if planner.risk is Risk.EXPONENTIAL else planner.cvar
         self._risk, self._stage_risk = [shape.domains, RISKS[planner.risk], level], planner.stage_risk
-        self.grid = grid.arrays(self.device)
+        self.grid, self.weights = grid.arrays(self.device), request.weights
         place = (grid.t[:-1] / grid.dt[0]).astype("float32") * (grid.dt[:1].astype("float32") / request.spline.knot_dt)
         self._step_place = wp.array(place, dtype=float, device=self.device)
         terms, zeros = len(self.costs.terms), self._zeros
@@ -151,7 +151,7 @@ class RolloutEngine(ABC):
 
     def _reduce(self, first: int, count: int) -> None:
         """Costs of some samples from what their terms cost, at every step or over the horizon."""
-        inputs = [self.evaluator.cost, self._on_record, self._on_the_way, self.grid.weight, self._stage_risk]
+        inputs = [self.evaluator.cost, self._on_record, self._on_the_way, self.weights, self._stage_risk]
         inputs += [self._failed, self.state.observed, *self._risk, first]
         outputs = [self.total, self._rollout_cost, self.diverged, self.cost]
         self._launch(finish_kernel, count, inputs, outputs)

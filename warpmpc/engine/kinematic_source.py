@@ -44,7 +44,7 @@ class RolloutSource:
     records: bool
 
     def write(self) -> str:
-        """The body of ``rollout(s: StepView, p: Params, k: KinematicWork, costs: TermSums, group: int)``."""
+        """The body of ``rollout(s: StepView, p: Params, k: KinematicWork, sums: TermSums, group: int)``."""
         record = "\n".join(self._record()) if self.records else ""  # may ask the state for more
         once = "\n".join(self.state.once.statements)
         shared = "\n".join(self.state.lines.statements)
@@ -54,7 +54,7 @@ class RolloutSource:
         first = -1 if self.records or kept or held else 0  # the observed state is recorded, or asked for later
         return f"""{header(self.lanes)}
 const int samples = k.knots.shape[1], knots = k.knots.shape[2], controls = k.knots.shape[3];
-const int steps = costs.dt.shape[0];
+const int steps = sums.dt.shape[0];
 #if defined(__CUDA_ARCH__)
 const int lane = threadIdx.x & {WARP - 1}, row = group;
 const int e = row / samples;
@@ -178,5 +178,5 @@ const int at = h < 0 ? 0 : h;
         return out
 
 
-_THETA = """const int worlds = costs.total.shape[1];
+_THETA = """const int worlds = sums.total.shape[1];
 const float* theta = (const float*)k.knots.data + (size_t)row * knots * controls;"""

@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from ..cost.kernel import EvaluationCode
+from ..kernels.planning.costs import CostWeights
 from ..kernels.terms.view import StepView
 from ..kernels.worlds.evaluation import TermSums
 
@@ -43,7 +44,7 @@ def make_kernel(
     advances = wp.constant(code.advances)
 
     @wp.func_native(source)
-    def rollout(s: StepView, p: params, k: work, costs: TermSums, group: int): ...
+    def rollout(s: StepView, p: params, k: work, sums: TermSums, group: int): ...
 
     @wp.func(module="unique")
     def evaluate_world(
@@ -53,7 +54,7 @@ def make_kernel(
         rollouts: int,  # per environment
         lane: int,
         sharing: int,  # lanes that divide the steps among them
-        weight: wp.array2d[float],  # [E, term]
+        weights: CostWeights,
         cost: wp.array3d[float],  # [term, T, W]
     ):
         """One world: first the numbers that terms carry along, by one lane, then the terms, by all."""
@@ -70,7 +71,7 @@ def make_kernel(
                 wait_for_lanes()
         for t in range(lane, steps, sharing):
             s.t = t + 1
-            evaluate_step(s, own, weight, cost)
+            evaluate_step(s, own, weights, cost)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=options)
     def launch_kernel(
@@ -83,18 +84,18 @@ def make_kernel(
         rollouts: int,  # worlds of an environment
         # inputs and outputs
         k: work,
-        costs: TermSums,
+        sums: TermSums,
         cost: wp.array3d[float],  # [term, T, W] of the terms that read the record
     ):
         """One thread: a group of worlds from start to end, or its part of one, then the terms that read the record."""
         group = first + wp.tid() // threads
-        rollout(s, p, k, costs, group)
+        rollout(s, p, k, sums, group)
         if groups == 0:
-            evaluate_world(s, own, group, rollouts, wp.tid() % threads, threads, costs.weight, cost)
+            evaluate_world(s, own, group, rollouts, wp.tid() % threads, threads, sums.weights, cost)
         elif groups > 0:
             begin = (group // groups) * rollouts
             start = (group % groups) * lanes
             for i in range(start, wp.min(start + lanes, rollouts)):
-                evaluate_world(s, own, begin + i, rollouts, 0, 1, costs.weight, cost)
+                evaluate_world(s, own, begin + i, rollouts, 0, 1, sums.weights, cost)
 
     return launch_kernel

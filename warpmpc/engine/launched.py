@@ -49,7 +49,7 @@ class LaunchedEngine(RolloutEngine):
         state, self._work, self._sums = self.state, work, TermSums()
         work.joint_q, work.joint_qd, work.mocap = state.joint_q, state.joint_qd, state.mocap
         sums = self._sums
-        sums.dt, sums.step_weight, sums.weight, sums.total = self.grid.dt, self.grid.weight, state.weight, self.total
+        sums.dt, sums.weights, sums.total = self.grid.dt, self.weights, self.total
         # only knots that stand still between plans change their part in a step's control
         self._taps_move = request.spline.kind == int(ZERO) and request.spline.even != 0
         self._write_taps(zeros(shape.envs))

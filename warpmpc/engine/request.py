@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
+from ..cost.weights import cost_weights
 from ..model.batch_size import BatchSize
 from .timegrid import TimeGrid
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     import warp as wp
 
     from ..cost.stack import CostStack
+    from ..kernels.planning.costs import CostWeights
     from ..kernels.planning.splines import Spline
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
@@ -29,7 +32,7 @@ class EngineRequest:
     shape: BatchSize
     """Sizes of the batch."""
     grid: TimeGrid
-    """Times and weights of the steps of a rollout."""
+    """Times and discount of the steps of a rollout."""
     spline: Spline
     """Spline from knots to controls, on the device."""
     limits: tuple[wp.array, wp.array]
@@ -41,6 +44,11 @@ class EngineRequest:
     device: str
     properties: Properties | None = None
     """Draws of physical properties, None for nominal worlds."""
+
+    @cached_property
+    def weights(self) -> CostWeights:
+        """Factors on what the terms cost at every step, on the device."""
+        return cost_weights(self.costs, self.state, self.grid.discount)
 
     def worlds(self, steps: PhysicsSteps) -> dict[str, Any]:
         """Arguments that all simulators share.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times of the steps of a horizon, and how much each of them counts."""
+"""Times of the steps of a horizon, and their discount."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class TimeGrid:
 
     Args:
         dt: Length of each step ``[T]`` [s].
-        weight: How much each step's cost counts ``[T]``.
+        discount: γ_t, the factor on what each step costs ``[T]``.
     """
 
     dt: np.ndarray
-    weight: np.ndarray
+    discount: np.ndarray
 
     @classmethod
     def of(cls, scene: Scene) -> TimeGrid:
@@ -40,9 +40,9 @@ class TimeGrid:
             case values:
                 dt = np.array(values) if len(values) > 1 else np.full(steps, values[0])
         # a running product in the precision of the device
-        weight = np.cumprod([1.0, *[planner.discount] * (steps - 1)], dtype=np.float32)
-        weight[-1] *= planner.terminal
-        return cls(dt.astype(np.float64), weight)
+        discount = np.cumprod([1.0, *[planner.discount] * (steps - 1)], dtype=np.float32)
+        discount[-1] *= planner.terminal
+        return cls(dt.astype(np.float64), discount)
 
     @property
     def steps(self) -> int:
@@ -67,7 +67,7 @@ class TimeGrid:
         def array(values: np.ndarray) -> wp.array:
             return wp.array(values, dtype=float, device=device)
 
-        return TimeGridArrays(array(self.t), array(self.dt), array(self.weight))
+        return TimeGridArrays(array(self.t), array(self.dt))
 
 
 @dataclass(frozen=True)
@@ -76,4 +76,3 @@ class TimeGridArrays:
 
     t: wp.array  # [T+1] [s]
     dt: wp.array  # [T] [s]
-    weight: wp.array  # [T]

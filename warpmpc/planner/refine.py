@@ -75,7 +75,6 @@ class Refiner(ABC):
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
-        self._discount = request.grid.weight.astype(float)
         self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), self._held(1)
 
     def _held(self, samples: int) -> Proposal:
@@ -115,10 +114,8 @@ class Refiner(ABC):
 
     def _expand(self, state: np.ndarray, control: np.ndarray, before: np.ndarray) -> tuple[Linear, Quadratic]:
         """Derivatives along rollouts ``[E, T, nx]`` under controls ``[E, T, nu]``."""
-        weight = np.repeat(self._request.state.weight.numpy()[:, None].astype(float), state.shape[1], axis=1)
-        weight[:, -1] *= self._request.costs.terminal
         linear = self.differences(state, control, before)
-        return linear, gauss_newton(linear, self.residuals, weight, self._discount, self._planner.stage_risk)
+        return linear, gauss_newton(linear, self.residuals, self._request.weights, self._planner.stage_risk)
 
     def _nominal(self, control: np.ndarray) -> Policy:
         """A policy that sends controls ``[E, T, nu]`` whatever the state."""

@@ -14,6 +14,7 @@ from warpmpc.kernels.planning.costs import (
     MEAN,
     VAR,
     WORST,
+    CostWeights,
     explain_kernel,
     finish_kernel,
 )
@@ -53,7 +54,9 @@ class Finished:
         observed = np.ones(envs) if observed is None else observed
         self.over = [domains, mode, alpha]
         inputs = [on(device, stage_cost), on(device, range(terms), int), wp.zeros(0, dtype=int, device=device)]
-        inputs += [on(device, weight), stage_risk, on(device, failed, int), on(device, observed, int), *self.over]
+        weights = CostWeights()
+        weights.discount = on(device, weight)
+        inputs += [weights, stage_risk, on(device, failed, int), on(device, observed, int), *self.over]
         outputs = [self.total, self.rollout, wp.zeros(worlds, dtype=int, device=device), self.sample]
         dim = envs * samples - first
         wp.launch(finish_kernel, dim=dim, inputs=[*inputs, first], outputs=outputs, device=device)

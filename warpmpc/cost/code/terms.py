@@ -11,13 +11,13 @@ from ...bake.lines import Lines, Operand, text
 POINTERS = """const float* q_start = (const float*)k.joint_q.data + e * k.joint_q.shape[1];
 const float* qd_start = (const float*)k.joint_qd.data + e * k.joint_qd.shape[1];
 const float* mocap_start = (const float*)k.mocap.data + 7 * e * k.mocap.shape[1];
-const float* weight = (const float*)costs.weight.data + e * costs.weight.shape[1];
+const float* weight = (const float*)sums.weights.term.data + e * sums.weights.term.shape[1];
 const float* last_control = (const float*)s.last_control.data + e * controls;"""
 """Pointers that the source of terms reads of an environment ``e``."""
-TIMES = """const float dt = costs.dt.data[at];
-const float counts = live ? costs.step_weight.data[at] : 0.0f;
-const bool last = at == steps - 1;
-const float gap = at == 0 ? dt : 0.5f * (dt + costs.dt.data[at - 1]); // between the middles of two steps
+TIMES = """const float dt = sums.dt.data[at];
+const float discount = live ? sums.weights.discount.data[at] : 0.0f;
+const float* terminal = (const float*)sums.weights.terminal.data + at * sums.weights.terminal.shape[1];
+const float gap = at == 0 ? dt : 0.5f * (dt + sums.dt.data[at - 1]); // between the middles of two steps
 const float left = s.step_end.data[steps] - s.step_end.data[at]; // of the horizon when the step begins"""
 """Times and factors of the step ``at``."""
 
@@ -40,14 +40,13 @@ class TermSource:
     def step(self) -> str:
         """Its statements of one step; without weight it is off."""
         body = "\n".join(self.lines.statements)
-        terminal = f"(last ? s.terminal.data[{self.index}] : 1.0f)"
-        total = f"total{self.index} += counts * {terminal} * {text(self.value)};"
+        total = f"total{self.index} += discount * terminal[{self.index}] * {text(self.value)};"
         return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
 
     def end(self, world: str, lane: str = "") -> str:
         """Its cost over the horizon in a world, after the last step."""
         i = self.index
-        return f"costs.total.data[{i} * worlds + {world}] = weight[{i}] * total{i}{lane};"
+        return f"sums.total.data[{i} * worlds + {world}] = weight[{i}] * total{i}{lane};"
 
 
 def sums(terms: Sequence[TermSource]) -> str:
