@@ -6,6 +6,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from . import registry
+
 if TYPE_CHECKING:
     from .cli.terms import load_terms
     from .controller.controller import Controller
@@ -164,6 +166,9 @@ _HOME = {
     "shipped_scenes": "scene.load",
 }
 """Module of each public name; names that are not here come from ``kernels.terms.view``."""
+
+
+registry.TERMS.load_shipped = lambda: importlib.import_module(".terms", __name__).TERMS
 
 
 def __getattr__(name: str) -> object:

@@ -10,7 +10,8 @@ A package brings one as an entry point of the registry's group, in its ``pyproje
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
 from enum import StrEnum
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -28,7 +29,17 @@ class Registry(MutableMapping[str, T]):
 
     def __init__(self, kind: str, group: str):
         self._kind, self._group = kind, group
-        self._known: dict[str, T] = {}
+        self.load_shipped: Callable[[], Mapping[str, T]] = dict
+        """Returns what is shipped, when the registry is first read; set from above where that is a room of its own."""
+
+    @cached_property
+    def shipped(self) -> Mapping[str, T]:
+        """Those that come with warpmpc through :attr:`load_shipped`."""
+        return self.load_shipped()
+
+    @cached_property
+    def _known(self) -> dict[str, T]:
+        return dict(self.shipped)
 
     @cached_property
     def _points(self) -> dict[str, importlib.metadata.EntryPoint]:
@@ -44,6 +55,17 @@ class Registry(MutableMapping[str, T]):
             article = "an" if self._kind[0] in "aeiou" else "a"
             raise ValueError(f"there is {article} {self._kind} '{name}' already")
         self._known[name] = thing
+
+    @contextmanager
+    def apart(self) -> Iterator[dict[str, T]]:
+        """Keep what is registered meanwhile out of the registry; yields it, by name."""
+        known, found = self._known, {}
+        self._known = dict(known)
+        try:
+            yield found
+        finally:
+            found |= {name: thing for name, thing in self._known.items() if known.get(name) is not thing}
+            self._known = known
 
     def find(self, name: str, *more: str) -> T:
         """The one of a name.
@@ -90,7 +112,7 @@ ENGINES: Registry[Any] = Registry("engine", "warpmpc.engines")
 STRATEGIES: Registry[Any] = Registry("strategy", "warpmpc.strategies")
 """Strategies, each a function with the arguments of :class:`warpmpc.planner.strategy.SamplingStrategy`."""
 TERMS: Registry[Any] = Registry("cost term", "warpmpc.terms")
-"""Cost terms of installed packages, beside the built-in ones and those that a program hands over."""
+"""Cost terms: the built-in ones, and those of installed packages, beside those that a program hands over."""
 ROBOTS: Registry[Any] = Registry("robot", "warpmpc.robots")
 """Drivers of robots, each ``make(scene, *, seed, task, terms, watch, compiled)``, as
 :func:`~warpmpc.realtime.robot.simulated_robot`, for a :class:`~warpmpc.realtime.loop.Robot`."""

@@ -30,12 +30,12 @@ def test_listing_scenes_loads_no_physics():
 
 
 def test_terms_lists_every_term_and_key_with_type_default_and_meaning():
-    from warpmpc.cost.builtin import BUILTIN
+    from warpmpc.terms import TERMS
 
     done = warpmpc("terms")
     assert (done.returncode, done.stderr) == (0, "")
     words = done.stdout.split()
-    for name, term in BUILTIN.items():
+    for name, term in TERMS.items():
         assert name in words
         assert set(term.keys.model_fields) <= set(words)
     for part in (

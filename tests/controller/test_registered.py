@@ -168,9 +168,9 @@ def test_a_name_that_there_is_not_is_told_with_those_that_there_are(tmp_path, ke
 
 
 PACKAGE = """
-from warpmpc.cost.builtin import BUILTIN
+from warpmpc.terms import TERMS
 from warpmpc.planner.strategy import SamplingStrategy
-near = BUILTIN["distance"]
+near = TERMS["distance"]
 class Packaged(SamplingStrategy):
     pass
 """

@@ -9,10 +9,10 @@ from rollouts import SHAPE, Rollouts, heading
 from scipy.interpolate import RegularGridInterpolator
 
 from warpmpc import SceneError
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.cost.resources.push_path import ANGLES
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.draw import signed_distance
+from warpmpc.terms import TERMS
 
 
 def on_circle(a: np.ndarray) -> np.ndarray:
@@ -270,8 +270,8 @@ def test_every_built_in_term_is_covered():
     covered |= {keys.get("term", name) for name, (_, keys, _) in ARM_CASES.items()}
     # test_collision.py and so on, test_residuals.py, test_gait.py
     elsewhere = {"collision", "learned", "cloud", "rolling", "residuals", "numbers", "gait"}
-    covered |= {name for name, term in BUILTIN.items() if term.keys.__module__.rpartition(".")[2] in elsewhere}
-    assert covered == set(BUILTIN)
+    covered |= {name for name, term in TERMS.items() if term.keys.__module__.rpartition(".")[2] in elsewhere}
+    assert covered == set(TERMS)
 
 
 def test_a_goal_without_a_height_is_compared_in_the_plane():

@@ -11,8 +11,8 @@ from small_scenes import BOX, WALL, compiled, make_scene
 
 import warpmpc
 from warpmpc import Controller, State
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.engine.fused import FusedEngine
+from warpmpc.terms import TERMS
 
 SCENES = ["omni_push_box", "point_reach"]
 MORE = ["omni_push_sphere", "diff_push_box", "panda_push", "panda_push_objects", "panda_reach", "mobile_pick"]
@@ -52,14 +52,14 @@ def pushed(s: warpmpc.StepView, p: PushedParams) -> float:
 
 
 def pushed_binding(keys, binding):
-    given = BUILTIN["contact_force"].bind(keys, binding)
+    given = TERMS["contact_force"].bind(keys, binding)
     out = PushedParams()
     out.first, out.count = given.first, given.count
     return out
 
 
 PUSHED = replace(
-    BUILTIN["contact_force"], name="pushed", function=pushed, params=PushedParams, bind=pushed_binding,
+    TERMS["contact_force"], name="pushed", function=pushed, params=PushedParams, bind=pushed_binding,
     native=force_squared,
 )  # fmt: skip
 
@@ -94,7 +94,7 @@ NATIVE = [
     {"term": "control_rate", "weight": 0.03},
 ]
 STAGED = [{"term": "low", "frame": "base/tip"}, {"term": "still", "weight": 0.5}]
-TERMS = (PUSHED, low, still)
+USERS = (PUSHED, low, still)
 
 
 def push_scene(cost=NATIVE, **planner):
@@ -113,7 +113,7 @@ def push_scene(cost=NATIVE, **planner):
 
 def push(cost=NATIVE, *, envs=2, seed=0, plans=2, **planner) -> Controller:
     scene = push_scene(cost, **planner)
-    return planned(scene, envs=envs, seed=seed, plans=plans, terms=TERMS, compiled=compiled(scene))
+    return planned(scene, envs=envs, seed=seed, plans=plans, terms=USERS, compiled=compiled(scene))
 
 
 @pytest.mark.parametrize(("risk", "alpha"), [("mean", 1.0), ("worst", 1.0), ("cvar", 0.5), ("cvar", 0.4)])
@@ -161,7 +161,7 @@ def test_weights_goals_and_users_terms_count(cost):
 def test_controls_are_those_of_the_engine_that_records(spline):
     scene = push_scene(spline=spline, knots=4, samples=16)
     ours, theirs = (
-        Controller(scene, engine=engine, envs=2, seed=3, terms=TERMS, compiled=compiled(scene))
+        Controller(scene, engine=engine, envs=2, seed=3, terms=USERS, compiled=compiled(scene))
         for engine in ("fused", "mujoco")
     )
     layout = ours.layout

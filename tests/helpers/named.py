@@ -19,8 +19,8 @@ from pydantic import BaseModel
 
 from warpmpc import Scene
 from warpmpc.cli.main import app
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.scene.describe import keys
+from warpmpc.terms import TERMS
 
 FOREIGN = frozenset(
     [
@@ -59,7 +59,7 @@ def repository() -> tuple[str, ...]:
 @cache
 def vocabulary() -> frozenset[str]:
     """Names that the sources define or write as text, keys and names of scenes, cost terms, commands, packages."""
-    known = {*FOREIGN, *BUILTIN}
+    known = {*FOREIGN, *TERMS}
     for path in repository():
         text = (ROOT / path).read_text(encoding="utf-8") if FILE.search(path) and path.endswith((".py", ".h")) else ""
         if path.endswith(".py") and not path.startswith("tests/test"):
@@ -94,7 +94,7 @@ def models(kind: object) -> list[type[BaseModel]]:
 @cache
 def section_keys() -> frozenset[str]:
     """Every key of every section and cost term."""
-    found, left = set(), [Scene, *(term.keys for term in BUILTIN.values())]
+    found, left = set(), [Scene, *(term.keys for term in TERMS.values())]
     visited: set[type[BaseModel]] = set()
     while left:
         section = left.pop()
@@ -118,7 +118,7 @@ def is_key(path: list[str], within: list[type[BaseModel]] | None = None) -> bool
         sections = [model for field in fields for model in models(field.annotation)]
         if not sections:
             return i + 1 == len(path)
-        sections += [term.keys for term in BUILTIN.values()] if part == "cost" else []
+        sections += [term.keys for term in TERMS.values()] if part == "cost" else []
     return True
 
 
@@ -174,7 +174,7 @@ def missing(page: str) -> list[str]:
 
 def _paths(table: dict, above: tuple[str, ...] = ()) -> Iterator[list[str]]:
     for key, value in table.items():
-        if above == ("cost",) and table.get("term") not in BUILTIN:
+        if above == ("cost",) and table.get("term") not in TERMS:
             return  # keys of a user's own term
         inner = value if isinstance(value, list) else [value]
         tables = [item for item in inner if isinstance(item, dict)]

@@ -7,9 +7,9 @@ import pytest
 from pydantic import BaseModel
 
 from warpmpc import Scene
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.scene.describe import default, keys, takes, unit
 from warpmpc.scene.schema import Cloud, Drive, Noise, Obstacle, Planner, Robot
+from warpmpc.terms import TERMS
 from warpmpc.terms.collision import SelfCollision, WorldCollision
 
 
@@ -25,7 +25,7 @@ def sections() -> list[type[BaseModel]]:
             for field in kind.model_fields.values():
                 visit(field.annotation)
 
-    for root in (Scene, *(term.keys for term in BUILTIN.values())):
+    for root in (Scene, *(term.keys for term in TERMS.values())):
         visit(root)
     return list(found)
 

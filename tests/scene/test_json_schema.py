@@ -11,7 +11,7 @@ from jsonschema import Draft7Validator
 from program import warpmpc
 
 from warpmpc import shipped_scenes
-from warpmpc.cost.builtin import BUILTIN
+from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
@@ -96,7 +96,7 @@ def test_terms_of_the_user_may_have_any_keys_and_each_built_in_one_its_own(valid
     mine = SCENE.replace('term = "distance"\nbetween', 'term = "upright"\nframe')
     assert validator.is_valid(tomllib.loads(mine))
     choices = validator.schema["$defs"]["Cost"]["oneOf"]
-    assert [choice["title"] for choice in choices] == [*BUILTIN, "your own term"]
-    for choice, term in zip(choices, BUILTIN.values(), strict=False):
+    assert [choice["title"] for choice in choices] == [*TERMS, "your own term"]
+    for choice, term in zip(choices, TERMS.values(), strict=False):
         assert choice["properties"].keys() == {"term", "name", "weight", "terminal"} | term.keys.model_fields.keys()
         assert choice["description"] == term.summary.replace("``", "`")

@@ -9,8 +9,8 @@ import pytest
 from pydantic import BaseModel
 
 from warpmpc import Scene, load_scene
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.scene.describe import keys, takes
+from warpmpc.terms import TERMS
 
 PAGES = Path(__file__).parents[2] / "tools" / "pages"
 
@@ -42,7 +42,7 @@ def models(kind: object) -> list[type[BaseModel]]:
 
 def test_every_key_has_an_example(examples):
     wanted = plain_keys(Scene, set())
-    for term in BUILTIN.values():
+    for term in TERMS.values():
         wanted |= plain_keys(term.keys, set())
     assert len(wanted) > 250
     missing = {(section.__name__, key) for section, key in wanted - examples.keys()}
@@ -52,4 +52,4 @@ def test_every_key_has_an_example(examples):
 def test_the_examples_kept_for_the_reference_are_a_scene():
     scene = load_scene(PAGES / "examples.toml")
     for cost in scene.cost:
-        BUILTIN[cost.term].keys.model_validate(cost.params)
+        TERMS[cost.term].keys.model_validate(cost.params)

@@ -12,7 +12,7 @@ import pytest
 from needs import reason
 
 from warpmpc import __all__ as public
-from warpmpc.cost.builtin import BUILTIN
+from warpmpc.terms import TERMS
 
 pytest.importorskip("mkdocs_autorefs", reason=reason("mkdocs_autorefs"))
 ROOT = Path(__file__).parents[2]
@@ -76,6 +76,6 @@ def test_a_browser_fetches_nothing_from_the_network(site):
 def test_every_public_name_and_every_term_has_its_place(site):
     anchors = {path.name: page.anchors for path, page in site.items() if path.parent.name == "reference"}
     assert {f"warpmpc.{name}" for name in public} - anchors["python.html"] == set()
-    assert BUILTIN.keys() - anchors["terms.html"] == set()
+    assert TERMS.keys() - anchors["terms.html"] == set()
     assert {"robot-drive", "planner-noise", "success-conditions"} <= anchors["scene.html"]
     assert {"run", "check", "new", "schema"} <= anchors["commands.html"]

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 
 from warpmpc.cost.binding import Binding
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.joints import joint_table
 from warpmpc.model.self_shape import colliding_bodies, self_fingerprint, self_moving_dofs
 from warpmpc.scene.errors import SceneError
 from warpmpc.task.task import task_layout
+from warpmpc.terms import TERMS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,7 @@ class SelfDistance:
         self.robot = layout.entity(robots[0].name if robot is None else robot)
         given = next(r for r in scene.robot if r.name == self.robot.name).spheres
         own = next((cost.params for cost in scene.cost if cost.term == "self_collision"), {})
-        params = BUILTIN["self_collision"].bind({**own, "of": self.robot.name}, Binding(scene, layout, key="cost"))
+        params = TERMS["self_collision"].bind({**own, "of": self.robot.name}, Binding(scene, layout, key="cost"))
         table = params.spheres
         first, count = table.first.numpy(), table.count.numpy()
         self._body = np.repeat(table.body.numpy(), count)

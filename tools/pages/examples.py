@@ -12,8 +12,8 @@ from typing import get_args
 from pydantic import BaseModel
 
 from warpmpc import Scene, shipped_scenes
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.scene.describe import keys, takes, written
+from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 MORE = Path(__file__).parent / "examples.toml"
@@ -64,8 +64,8 @@ def _entries(section: type[BaseModel], data: object) -> Iterator[tuple[type[Base
             continue
         for entry in _tables(value, inner):
             yield from _entries(inner, entry)
-            if key == "cost" and entry.get("term") in BUILTIN:
-                yield from _entries(BUILTIN[entry["term"]].keys, entry)
+            if key == "cost" and entry.get("term") in TERMS:
+                yield from _entries(TERMS[entry["term"]].keys, entry)
         if not _tables(value, inner):
             yield section, key, value
 

@@ -19,9 +19,9 @@ from pydantic.fields import FieldInfo
 
 from warpmpc import Scene
 from warpmpc.cli.main import app
-from warpmpc.cost.builtin import BUILTIN
 from warpmpc.cost.term import CostTerm
 from warpmpc.scene.describe import default, keys, takes, unit
+from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 
@@ -159,7 +159,7 @@ def _terms(found: Examples) -> Iterator[str]:
     """All built-in cost terms, by their family."""
     groups: dict[str, list[CostTerm]] = {}
     tables: dict[str, type[BaseModel]] = {}
-    for term in BUILTIN.values():
+    for term in TERMS.values():
         groups.setdefault((term.written or term.function).func.__module__, []).append(term)
     for module, terms in groups.items():
         name = module.rsplit(".", 1)[-1]

@@ -8,9 +8,11 @@ import itertools
 import shlex
 import sys
 import traceback
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..registry import TERMS
 from .run_folder import terms_in
 
 if TYPE_CHECKING:
@@ -59,8 +61,6 @@ class FolderTerms:
 
 def _own(scene: Scene, *, planned: bool) -> list[str]:
     """Names of a scene's terms and ancillary controllers that warpmpc does not have."""
-    from ..terms import TERMS
-
     labelled = zip(scene.cost_labels, scene.cost, strict=True)
     used = [cost.term for label, cost in labelled if planned or label in scene.judged_terms]
     used += [row.function for row in scene.planner.ancillary if planned and row.function is not None]
@@ -87,6 +87,9 @@ def _allowed(path: Path, files: list[Path], missing: list[str]) -> list[Path]:
 
 def load_terms(files: str | Path | Sequence[str | Path]) -> list[UserTerm]:
     """Execute Python files and collect the cost terms and ancillary controllers they define at module level.
+
+    Terms that a file registers in ``warpmpc.registry.TERMS`` are among them, under the names they are registered by,
+    and not registered: they hold where the returned list is handed over.
 
     Args:
         files: Python files, or one of them.
@@ -136,11 +139,13 @@ def _execute(path: Path, name: str) -> list[UserTerm]:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # Warp looks the globals of functions and structs up there
     try:
-        spec.loader.exec_module(module)
+        with TERMS.apart() as registered:
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise TermsError(f"{path}{_line(error, path)}: {type(error).__name__}: {_message(error)}") from error
-    unique = {id(value): value for value in vars(module).values() if isinstance(value, UserTerm)}
-    return list(unique.values())
+    own = [value for value in (*vars(module).values(), *registered.values()) if isinstance(value, UserTerm)]
+    names = {id(term): name for name, term in registered.items()}
+    return list({id(term): replace(term, name=names.get(id(term), term.name)) for term in own}.values())
 
 
 def _line(error: BaseException, path: Path) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Collection, Sequence
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,6 @@ from ..registry import TERMS
 from ..scene.errors import SceneError
 from .binding import Binding
 from .blame import complaint, raised
-from .builtin import BUILTIN
 from .deadline import deadline
 from .kernel import EvaluationCode, evaluation_code
 from .term import ArrayCost, CostTerm, UserTerm
@@ -61,7 +61,7 @@ class CostStack:
     ):
         costs = scene.cost if costs is None else costs
         self.layout, self.device, self.task, self.file = layout, device, task, scene.path
-        known = {**TERMS, **BUILTIN, **_users(terms, scene)}
+        known = ChainMap(_users(terms, scene), TERMS)
         self.labels = scene.cost_labels if costs is scene.cost else [cost.label for cost in costs]
         self.terms: list[tuple[CostTerm | ArrayCost, Any]] = []
         """Each term with its parameters."""
@@ -97,7 +97,7 @@ class CostStack:
         """Numbers that terms carry along every rollout."""
         task.on_change(self._on_task_change)
         self._on_task_change(frozenset(task))
-        self.users = [i for i, (term, _) in enumerate(self.terms) if term.name not in BUILTIN]
+        self.users = [i for i, (term, _) in enumerate(self.terms) if term.name not in TERMS.shipped]
         """Terms that users wrote."""
 
     def code_of(self, numbers: Collection[int]) -> tuple[EvaluationCode, Any]:
@@ -154,7 +154,7 @@ def _users(terms: Sequence[UserTerm], scene: Scene) -> dict[str, CostTerm | Arra
     """
     terms = [term for term in terms if isinstance(term, CostTerm | ArrayCost)]
     for term in terms:
-        if term.name in BUILTIN and term is not BUILTIN[term.name]:
+        if TERMS.shipped.get(term.name, term) is not term:
             what = "there is a built-in cost term of this name: choose another"
             raise complaint(term.name, term, what, file=scene.path)
     return {term.name: term for term in terms}
