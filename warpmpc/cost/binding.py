@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -50,8 +50,21 @@ class Binding:
     def __post_init__(self):
         self.resources = Resources(self.scene, self.layout)
 
+    def error(self, message: str, key: str = "", **more: Any) -> SceneError:
+        """The error about the term being bound, or about one of its keys.
+
+        Args:
+            message: What is wrong.
+            key: The key; the whole term when left out.
+            more: What was ``found``, what is ``allowed``.
+        """
+        return SceneError(message, key=f"{self.key}.{key}" if key else self.key, file=self.file, **more)
+
     def array(self, values: object, dtype: type) -> wp.array:
-        """An array of parameters on the device of the terms."""
+        """An array of parameters on the device of the terms; vectors, matrices and poses from nested lists, empty too."""
+        if hasattr(dtype, "_shape_"):
+            scalar = np.int32 if dtype._wp_scalar_type_ is wp.int32 else np.float32
+            values = np.asarray(values, dtype=scalar).reshape(-1, *dtype._shape_)
         return wp.array(values, dtype=dtype, device=self.device)
 
     def scalar(self, name: str, key: str) -> int:
@@ -62,7 +75,7 @@ class Binding:
         """
         names = list(self.scene.scalar)
         if name not in names:
-            raise SceneError("no such scalar", key=f"{self.key}.{key}", file=self.file, found=name, allowed=names)
+            raise self.error("no such scalar", key, found=name, allowed=names)
         return names.index(name)
 
     def wanted(self, target: Sequence[float | str] | None, count: int, *, key: str = "target") -> Wanted:
@@ -89,7 +102,7 @@ class Binding:
             SceneError: If the list has another length.
         """
         if len(values) not in (1, count):
-            raise SceneError(f"needs 1 or {count} values", key=f"{self.key}.{key}", file=self.file, found=list(values))
+            raise self.error(f"needs 1 or {count} values", key, found=list(values))
         return list(values) if len(values) == count else list(values) * count
 
     @property
@@ -115,7 +128,7 @@ class Binding:
         allowed = [name for name, own in bodies.items() if self.layout.body_mass[own].sum() > 0.0]
         if name not in allowed:
             what = "no such robot or object with mass"
-            raise SceneError(what, key=f"{self.key}.{key}", file=self.file, found=name, allowed=allowed)
+            raise self.error(what, key, found=name, allowed=allowed)
         return next(i for i, entity in enumerate(self.layout.entities) if entity.name == name)
 
     def joint(self, name: str, key: str) -> int:
@@ -134,7 +147,7 @@ class Binding:
         """
         robots = {entity.name: entity for entity in self.layout.entities if entity.kind == "robot"}
         if of is not None and of not in robots:
-            raise SceneError("no such robot", key=f"{self.key}.of", file=self.file, found=of, allowed=robots)
+            raise self.error("no such robot", "of", found=of, allowed=robots)
         return list(robots.values()) if of is None else [robots[of]]
 
     def owned(self, of: str | None, names: Sequence[str]) -> range:
@@ -161,13 +174,12 @@ class Binding:
         """
         if joints is None:
             return list(self.owned(of or self.robots(None)[0].name, self.dof_joints))
-        where = f"{self.key}.joints"
         if of is not None:
             what = "name joints or their robot, not both: leave out 'of'"
-            raise SceneError(what, key=where, file=self.file, found=of)
+            raise self.error(what, "joints", found=of)
         coords = [self.joint(name, "joints") for name in joints]
         if len(set(coords)) < len(coords):
-            raise SceneError("a joint is named twice", key=where, file=self.file, found=list(joints))
+            raise self.error("a joint is named twice", "joints", found=list(joints))
         return [int(np.flatnonzero(self.layout.dof_coord == coord)[0]) for coord in coords]
 
     def carry(self, count: int) -> int:
@@ -187,10 +199,9 @@ class Binding:
             SceneError: If there is no such term.
         """
         if name not in self.memory:
-            raise SceneError(
+            raise self.error(
                 "no cost term above this one carries numbers along under this name",
-                key=f"{self.key}.{key}",
-                file=self.file,
+                key,
                 found=name,
                 allowed=self.memory,
             )
@@ -211,9 +222,7 @@ class Binding:
         try:
             return look_up(name)
         except SceneError as error:
-            raise SceneError(
-                error.message, key=f"{self.key}.{key}", file=self.file, found=name, allowed=error.allowed
-            ) from None
+            raise self.error(error.message, key, found=name, allowed=error.allowed) from None
 
     def control(self, name: str, key: str) -> int:
         """Index of a control.
@@ -223,7 +232,7 @@ class Binding:
         """
         names = self.layout.control_name
         if name not in names:
-            raise SceneError("no such control", key=f"{self.key}.{key}", file=self.file, found=name, allowed=names)
+            raise self.error("no such control", key, found=name, allowed=names)
         return names.index(name)
 
     def watch(self, first: str, second: str, key: str) -> tuple[int, int]:
@@ -235,13 +244,9 @@ class Binding:
         try:
             sides = [self.layout.group(name) for name in (first, second)]
         except SceneError as error:
-            raise SceneError(
-                error.message, key=f"{self.key}.{key}", file=self.file, found=error.found, allowed=error.allowed
-            ) from None
+            raise self.error(error.message, key, found=error.found, allowed=error.allowed) from None
         if first == second and len(sides[0]) == 1:
-            raise SceneError(
-                "contact takes two different things", key=f"{self.key}.{key}", file=self.file, found=[first, second]
-            )
+            raise self.error("contact takes two different things", key, found=[first, second])
         wanted = [Pair(a.name, b.name) for a in sides[0] for b in sides[1] if a.name != b.name]
         start = len(self.pairs)
         self.pairs.extend(wanted)
@@ -254,12 +259,11 @@ class Binding:
             SceneError: If there is no such object, or its shape is a mesh.
         """
         objects = {e.name: e for e in self.layout.entities if e.kind == "object"}
-        where = f"{self.key}.{key}"
         if name not in objects:
-            raise SceneError("no such object", key=where, file=self.file, found=name, allowed=objects)
+            raise self.error("no such object", key, found=name, allowed=objects)
         shape = self.layout.shapes[objects[name].shapes[0]]
         if shape.kind not in PRIMITIVES:
-            raise SceneError("an outline needs a primitive shape", key=where, file=self.file, found=shape.kind)
+            raise self.error("an outline needs a primitive shape", key, found=shape.kind)
         return shape
 
     def require_still(self, key: str = "") -> None:
@@ -269,11 +273,10 @@ class Binding:
             SceneError: If an obstacle moves with the task.
         """
         if self.layout.movable:
-            raise SceneError(
+            raise self.error(
                 "this term does not follow obstacles that move with the task: take world_collision, or leave out "
                 f"movable of obstacle '{self.layout.movable[0]}'",
-                key=f"{self.key}.{key}" if key else self.key,
-                file=self.file,
+                key,
             )
 
     @property

@@ -11,7 +11,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from ..kernels.terms.norms import L22, SQUARES, Norm, norm_part, norm_total
 from ..kernels.terms.view import StepView
-from ..scene.errors import SceneError
 from .keys import TermKeys, term
 from .norms import NormKey, NormKind
 from .term import CostTerm, Residual, annotations, fill, params_of
@@ -150,9 +149,7 @@ def _norm(value: Any, binding: Any) -> Norm:
         return _NORM.validate_python(value).struct()
     except ValidationError as error:
         why = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise SceneError(
-            "wrong value", key=f"{binding.key}.norm", file=binding.file, found=value, allowed=why
-        ) from None
+        raise binding.error("wrong value", "norm", found=value, allowed=why) from None
 
 
 def _normed(params: Any) -> Any:

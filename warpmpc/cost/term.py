@@ -16,7 +16,6 @@ from pydantic import ValidationError
 
 from ..kernels.terms.norms import Norm
 from ..kernels.terms.view import StepView
-from ..scene.errors import SceneError
 from ..task.ancillary import AncillaryController
 
 if TYPE_CHECKING:
@@ -194,11 +193,8 @@ def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], bind
         "memory": binding.carried,
     }
     for key, value in keys.items():
-        where = f"{binding.key}.{key}"
         if key not in params.vars:
-            raise SceneError(
-                f"cost term '{name}' has no such key", key=where, file=binding.file, found=key, allowed=params.vars
-            )
+            raise binding.error(f"cost term '{name}' has no such key", key, found=key, allowed=params.vars)
         if isinstance(value, str):
             find = next((look for word, look in finders.items() if word in key), binding.frame)
             value = find(value, key)
@@ -207,14 +203,14 @@ def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], bind
         except (TypeError, ValueError):
             finite = False
         if not finite:
-            raise SceneError("needs finite numbers", key=where, file=binding.file, found=value)
+            raise binding.error("needs finite numbers", key, found=value)
         try:
             setattr(struct, key, params.vars[key].type(*value) if isinstance(value, list | tuple) else value)
         except (TypeError, ValueError, RuntimeError) as error:
-            raise SceneError(f"does not fit its field: {error}", key=where, file=binding.file, found=value) from error
+            raise binding.error(f"does not fit its field: {error}", key, found=value) from error
     missing = [field for field in params.vars if field not in keys]
     if missing:
-        raise SceneError(f"cost term '{name}' needs the key '{missing[0]}'", key=binding.key, file=binding.file)
+        raise binding.error(f"cost term '{name}' needs the key '{missing[0]}'")
     return struct
 
 
@@ -231,17 +227,12 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
         first = min(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
         # a name, and which entry of its list; what follows are names of types
         name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
-        where = f"{binding.key}.{name}"
         if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-            raise SceneError(
-                "unknown key", key=where, file=binding.file, found=name, allowed=keys.model_fields
-            ) from None
+            raise binding.error("unknown key", name, found=name, allowed=keys.model_fields) from None
         if first["type"] == "missing" and len(first["loc"]) == 1:
-            raise SceneError(f"the key '{name}' is missing", key=binding.key, file=binding.file) from None
+            raise binding.error(f"the key '{name}' is missing") from None
         field = keys.model_fields.get(str(first["loc"][0]))
         allowed = field.description if field and field.description else first["msg"]
         if first["type"] == "value_error":  # says itself what is wrong
             allowed = first["msg"].removeprefix("Value error, ")
-        raise SceneError(
-            "wrong value", key=where, file=binding.file, found=first["input"], allowed=str(allowed)
-        ) from None
+        raise binding.error("wrong value", name, found=first["input"], allowed=str(allowed)) from None

@@ -20,7 +20,6 @@ from ..kernels.terms.view import (
     joint_position,
 )
 from ..model.joints import chain, chain_axes
-from ..scene.errors import SceneError
 from ..scene.types import Floats, NonNegative, NonNegatives, Positive
 from .joints import JointNames, outside
 from .native import arm as native
@@ -120,7 +119,7 @@ class Speed(TermKeys):
     def bind(self, p: Any, b: Binding) -> None:
         """Set the limits; infinite where there are none."""
         if self.linear is None and self.angular is None:
-            raise SceneError("needs linear, angular, or both", key=b.key, file=b.file)
+            raise b.error("needs linear, angular, or both")
         p.linear, p.angular = (np.inf if limit is None else limit for limit in (self.linear, self.angular))
 
 
@@ -145,19 +144,16 @@ class FrameChain(TermKeys):
         Raises:
             SceneError: If nothing moves the frame, or a ball joint does, or a joint that is named does not.
         """
-        layout, where = b.layout, f"{b.key}.joints"
+        layout = b.layout
         body = int(layout.frame_body[b.frame(self.of, "of")])
         try:
             axes = chain_axes(layout, body)[::-1]
         except ValueError as error:
-            raise SceneError(
-                "a ball joint moves this frame, whose turns are not about axes of its own",
-                key=f"{b.key}.of",
-                file=b.file,
-                found=str(error),
+            raise b.error(
+                "a ball joint moves this frame, whose turns are not about axes of its own", "of", found=str(error)
             ) from None
         if not axes:
-            raise SceneError("no joint moves this frame", key=f"{b.key}.of", file=b.file, found=self.of)
+            raise b.error("no joint moves this frame", "of", found=self.of)
         if self.joints is None:
             return chain(layout, body, axes, b.device), axes
         by_coord = {int(layout.dof_coord[dof]): dof for dof in axes}
@@ -165,9 +161,9 @@ class FrameChain(TermKeys):
         for name, coord in zip(self.joints, coords, strict=True):
             if coord not in by_coord:
                 own = [layout.dof_name[dof] for dof in axes]
-                raise SceneError("this joint does not move the frame", key=where, file=b.file, found=name, allowed=own)
+                raise b.error("this joint does not move the frame", "joints", found=name, allowed=own)
         if len(set(coords)) < len(coords):
-            raise SceneError("a joint is named twice", key=where, file=b.file, found=list(self.joints))
+            raise b.error("a joint is named twice", "joints", found=list(self.joints))
         columns = [by_coord[coord] for coord in coords]
         return chain(layout, body, columns, b.device), columns
 
@@ -224,12 +220,7 @@ class NullPosture(FrameChain):
         target = b.layout.joint_q[b.layout.dof_coord[dofs]] if self.target is None else np.array(self.target)
         if len(target) != len(dofs):
             names = ", ".join(b.layout.dof_name[dof] for dof in dofs)
-            raise SceneError(
-                f"needs one value per joint, {len(dofs)} in all ({names})",
-                key=f"{b.key}.target",
-                file=b.file,
-                found=list(self.target),
-            )
+            raise b.error(f"needs one value per joint, {len(dofs)} in all ({names})", "target", found=list(self.target))
         p.target = b.array(target, dtype=float)
 
 

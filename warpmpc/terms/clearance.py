@@ -11,7 +11,6 @@ from ..cost.keys import Frame, Object, TermKeys, term
 from ..cost.resources.geodesic import convex_outline, obstacle_outlines, outline
 from ..kernels.terms.shapes import shape_distance
 from ..kernels.terms.view import StepView, frame_pose, frame_position, yaw
-from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Positive
 
 
@@ -33,17 +32,14 @@ class ObstacleClearance(TermKeys):
         """Find the obstacles' shapes and the poses of the world in their frames."""
         b.require_still()
         if self.to not in ("surface", "centre"):
-            raise SceneError(
-                "wrong value", key=f"{b.key}.to", file=b.file, found=self.to, allowed=["surface", "centre"]
-            )
+            raise b.error("wrong value", "to", found=self.to, allowed=["surface", "centre"])
         shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
         if meshes := [s.name for s in shapes if s.kind not in PRIMITIVES]:
-            raise SceneError("clearance needs primitive obstacles", key=b.key, file=b.file, found=meshes[0])
+            raise b.error("clearance needs primitive obstacles", found=meshes[0])
         p.surface = int(self.to == "surface")
-        inverse = [wp.transform_inverse(wp.transform(*s.pose)) for s in shapes]
-        p.pose = b.array(np.array(inverse, dtype=np.float32).reshape(-1, 7), dtype=wp.transform)
+        p.pose = b.array([wp.transform_inverse(wp.transform(*s.pose)) for s in shapes], dtype=wp.transform)
         p.kind = b.array([PRIMITIVES[s.kind] for s in shapes], dtype=int)
-        p.size = b.array(np.array([s.scale for s in shapes], dtype=np.float32).reshape(-1, 3), dtype=wp.vec3)
+        p.size = b.array([s.scale for s in shapes], dtype=wp.vec3)
 
 
 @term("obstacle_clearance", ObstacleClearance)
@@ -83,7 +79,7 @@ class OutlineClearance(TermKeys):
         body = int(layout.frame_body[p.of])
         own = [s for s in layout.shapes if s.body == body and s.collides and s.kind != "plane"]
         if body < 0 or not own:
-            raise SceneError("this frame's body has no colliding shape", key=f"{b.key}.of", file=b.file, found=self.of)
+            raise b.error("this frame's body has no colliding shape", "of", found=self.of)
         to_frame = wp.transform_inverse(wp.transform(*layout.frame_pose[p.of]))
         lying = {e.name for e in layout.group("objects")}
         supports = b.supports if self.of.split("/")[0] in lying else ()
@@ -91,10 +87,10 @@ class OutlineClearance(TermKeys):
         outlines += [corners for _, corners in obstacle_outlines(layout, supports)]
         counts = [len(o) for o in outlines]
         centres = [o.mean(axis=0) for o in outlines]
-        p.corner = b.array(np.concatenate(outlines).astype(np.float32), dtype=wp.vec2)
+        p.corner = b.array(np.concatenate(outlines), dtype=wp.vec2)
         p.first = b.array(np.cumsum([0, *counts[:-1]]), dtype=int)
         p.count = b.array(counts, dtype=int)
-        p.centre = b.array(np.array(centres, dtype=np.float32), dtype=wp.vec2)
+        p.centre = b.array(centres, dtype=wp.vec2)
         radii = [np.linalg.norm(o - c, axis=1).max() for o, c in zip(outlines, centres, strict=True)]
         p.radius = b.array(radii, dtype=float)
 

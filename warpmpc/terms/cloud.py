@@ -42,7 +42,7 @@ class CloudCollision(LinkKeys):
         name = self.cloud or (names[0] if len(names) == 1 else None)
         if name not in names:
             what = "no such cloud" if name else "give it a [[cloud]] of the scene" if not names else "which cloud?"
-            raise SceneError(what, key=f"{b.key}.cloud", file=b.file, found=name, allowed=names)
+            raise b.error(what, "cloud", found=name, allowed=names)
         super().bind(p, b)
         seen = b.resources.get(PointClouds).request(p, name)
         p.between = int(self.lookup is Lookup.LINEAR)

@@ -55,7 +55,7 @@ class SelfCollision(TermKeys):
                 covered = {group.body for group in spheres.groups}
                 if pair[0] == pair[1] or not {*pair} <= covered:
                     what = "a link does not collide with itself" if pair[0] == pair[1] else "a link without spheres"
-                    raise SceneError(what, key=f"{b.key}.{key}", file=b.file, found=list(names))
+                    raise b.error(what, key, found=list(names))
         pairs = np.array(self_pairs(b.layout, spheres, margin=self.margin, **named), dtype=np.int32).reshape(-1, 2)
         p.spheres = table_of(spheres, b)
         p.first, p.second = (b.array(np.ascontiguousarray(side), int) for side in pairs.T)
@@ -93,20 +93,16 @@ def _obstacles(names: Sequence[str], b: Binding) -> list[tuple[int, ShapeInfo]]:
         try:
             entities = b.layout.group(name)
         except SceneError as error:
-            raise SceneError(
+            raise b.error(
                 "no such obstacle or object",
-                key=f"{b.key}.against",
-                file=b.file,
+                "against",
                 found=name,
                 allowed=["obstacles", "objects", *(e.name for e in b.layout.entities if e.kind != "robot")],
             ) from error
         for entity in entities:
             if entity.kind == "robot":
-                raise SceneError(
-                    "a robot is no obstacle: self_collision knows of links against links",
-                    key=f"{b.key}.against",
-                    file=b.file,
-                    found=name,
+                raise b.error(
+                    "a robot is no obstacle: self_collision knows of links against links", "against", found=name
                 )
             own = [b.layout.shapes[i] for i in entity.shapes]
             shapes += [(_body_of(entity, shape, b), shape) for shape in own if shape.collides]
@@ -148,17 +144,14 @@ class WorldCollision(LinkKeys):
         kinds = [_KINDS.get(shape.kind) for _, shape in obstacles]
         if None in kinds:
             found = obstacles[kinds.index(None)][1]
-            raise SceneError(
+            raise b.error(
                 f"no distance to a shape of this kind: it takes {', '.join(_KINDS)}",
-                key=f"{b.key}.against",
-                file=b.file,
+                "against",
                 found=f"{found.entity}: {found.kind}",
             )
         p.body, p.kind = (b.array(np.array(x, dtype=np.int32), int) for x in ([body for body, _ in obstacles], kinds))
-        poses = [_local(body, shape) for body, shape in obstacles]
-        p.pose = b.array(np.array(poses, dtype=np.float32).reshape(-1, 7), wp.transform)
-        sizes = [(0.0, 0.0, 0.0) if s.kind == "mesh" else s.scale for _, s in obstacles]
-        p.size = b.array(np.array(sizes, dtype=np.float32).reshape(-1, 3), wp.vec3)
+        p.pose = b.array([_local(body, shape) for body, shape in obstacles], wp.transform)
+        p.size = b.array([(0.0, 0.0, 0.0) if s.kind == "mesh" else s.scale for _, s in obstacles], wp.vec3)
         # a sphere whose centre is outside a volume costs nothing
         reach = self.margin + float(p.spheres.radius.numpy().max())
         p.volumes, index = mesh_volumes([s for _, s in obstacles], reach, self.voxel, b)

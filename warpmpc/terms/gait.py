@@ -12,7 +12,6 @@ from ..cost.norms import NormKey, NormKind
 from ..cost.residual import residual
 from ..kernels.terms.points import Wanted, wanted
 from ..kernels.terms.view import StepView, frame_position, step_time
-from ..scene.errors import SceneError
 from ..scene.types import Finite, Floats, NonNegative
 from .residuals import Target
 
@@ -55,12 +54,7 @@ class Gait(TermKeys):
     def bind(self, p: Any, b: Binding) -> None:
         """Set the phase and the height of each foot [m]."""
         if len(self.phases) != len(self.feet):
-            raise SceneError(
-                f"give one phase for each of the {len(self.feet)} feet",
-                key=f"{b.key}.phases",
-                file=b.file,
-                found=list(self.phases),
-            )
+            raise b.error(f"give one phase for each of the {len(self.feet)} feet", "phases", found=list(self.phases))
         p.phase, p.numbers = b.array(list(self.phases), dtype=float), len(self.feet)
         p.wanted = b.wanted(self.height, len(self.feet), key="height")
 

@@ -9,7 +9,6 @@ from pydantic import Field
 from ..cost.binding import Binding
 from ..cost.keys import Frame, Object, TermKeys, term
 from ..kernels.terms.view import StepView, control, frame_position, frame_rotation
-from ..scene.errors import SceneError
 from ..scene.types import NonNegative, Positive
 
 
@@ -53,7 +52,7 @@ class FingerAlignment(TermKeys):
     def bind(self, p: Any, b: Binding) -> None:
         """Refuse what has no faces."""
         if (kind := b.object_shape(self.object, "object").kind) != "box":
-            raise SceneError("fingers meet the faces of a box", key=f"{b.key}.object", file=b.file, found=kind)
+            raise b.error("fingers meet the faces of a box", "object", found=kind)
 
 
 @term("finger_alignment", FingerAlignment)

@@ -12,7 +12,6 @@ from ..cost.keys import TermKeys, term
 from ..cost.residual import residual
 from ..kernels.terms.view import StepView, joint_acceleration, joint_jerk, joint_position, joint_velocity
 from ..model.joints import driving
-from ..scene.errors import SceneError
 from ..scene.types import Fraction, NonNegative, Positives
 
 JointNames = Annotated[tuple[str, ...], Field(min_length=1)]
@@ -88,7 +87,7 @@ class JointLimit(TermKeys):
         if self.joints is not None:
             dofs = b.dofs(self.of, self.joints)
             if free := [layout.dof_name[i] for i in dofs if span[i] >= _NO_LIMIT]:
-                raise SceneError("this joint has no limits", key=f"{b.key}.joints", file=b.file, found=free[0])
+                raise b.error("this joint has no limits", "joints", found=free[0])
         else:
             own = b.owned(self.of, b.dof_joints)
             dofs = [i for i in own if layout.dof_coord[i] >= 0 and span[i] < _NO_LIMIT]
@@ -122,10 +121,9 @@ class Stop(Joints):
             if self.joints is None:
                 dofs, driven = dofs[driven >= 0], driven[driven >= 0]
             if not len(dofs) or (driven < 0).any():
-                raise SceneError(
+                raise b.error(
                     "no drive of these joints takes accelerations: give the greatest one",
-                    key=f"{b.key}.acceleration",
-                    file=b.file,
+                    "acceleration",
                     found=[b.layout.dof_name[dof] for dof in dofs[driven < 0]] or None,
                 )
             # what it can brake with, whichever way it goes

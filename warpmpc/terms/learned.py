@@ -15,7 +15,6 @@ from ..kernels.terms.view import StepView, joint_position
 from ..model.assets import resolve_asset
 from ..model.npz import read_npz
 from ..model.self_shape import self_fingerprint
-from ..scene.errors import SceneError
 from ..scene.types import NonNegative
 from .native import learned as native
 
@@ -91,33 +90,30 @@ class LearnedSelfCollision(TermKeys):
 
     def bind(self, p: Any, b: Binding) -> None:
         """Read the network [sin q, cos q] → H → U → 1."""
-        (robot, *more), where = b.robots(self.of), f"{b.key}.weights"
+        robot, *more = b.robots(self.of)
         if more:
             names = [robot.name, *(other.name for other in more)]
-            raise SceneError("several robots: name one", key=f"{b.key}.of", file=b.file, allowed=names)
-
-        def wrong(message: str, **more: Any) -> SceneError:
-            return SceneError(message, key=where, file=b.file, **more)
-
+            raise b.error("several robots: name one", "of", allowed=names)
         base = None if b.file is None else b.file.parent
-        path = resolve_asset(self.weights, base=base, key=where, file=b.file)
+        path = resolve_asset(self.weights, base=base, key=f"{b.key}.weights", file=b.file)
         try:
             weights = Weights.load(path)
         except (OSError, ValueError) as error:
-            raise wrong(f"cannot be read as weights: {error}", found=self.weights) from error
+            raise b.error(f"cannot be read as weights: {error}", "weights", found=self.weights) from error
         own = {
             name.partition("/")[2]: dof
             for dof, name in enumerate(b.layout.dof_name)
             if name.startswith(f"{robot.name}/")
         }
         if unknown := [name for name in weights.joints if name not in own]:
-            raise wrong("were trained for a robot with other joints", found=unknown, allowed=own)
+            raise b.error("were trained for a robot with other joints", "weights", found=unknown, allowed=own)
         dofs = [own[name] for name in weights.joints]
         given = next(r for r in b.scene.robot if r.name == robot.name).spheres
         if self_fingerprint(b.layout, robot, dofs, given) != weights.trained_for:
-            raise wrong(
+            raise b.error(
                 "were trained for other links, shapes or limits, or with joints held elsewhere: train new ones with "
                 "tools/train_self_collision.py",
+                "weights",
                 found=self.weights,
             )
         first, second, last = weights.arrays()

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from ..kernels.geometry.mesh_volume import MeshVolumes, mesh_distance_kernel
-from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,10 +63,9 @@ def mesh_volumes(
             low, high = solid.vertices.min(axis=0) - reach - edge, solid.vertices.max(axis=0) + reach + edge
             size = [math.ceil(side / edge) for side in high - low]
             if math.prod(size) > LARGEST:
-                raise SceneError(
+                raise b.error(
                     f"the distance volume of a mesh would have {size} voxels: take larger ones",
-                    key=f"{b.key}.voxel",
-                    file=b.file,
+                    "voxel",
                     found=f"{shape.entity}: {edge:g} m",
                 )
             rows.append((voxels, low, edge, size))
@@ -78,14 +76,11 @@ def mesh_volumes(
     out.reach = reach
     out.distance = wp.empty(voxels, dtype=float, device=b.device)
     out.first = b.array([first for first, *_ in rows], int)
-    out.origin = b.array(np.array([low for _, low, *_ in rows], dtype=np.float32).reshape(-1, 3), wp.vec3)
+    out.origin = b.array([low for _, low, *_ in rows], wp.vec3)
     out.voxel = b.array([edge for _, _, edge, _ in rows], float)
-    out.size = b.array(np.array([size for *_, size in rows], dtype=np.int32).reshape(-1, 3), wp.vec3i)
+    out.size = b.array([size for *_, size in rows], wp.vec3i)
     for (first, low, edge, size), (solid, farthest) in zip(rows, grids, strict=True):
-        mesh = wp.Mesh(
-            points=b.array(solid.vertices.astype(np.float32), wp.vec3),
-            indices=b.array(solid.faces.astype(np.int32).ravel(), int),
-        )
+        mesh = wp.Mesh(points=b.array(solid.vertices, wp.vec3), indices=b.array(solid.faces.ravel(), int))
         where = [mesh.id, wp.vec3(*low), edge, wp.vec3i(*size), farthest, first]
         wp.launch(mesh_distance_kernel, math.prod(size), where, [out.distance], device=b.device)
         wp.synchronize_device(b.device)  # the mesh goes when this is done

@@ -11,7 +11,6 @@ from ..cost.binding import Binding
 from ..cost.residual import residual
 from ..kernels.terms.points import Wanted, wanted
 from ..kernels.terms.view import StepView, contact_force, control, joint_position, joint_velocity, sensor
-from ..scene.errors import SceneError
 from ..scene.types import Names, NonNegative
 from .joints import JointNames
 from .residuals import Axes, ResidualKeys, Target
@@ -57,11 +56,10 @@ class PostureNumbers(JointNumbers):
         """Find the joint coordinates."""
         coords = b.layout.dof_coord[b.dofs(self.of, self.joints)]
         if self.joints and (coords < 0).any():
-            raise SceneError(
+            raise b.error(
                 "a joint here has no single coordinate: free and ball joints have rotation_residual and "
                 "position_residual",
-                key=f"{b.key}.joints",
-                file=b.file,
+                "joints",
                 found=list(self.joints),
             )
         coords = coords[coords >= 0]
@@ -89,7 +87,7 @@ class Controls(Numbers):
             return
         if self.of is not None:
             what = "name controls or their robot, not both: leave out 'of'"
-            raise SceneError(what, key=f"{b.key}.controls", file=b.file, found=self.of)
+            raise b.error(what, "controls", found=self.of)
         self.pick(p, [b.control(name, "controls") for name in self.controls], b)
 
 

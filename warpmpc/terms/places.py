@@ -11,7 +11,6 @@ from pydantic import Field
 
 from ..kernels.terms.points import Points
 from ..model.layout import WORLD
-from ..scene.errors import SceneError
 from ..scene.types import OneOrSeveral, Section
 
 if TYPE_CHECKING:
@@ -79,17 +78,11 @@ def massive(name: str, key: str, b: Binding) -> np.ndarray:
     else:
         links = [frame for frame in layout.frame_name if frame.partition("/")[0] in entities]
         if name not in links:
-            raise SceneError(
-                "no such robot, object or link",
-                key=f"{b.key}.{key}",
-                file=b.file,
-                found=name,
-                allowed=[*entities, *links],
-            )
+            raise b.error("no such robot, object or link", key, found=name, allowed=[*entities, *links])
         bodies = hanging(layout, int(layout.frame_body[layout.frame_name.index(name)]))
     found = np.array([body for body in bodies if layout.body_mass[body] > 0.0], dtype=int)
     if not len(found):
-        raise SceneError("this has no mass", key=f"{b.key}.{key}", file=b.file, found=name)
+        raise b.error("this has no mass", key, found=name)
     return found
 
 
@@ -108,7 +101,7 @@ def points_struct(points: Sequence[Point], b: Binding) -> Points:
     """Points as kernels take them."""
     out = Points()
     out.body = b.array([point.body for point in points], dtype=int)
-    out.at = b.array(np.array([point.at for point in points], dtype=np.float32), dtype=wp.vec3)
+    out.at = b.array([point.at for point in points], dtype=wp.vec3)
     out.share = b.array([point.share for point in points], dtype=float)
     out.lead = b.array([point.lead for point in points], dtype=float)
     return out

@@ -26,7 +26,6 @@ from ..kernels.terms.points import (
     wanted,
 )
 from ..kernels.terms.view import StepView, frame_rotation
-from ..scene.errors import SceneError
 from ..scene.types import Finite, Names, NonNegative, OneOrSeveral
 from .places import CentreOfMass, Place, Point, massive, place_points, points_struct
 
@@ -115,12 +114,7 @@ class SpatialResidual(ResidualKeys):
         points += [point.scaled(-1.0) for point in place_points(self.relative_to or (), "relative_to", b)]
         flat = self.without_height(b)
         if self.axes and "z" in self.axes and flat:
-            raise SceneError(
-                "this pose has no height: give it three coordinates, or leave z out",
-                key=f"{b.key}.axes",
-                file=b.file,
-                found=flat[0],
-            )
+            raise b.error("this pose has no height: give it three coordinates, or leave z out", "axes", found=flat[0])
         self.of_axes(p, points, self.axes or ("xy" if flat else "xyz"), b)
         if self.heading:
             p.heading = b.frame(self.heading, "heading")

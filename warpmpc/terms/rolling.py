@@ -21,7 +21,6 @@ from ..kernels.terms.view import (
     step_before,
     step_length,
 )
-from ..scene.errors import SceneError
 from ..scene.types import Flag, NonNegative, Positive
 
 GRAVITY = 9.81
@@ -53,10 +52,10 @@ class RollingBall(TermKeys):
         """Find the ball's joint, and room for its motion."""
         shape, layout = b.object_shape(self.ball, "ball"), b.layout
         if shape.kind != "sphere":
-            raise SceneError("only spheres roll like this", key=f"{b.key}.ball", file=b.file, found=shape.kind)
+            raise b.error("only spheres roll like this", "ball", found=shape.kind)
         joint = int(np.flatnonzero(layout.joint_child == shape.body)[0])
         if int(layout.joint_type[joint]) != int(FREE):
-            raise SceneError("this object does not move freely", key=f"{b.key}.ball", file=b.file, found=self.ball)
+            raise b.error("this object does not move freely", "ball", found=self.ball)
         p.memory = b.carry(4)
         p.velocity = int(layout.joint_qd_start[joint])
         p.carried, p.gravity = float(self.carried), GRAVITY

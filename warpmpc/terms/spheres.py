@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from ..cost.binding import Binding
@@ -48,11 +47,9 @@ def fitted(robots: Sequence[Entity], bodies: Sequence[int], overhang: float, b: 
             given[link_body(name, robot.bodies, b, f"robot.{robot.name}.spheres.{name}")] = rows
     spheres = fit_spheres(b.layout, bodies, overhang=overhang, given=given)
     if not len(spheres):
-        raise SceneError(
+        raise b.error(
             f"these links have no shape that collides: give them spheres = {{ link = [[x, y, z, radius]] }} in "
             f"[[robot]] '{robots[0].name}'",
-            key=b.key,
-            file=b.file,
             found=[b.layout.body_name[body] for body in bodies],
         )
     return spheres
@@ -65,7 +62,7 @@ def table_of(spheres: Spheres, b: Binding) -> SphereTable:
     table.centre, table.radius = b.array(spheres.centre, wp.vec3), b.array(spheres.radius, float)
     for name in ("body", "first", "count"):
         setattr(table, name, b.array([getattr(group, name) for group in groups], int))
-    table.bound_centre = b.array(np.array([group.centre for group in groups], dtype=np.float32), wp.vec3)
+    table.bound_centre = b.array([group.centre for group in groups], wp.vec3)
     table.bound_radius = b.array([group.radius for group in groups], float)
     return table
 
