@@ -61,7 +61,7 @@ class Binding:
         return SceneError(message, key=f"{self.key}.{key}" if key else self.key, file=self.file, **more)
 
     def array(self, values: object, dtype: type) -> wp.array:
-        """An array of parameters on the device of the terms; vectors, matrices and poses from nested lists, empty too."""
+        """Array of parameters on the device of the terms; vectors, matrices and poses come from nested lists."""
         if hasattr(dtype, "_shape_"):
             scalar = np.int32 if dtype._wp_scalar_type_ is wp.int32 else np.float32
             values = np.asarray(values, dtype=scalar).reshape(-1, *dtype._shape_)
