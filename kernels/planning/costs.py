@@ -164,7 +164,7 @@ def finish_kernel(
     # inputs
     stage_cost: wp.array3d[float],  # [term, T, W] of terms that are evaluated at every step, on the record
     on_record: wp.array[int],  # [n] which they are
-    on_the_way: wp.array[int],  # [m] all others, whose total is there already
+    in_launch: wp.array[int],  # [m] all others, whose total is there already
     weights: CostWeights,
     stage_risk: float,  # R of ρ(l; R); where it is not zero every term is on the record
     failed: wp.array[int],  # [W] nonzero where the physics failed; empty where there is none
@@ -196,8 +196,8 @@ def finish_kernel(
                     part = factor * stage_cost[i, t, w]
                     total[i, w] = total[i, w] + part
                     cost += part
-        for n in range(on_the_way.shape[0]):
-            cost += total[on_the_way[n], w]
+        for n in range(in_launch.shape[0]):
+            cost += total[in_launch[n], w]
         good = wp.isfinite(cost)
         if failed.shape[0] > 0:
             good = good and failed[w] == 0

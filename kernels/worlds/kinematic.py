@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..geometry.kinematics import JointTable, forward_kinematics
-from .evaluation import TAPS
+from .launch import TAPS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +25,7 @@ class Drives:
 
 @wp.struct
 class KinematicWork:
-    """Inputs and outputs of rollouts, for kernels that evaluate terms on the way."""
+    """Inputs and outputs of rollouts, for launches that evaluate terms, too."""
 
     knots: wp.array4d[float]  # [E, S, P, nu]
     tap: wp.array3d[int]  # [E, T, TAPS] knots that a step's control depends on

@@ -79,7 +79,7 @@ def test_what_carries_numbers_needs_a_place_for_them():
 
 
 def balancing(*, seed: int = 0, device: str = "cpu", **ball):
-    """A controller after two plans from a moving start, with a term that has baked source beside the ball."""
+    """A controller after two plans from a moving start, with a term that has source beside the ball."""
     scene = warpmpc.load_scene("storm_balance", overrides=["planner.samples=37", "planner.noise.sigma=1.0"])
     rows = [cost for cost in scene.cost if cost.term == "pose"]
     rolling = type(rows[0]).model_validate({**BALL, **ball})

@@ -60,7 +60,7 @@ def pushed_binding(keys, binding):
 
 PUSHED = replace(
     TERMS["contact_force"], name="pushed", function=pushed, params=PushedParams, bind=pushed_binding,
-    native=force_squared,
+    source=force_squared,
 )  # fmt: skip
 
 
@@ -71,7 +71,7 @@ class LowParams:
 
 @warpmpc.cost_term("low")
 def low(s: warpmpc.StepView, p: LowParams) -> float:
-    """A user's term, without baked source."""
+    """A user's term, without source."""
     return wp.abs(warpmpc.frame_velocity(s, p.frame)[0]) + 2.0 * warpmpc.frame_position(s, p.frame)[1] ** 2.0
 
 

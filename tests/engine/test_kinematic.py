@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``kinematic``: baked rollouts against the plain kernels, on arms, a mobile base and other trees."""
+"""The engine ``kinematic``: its rollouts against the plain kernels, on arms, a mobile base and other trees."""
 
 import numpy as np
 import pytest
@@ -291,7 +291,7 @@ def test_what_needs_physics_is_refused(changes, said):
         Controller(type(scene).model_validate(data), engine="kinematic", device="cpu")
 
 
-GPU_COSTS = {"baked": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision": COLLISION}
+GPU_COSTS = {"in launch": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision": COLLISION}
 
 
 @pytest.mark.gpu
@@ -299,7 +299,7 @@ GPU_COSTS = {"baked": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision"
 @pytest.mark.parametrize("cost", GPU_COSTS)
 def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
     need(CUDA)
-    modes = ("acceleration", "velocity", "position") if cost in ("baked", "recorded") else ("acceleration",)
+    modes = ("acceleration", "velocity", "position") if cost in ("in launch", "recorded") else ("acceleration",)
     for mode in modes:
         scene = scene_of(robot, mode, GPU_COSTS[cost], OBSTACLES, horizon=40)
         mpc, expected = planned(scene, envs=2, terms=[low], device="cuda")

@@ -56,9 +56,9 @@ class CostTerm:
     """Turns the keys of a scene file into a filled parameter struct."""
     keys: type[Section] | None = None
     """Types of those keys, for help texts and errors; derived from the struct for users' terms."""
-    native: Callable[[TermCode, Any], Operand | None] | None = None
-    """Writes the term as baked source, given its filled parameter struct; returns the value, or None where the
-    parameters ask for what only :attr:`function` can do. Engines that evaluate terms on the way prefer it."""
+    source: Callable[[TermCode, Any], Operand | None] | None = None
+    """Writes the term's source by hand, given its filled parameter struct; returns the value, or None where the
+    parameters ask for what only :attr:`function` can do. A launch prefers it to the traced source."""
     advance: wp.Function | None = None
     """``(s: StepView, p: Params)``, called at the steps 0, 1, ... of every rollout before any is evaluated: writes
     the numbers that the term carries along (:func:`~warpmpc.remember`), from the step before and what else it sees."""

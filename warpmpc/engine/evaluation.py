@@ -45,7 +45,7 @@ class Part(NamedTuple):
 class RolloutEngine(ABC):
     """Takes knots to costs: write the knots of a part of the samples, roll them out, evaluate, sum.
 
-    Where a term is evaluated is data (:meth:`_place_terms`): the launch that rolls out sums it on the way, or it is
+    Where a term is evaluated is data (:meth:`_place_terms`): the launch that rolls out sums it, or it is
     evaluated on what rollouts record, in the same launch or in one of its own.
 
     Args:
@@ -101,7 +101,7 @@ class RolloutEngine(ABC):
         self.recorded, self.records, self._apart = out, bool(on_record), apart
         self.evaluator = CostEvaluator(self.costs, out, out.control, self.state, shape, self.request.grid.t)
         rest = [i for i in range(len(self.costs.terms)) if i not in on_record]
-        self._on_record, self._on_the_way = (
+        self._on_record, self._in_launch = (
             wp.array(list(numbers), dtype=int, device=self.device) for numbers in (on_record, rest)
         )
 
@@ -151,7 +151,7 @@ class RolloutEngine(ABC):
 
     def _reduce(self, first: int, count: int) -> None:
         """Costs of some samples from what their terms cost, at every step or over the horizon."""
-        inputs = [self.evaluator.cost, self._on_record, self._on_the_way, self.weights, self._stage_risk]
+        inputs = [self.evaluator.cost, self._on_record, self._in_launch, self.weights, self._stage_risk]
         inputs += [self._failed, self.state.observed, *self._risk, first]
         outputs = [self.total, self._rollout_cost, self.diverged, self.cost]
         self._launch(finish_kernel, count, inputs, outputs)

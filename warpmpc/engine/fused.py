@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.evaluation import TAPS
+from ..kernels.worlds.launch import TAPS
 from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
@@ -19,8 +19,8 @@ from ..physics.kernel import WARP, RolloutWork, options
 from ..scene.errors import SceneError
 from .fused_physics import FusedPhysics
 from .fused_state import PhysicsState, cost_code
-from .inlining import inline_terms
 from .launch_kernel import RECORDS_ALONE
+from .launch_terms import launch_terms
 from .launched import LaunchedEngine
 from .step_worlds import LEAD, StepWorlds
 from .thread_pool import PARTS, ThreadPool, thread_count
@@ -126,7 +126,7 @@ class FusedEngine(LaunchedEngine):
         if self._on_gpu:
             return None, list(range(len(self.costs.terms)))
         writer = PhysicsState(self.layout, self.simulator.map)
-        terms, on_record = inline_terms(self.costs, writer, stage_risk=self._stage_risk)
+        terms, on_record = launch_terms(self.costs, writer, stage_risk=self._stage_risk)
         return cost_code(writer, terms) if terms else None, on_record
 
     def record(self, worlds: Sequence[int]) -> Trajectory:

@@ -14,7 +14,7 @@ import warp as wp
 from ..bake.lines import OutOfRange
 from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
-from ..kernels.worlds.evaluation import TAPS
+from ..kernels.worlds.launch import TAPS
 from ..launch import Launcher
 from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair

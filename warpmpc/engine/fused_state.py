@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..bake.lines import Lines, Operand, Vector, known
-from ..cost.code.state import NotBaked, StateCode
+from ..cost.code.state import Refused, StateCode
 from ..cost.code.terms import POINTERS, TIMES, sums
 from ..cost.code.tree import Axis, Place, Tree
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
@@ -49,7 +49,7 @@ class PhysicsState(StateCode):
             for turn in self.numbers.turns:
                 if 0 <= i - turn.q < turn.width[0]:
                     if not _plain(turn):
-                        raise NotBaked(f"the coordinates of {self.layout.joint_name[turn.joint]}")
+                        raise Refused(f"the coordinates of {self.layout.joint_name[turn.joint]}")
                     at = turn.model_q + (0, 1, 2, 4, 5, 6, 3)[i - turn.q]
         if at is None:  # of what the physics does not move
             return self._cached(("q", i), lambda: self.once.let(f"(T)q_start[{i}]"))
@@ -64,7 +64,7 @@ class PhysicsState(StateCode):
         if turn is None:
             return 0.0
         if not _plain(turn):
-            raise NotBaked(f"the velocities of {self.layout.joint_name[turn.joint]}")
+            raise Refused(f"the velocities of {self.layout.joint_name[turn.joint]}")
         return self._cached(("twist", turn.body), lambda: self._twist(turn.body))[dof - turn.v]
 
     def _twist(self, body: int) -> Vector:
@@ -175,7 +175,7 @@ class PhysicsTree(Tree):
             return []
         linear, angular = (int(n) for n in layout.joint_dof_dim[joint])
         if kind == int(BALL) or angular > 1:
-            raise NotBaked(f"joint {layout.joint_name[joint]} turns about several axes")
+            raise Refused(f"joint {layout.joint_name[joint]} turns about several axes")
         before, after = layout.joint_pose_parent[joint].astype(float), layout.joint_pose_child[joint].astype(float)
         parent, child = self.place(int(layout.joint_parent[joint])), self.place(int(layout.joint_child[joint]))
         frame, origin = Rotation.from_quat(before[3:]).as_matrix(), self.point(child, after[:3])
@@ -198,7 +198,7 @@ def _plain(turn: Turn) -> bool:
 
 
 def cost_code(state: PhysicsState, terms: Sequence[TermSource]) -> AddedCode:
-    """Statements that sum cost terms on the way.
+    """Statements that sum cost terms in the launch.
 
     Args:
         state: What the terms ask for.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``kinematic``: no physics; joints follow the controls, and terms are evaluated on the way (STORM).
+"""The engine ``kinematic``: no physics; joints follow the controls, and terms are evaluated in the launch (STORM).
 
 Thousands of samples take less than a millisecond: one launch takes them from knots to costs, with the robot and most
 terms written out as straight-line source (``warpmpc.bake``). Terms without such a form are called in the same launch on
@@ -30,9 +30,9 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
-from .inlining import inline_terms
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
+from .launch_terms import launch_terms
 from .launched import LaunchedEngine
 from .step_worlds import ConvertedWorlds
 from .thread_pool import thread_count
@@ -79,9 +79,9 @@ class KinematicEngine(LaunchedEngine):
         super().__init__(request, KinematicWork)
         self._no_physics = self._zeros(0, dtype=int)
         writer = StateCode(self.layout, moving_dofs(self.layout), quaternions=True)
-        baked, on_record = inline_terms(self.costs, writer, stage_risk=self._stage_risk)
+        in_launch, on_record = launch_terms(self.costs, writer, stage_risk=self._stage_risk)
         spline = request.spline
-        source = RolloutSource(writer, baked, spline.kind, len(spline.time), self.lanes, bool(on_record)).write()
+        source = RolloutSource(writer, in_launch, spline.kind, len(spline.time), self.lanes, bool(on_record)).write()
         self._allocate_record(on_record)
         options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if self.lanes == 16 else {}
         shared = {"sharing": WARP if self._on_gpu else 1, "threads": 256, "options": options}
@@ -93,7 +93,7 @@ class KinematicEngine(LaunchedEngine):
         return self._no_physics
 
     def rollouts(self, worlds: Sequence[int]) -> Trajectory:
-        """Some rollouts of the last evaluation, by the plain kernels that the baked source is tested against.
+        """Some rollouts of the last evaluation, by the plain kernels that the source is tested against.
 
         Args:
             worlds: Which worlds.

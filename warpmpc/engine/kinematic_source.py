@@ -15,7 +15,7 @@ from ..bake.lines import Operand, text
 from ..bake.simd import header
 from ..cost.code.terms import POINTERS, TIMES, TermSource, sums
 from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.evaluation import TAPS
+from ..kernels.worlds.launch import TAPS
 from .kinematic_motion import WARP, Drive, before, carry, motion_cpu, motion_gpu, own, start_cpu, start_gpu
 
 if TYPE_CHECKING:
@@ -29,11 +29,11 @@ class RolloutSource:
 
     Args:
         state: What the terms asked for.
-        terms: Terms that are summed on the way.
+        terms: Terms that are summed in the launch.
         spline: Kind of spline from knots to controls.
         knots: Knots of a sample.
         lanes: Samples in a vector on a CPU.
-        records: Whether all states are written down, for terms that are not summed on the way.
+        records: Whether all states are written down, for terms on the record.
     """
 
     state: StateCode

@@ -9,7 +9,7 @@ import warp as wp
 from ..cost.kernel import EvaluationCode
 from ..kernels.planning.costs import CostWeights
 from ..kernels.terms.view import StepView
-from ..kernels.worlds.evaluation import TermSums
+from ..kernels.worlds.launch import TermSums
 
 RECORDS_ALONE = -1
 """Groups of an environment for launches that evaluate nothing they recorded."""

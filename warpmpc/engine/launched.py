@@ -13,7 +13,7 @@ from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
 from ..cost.term import CostTerm
 from ..kernels.planning.splines import ZERO
-from ..kernels.worlds.evaluation import TAPS, TermSums, taps_kernel
+from ..kernels.worlds.launch import TAPS, TermSums, taps_kernel
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from .evaluation import Part, RolloutEngine

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..bake.simd import native_lanes
-from ..kernels.worlds.evaluation import TAPS
+from ..kernels.worlds.launch import TAPS
 from ..launch import Launcher
 from .kernel import WARP, RolloutWork, make_kernel
 from .missing import missing

@@ -22,7 +22,7 @@ from ..kernels.terms.view import (
 from ..model.joints import chain, chain_axes
 from ..scene.types import Floats, NonNegative, NonNegatives, Positive
 from .joints import JointNames, outside
-from .native import arm as native
+from .source import arm as source
 
 
 class Pose(TermKeys):
@@ -191,7 +191,7 @@ class Manipulability(FrameChain):
         p.step = int(self.form is Form.STEP)
 
 
-@term("manipulability", Manipulability, native=native.manipulability)
+@term("manipulability", Manipulability, source=source.manipulability)
 def manipulability(s: StepView, p: Manipulability.Params) -> float:
     """max(0, (k_m - m)/k_m) for the manipulability m = √det(J Jᵀ) of a frame (STORM's code), or 1 - m where m < k_m.
 

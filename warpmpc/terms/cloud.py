@@ -13,7 +13,7 @@ from ..kernels.geometry.volume import Volume, between_voxels, voxel_distance
 from ..kernels.terms.view import StepView
 from ..scene.errors import SceneError
 from ..scene.types import NonNegative
-from .native import cloud as native
+from .source import cloud as source
 from .spheres import LinkKeys
 
 
@@ -65,7 +65,7 @@ def cloud_distance(p: CloudCollision.Params, e: int, at: wp.vec3) -> float:
     return voxel_distance(p.volume, e, at) - p.allowance
 
 
-@term("cloud_collision", CloudCollision, native=native.cloud_collision)
+@term("cloud_collision", CloudCollision, source=source.cloud_collision)
 def cloud_collision(s: StepView, p: CloudCollision.Params) -> float:
     """max(0, margin - d), d the least distance of a link's spheres from the cloud [m]; or 1 if d < margin, else 0.
 

@@ -17,7 +17,7 @@ from ..model.link_pairs import self_pairs
 from ..scene.errors import SceneError
 from ..scene.types import Names, NonNegative, Positive
 from .mesh_volumes import mesh_volumes
-from .native import collision as native
+from .source import collision as source
 from .spheres import LinkKeys, SphereTable, fitted, link_body, table_of
 
 _FINENESS = wp.constant(0.25)
@@ -61,7 +61,7 @@ class SelfCollision(TermKeys):
         p.first, p.second = (b.array(np.ascontiguousarray(side), int) for side in pairs.T)
 
 
-@term("self_collision", SelfCollision, native=native.self_collision)
+@term("self_collision", SelfCollision, source=source.self_collision)
 def self_collision(s: StepView, p: SelfCollision.Params) -> float:
     """max(0, margin + d) with d the deepest penetration of two links' spheres, negative when all are apart [m].
 
@@ -202,7 +202,7 @@ def least_on_way(p: WorldCollision.Params, k: int, a: wp.vec3, b: wp.vec3, radiu
     return least
 
 
-@term("world_collision", WorldCollision, native=native.world_collision)
+@term("world_collision", WorldCollision, source=source.world_collision)
 def world_collision(s: StepView, p: WorldCollision.Params) -> float:
     """max(0, margin - d), d the least distance of a link's spheres from an obstacle [m]; or 1 if d < margin, else 0.
 

@@ -16,7 +16,7 @@ from ..model.assets import resolve_asset
 from ..model.npz import read_npz
 from ..model.self_shape import self_fingerprint
 from ..scene.types import NonNegative
-from .native import learned as native
+from .source import learned as source
 
 UNITS = wp.constant(64)
 """Most inputs, and most units of the second row, of a network."""
@@ -59,10 +59,10 @@ class Weights:
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Parameters ``first``, ``second`` and ``last``, filled up with units that say nothing."""
         (w1, w2, w3), (b1, b2, b3) = self.weights, self.biases
-        first = _filled(np.concatenate([w1, b1[None]]).T, native.FIRST, 0)
-        second = _filled(_filled(w2, native.FIRST, 0), native.SECOND, 1)
-        second = np.concatenate([second, _filled(b2[None], native.SECOND, 1)])
-        return first, second, np.concatenate([_filled(w3[:, 0], native.SECOND, 0), b3])
+        first = _filled(np.concatenate([w1, b1[None]]).T, source.FIRST, 0)
+        second = _filled(_filled(w2, source.FIRST, 0), source.SECOND, 1)
+        second = np.concatenate([second, _filled(b2[None], source.SECOND, 1)])
+        return first, second, np.concatenate([_filled(w3[:, 0], source.SECOND, 0), b3])
 
 
 def _filled(values: np.ndarray, block: int, axis: int) -> np.ndarray:
@@ -148,7 +148,7 @@ def network_distance(s: StepView, p: LearnedSelfCollision.Params) -> float:
     return d
 
 
-@term("learned_self_collision", LearnedSelfCollision, native=native.learned_self_collision)
+@term("learned_self_collision", LearnedSelfCollision, source=source.learned_self_collision)
 def learned_self_collision(s: StepView, p: LearnedSelfCollision.Params) -> float:
     """max(0, margin + d) with d a network's guess of how deep two links are in each other [m].
 

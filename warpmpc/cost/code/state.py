@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variables of baked source on one state of a rollout: joints, frames, velocities, poses of the task.
+"""Variables of source on one state of a rollout: joints, frames, velocities, poses of the task.
 
 Names in the source: ``q3`` is a joint coordinate, ``v3``, ``a3`` and ``b3`` velocity and acceleration of a degree of
 freedom and its acceleration one step before, ``c3`` and ``d3`` a control and the one before, ``dt`` the length of the
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from ...model.layout import Layout
 
 
-class NotBaked(Exception):
-    """A term asked for something about the state that only its Warp function can have."""
+class Refused(Exception):
+    """What keeps a term out of the launch: a construct or a part of the state that source has not; the message says."""
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,11 @@ class StateCode:
 
     def sensor(self, index: int) -> Operand:
         """A number of the sensors, in the sensor's own unit."""
-        raise NotBaked(f"number {index} of the sensors")
+        raise Refused(f"number {index} of the sensors")
 
     def force(self, pair: int) -> Vector:
         """Mean contact force on the first of a watched pair during the step, in the world's frame [N]."""
-        raise NotBaked(f"the force of pair {pair}")
+        raise Refused(f"the force of pair {pair}")
 
     def point_velocity(self, body: int, at: np.ndarray) -> tuple[Vector, Vector]:
         """Velocity of such a point [m/s], and its body's angular velocity [rad/s]."""

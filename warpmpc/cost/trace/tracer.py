@@ -49,8 +49,8 @@ def trace(code: TermCode, function: wp.Function, params: Any) -> Operand:
         The term's value.
 
     Raises:
-        Refused: If the function does what cannot be traced; the message says what.
-        NotBaked: If it asks for something about the state that the engine's source does not have.
+        Refused: If the function does what cannot be traced, or asks for a part of the state that the engine's source
+            does not have; the message says what.
     """
     return Tracer(code).run(function, params)
 

@@ -12,16 +12,13 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from ...bake.lines import Lines, known
+from ..code.state import Refused
 
 MOST = 60000
 """Statements of a term at most."""
 
 C_TYPE = {"T": "T", "S": "float", "I": "I", "i": "int", "M": "auto", "m": "bool"}
 """Type in C of each kind of number (:class:`Num`)."""
-
-
-class Refused(Exception):
-    """A construct that cannot be traced; the message says which."""
 
 
 @dataclass(frozen=True)

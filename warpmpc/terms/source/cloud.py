@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of ``cloud_collision``: one gather for a sphere, or eight."""
+"""Source of ``cloud_collision``: one gather for a sphere, or eight."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of the terms of an arm (Bhardwaj et al., STORM, CoRL 2021)."""
+"""Source of the terms of an arm (Bhardwaj et al., STORM, CoRL 2021)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the cost terms that become part of an engine's source."""
+"""Where cost terms are evaluated: in the launch, whose source they become part of, or on the record."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import logging
 from typing import TYPE_CHECKING, Any
 
 from ..bake.lines import Lines, OutOfRange
-from ..cost.code.state import NotBaked, TermCode
+from ..cost.code.state import Refused, TermCode
 from ..cost.code.terms import TermSource
 from ..cost.term import ArrayCost, CostTerm
 from ..cost.trace.tracer import trace
-from ..cost.trace.values import Refused
 
 if TYPE_CHECKING:
     from ..bake.lines import Operand
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("warpmpc")
 
 
-def inline_terms(
+def launch_terms(
     costs: CostStack, state: StateCode, *, stage_risk: float = 0.0
 ) -> tuple[tuple[TermSource, ...], list[int]]:
     """Source of all terms that can be written, and the numbers of those that cannot.
@@ -31,15 +30,15 @@ def inline_terms(
         state: What they may ask about a state, in which they leave what they share.
         stage_risk: R of ρ(l; R), which needs all terms of a step together: none is written where it is not zero.
     """
-    inlined, recorded = [], []
+    in_launch, on_record = [], []
     for i, (term, bound) in enumerate(costs.terms):
         code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
         value = term_source(code, term, bound, costs.labels[i]) if stage_risk == 0.0 else None
         if value is None:
-            recorded.append(i)
+            on_record.append(i)
         else:
-            inlined.append(TermSource(i, code.lines, value))
-    return tuple(inlined), recorded
+            in_launch.append(TermSource(i, code.lines, value))
+    return tuple(in_launch), on_record
 
 
 def term_source(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) -> Operand | None:
@@ -54,9 +53,9 @@ def term_source(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: s
     if not isinstance(term, CostTerm):
         return None
     try:
-        value = term.native(code, bound) if term.native else None
+        value = term.source(code, bound) if term.source else None
         return trace(code, term.function, bound) if value is None else value
-    except (NotBaked, OutOfRange, Refused) as error:
+    except (OutOfRange, Refused) as error:
         if term.advance is None:
-            logger.info("cost term '%s' is evaluated on recorded rollouts, not inside the launch: %s", label, error)
+            logger.info("cost term '%s' is evaluated on the record, not in the launch: %s", label, error)
         return None

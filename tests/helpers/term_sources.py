@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of cost terms over rollouts that were recorded, many worlds at once, beside the kernels of a stack."""
+"""Source of cost terms over rollouts that were recorded, many worlds at once, beside the kernels of a stack."""
 
 import re
 from typing import Any
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
 from warpmpc.bake.simd import WIDE, header, native_lanes
 from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
-from warpmpc.engine.inlining import term_source as write_term
+from warpmpc.engine.launch_terms import term_source as write_term
 from warpmpc.kernels.terms.view import TASK_BODY, StepView
 
 
@@ -109,7 +109,7 @@ def write(evaluating: Evaluating, lanes: int) -> str:
         code = TermCode(RecordedState(evaluating.layout, lines), lines, f"p.p{i}")
         value = write_term(code, term, bound, stack.labels[i])
         if value is None:
-            raise LookupError(f"{term.name} has no baked source for {evaluating.scene.cost[i].params}")
+            raise LookupError(f"{term.name} has no source for {evaluating.scene.cost[i].params}")
         put = f"VSTORE(cost + {i} * steps * WIDTH, {text(value)});"
         body.append(f"if (weight[{i}] != 0.0f) {{\n" + "\n".join((*lines.statements, put)) + "\n}")
     statements = "\n".join(body)
@@ -149,7 +149,7 @@ def _slice(array: str, t: str) -> str:
 
 
 def make_kernel(source: str, params: Any, lanes: int) -> wp.Kernel:
-    """The kernel of baked source: one thread takes a group of worlds from the first step to the last."""
+    """The kernel of this source: one thread takes a group of worlds from the first step to the last."""
     options = {"cpu_compiler_flags": (wp.config.cpu_compiler_flags or "") + WIDE} if lanes == 16 else {}
 
     @wp.func_native(source)
@@ -167,8 +167,8 @@ _SCALAR = re.compile(r"\b(fmaxf|fminf|fabsf|sqrtf|rintf|floorf|exp2f)\(")
 """Functions of one float that Warp's compiler for CPUs knows by another name."""
 
 
-class NativeEvaluator:
-    """Costs of the rollouts of an :class:`Evaluating` by baked source, all its terms in one kernel.
+class SourceEvaluator:
+    """Costs of the rollouts of an :class:`Evaluating` by their source, all its terms in one kernel.
 
     Args:
         evaluating: Whose rollouts, and whose terms.

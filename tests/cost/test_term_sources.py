@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of cost terms says what their Warp functions say, many worlds at once and one alone."""
+"""Source of cost terms says what their Warp functions say, many worlds at once and one alone."""
 
 import functools
 
 import numpy as np
 import pytest
 import warp as wp
-from native_terms import NativeEvaluator
 from push_scenes import block
 from rollouts import OBSTACLES, Rollouts
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX
+from term_sources import SourceEvaluator
 
 from warpmpc.bake.simd import native_lanes
 from warpmpc.model.batch_size import BatchSize
@@ -167,9 +167,9 @@ def evaluated(where: str) -> Rollouts:
 
 
 @functools.cache
-def baked(where: str, lanes: int) -> np.ndarray:
-    """What baked source says ``[term, T, W]``."""
-    return NativeEvaluator(evaluated(where), lanes).cost()
+def sourced(where: str, lanes: int) -> np.ndarray:
+    """What the source says ``[term, T, W]``."""
+    return SourceEvaluator(evaluated(where), lanes).cost()
 
 
 @functools.cache
@@ -188,12 +188,12 @@ CASES = [
 
 @pytest.mark.parametrize("lanes", sorted({1, 4, native_lanes()}))
 @pytest.mark.parametrize(("where", "term"), [case[:2] for case in CASES], ids=[f"{c[0]}-{c[2]}" for c in CASES])
-def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
+def test_terms_of_the_source_cost_what_their_functions_say(where, term, lanes):
     expected = plain(where)[term]
     assert np.ptp(expected) > 0.1
     # far away places are known less exactly
     far = np.abs(evaluated(where).trajectory.body_q.numpy()[1:]).max(axis=(2, 3))
-    found = baked(where, lanes)[term]
+    found = sourced(where, lanes)[term]
     wrong = ~(np.abs(found - expected) <= 1e-5 * np.abs(expected) + 2e-6 * np.maximum(far, 1.0))
     assert not wrong.any(), (np.argwhere(wrong), found[wrong], expected[wrong])
 
@@ -203,14 +203,14 @@ def test_baked_terms_cost_what_the_plain_ones_say(where, term, lanes):
 )
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
-    module = NativeEvaluator(evaluated(where)).kernel.module
+    module = SourceEvaluator(evaluated(where)).kernel.module
     assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
 
 
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])
 def test_a_world_that_diverged_changes_no_other(where):
     evaluating = evaluated(where)
-    evaluator = NativeEvaluator(evaluating)
+    evaluator = SourceEvaluator(evaluating)
     clean = evaluator.cost()
     array = evaluating.trajectory.body_q
     states = array.numpy().copy()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of the collision terms: spheres of links against each other and against shapes.
+"""Source of the collision terms: spheres of links against each other and against shapes.
 
 A group of spheres, those of one link, is looked at only where the sphere around it is near for any of the samples of a
 number. Spheres of equal radius share one square root: the least squared distance comes first.

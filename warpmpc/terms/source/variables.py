@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts that baked terms share: variables that later statements change."""
+"""Parts that these terms share: variables that later statements change."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of the learned collision terms: a network over as many samples as a number holds.
+"""Source of the learned collision terms: a network over as many samples as a number holds.
 
 Weights are read from arrays; what is written out is the number of units alone. On a CPU a block of units at a time
 stays in registers, each weight multiplied with all samples; on a GPU a thread has all units of the second row.

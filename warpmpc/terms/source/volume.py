@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Baked source of lookups in distance volumes: one gather for a point, or eight; beside ``kernels.geometry.volume``.
+"""Source of lookups in distance volumes: one gather for a point, or eight; beside ``kernels.geometry.volume``.
 
 The numbers of the volume that is looked at are ``vol``.
 """
