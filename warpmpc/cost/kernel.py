@@ -121,10 +121,21 @@ def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:
     names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))
-    # Warp reads the source of what it compiles from the file it came from
     about = repr((source, [(term.function.key, term.advance and term.advance.key) for _, term in terms]))
-    file = f"{GENERATED}{hashlib.sha256(about.encode()).hexdigest()[:12]}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    exec(compile(source, file, "exec", dont_inherit=True), names)
+    load_source(source, names, GENERATED, about)
     made = ("TermParams", "evaluate_step", "evaluate_kernel", "advance_step", "advance_kernel")
     return EvaluationCode(*(names[name] for name in made), advances=bool(advances))
+
+
+def load_source(source: str, names: dict[str, Any], kind: str, about: str) -> None:
+    """Execute generated source; Warp reads the source of what it compiles from the file it came from.
+
+    Args:
+        source: The source.
+        names: Its globals, which then have what it defines.
+        kind: How the name of that file begins.
+        about: What the rest of the name stands for.
+    """
+    file = f"{kind}{hashlib.sha256(about.encode()).hexdigest()[:12]}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    exec(compile(source, file, "exec", dont_inherit=True), names)

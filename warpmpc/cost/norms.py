@@ -25,31 +25,21 @@ class NormKind(StrEnum):
     RECTIFY = "rectify"
 
 
-_PARAMETERS = {
-    NormKind.QUADRATIC: "",
-    NormKind.L22: "pq",
-    NormKind.L2: "p",
-    NormKind.COSH: "p",
-    NormKind.POWER: "p",
-    NormKind.SMOOTH_ABS: "p",
-    NormKind.SMOOTH_ABS2: "pq",
-    NormKind.RECTIFY: "p",
+_NORMS = {
+    NormKind.QUADRATIC: (norms.QUADRATIC, ""),
+    NormKind.L22: (norms.L22, "pq"),
+    NormKind.L2: (norms.L22, "p"),
+    NormKind.COSH: (norms.COSH, "p"),
+    NormKind.POWER: (norms.POWER, "p"),
+    NormKind.SMOOTH_ABS: (norms.SMOOTH_ABS2, "p"),
+    NormKind.SMOOTH_ABS2: (norms.SMOOTH_ABS2, "pq"),
+    NormKind.RECTIFY: (norms.RECTIFY, "p"),
 }
-"""Parameters that each takes."""
-_KERNEL = {
-    NormKind.QUADRATIC: norms.QUADRATIC,
-    NormKind.L22: norms.L22,
-    NormKind.L2: norms.L22,
-    NormKind.COSH: norms.COSH,
-    NormKind.POWER: norms.POWER,
-    NormKind.SMOOTH_ABS: norms.SMOOTH_ABS2,
-    NormKind.SMOOTH_ABS2: norms.SMOOTH_ABS2,
-    NormKind.RECTIFY: norms.RECTIFY,
-}
+"""Norm of the kernels, and the parameters that each takes."""
 
 
 def _takes(kind: NormKind) -> str:
-    return f"the norm {kind} takes {' and '.join(_PARAMETERS[kind]) or 'neither p nor q'}"
+    return f"the norm {kind} takes {' and '.join(_NORMS[kind][1]) or 'neither p nor q'}"
 
 
 class NormKeys(Section):
@@ -64,7 +54,7 @@ class NormKeys(Section):
 
     @model_validator(mode="after")
     def _own_parameters(self) -> NormKeys:
-        wanted = _PARAMETERS[self.kind]
+        wanted = _NORMS[self.kind][1]
         given = "".join(name for name in "pq" if getattr(self, name) is not None)
         if given != wanted:
             raise ValueError(_takes(self.kind))
@@ -75,7 +65,7 @@ class NormKeys(Section):
     def struct(self) -> norms.Norm:
         """The norm as kernels take it."""
         out = norms.Norm()
-        out.kind, out.p, out.q = int(_KERNEL[self.kind]), self.p or 1.0, self.q or 2.0
+        out.kind, out.p, out.q = int(_NORMS[self.kind][0]), self.p or 1.0, self.q or 2.0
         return out
 
 
@@ -85,7 +75,7 @@ def _text_or_table(value: object) -> str:
 
 def _by_name(kind: NormKind) -> NormKeys:
     """A norm without parameters."""
-    if _PARAMETERS[kind]:
+    if _NORMS[kind][1]:
         raise ValueError(_takes(kind))
     return NormKeys(kind=kind)
 

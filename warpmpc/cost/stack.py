@@ -208,25 +208,15 @@ class CostEvaluator:
         self._weights = cost_weights(stack, state, np.ones(shape.horizon))  # what is evaluated is not discounted
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
-    def launch(self, first: int = 0, count: int | None = None) -> None:
-        """Evaluate every term that is a kernel at every step of some worlds into :attr:`cost`.
+    def launch(self, first: int = 0, count: int | None = None, code: tuple[EvaluationCode, Any] | None = None) -> None:
+        """Evaluate terms that are kernels at every step of some worlds into :attr:`cost`.
 
         Args:
             first: First of these worlds.
             count: How many they are, all from the first on if None.
+            code: Code of the terms and their parameters, as :meth:`CostStack.code_of` returns them; all terms if None.
         """
-        count = self.shape.worlds - first if count is None else count
-        self.launch_with(self.stack.code, self.stack.params, first, count)
-
-    def launch_with(self, code: EvaluationCode, params: Any, first: int = 0, count: int | None = None) -> None:
-        """Evaluate other code than that of the whole stack, such as some of its terms, as :meth:`launch` does.
-
-        Args:
-            code: The code.
-            params: Its parameters.
-            first: First of the worlds.
-            count: How many they are, all from the first on if None.
-        """
+        code, params = code or (self.stack.code, self.stack.params)
         count, rollouts = self.shape.worlds - first if count is None else count, self.shape.rollouts
         if code.advances:
             self._launch(code.advance_kernel, count, [self.view, params, rollouts, self.shape.horizon, first], [])

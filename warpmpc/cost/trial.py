@@ -106,11 +106,11 @@ def _launch(stack: CostStack, scene: Scene, evaluator: CostEvaluator, users: Col
     kernels = [i for i in users if isinstance(stack.terms[i][0], CostTerm)]
     if not kernels:
         return
-    code, params = stack.code_of(kernels)
+    code = stack.code_of(kernels)
     said: list[str] = []
     try:
         with native_output() as said:  # a C++ compiler speaks of code that no user has seen
-            evaluator.launch_with(code, params)
+            evaluator.launch(code=code)
     except Exception as error:
         blamed = refused(error, stack.labels, [term for term, _ in stack.terms], file=scene.path)
         if blamed is None:

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import linecache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from ..cost.kernel import load_source
 from ..cost.residual import fixed_norm
 from ..cost.term import CostTerm
 from ..kernels.planning.derivatives import norms_kernel
@@ -81,7 +80,9 @@ class Residuals:
         """First of each term's numbers ``[term]``."""
         self.width = int(self.count.sum())
         """Numbers R of all terms."""
-        self._kernel = _load(_SOURCE.format(rows="\n".join(rows)), names)
+        source = _SOURCE.format(rows="\n".join(rows))
+        load_source(source, names, "<residuals ", source)
+        self._kernel: wp.Kernel = names["residual_kernel"]
 
         def array(values: list, kind: type) -> wp.array:
             return wp.array(values, dtype=kind, device="cpu")
@@ -146,11 +147,3 @@ class Residuals:
         for at, count in zip(self.first, self.count, strict=True):
             hessian[:, at : at + count, at : at + count] = bend.numpy()[:, at : at + count, :count]
         return value.numpy(), slope.numpy(), hessian
-
-
-def _load(source: str, names: dict[str, Any]) -> wp.Kernel:
-    """Compile the kernel; Warp reads its source from the file it came from."""
-    file = f"<residuals {hashlib.sha256(source.encode()).hexdigest()[:12]}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    exec(compile(source, file, "exec", dont_inherit=True), names)
-    return names["residual_kernel"]

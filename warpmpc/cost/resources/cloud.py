@@ -20,7 +20,7 @@ from ...kernels.geometry.volume import (
     sweep_z_kernel,
 )
 from ...launch import Launcher, capturing
-from .resource import Idle
+from .resource import Resource
 
 if TYPE_CHECKING:
     from ...scene.schema_cloud import Cloud
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .resource import Resources
 
 
-class PointClouds(Idle):
+class PointClouds(Resource):
     """The point clouds that a stack's terms look at, one volume for each cloud and environment.
 
     New points wait on the host until the next plan begins, are copied then, and become a volume as part of the plan.

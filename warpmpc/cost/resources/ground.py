@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .geodesic import Grid
-from .resource import Idle
+from .resource import Resource
 
 if TYPE_CHECKING:
     from .resource import Resources
@@ -22,7 +22,7 @@ MARGIN = 1.0
 """Space around everything in the scene [m], if no term asks for more cells."""
 
 
-class Ground(Idle):
+class Ground(Resource):
     """A grid that covers starts, goal and obstacles, as fine and as wide as the terms ask for."""
 
     def __init__(self, resources: Resources):

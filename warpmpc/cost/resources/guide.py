@@ -13,7 +13,7 @@ from ...kernels.geometry.fields import GuideTable, guide_field_kernel, guide_tar
 from ...kernels.terms.paths import PathFields
 from ...launch import Launcher
 from .ground import Ground
-from .resource import Idle
+from .resource import Resource
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
@@ -32,7 +32,7 @@ class FieldRequest:
     """Obstacles grow by this [m]."""
 
 
-class Guides(Idle):
+class Guides(Resource):
     """The distance fields of a stack's terms; terms that ask for the same one share it."""
 
     def __init__(self, resources: Resources):

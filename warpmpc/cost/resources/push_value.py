@@ -20,7 +20,7 @@ import warp as wp
 from ...launch import capturing
 from .ground import CELL, Ground
 from .push_path import STEPS, PushRequest, push_value
-from .resource import Idle
+from .resource import Resource
 
 if TYPE_CHECKING:
     from ...task.task import Task
@@ -34,7 +34,7 @@ FINE = 0.4
 """Largest cell in half extents of the pushed object: a fifth of its extent."""
 
 
-class PushValues(Idle):
+class PushValues(Resource):
     """Least work to push objects to the goal, one value per term and environment (:func:`push_value`).
 
     A search takes tenths of a second. The first is waited for; when the goal moves later, it runs in a process of its

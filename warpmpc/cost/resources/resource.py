@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from ...task.task import Task
 
 
-class Resource(Protocol):
+class Resource:
     """Something that terms of a stack share: distance fields, push values, a point cloud.
 
     A term asks for it with :meth:`Resources.get` while it is bound and hands over its parameters; ``allocate`` then
-    fills in the arrays, which stay the same ones for good, so that captured graphs may hold them.
+    fills in the arrays, which stay the same ones for good, so that captured graphs may hold them. A subclass overrides
+    what it needs.
     """
 
     def __init__(self, resources: Resources): ...
@@ -61,22 +62,3 @@ class Resources:
 
     def __iter__(self) -> Iterator[Resource]:
         return iter(list(self._kinds.values()))
-
-
-class Idle:
-    """A resource that does nothing of its own accord; others override what they need."""
-
-    def before_plan(self, observed: ObservedState) -> None:
-        """Nothing follows the observation."""
-
-    def on_task_change(self, task: Task, names: frozenset[str]) -> None:
-        """Nothing follows the task."""
-
-    def refresh(self) -> None:
-        """Nothing is prepared beside the plan."""
-
-    def settle(self) -> None:
-        """Nothing to wait for."""
-
-    def reset(self) -> None:
-        """Nothing is kept."""

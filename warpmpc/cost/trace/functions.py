@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partialmethod
 from typing import Any
 
 from ...bake import simd
@@ -156,8 +157,7 @@ class Functions(Arithmetic):
     def wp_step(self, x: Any) -> Any:
         return self.merge(self.compare("<", x, 0.0), 1.0, 0.0)
 
-    def wp_where(self, c: Any, a: Any, b: Any) -> Any:
-        return self.merge(c, a, b)
+    wp_where = Arithmetic.merge
 
     def wp_isfinite(self, x: Any) -> Any:
         raise Refused("wp.isfinite: a launch may assume that numbers are finite")
@@ -214,9 +214,8 @@ class Functions(Arithmetic):
         if r.quaternion is not None:
             return r.quaternion
         (a, b, c), (d, e, f), (g, h, i) = r.columns
-        signs = ((a, -1, e, -1, i, (f, h)), (e, -1, a, -1, i, (g, c)), (i, -1, a, -1, e, (b, d)))
         out = []
-        for first, _, second, _, third, (more, less) in signs:
+        for first, second, third, more, less in ((a, e, i, f, h), (e, a, i, g, c), (i, a, e, b, d)):
             rest = self.binary("+", second, third)
             square = self.wp_max(self.binary("+", 1.0, self.binary("-", first, rest)), 0.0)
             size = self.binary("*", 0.5, self.wp_sqrt(square))
@@ -242,11 +241,7 @@ class Functions(Arithmetic):
         )
         return Rot(columns, (x, y, z, w))
 
-    def wp_quat_rotate(self, q: Rot, v: Vec) -> Vec:
-        return self.rotate(q, v)
-
-    def wp_quat_rotate_inv(self, q: Rot, v: Vec) -> Vec:
-        return self.rotate_back(q, v)
+    wp_quat_rotate, wp_quat_rotate_inv = Arithmetic.rotate, Arithmetic.rotate_back
 
     def wp_quat_inverse(self, q: Rot) -> Rot:
         x = q.quaternion
@@ -272,14 +267,8 @@ class Functions(Arithmetic):
     def wp_transform_identity(self) -> Pose:
         return Pose(self.wp_quat_identity(), Vec((0.0, 0.0, 0.0)))
 
-    def wp_transform_get_translation(self, p: Pose) -> Vec:
-        return self.pos(p)
-
-    def wp_transform_get_rotation(self, p: Pose) -> Rot:
-        return self.rot(p)
-
-    def wp_transform_point(self, p: Pose, v: Vec) -> Vec:
-        return self.point(p, v)
+    wp_transform_get_translation, wp_transform_get_rotation = Arithmetic.pos, Arithmetic.rot
+    wp_transform_point = Arithmetic.point
 
     def wp_transform_vector(self, p: Pose, v: Vec) -> Vec:
         return self.rotate(self.rot(p), v)
@@ -297,39 +286,23 @@ class Functions(Arithmetic):
     def wp_spatial_bottom(self, v: Vec) -> Vec:
         return Vec(v.x[3:])
 
-    def vec(self, n: int, x: tuple) -> Vec:
+    def vec(self, n: int, *x: Any) -> Vec:
         """Return a vector of ``n`` numbers, of one number ``n`` times, or of zeros."""
         if len(x) == 1 and isinstance(x[0], Vec):
             return x[0]
-        return Vec(tuple(x) if len(x) == n else (x or (0.0,)) * n)
+        return Vec(x if len(x) == n else (x or (0.0,)) * n)
 
-    def mat(self, n: int, x: tuple) -> Mat:
+    def mat(self, n: int, *x: Any) -> Mat:
         """Return a square matrix of its numbers row by row, of one number everywhere, or of zeros."""
         x = x if len(x) == n * n else (x or (0.0,)) * (n * n)
-        return Mat(tuple(tuple(x[n * i : n * i + n]) for i in range(n)))
+        return Mat(tuple(x[n * i : n * i + n] for i in range(n)))
 
-    def wp_vec2(self, *x: Any) -> Vec:
-        return self.vec(2, x)
-
-    def wp_vec3(self, *x: Any) -> Vec:
-        return self.vec(3, x)
-
-    def wp_vec4(self, *x: Any) -> Vec:
-        return self.vec(4, x)
-
+    wp_vec2, wp_vec3, wp_vec4 = partialmethod(vec, 2), partialmethod(vec, 3), partialmethod(vec, 4)
     wp_vec2f, wp_vec3f, wp_vec4f = wp_vec2, wp_vec3, wp_vec4
+    wp_mat22, wp_mat33, wp_spatial_matrix = partialmethod(mat, 2), partialmethod(mat, 3), partialmethod(mat, 6)
 
     def wp_spatial_vector(self, *x: Any) -> Vec:
-        return Vec(x[0].x + x[1].x) if x and isinstance(x[0], Vec) else self.vec(6, x)
-
-    def wp_spatial_matrix(self, *x: Any) -> Mat:
-        return self.mat(6, x)
-
-    def wp_mat22(self, *x: Any) -> Mat:
-        return self.mat(2, x)
-
-    def wp_mat33(self, *x: Any) -> Mat:
-        return self.mat(3, x)
+        return Vec(x[0].x + x[1].x) if x and isinstance(x[0], Vec) else self.vec(6, *x)
 
     def wp_float(self, x: Any) -> Any:
         if plain(x):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -174,7 +175,7 @@ class Tracer(Statements):
         if isinstance(x, type) and hasattr(x, "_wp_generic_type_str_"):
             own = getattr(self, f"wp_{x.__name__}", None) or getattr(self, f"wp_{x.__name__.removesuffix('f')}", None)
             if own is None and x._wp_generic_type_str_ == "vec_t":
-                return lambda *parts: self.vec(x._length_, parts)
+                return partial(self.vec, x._length_)
             if own is None:
                 raise Refused(x.__name__)
             return own
