@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Terms about distances from shapes and their outlines."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,7 @@ class ObstacleClearance(TermKeys):
 
     of: Frame
     """Frame."""
-    to: str = "surface"
+    to: Literal["surface", "centre"] = "surface"
     """surface or centre of the obstacles."""
     radius: NonNegative = 0.0
     """Subtracted from the distance [m]."""
@@ -31,8 +31,6 @@ class ObstacleClearance(TermKeys):
     def bind(self, p: Any, b: Binding) -> None:
         """Find the obstacles' shapes and the poses of the world in their frames."""
         b.require_still()
-        if self.to not in ("surface", "centre"):
-            raise b.error("wrong value", "to", found=self.to, allowed=["surface", "centre"])
         shapes = [b.layout.shapes[i] for e in b.layout.group("obstacles") for i in e.shapes]
         if meshes := [s.name for s in shapes if s.kind not in PRIMITIVES]:
             raise b.error("clearance needs primitive obstacles", found=meshes[0])

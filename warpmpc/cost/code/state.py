@@ -212,6 +212,12 @@ class TermCode:
     params: str
     """Its parameters' struct in the source, whose numbers may change between plans: ``f"{code.params}.margin"``."""
 
+    def variable(self, name: str, value: str) -> str:
+        """Define a variable that later statements change; returns its name, which no other term has."""
+        name = f"{name}_{self.params.replace('.', '_')}"
+        self.lines.add(f"T {name} = {value};")
+        return name
+
 
 def moving_dofs(layout: Layout) -> frozenset[int]:
     """Degrees of freedom that a scene's drives move."""

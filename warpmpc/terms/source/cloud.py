@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from ...bake.lines import Operand, literal
 from .collision import GroupCode, groups_of
-from .variables import variable
 from .volume import Grid, between, nearest
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ def cloud_collision(code: TermCode, p: Any) -> Operand:
     """``cloud.cloud_collision``; a link is looked at where the sphere around it is near for any of the samples."""
     volume, margin, allowance = p.volume, f"{code.params}.margin", f"{code.params}.allowance"
     groups, add = groups_of(code, p.spheres), code.lines.add
-    least = variable(code, "least", f"(T){margin}")
+    least = code.variable("least", f"(T){margin}")
     grid = Grid(tuple(volume.origin), float(volume.inverse), (volume.nx, volume.ny, volume.nz))
     look = between if p.between else nearest
     voxels = volume.nx * volume.ny * volume.nz

@@ -15,7 +15,6 @@ import numpy as np
 from ...bake.lines import Operand, Vector, literal, text
 from ...kernels.terms.shapes import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
 from ...kernels.terms.view import TASK_BODY
-from .variables import variable
 from .volume import Grid, with_bound
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def self_collision(code: TermCode, p: Any) -> Operand:
     """``collision.self_collision``: max(0, margin + deepest penetration)."""
     groups, add = groups_of(code, p.spheres), code.lines.add
     deepest, margin = code.lines.let(f"(T)(-{code.params}.margin)"), f"{code.params}.margin"
-    deepest = variable(code, "deepest", deepest)
+    deepest = code.variable("deepest", deepest)
     for first, second in zip(p.first.numpy(), p.second.numpy(), strict=True):
         a, b = groups[first], groups[second]
         reach = f"({literal(a.radius + b.radius)} + {margin})"
@@ -91,7 +90,7 @@ def world_collision(code: TermCode, p: Any) -> Operand | None:
         return None
     shapes = _shapes(code, poses)
     groups, margin = groups_of(code, p.spheres), f"{code.params}.margin"
-    least, look = variable(code, "least", f"(T){margin}"), _on_way_past if p.swept else _against
+    least, look = code.variable("least", f"(T){margin}"), _on_way_past if p.swept else _against
     for group in groups:
         for kind in np.unique(kinds):
             which = np.flatnonzero(kinds == kind)
