@@ -205,7 +205,7 @@ class CostEvaluator:
         view.body_robot = wp.array([owner.get(body, -1) for body in range(layout.nb)], dtype=int, device=device)
         slices, worlds = trajectory.joint_q.shape[:2]
         view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)
-        self._weights = cost_weights(stack, state, np.ones(shape.horizon))  # what is evaluated is not discounted
+        self._weights = cost_weights(state.weight, stack.terminal, np.ones(shape.horizon))  # not discounted
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
     def launch(self, first: int = 0, count: int | None = None, code: tuple[EvaluationCode, Any] | None = None) -> None:

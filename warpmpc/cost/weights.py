@@ -7,32 +7,28 @@ derivatives all read the same arrays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
 from ..kernels.planning.costs import CostWeights
 
-if TYPE_CHECKING:
-    from ..task.observed import ObservedState
-    from .stack import CostStack
 
-
-def cost_weights(stack: CostStack, state: ObservedState, discount: np.ndarray) -> CostWeights:
-    """Factors of a stack's terms at every step, on its device.
+def cost_weights(weight: wp.array, terminal: Sequence[float], discount: np.ndarray) -> CostWeights:
+    """Factors of terms at every step, on the device of their weights.
 
     Args:
-        stack: The terms.
-        state: Weights of the terms, whose array is shared: the task may change them between plans.
+        weight: Weights ``[E, term]``; the array itself is read, since the task may change them between plans.
+        terminal: Factor of each term at the last step ``[term]``.
         discount: γ_t ``[T]``.
     """
-    terminal = np.ones((len(discount), len(stack.terms)))
-    terminal[-1] = stack.terminal
+    each = np.ones((len(discount), len(terminal)))
+    each[-1] = terminal
     out = CostWeights()
-    out.term = state.weight
-    out.terminal = wp.array(terminal, dtype=float, device=stack.device)
-    out.discount = wp.array(discount, dtype=float, device=stack.device)
+    out.term = weight
+    out.terminal = wp.array(each, dtype=float, device=weight.device)
+    out.discount = wp.array(discount, dtype=float, device=weight.device)
     return out
 
 
