@@ -12,9 +12,9 @@ from warpmpc.cost.weights import stage_weights
 TERMINAL = (1.0, 5.0, 0.0)
 
 
-def scene_of(terminal, **planner):
+def scene_of(factors, **planner):
     distance = {"term": "distance", "between": ["base/centre", "box"]}
-    costs = [{**distance, "name": f"d{i}", "weight": 1.0 + i, "terminal": x} for i, x in enumerate(terminal)]
+    costs = [{**distance, "name": f"d{i}", "weight": 1.0 + i, "terminal": x} for i, x in enumerate(factors)]
     return make_scene(object=[BOX], cost=costs, planner={"samples": 21, "horizon": 6, "discount": 0.9, **planner})
 
 
