@@ -12,30 +12,12 @@ import warp as wp
 from newton import GeoType, ShapeFlags
 
 from ..scene.errors import SceneError
-from ..scene.schema import (
-    Object,
-    Obstacle,
-    Robot,
-    Scene,
-    ShapeKind,
-)
-from .assets import (
-    AssetKind,
-    asset_kind,
-    resolve_asset,
-)
+from ..scene.schema import Object, Obstacle, Robot, Scene, ShapeKind
+from .assets import AssetKind, asset_kind, resolve_asset
 from .axes import axis_names
 from .controls import Actuators, drive_robot
 from .importers import import_links, new_builder, transform
-from .layout import (
-    GOAL,
-    IDENTITY,
-    WORLD,
-    Entity,
-    Layout,
-    ShapeInfo,
-    accelerator,
-)
+from .layout import GOAL, IDENTITY, WORLD, Entity, Layout, ShapeInfo, accelerator
 from .mjcf_robot import MjcfRobots, add_mjcf_robot
 
 if TYPE_CHECKING:
@@ -226,32 +208,26 @@ def _add_obstacle(builder, item: Obstacle, scene: Scene) -> Entity:
 
 def _add_shape(builder, body: int, item: Object | Obstacle, scene: Scene, pose: wp.transform, *, mass: float) -> int:
     size = item.size or ()
-    mesh = _load_mesh(item, scene) if item.shape is ShapeKind.MESH else None
-    volume = {
-        "box": lambda: size[0] * size[1] * size[2],
-        "sphere": lambda: 4.0 / 3.0 * np.pi * size[0] ** 3,
-        "cylinder": lambda: np.pi * size[0] ** 2 * size[1],
-        "capsule": lambda: np.pi * size[0] ** 2 * size[1] + 4.0 / 3.0 * np.pi * size[0] ** 3,
-        "plane": lambda: 1.0,
-        "mesh": lambda: mesh.mass,
-    }[item.shape]()
-    cfg = newton.ModelBuilder.ShapeConfig(density=mass / volume, mu=item.friction)
-    common = {"xform": pose, "cfg": cfg, "label": item.name, "color": item.color}
-    if isinstance(item, Object):  # an object's friction holds against everything it touches
-        common["custom_attributes"] = {"mujoco:geom_priority": 1}
     match item.shape:
         case ShapeKind.BOX:
-            return builder.add_shape_box(body, hx=size[0] / 2, hy=size[1] / 2, hz=size[2] / 2, **common)
+            add, volume = builder.add_shape_box, size[0] * size[1] * size[2]
+            dimensions = {"hx": size[0] / 2, "hy": size[1] / 2, "hz": size[2] / 2}
         case ShapeKind.SPHERE:
-            return builder.add_shape_sphere(body, radius=size[0], **common)
-        case ShapeKind.CYLINDER:
-            return builder.add_shape_cylinder(body, radius=size[0], half_height=size[1] / 2, **common)
-        case ShapeKind.CAPSULE:
-            return builder.add_shape_capsule(body, radius=size[0], half_height=size[1] / 2, **common)
+            add, volume, dimensions = builder.add_shape_sphere, 4.0 / 3.0 * np.pi * size[0] ** 3, {"radius": size[0]}
+        case ShapeKind.CYLINDER | ShapeKind.CAPSULE:
+            add, volume = builder.add_shape_cylinder, np.pi * size[0] ** 2 * size[1]
+            if item.shape is ShapeKind.CAPSULE:
+                add, volume = builder.add_shape_capsule, volume + 4.0 / 3.0 * np.pi * size[0] ** 3
+            dimensions = {"radius": size[0], "half_height": size[1] / 2}
         case ShapeKind.PLANE:
-            return builder.add_shape_plane(body=body, width=0.0, length=0.0, **common)
+            add, volume, dimensions = builder.add_shape_plane, 1.0, {"width": 0.0, "length": 0.0}
         case ShapeKind.MESH:
-            return builder.add_shape_convex_hull(body, mesh=mesh, **common)
+            mesh = _load_mesh(item, scene)
+            add, volume, dimensions = builder.add_shape_convex_hull, mesh.mass, {"mesh": mesh}
+    cfg = newton.ModelBuilder.ShapeConfig(density=mass / volume, mu=item.friction)
+    # an object's friction holds against everything it touches
+    priority = {"custom_attributes": {"mujoco:geom_priority": 1}} if isinstance(item, Object) else {}
+    return add(body=body, xform=pose, cfg=cfg, label=item.name, color=item.color, **dimensions, **priority)
 
 
 def _load_mesh(item: Object | Obstacle, scene: Scene) -> newton.Mesh:

@@ -11,15 +11,12 @@ import numpy as np
 from newton import JointTargetMode
 
 from ..scene.errors import SceneError
-from ..scene.schema import (
-    Drive,
-    DriveMode,
-    Robot,
-    Scene,
-)
+from ..scene.schema import Drive, DriveMode, Robot, Scene
 from .control_limits import asset_limits, own_limits
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import newton
 
 _TARGET = {
@@ -110,14 +107,7 @@ def drive_robot(
             driven[name] = None
         _add_drive(part, robot, drive, names, movable, scene, where, actuators, first_coord, first_dof)
     if robot.armature is not None:
-        if len(robot.armature) not in (1, len(driven)):
-            raise SceneError(
-                f"needs 1 or {len(driven)} values, one per driven joint",
-                key=f"{key}.armature",
-                file=scene.path,
-                found=list(robot.armature),
-            )
-        values = robot.armature * (len(driven) if len(robot.armature) == 1 else 1)
+        values = _spread(robot.armature, len(driven), f"{key}.armature", scene)
         for name, value in zip(driven, values, strict=True):
             part.joint_armature[movable[name][1]] = value
 
@@ -202,15 +192,18 @@ def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene,
             part.joint_q[coord] = value
 
 
+def _spread(values: Sequence[float], count: int, key: str, scene: Scene) -> list[float]:
+    """One value for each of some joints or controls, of as many or of one for all."""
+    if len(values) not in (1, count):
+        raise SceneError(f"needs 1 or {count} values", key=key, file=scene.path, found=list(values))
+    return list(values) * (count if len(values) == 1 else 1)
+
+
 def _add_drive(
     part, robot: Robot, drive: Drive, names, movable, scene, where, actuators: Actuators, first_coord, first_dof
 ) -> None:
     def spread(attribute: str, count: int, values: tuple[float, ...]) -> list[float]:
-        if len(values) not in (1, count):
-            raise SceneError(
-                f"needs 1 or {count} values", key=f"{where}.{attribute}", file=scene.path, found=list(values)
-            )
-        return list(values) * (count if len(values) == 1 else 1)
+        return _spread(values, count, f"{where}.{attribute}", scene)
 
     count = len(names)
     controls = 2 if drive.mode is DriveMode.DIFF_DRIVE else count

@@ -36,25 +36,21 @@ class Bodies:
     def columns(self, lines: Lines, q: list[str]) -> Matrix:
         """Columns of the matrix of a unit quaternion (w, x, y, z)."""
         w, x, y, z = q
-
-        def entry(expression: str) -> str:
-            return lines.let(expression)
-
         return [
             [
-                entry(f"1.0f - 2.0f * ({y} * {y} + {z} * {z})"),
-                entry(f"2.0f * ({x} * {y} + {w} * {z})"),
-                entry(f"2.0f * ({x} * {z} - {w} * {y})"),
+                lines.let(f"1.0f - 2.0f * ({y} * {y} + {z} * {z})"),
+                lines.let(f"2.0f * ({x} * {y} + {w} * {z})"),
+                lines.let(f"2.0f * ({x} * {z} - {w} * {y})"),
             ],
             [
-                entry(f"2.0f * ({x} * {y} - {w} * {z})"),
-                entry(f"1.0f - 2.0f * ({x} * {x} + {z} * {z})"),
-                entry(f"2.0f * ({y} * {z} + {w} * {x})"),
+                lines.let(f"2.0f * ({x} * {y} - {w} * {z})"),
+                lines.let(f"1.0f - 2.0f * ({x} * {x} + {z} * {z})"),
+                lines.let(f"2.0f * ({y} * {z} + {w} * {x})"),
             ],
             [
-                entry(f"2.0f * ({x} * {z} + {w} * {y})"),
-                entry(f"2.0f * ({y} * {z} - {w} * {x})"),
-                entry(f"1.0f - 2.0f * ({x} * {x} + {y} * {y})"),
+                lines.let(f"2.0f * ({x} * {z} + {w} * {y})"),
+                lines.let(f"2.0f * ({y} * {z} - {w} * {x})"),
+                lines.let(f"1.0f - 2.0f * ({x} * {x} + {y} * {y})"),
             ],
         ]
 

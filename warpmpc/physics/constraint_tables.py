@@ -37,10 +37,7 @@ class ConstraintTables:
         out = []
         if self.rows:
             longest, above, index = self.sizes["CONSTRAINT_DOFS"], self.model.ancestors, self.model.columns.index
-            dofs, entries = (
-                np.zeros((len(self.rows), longest), int),
-                np.zeros((len(self.rows), packed(longest, 0)), int),
-            )
+            dofs, entries = (np.zeros((len(self.rows), width), int) for width in (longest, packed(longest, 0)))
             for k, (constraint, _) in enumerate(self.rows):
                 dofs[k, : len(constraint.dofs)] = constraint.dofs
                 for a, i in enumerate(constraint.dofs):

@@ -36,11 +36,8 @@ class Dynamics:
 
     def write(self) -> str:
         """Source of the functions."""
-        forces = (
-            self.tendons.write(),
-            self.drive.write(),
-            write_gyroscopic(self.model, self.drive),
-        )  # these ask for sites
+        # these ask for sites
+        forces = self.tendons.write(), self.drive.write(), write_gyroscopic(self.model, self.drive)
         self.fluid = Fluid(self.model, self.sites)
         self.bind = ConstraintRows(self.model, self.sites, self.tendons).write()
         return "\n".join((*forces, self._place(), self._move()))
