@@ -10,19 +10,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .base import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    HFIELD,
-    HINGE,
-    MESH,
-    PLANE,
-    SLIDE,
-    SPHERE,
-    Structure,
-)
+from .base import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, Structure
 from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
 from .limits import bounds
@@ -107,18 +95,14 @@ class PhysicsModel(Structure):
     @cached_property
     def powers(self) -> bool:
         """Return whether any impedance has a power other than 2."""
-        rows = [
-            *self.limits,
-            *(pair.rows for pair in self.pairs),
-            *(one.rows for one in self.constraints),
-        ]
+        rows = [*self.limits, *(one.rows for one in (*self.pairs, *self.constraints))]
         return any(row.power != 2.0 for row in rows)
 
     @cached_property
     def pairs(self) -> list[PairRow]:
         """All pairs of geoms that may touch, by their kinds."""
         m = self.mj
-        if m.opt.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        if self.off("CONTACT") or self.off("CONSTRAINT"):
             return []
         out = []
         told = {tuple(sorted((int(m.pair_geom1[p]), int(m.pair_geom2[p])))): p for p in range(m.npair)}
@@ -195,12 +179,8 @@ class PhysicsModel(Structure):
         m, friction = self.mj, self.array("geom_friction")
         margin = float(m.geom_margin[a] + m.geom_margin[b]) if told is None else float(m.pair_margin[told])
         if told is not None:
-            condim, solref, solimp, mu = (
-                m.pair_dim[told],
-                m.pair_solref[told],
-                m.pair_solimp[told],
-                m.pair_friction[None, told],
-            )
+            condim, solref, solimp = m.pair_dim[told], m.pair_solref[told], m.pair_solimp[told]
+            mu = m.pair_friction[None, told]
         elif m.geom_priority[a] != m.geom_priority[b]:
             g = a if m.geom_priority[a] > m.geom_priority[b] else b
             condim, solref, solimp = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g]

@@ -13,12 +13,7 @@ from .overrides import expand, split_key, with_values
 from .schema import ShapeKind
 
 if TYPE_CHECKING:
-    from .schema import (
-        Draw,
-        Obstacle,
-        Rejection,
-        Scene,
-    )
+    from .schema import Draw, Obstacle, Rejection, Scene
 
 TRIES = 1000
 """Draws before a task counts as impossible."""

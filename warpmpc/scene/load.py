@@ -9,16 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .errors import SceneError, file_keys, join_key
-from .overrides import (
-    expand,
-    leaves,
-    merge,
-    nest,
-    parse_override,
-    split_key,
-    validated,
-    with_values,
-)
+from .overrides import expand, leaves, merge, nest, parse_override, split_key, validated, with_values
 from .schema import DriveMode, Method, SampleCount, Scene
 from .sizes import check_sizes
 

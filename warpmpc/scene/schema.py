@@ -13,16 +13,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from .schema_agent import AgentSettings, SafeCommand
 from .schema_ancillary import Ancillary
-from .schema_bodies import (
-    Drive,
-    DriveMode,
-    Frame,
-    Ground,
-    Object,
-    Obstacle,
-    Robot,
-    ShapeKind,
-)
+from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_cloud import Camera, Cloud
 from .schema_engine import EngineName, EngineSettings, Solver
 from .schema_goal import Goal, Phase, Pose, Target
@@ -33,15 +24,7 @@ from .schema_planner import Growing, Method, Planner, Refinement, Risk, SampleCo
 from .schema_plant import Kick, PlantFactors, PlantNoise, PlantSettings
 from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
 from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
-from .types import (
-    Finite,
-    Name,
-    NonNegative,
-    OneOrMore,
-    Param,
-    Positive,
-    Section,
-)
+from .types import Finite, Name, NonNegative, OneOrMore, Param, Positive, Section
 from .waypoints import is_of, one_by_one
 
 __all__ = [
