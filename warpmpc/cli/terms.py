@@ -62,7 +62,7 @@ class FolderTerms:
 def _own(scene: Scene, *, planned: bool) -> list[str]:
     """Names of a scene's terms and ancillary controllers that warpmpc does not have."""
     labelled = zip(scene.cost_labels, scene.cost, strict=True)
-    used = [cost.term for label, cost in labelled if planned or label in scene.judged_terms]
+    used = [cost.term for label, cost in labelled if planned or label in scene.watched_terms]
     used += [row.function for row in scene.planner.ancillary if planned and row.function is not None]
     return sorted({*used} - {*TERMS})
 

@@ -118,7 +118,7 @@ class Monitor:
             SceneError: If a condition is about a cost term that reads contact forces or sensors.
         """
         if self._seen is None:
-            args = (self._scene, self._layout, self._task, self._e, self._scene.judged_terms)
+            args = (self._scene, self._layout, self._task, self._e, self._scene.watched_terms)
             self._seen = ObservedSnapshots(*args, terms=self._terms)
         if state.time is None:
             time = 0.0 if self._now is None else self._now + self._scene.timing.control_dt

@@ -70,7 +70,7 @@ class Worlds:
             ]
             self.draws = [with_factors(draw, scene, self.layout) for draw in drawn]
         self.monitors = [Monitor(scene, task=task, e=e, compiled=compiled) for e in range(len(seeds))]
-        watched = scene.judged_terms.union(watch)
+        watched = scene.watched_terms.union(watch)
         self._values = TermValues(scene, self.layout, task, watched, terms=terms) if watched else None
         watching = self._values.pairs if self._values else ()
         supports = {obstacle.name for obstacle in scene.obstacle if obstacle.support}

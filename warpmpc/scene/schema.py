@@ -212,7 +212,7 @@ class Scene(Section):
         return labels
 
     @property
-    def judged_terms(self) -> set[str]:
+    def watched_terms(self) -> set[str]:
         """Cost terms, by these names, that success, failures or ends of phases look at."""
         rows = [*self.success.conditions] if self.success else []
         rows += [condition for phase in self.phase for condition in phase.until]
