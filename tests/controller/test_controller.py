@@ -46,7 +46,7 @@ def test_it_brings_the_disc_to_its_goal(method):
     assert info.time == pytest.approx(plant.time - 0.04)
     assert info.diverged_worlds == 0
     assert info.plan_ms > 0.0
-    assert set(info.stages_ms) == {"begin", "propose", "evaluate", "update"}
+    assert set(info.stages_ms) == {"begin", "sample", "evaluate", "update"}
     assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-4)
 
 
@@ -102,7 +102,7 @@ def test_when_nothing_survives_it_sends_the_safe_command(mode, why, engine, capl
         command = controller.step(bad)
     safe = [0.3, -0.4, 2.0] if mode == "position" else [0.0, 0.0, 0.0]  # within its limits
     np.testing.assert_allclose(command, safe, atol=1e-6)
-    np.testing.assert_array_equal(controller.planner.command.numpy()[0], command)
+    np.testing.assert_array_equal(controller.plan_step.command.numpy()[0], command)
     assert controller.info.fallback
     assert controller.info.cost == np.inf
     assert controller.info.eta == 0.0
@@ -279,7 +279,7 @@ def test_plans_move_by_the_time_between_observations():
         state = start(controller)
         controller.step(State(state.joint_q, state.joint_qd, times[0]))
         ramp = np.tile(0.1 * np.arange(8.0, dtype=np.float32)[None, :, None], (1, 1, 3))
-        controller.planner.strategy.mean.assign(ramp)
+        controller.plan_step.strategy.mean.assign(ramp)
         command = controller.step(State(state.joint_q, state.joint_qd, times[1]))
         np.testing.assert_allclose(command, 0.1 * moved, atol=1e-4)
 

@@ -115,7 +115,7 @@ def test_a_registered_engine_and_strategy_drive_to_the_goal_of_a_scene_file(tmp_
     scene = warpmpc.load_scene(scene_file(tmp_path, engine="gliding", method="best_three"))
     controller = warpmpc.Controller(scene)
     assert isinstance(controller.engine.simulator, Gliding)
-    assert isinstance(controller.planner.strategy.weighting, BestThree)
+    assert isinstance(controller.plan_step.strategy.weighting, BestThree)
     plant = warpmpc.Plant(scene, task=controller.task)
     while not plant.done:
         plant.apply(controller.step(plant.observe()))
@@ -202,7 +202,7 @@ def package(tmp_path, monkeypatch):
 def test_entry_points_of_an_installed_package_are_known_by_name(tmp_path):
     scene = warpmpc.load_scene(scene_file(tmp_path, method="packaged", term="near"))
     controller = warpmpc.Controller(scene, device="cpu")
-    assert type(controller.planner.strategy).__name__ == "Packaged"
+    assert type(controller.plan_step.strategy).__name__ == "Packaged"
     controller.step(warpmpc.State.start(controller.layout))
     assert controller.info.terms["near"] > 0.0
     assert set(STRATEGIES) >= {"mppi", "packaged", "broken"}

@@ -227,7 +227,7 @@ def test_baked_source_costs_what_the_function_says(seed, device):
     whole = BatchSize(2, shape.samples, 1, shape.horizon)
     evaluator = CostEvaluator(mpc.costs, out, out.control, engine.state, whole, TimeGrid.of(mpc.scene).t)
     evaluator.launch()
-    weight = mpc.planner.grid.discount
+    weight = mpc.plan_step.grid.discount
     expected = (evaluator.cost.numpy() * weight[None, :, None]).sum(axis=1)
     found = engine.total.numpy()
     assert (expected[:4].max(axis=1) > 0.0).all()

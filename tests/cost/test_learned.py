@@ -68,7 +68,7 @@ def test_baked_networks_say_the_same(robot, sizes, tmp_path, device):
         assert not mpc.engine.records
         rolled = mpc.engine.rollouts(range(mpc.shape.worlds)).joint_q.numpy()[1:, :, mpc.layout.dof_coord[dofs]]
         stage = 3.0 * np.maximum(0.2 + network_output(weights, rolled), 0.0)
-        wanted = (stage * mpc.planner.grid.discount[:, None]).sum(axis=0)
+        wanted = (stage * mpc.plan_step.grid.discount[:, None]).sum(axis=0)
         np.testing.assert_allclose(mpc.engine.total.numpy()[1], wanted, rtol=2e-5, atol=2e-4)
 
 

@@ -103,9 +103,9 @@ def test_the_kinematic_engine_carries_what_the_plain_kernels_carry(device):
         assert engine.records
         trajectory = engine.rollouts(range(shape.worlds))
         whole = BatchSize(1, shape.samples, 1, shape.horizon)
-        evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
+        evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.plan_step.grid.t)
         evaluator.launch()
-        expected = (evaluator.cost.numpy() * mpc.planner.grid.discount[None, :, None]).sum(axis=1)
+        expected = (evaluator.cost.numpy() * mpc.plan_step.grid.discount[None, :, None]).sum(axis=1)
         assert np.ptp(expected[0]) > 0.1
         np.testing.assert_allclose(engine.total.numpy(), expected, rtol=2e-3, atol=1e-3)
 
@@ -117,7 +117,7 @@ def test_a_ball_rolls_as_its_equation_says(carried):
     out = mpc.engine.record(worlds)
     frame = layout.frame("panda/centre")
     body, offset = int(layout.frame_body[frame]), layout.frame_pose[frame][:3].astype(float)
-    dt = np.diff(mpc.planner.grid.t)
+    dt = np.diff(mpc.plan_step.grid.t)
     for w in range(len(worlds)):
         pose, twist = out.body_q[:, w, body].astype(float), out.body_qd[:, w, body].astype(float)
         turn = Rotation.from_quat(pose[:, 3:])
@@ -132,7 +132,7 @@ def test_a_ball_rolls_as_its_equation_says(carried):
             pull = np.array([0.0, 0.0, -9.81]) - carried * (speed[t + 1] - speed[t]) / dt[t]
             v = v + 0.6 * dt[t] * turn[t + 1].inv().apply(pull)[:2]
             x = x + dt[t] * v
-            total += mpc.planner.grid.discount[t] * (x @ x + 0.16 * v @ v)
+            total += mpc.plan_step.grid.discount[t] * (x @ x + 0.16 * v @ v)
         assert mpc.engine.total.numpy()[0, worlds[w]] == pytest.approx(total, rel=2e-3)
 
 

@@ -35,7 +35,7 @@ def test_norms_of_residuals_are_what_the_terms_cost():
     outcome = s.rollouts(start, before, Policy(nominal, control, 0.0 * control, gain), np.zeros(3), 0.0)
     residual = s.differences(outcome.state[:, 0, :-1], control, before).residual[0]
     found = s.residuals.norms(residual)[0].sum(axis=0)
-    strategy, engine = s.controller.planner.strategy, s.controller.engine
+    strategy, engine = s.controller.plan_step.strategy, s.controller.engine
     strategy.knots.assign(np.repeat(control[:, None], 16, axis=1).astype(np.float32))
     engine.evaluate(Proposal(strategy.knots, strategy.offset, 1))
     engine.explain(wp.zeros(1, dtype=int, device="cpu"))

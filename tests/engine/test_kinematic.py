@@ -121,9 +121,9 @@ def planned(scene, *, envs: int = 1, terms=(), seed: int = 0, device: str = "cpu
     engine, shape = mpc.engine, mpc.shape
     trajectory = engine.rollouts(range(shape.worlds))
     whole = BatchSize(envs, shape.samples, 1, shape.horizon)
-    evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.planner.grid.t)
+    evaluator = CostEvaluator(mpc.costs, trajectory, trajectory.control, engine.state, whole, mpc.plan_step.grid.t)
     evaluator.launch()
-    expected = (evaluator.cost.numpy() * mpc.planner.grid.discount[None, :, None]).sum(axis=1)
+    expected = (evaluator.cost.numpy() * mpc.plan_step.grid.discount[None, :, None]).sum(axis=1)
     return mpc, expected
 
 
@@ -177,7 +177,7 @@ def test_swept_collisions_cost_what_the_plain_kernels_say_but_for_an_eighth_of_a
         scene = scene_of(robot, cost=[swept, hit], obstacles=[wall, *OBSTACLES[1:]], noise={"sigma": 2.0})
         mpc, expected = planned(scene, envs=2, seed=seed)
         assert not mpc.engine.records
-        found, steps = mpc.engine.total.numpy(), mpc.planner.grid.discount.sum()
+        found, steps = mpc.engine.total.numpy(), mpc.plan_step.grid.discount.sum()
         assert expected[0].max() > 0.05
         np.testing.assert_allclose(found[0], expected[0], atol=0.125 * 0.12 * steps)  # no sphere is larger
         assert np.abs(found[0] - expected[0]).mean() < 1e-3 * steps
@@ -201,7 +201,7 @@ def test_meshes_cost_what_the_plain_kernels_say(tmp_path, swept):
         assert not mpc.engine.records
         assert (expected[0] > 0.05).any()
         if swept:  # a sphere is moved on by steps of its own in each of the two
-            differ = np.abs(mpc.engine.total.numpy()[0] - expected[0]) / mpc.planner.grid.discount.sum()
+            differ = np.abs(mpc.engine.total.numpy()[0] - expected[0]) / mpc.plan_step.grid.discount.sum()
             assert differ.max() < 0.125 * 0.12
             assert differ.mean() < 1e-3
         else:
@@ -245,7 +245,7 @@ def test_users_terms_of_both_kinds_are_judged():
     cost = [*NATIVE, {"term": "low", "frame": "arm/tool"}, {"term": "still"}]
     mpc, expected = planned(scene_of("panda", cost=cost), terms=(low, still))
     speed = mpc.engine.recorded.joint_qd.numpy()[1:] ** 2
-    expected[-1] = (speed.sum(axis=-1) * mpc.planner.grid.discount[:, None]).sum(axis=0)
+    expected[-1] = (speed.sum(axis=-1) * mpc.plan_step.grid.discount[:, None]).sum(axis=0)
     check(mpc, expected)
 
 
@@ -255,7 +255,7 @@ def test_the_plan_is_the_same_for_any_number_of_threads():
         scene = scene_of("panda")
         scene = scene.model_copy(update={"engine": scene.engine.model_copy(update={"threads": threads})})
         mpc, _ = planned(scene, envs=3)
-        plans.append(mpc.planner.command.numpy())
+        plans.append(mpc.plan_step.command.numpy())
     np.testing.assert_array_equal(plans[0], plans[1])
     np.testing.assert_array_equal(plans[0], plans[2])
 

@@ -36,9 +36,9 @@ def test_samples_cost_the_risk_of_their_steps(engine, stage_risk):
     stage = mpc.engine.evaluator.cost.numpy().astype(np.float64)
     assert (stage.max(axis=(1, 2)) > 0.0).all()
     step = np.expm1(stage_risk * stage.sum(axis=0)) / stage_risk
-    expected = np.einsum("tw,t->w", step, mpc.planner.grid.discount)
+    expected = np.einsum("tw,t->w", step, mpc.plan_step.grid.discount)
     np.testing.assert_allclose(mpc.engine.cost.numpy()[0], expected, rtol=1e-5)
-    plain = np.einsum("itw,t->w", stage, mpc.planner.grid.discount)
+    plain = np.einsum("itw,t->w", stage, mpc.plan_step.grid.discount)
     assert np.all((expected > plain) == (stage_risk > 0.0))  # averse or seeking
     mpc.engine.explain(wp.array([4], dtype=int))
     assert mpc.engine.term_cost.numpy().sum() == pytest.approx(expected[4], rel=1e-5)

@@ -44,11 +44,11 @@ def recorded(mpc: Controller) -> Trajectory:
 def expected_totals(mpc: Controller) -> np.ndarray:
     """Cost of each term over the horizon ``[term, W]``, by the kernels that judge the records of all engines."""
     out = recorded(mpc)
-    evaluator = CostEvaluator(mpc.costs, out, out.control, mpc.engine.state, mpc.shape, mpc.planner.grid.t)
+    evaluator = CostEvaluator(mpc.costs, out, out.control, mpc.engine.state, mpc.shape, mpc.plan_step.grid.t)
     evaluator.launch()
     evaluator.launch_arrays()
     stage = evaluator.cost.numpy().astype(np.float64)
-    return (stage * mpc.planner.grid.discount[None, :, None]).sum(axis=1)
+    return (stage * mpc.plan_step.grid.discount[None, :, None]).sum(axis=1)
 
 
 def assert_costs(mpc: Controller, expected: np.ndarray, rtol: float = 1e-5) -> None:

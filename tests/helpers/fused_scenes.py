@@ -104,7 +104,7 @@ class Comparison:
             sampled.append(controller.engine.recorded.control.numpy()[t % self.scene.planner.horizon, w])
         timestep = controller.engine.simulator.model.opt.timestep
         rows = self.rng.choice(len(found), size=states, replace=len(found) < states)
-        given = {item.name: getattr(controller.planner.state, item.name) for item in fields(ObservedState)}
+        given = {item.name: getattr(controller.plan_step.state, item.name) for item in fields(ObservedState)}
         rows_of = {name: np.repeat(a.numpy(), states, axis=0) for name, a in given.items()}
         tiled = {name: wp.array(rows_of[name], dtype=a.dtype, device="cpu") for name, a in given.items()}
         tiled["joint_q"].assign(np.array([found[i][0] for i in rows]))

@@ -47,7 +47,7 @@ def stepping(
 ) -> Stepping:
     """Everything that derivatives of a scene take."""
     controller = Controller(scene, engine=engine, device=device, envs=envs)
-    plan = controller.planner
+    plan = controller.plan_step
     request = EngineRequest(
         scene=scene,
         compiled=controller.compiled,
@@ -57,7 +57,7 @@ def stepping(
         limits=plan.limits,
         state=plan.state,
         costs=controller.costs,
-        device=controller.planner.device,
+        device=controller.plan_step.device,
     )
     steps = physics_steps(engine, scene, controller.compiled, plan.grid)
     residuals = Residuals(controller.costs)

@@ -68,7 +68,7 @@ def test_what_is_ahead_costs_what_the_plan_says(source):
         plant.apply(controller.step(plant.observe()))
     session._rollouts.update()
     ahead = session._rollouts.forecast
-    summed = ahead.cost @ controller.planner.grid.discount
+    summed = ahead.cost @ controller.plan_step.grid.discount
     np.testing.assert_allclose(summed, list(controller.info.terms.values()), rtol=1e-3, atol=1e-4)
     assert ahead.times[0] == controller.info.time
     assert ahead.control.shape == (controller.shape.horizon, plant.layout.nu)

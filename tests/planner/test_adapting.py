@@ -21,7 +21,7 @@ def rounds(planning: Planning):
     plan.state.elapsed.fill_(planning.elapsed)
     planning.strategy.shift()
     for i in range(len(planning.strategy.population)):
-        planning.strategy.propose(i)
+        planning.strategy.advance(i)
         plan.engine.evaluate(proposal(planning.strategy, i))
         yield planning.knots.astype(np.float64), planning.cost.astype(np.float64)
         planning.strategy.update(i)

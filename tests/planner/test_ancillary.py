@@ -36,7 +36,7 @@ def plan(scene, terms=(), *, envs: int = 1, states=None, speeds=None, task=None)
     state = State.start(controller.layout)
     q = np.tile(state.joint_q, (envs, 1)) if states is None else np.array(states, dtype=float)
     controller.step(State(q, np.zeros_like(q) if speeds is None else np.array(speeds), 0.0))
-    return controller.planner.strategy.knots.numpy()
+    return controller.plan_step.strategy.knots.numpy()
 
 
 @ancillary("straight")
@@ -86,7 +86,7 @@ def test_without_a_proposal_the_sample_asks_for_nothing(answer):
     seen = []
     for i in range(3):
         controller.step(State(controller.layout.joint_q, controller.layout.joint_qd, 0.04 * i))
-        seen.append(controller.planner.strategy.knots.numpy()[0, FIRST, 0, 0])
+        seen.append(controller.plan_step.strategy.knots.numpy()[0, FIRST, 0, 0])
     np.testing.assert_allclose(seen, [0.7, 0.0, 0.7], atol=1e-6)
     assert calls == [None, 0.0, 0.04, 0.08]
 

@@ -22,7 +22,7 @@ def rounds(planning: Planning):
     strategy.shift()
     for i in range(len(strategy.population)):
         mean = strategy.distribution.mean.numpy().copy()
-        strategy.propose(i)
+        strategy.advance(i)
         plan.engine.evaluate(proposal(strategy, i))
         strategy.update(i)
         yield mean, planning.knots, planning.cost.copy()
@@ -107,7 +107,7 @@ def test_commands_are_those_of_a_population_that_is_rolled_out_whole(threads, en
 
 def test_an_engine_rolls_out_no_more_than_is_tried():
     scene = box_scene("fused", 1, samples=256, decay=4.0)
-    engine = Controller(scene, compiled=compiled(scene)).planner.engine
+    engine = Controller(scene, compiled=compiled(scene)).plan_step.engine
     groups = [sum(part[1] for part in engine._split(tried)) * engine.lanes for tried in (256, 64, 16)]
     assert groups == [256, 64, max(16, engine.lanes)]
 

@@ -289,7 +289,7 @@ def test_the_noise_is_annealed_over_iterations_and_horizon():
     planning()
     h = np.arange(1, 9)
     for i in range(3):
-        planning.strategy.sample(i, 0, 400)
+        planning.strategy.sample_knots(i, 0, 400)
         knots = planning.knots[0]
         spread = (knots[1:] - knots[0]).std(axis=(0, 2))
         expected = 0.3 * np.exp(-i / (anneal[0] * 3) - (8 - h) / (anneal[1] * 8))  # Xue et al. 2024

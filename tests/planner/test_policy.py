@@ -52,7 +52,7 @@ def tried(scene, q) -> np.ndarray:
     """Knots [S, P, nu] that one plan tries from joint coordinates [nq]."""
     controller = Controller(scene, compiled=compiled(scene))
     controller.step(State(np.array(q), np.zeros(3), 0.0))
-    return controller.planner.strategy.knots.numpy()[0]
+    return controller.plan_step.strategy.knots.numpy()[0]
 
 
 def towards_the_goal(gain: float = 0.5) -> np.ndarray:

@@ -32,7 +32,7 @@ def plan(mpc, times=40, state=None):
     state = state or State(layout.joint_q, np.zeros(layout.nv, dtype=np.float32))
     for _ in range(times):
         mpc.step(state)
-    return next(one for one in mpc.planner.strategy.proposers if isinstance(one, PostureSamples))
+    return next(one for one in mpc.plan_step.strategy.proposers if isinstance(one, PostureSamples))
 
 
 def found(postures):

@@ -34,7 +34,7 @@ def go(controller: Controller, plans: int, first: int = 0, start: float = 0.0) -
 
 def tried(controller: Controller, row: int = 0, e: int = 0) -> np.ndarray:
     """Knots [P, nu] of a recalled sample of the last plan."""
-    return controller.planner.strategy.knots.numpy()[e, FIRST + row]
+    return controller.plan_step.strategy.knots.numpy()[e, FIRST + row]
 
 
 def test_what_was_sent_one_lap_ago_is_tried_again():
@@ -55,7 +55,7 @@ def test_nothing_is_tried_before_a_whole_horizon_is_known():
 def test_the_plan_goes_on_until_the_splice():
     controller = controller_with(splice=[0.0, 0.5], joints=["base/y", "base/yaw"])
     sent = go(controller, LAP + 3)
-    plan = controller.planner.strategy.mean.numpy()[0].copy()
+    plan = controller.plan_step.strategy.mean.numpy()[0].copy()
     sent += go(controller, 1, first=LAP + 3, start=DT * (LAP + 3))
     recalled = np.array(sent[3 : 3 + STEPS])
     np.testing.assert_allclose(tried(controller, 0), recalled, atol=1e-6)

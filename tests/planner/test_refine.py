@@ -67,7 +67,7 @@ def test_refinement_stands_behind_any_method():
 
 
 def test_the_same_seed_gives_the_same_commands():
-    runs = [planned(disc("ilqs"), plans=3, seed=5)[0].planner.strategy.mean.numpy() for _ in range(2)]
+    runs = [planned(disc("ilqs"), plans=3, seed=5)[0].plan_step.strategy.mean.numpy() for _ in range(2)]
     np.testing.assert_array_equal(*runs)
 
 
@@ -195,11 +195,11 @@ def test_what_cannot_be_differentiated_is_refused_by_name(engine, values, says):
 
 def test_a_plan_that_derivatives_fail_for_stays_as_the_samples_left_it(caplog):
     controller, _ = planned(disc("ilqs"))
-    controller.planner.refiner.differences._moves.state.fill_(np.nan)
+    controller.plan_step.refiner.differences._moves.state.fill_(np.nan)
     command = controller.step(replace(State.start(controller.layout), time=0.04))
     assert np.isfinite(command).all()
     assert "no derivatives" in caplog.text
-    assert controller.planner.feedback is None
+    assert controller.plan_step.feedback is None
 
 
 def test_check_says_which_terms_have_no_residual():
@@ -210,8 +210,8 @@ def test_check_says_which_terms_have_no_residual():
     scene = disc().model_copy(update={"cost": make_scene(cost=cost).cost})
     controller, _ = planned(scene)
     worlds = 10 * (1 + 2 * (6 + 3))
-    assert controller.planner.refiner.summary.startswith(f"differences of 3 residuals in {worlds} worlds")
-    assert controller.planner.refiner.summary.endswith("rough Hessian: contact_force")
+    assert controller.plan_step.refiner.summary.startswith(f"differences of 3 residuals in {worlds} worlds")
+    assert controller.plan_step.refiner.summary.endswith("rough Hessian: contact_force")
 
 
 def test_feedback_crosses_processes_as_numbers():
@@ -255,8 +255,8 @@ def test_controls_are_held_for_as_long_as_they_are_sent():
     fine = with_values(disc(), values)
     assert fine.timing.control_dt == pytest.approx(0.04)
     controller, costs = planned(fine, engine="mujoco", plans=4)
-    assert controller.planner.strategy.mean.shape[1] == 10
-    sent = controller.planner.engine.recorded.control.numpy()[:, 0]
+    assert controller.plan_step.strategy.mean.shape[1] == 10
+    sent = controller.plan_step.engine.recorded.control.numpy()[:, 0]
     np.testing.assert_array_equal(sent[::2], sent[1::2])
     _, free = planned(with_values(fine, {"timing.control_dt": 0.02}), engine="mujoco", plans=4)
     assert free[-1] <= costs[-1] < 1.05 * free[-1]  # a control for every step can do no worse

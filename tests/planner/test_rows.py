@@ -88,8 +88,8 @@ def test_a_plan_is_what_is_carried_out():
     command = controller.step(state)
     plan = Controller(scene, seed=1).plan(state)
     np.testing.assert_array_equal(plan.at(0.0), command)
-    knots = controller.planner.strategy.knots.numpy()[0]
-    np.testing.assert_array_equal(plan.knots, knots[controller.planner.engine.cost.numpy()[0].argmin()])
+    knots = controller.plan_step.strategy.knots.numpy()[0]
+    np.testing.assert_array_equal(plan.knots, knots[controller.plan_step.engine.cost.numpy()[0].argmin()])
 
 
 def saved(path, values: np.ndarray) -> str:

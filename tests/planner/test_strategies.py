@@ -29,10 +29,10 @@ class Fixed:
     def shift(self):
         pass
 
-    def propose(self, iteration):
+    def advance(self, iteration):
         pass
 
-    def sample(self, iteration, first, count):
+    def sample_knots(self, iteration, first, count):
         pass
 
     def update(self, iteration):
@@ -41,6 +41,12 @@ class Fixed:
 
     def reset(self):
         self.mean.zero_()
+
+
+class OldNames(Fixed):
+    """A strategy with the methods' names of before."""
+
+    propose = sample = Fixed.shift
 
 
 @wp.kernel
@@ -70,7 +76,7 @@ def fixed():
 def test_a_strategy_of_ones_own_drives_to_the_goal(fixed):
     scene = make_scene(planner={"samples": 16, "horizon": 4})
     controller = Controller(scene, strategy=fixed, compiled=compiled(scene))
-    assert isinstance(controller.planner.strategy, Fixed)
+    assert isinstance(controller.plan_step.strategy, Fixed)
     plant = Plant(scene, compiled=compiled(scene), task=controller.task)
     while not plant.done:
         u = controller.step(plant.observe())
@@ -123,3 +129,13 @@ def test_every_strategy_and_risk_drives_to_the_goal(name, seed):
     while not plant.done:
         plant.apply(controller.step(plant.observe()))
     assert plant.reason == "goal reached"
+
+
+def test_a_strategy_with_the_old_names_of_methods_is_told_the_new_ones():
+    register("old_names", OldNames)
+    scene = make_scene(planner={"samples": 16, "horizon": 4})
+    try:
+        with pytest.raises(ValueError, match="strategy OldNames: rename its method propose to advance, and sample to"):
+            Controller(scene, strategy="old_names", compiled=compiled(scene))
+    finally:
+        del STRATEGIES["old_names"]

@@ -33,7 +33,7 @@ SCENES = ("cartpole_swingup:75", "panda_reach:64", "humanoid_stand:40", "quadrup
 
 def refiner(scene: Scene, engine: str, device: str = "cpu") -> Refiner:
     """What takes derivatives of a scene's plans."""
-    return Controller(scene, device=device, engine=engine).planner.refiner
+    return Controller(scene, device=device, engine=engine).plan_step.refiner
 
 
 def horizon(found: Refiner) -> tuple[np.ndarray, np.ndarray]:

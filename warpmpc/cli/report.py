@@ -152,7 +152,7 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         fact("phase", name if last == name else f"{name} to {last}")
     fact("planner", _planner(scene))
     shape = controller.shape
-    substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.planner.grid).count
+    substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.plan_step.grid).count
     steps = shape.worlds * sum(substeps)
     each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
@@ -160,9 +160,9 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
         "rollouts",
         f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
     )
-    if controller.planner.refiner:
-        fact("derivatives", controller.planner.refiner.summary)
-    ahead = float(controller.planner.grid.t[-1])
+    if controller.plan_step.refiner:
+        fact("derivatives", controller.plan_step.refiner.summary)
+    ahead = float(controller.plan_step.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
     fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")

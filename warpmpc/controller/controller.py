@@ -118,7 +118,7 @@ class Controller:
         try_terms(self.costs, scene)
         draws = planner.domains if planner.domains > 1 else planner.samples
         properties = draw_properties(scene, self.layout, draws, seed=2 * seed) if planner.randomize else None
-        self.planner = PlanStep(
+        self.plan_step = PlanStep(
             scene,
             self.compiled,
             self.costs,
@@ -129,8 +129,8 @@ class Controller:
             properties=properties,
             ancillaries=[term for term in terms if isinstance(term, AncillaryController)],
         )
-        self.engine = self.planner.engine
-        self.graph = PlanGraph(self.planner)
+        self.engine = self.plan_step.engine
+        self.graph = PlanGraph(self.plan_step)
 
     def _require_memory(self, device: str) -> None:
         """Refuse samples that do not fit; what the engine records it looks at itself.
@@ -201,7 +201,7 @@ class Controller:
             raise ValueError(f"limits are {self.layout.nu} finite numbers each, lower below upper")
         self._lower, self._upper = lower.copy(), upper.copy()
         with capturing:
-            for array, values in zip(self.planner.limits, (lower, upper), strict=True):
+            for array, values in zip(self.plan_step.limits, (lower, upper), strict=True):
                 array.assign(values)
 
     @one_thread
@@ -219,7 +219,7 @@ class Controller:
         if plan is not None:
             self._check_plan(plan)
         with capturing:
-            self.planner.reset(plan)
+            self.plan_step.reset(plan)
         self._forget()
         if plan is not None:
             self._observed.resume(plan.times[..., 0])
@@ -263,7 +263,7 @@ class Controller:
         if fallback.any():
             command[fallback] = self._safe_command(fallback)
             with capturing:
-                self.planner.command.assign(command)
+                self.plan_step.command.assign(command)
             why = "the observation is not finite" if not seen.fresh.all() else self._why_none(report, fallback)
             logger.warning("t = %.2f s: %s; sending the safe command", np.max(seen.now), why)
         plan_ms = 1e3 * (time.perf_counter() - start)
@@ -290,11 +290,11 @@ class Controller:
         self.step(state)
         report, many = self._last[1], np.ndim(state.joint_q) == 2
         first = self._observed.last - report.offset
-        times = first[:, None] + self.planner.knot_time
+        times = first[:, None] + self.plan_step.knot_time
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
             times=times if many else times[0].copy(),
-            spline=self.planner.kind,
+            spline=self.plan_step.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
             feedback=self._feedback(),
@@ -302,7 +302,7 @@ class Controller:
 
     def _feedback(self) -> Feedback | None:
         """The gains of the last plan, with absolute times."""
-        own = self.planner.feedback
+        own = self.plan_step.feedback
         start = np.nan_to_num(self._observed.planned)
         return own and replace(own, times=start[:, None] + own.times)
 
@@ -325,12 +325,12 @@ class Controller:
         sample = int(self._last[1].best[e]) if sample is None else sample
         out = self.engine.record([(e * self.shape.samples + sample) * self.shape.domains])
         return Rollout(
-            times=float(self._observed.last[e]) + self.planner.grid.t,
+            times=float(self._observed.last[e]) + self.plan_step.grid.t,
             joint_q=out.joint_q[:, 0].copy(),
             joint_qd=out.joint_qd[:, 0].copy(),
             body_q=out.body_q[:, 0].copy(),
             control=out.control[:, 0].copy(),
-            knots=self.planner.strategy.knots.numpy()[e, sample].copy(),
+            knots=self.plan_step.strategy.knots.numpy()[e, sample].copy(),
             cost=float(costs[sample]),
             layout=self.layout,
         )
@@ -356,11 +356,11 @@ class Controller:
     def _no_report(self) -> PlanReport:
         """Report without a plan."""
         envs, nothing = self.envs, np.full(self.envs, np.nan)
-        mean = self.planner.strategy.mean.numpy()
+        mean = self.plan_step.strategy.mean.numpy()
         zero = np.zeros(envs)
         return PlanReport(
             command=np.zeros((envs, self.layout.nu)),
-            beta=self.planner.strategy.beta.numpy(),
+            beta=self.plan_step.strategy.beta.numpy(),
             eta=zero,
             cost=nothing,
             best=zero,
@@ -368,7 +368,7 @@ class Controller:
             overflow_halves=np.zeros((2, self.envs)),
             terms=np.full((envs, len(self.costs.labels)), np.nan),
             knots=mean,
-            offset=self.planner.strategy.offset.numpy(),
+            offset=self.plan_step.strategy.offset.numpy(),
         )
 
     def _warn_of_overflow(self, report: PlanReport) -> None:

@@ -143,7 +143,7 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
     Args:
         controller: It has made a plan.
     """
-    ahead = float(controller.planner.grid.t[-1])
+    ahead = float(controller.plan_step.grid.t[-1])
     if ahead < SHORT:
         yield Finding(
             "planner.horizon",

@@ -40,7 +40,7 @@ class Forecaster:
         costs, shape = controller.costs, replace(controller.shape, envs=1, samples=1, domains=1)
         with capturing:
             self._out = Trajectory.allocate(shape, controller.layout, len(costs.pairs), controller.device)
-            planner = controller.planner
+            planner = controller.plan_step
             self._evaluator = CostEvaluator(costs, self._out, self._out.control, planner.state, shape, planner.grid.t)
 
     def __call__(self, seen: Trajectory) -> Forecast:
@@ -59,7 +59,7 @@ class Forecaster:
         cost = self._evaluator.cost.numpy()[:, :, 0].astype(float)
         start = self._controller.info.time
         return Forecast(
-            times=start + self._controller.planner.grid.t[:-1],
+            times=start + self._controller.plan_step.grid.t[:-1],
             cost=np.where(np.isfinite(cost), cost, np.nan),
             control=seen.control[:, 0].copy(),
         )

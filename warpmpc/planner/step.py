@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan step: begin (shift) → n × (propose → evaluate → update) → command. Every strategy is this one step."""
+"""The plan step: begin (shift) → n × (sample → evaluate → update) → command. Every strategy is this one step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..task.ancillary import AncillaryController
     from .feedback import Feedback
 
-STAGES = ("begin", "propose", "evaluate", "update")
+STAGES = ("begin", "sample", "evaluate", "update")
 
 
 class PlanStep:
@@ -53,7 +53,7 @@ class PlanStep:
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
-        ValueError: If there is no such strategy.
+        ValueError: If there is no such strategy, or its methods have their names of before.
     """
 
     command: wp.array2d[float]
@@ -103,6 +103,9 @@ class PlanStep:
         entry, self.engine = make_engine(engine, request)
         on_gpu = wp.get_device(self.device).is_cuda
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
+        if hasattr(self.strategy, "propose"):
+            kind = type(self.strategy).__name__
+            raise ValueError(f"strategy {kind}: rename its method propose to advance, and sample to sample_knots")
         self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
         """Improves the samples' plan by derivatives, None without."""
         self.capturable = entry.capturable and costs.capturable and on_gpu and self.refiner is None
@@ -146,7 +149,7 @@ class PlanStep:
         pieces = [("begin", self._replayed(self._begin))]
         for i in range(len(strategy.population)):
             pieces += [
-                ("propose", self._replayed(partial(strategy.propose, i))),
+                ("sample", self._replayed(partial(strategy.advance, i))),
                 ("evaluate", partial(engine.evaluate, proposal(strategy, i))),
                 ("update", self._replayed(partial(strategy.update, i))),
             ]

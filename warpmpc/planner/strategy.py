@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 
 class Strategy(Protocol):
-    """Proposes knots, is told what they cost, and knows the plan."""
+    """Samples knots, is told what they cost, and knows the plan."""
 
     population: Sequence[int]
-    """Samples of every environment that a round of propose and update tries, one number for each round of a plan;
+    """Samples of every environment that a round of a plan tries, one number for each round;
     the first ones, all others cost +inf then."""
     knots: wp.array4d[float]
-    """Proposed knots, ``[E, S, P, nu]``, within the limits."""
+    """Sampled knots, ``[E, S, P, nu]``, within the limits."""
     mean: wp.array3d[float]
     """Knots of the plan, ``[E, P, nu]``."""
     offset: wp.array[float]
@@ -54,10 +54,10 @@ class Strategy(Protocol):
     def shift(self) -> None:
         """Move the plan on by the time that has passed; capture-safe."""
 
-    def propose(self, iteration: int) -> None:
-        """Get ready to sample; capture-safe."""
+    def advance(self, iteration: int) -> None:
+        """Begin a round, before its samples are written; capture-safe."""
 
-    def sample(self, iteration: int, first: int, count: int) -> None:
+    def sample_knots(self, iteration: int, first: int, count: int) -> None:
         """Write :attr:`knots` of the samples in rows e·S + s from ``first`` on; capture-safe, on any thread."""
 
     def update(self, iteration: int) -> None:
@@ -69,8 +69,8 @@ class Strategy(Protocol):
 
 def proposal(strategy: Strategy, iteration: int) -> Proposal:
     """Proposal of one round of a strategy, as engines take it."""
-    sample = partial(strategy.sample, iteration)
-    return Proposal(strategy.knots, strategy.offset, strategy.population[iteration], sample)
+    write = partial(strategy.sample_knots, iteration)
+    return Proposal(strategy.knots, strategy.offset, strategy.population[iteration], write)
 
 
 class SamplingStrategy:
@@ -191,11 +191,11 @@ class SamplingStrategy:
         for proposer in self.proposers:
             proposer.before_plan()
 
-    def propose(self, iteration: int) -> None:
+    def advance(self, iteration: int) -> None:
         """Go on to the next draw of the noise; capture-safe."""
         self.noise.advance(self._state.observed)
 
-    def sample(self, iteration: int, first: int, count: int) -> None:
+    def sample_knots(self, iteration: int, first: int, count: int) -> None:
         """Sample knots about the mean; capture-safe.
 
         Args:
@@ -257,10 +257,10 @@ class DerivativeStrategy:
         self._plan.reset(knots)
         self.eta.zero_()
 
-    def propose(self, iteration: int) -> None:
+    def advance(self, iteration: int) -> None:
         """Never called: there are no rounds."""
 
-    sample = update = propose
+    sample_knots = update = advance
 
 
 def _population(planner: Planner, samples: int, fixed: int) -> tuple[int, ...]:

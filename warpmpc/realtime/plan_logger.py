@@ -33,7 +33,11 @@ def sizes(controller: Controller) -> dict[str, int]:
     """Sizes of the axes of ``plans`` by name."""
     layout = controller.layout
     found = {name: getattr(layout, name) for name in ("nq", "nv", "na", "nm", "nu")}
-    terms, knots, task = len(controller.costs.labels), len(controller.planner.knot_time), controller.task.block.shape[1]
+    terms, knots, task = (
+        len(controller.costs.labels),
+        len(controller.plan_step.knot_time),
+        controller.task.block.shape[1],
+    )
     return {**found, "terms": terms, "knots": knots, "task": task}
 
 

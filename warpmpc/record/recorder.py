@@ -159,7 +159,7 @@ class Recorder:
         plan = [(entity_path("cost", label), label) for label in (*controller.costs.labels, "total")]
         plan += [(f"/temperature/{name}", symbol) for name, symbol in (("beta", "β"), ("eta", "η"))]
         plan += [(entity_path("control", *name.split("/")), name) for name in layout.control_name]
-        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", "budget", *controller.planner.stages)]
+        plan += [(entity_path("plan_ms", stage), stage) for stage in ("total", "budget", *controller.plan_step.stages)]
         plan += [("/diverged_worlds", "diverged worlds")]
         self._plan_curves = len(plan)
         errors = ("position", *self._turning) if self._plant.scene.goal is not None else ()

@@ -80,8 +80,8 @@ def predicted_lanes(controller: Controller, control: np.ndarray) -> np.ndarray:
     To the right is time, the horizon :data:`LANE_LENGTH` long; a lane is 2 high, from upper limit down to the lower.
     """
     lower, upper = controller.limits
-    times = controller.planner.grid.t[: len(control)]
+    times = controller.plan_step.grid.t[: len(control)]
     share = 2.0 * (control - lower) / (upper - lower) - 1.0
-    right = np.broadcast_to(LANE_LENGTH * times / controller.planner.grid.t[-1], share.T.shape)
+    right = np.broadcast_to(LANE_LENGTH * times / controller.plan_step.grid.t[-1], share.T.shape)
     down = LANE * np.arange(len(lower))[:, None] - share.T
     return np.stack([right, down], axis=-1).astype(np.float32)

@@ -192,7 +192,7 @@ class EpisodeStats:
         scene, controller, plant = self.scene, self.controller, self.plant
         error, goal = plant.error, scene.goal
         oriented = goal is not None and (goal.yaw is not None or goal.rotation is not None)
-        plans = self._plans or [(math.nan, dict.fromkeys(controller.planner.stages, math.nan))]
+        plans = self._plans or [(math.nan, dict.fromkeys(controller.plan_step.stages, math.nan))]
         p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
         return EpisodeResult(
             scene=scene.name,
