@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 from program import PROGRAM, SCENE, TINY
-from run_logs import older
 
 import warpmpc
 
@@ -139,7 +138,7 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.npz").write_text("text")
     (tmp_path / "cut").mkdir()
-    (tmp_path / "cut" / "history.npz").write_bytes(b"PK\x03\x04, and no more came")
+    (tmp_path / "cut" / "episode.runlog").write_bytes(b"PK\x03\x04, and no more came")
     arrays = {"time": np.zeros(1), "control": np.zeros((0, 2))}
     np.savez(tmp_path / "part.npz", **arrays)
     wrong = {
@@ -147,7 +146,7 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
         "text.npz": "is no run log",
         "part.npz": "is no run log",
         "no.npz": "No such file",
-        "cut": "history.npz: is no run log",
+        "cut": "episode.runlog: is no run log",
     }
     for name, message in wrong.items():
         for verb in ("replay", "plot"):
@@ -155,16 +154,6 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
             assert done.returncode == 2
             assert message in done.stderr
             assert done.stderr.count("\n") == 1
-
-
-def test_a_file_of_an_older_warpmpc_is_refused(command, tmp_path):
-    assert command("run", "omni_push_box", "--npz", "new.npz", "--engine", "mujoco", "--quiet", *TINY).returncode == 1
-    np.savez(tmp_path / "old.npz", **older(warpmpc.RunLog.load(tmp_path / "new.npz")))
-    done = command("replay", "old.npz")
-    assert done.returncode == 2
-    assert "old.npz: has no log of what its plans were made from" in done.stderr
-    assert command("plot", "old.npz").returncode == 0
-    assert command("replay", "new.npz").returncode == 0
 
 
 def test_figures_of_a_folder_are_beside_what_they_show(folder, command, tmp_path, monkeypatch):

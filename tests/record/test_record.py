@@ -19,11 +19,10 @@ from warpmpc.model.compiled import compile_scene
 from warpmpc.model.layout import ShapeInfo, rotate
 from warpmpc.model.state import State
 from warpmpc.plant.plant import Plant
-from warpmpc.record.forces import FORCE_LENGTH
 from warpmpc.record.recorder import ROWS, Recorder
 from warpmpc.record.rerun_shapes import draw_shape
 from warpmpc.record.rollout_paths import COLORS
-from warpmpc.record.shapes import ContactPoints
+from warpmpc.record.shapes import FORCE_LENGTH, ContactPoints
 from warpmpc.record.switch import RecordingSwitch
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.schema_cloud import Cloud

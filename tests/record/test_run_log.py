@@ -7,7 +7,6 @@ import resource
 
 import numpy as np
 import pytest
-from run_logs import older
 from small_scenes import BOX, WALL, compiled, make_scene
 
 import warpmpc
@@ -125,27 +124,6 @@ def test_a_file_is_read_back_as_it_was(log, tmp_path, name):
             if column in (there.dtype.names or ()):
                 np.testing.assert_array_equal(found[column], there[column])
                 assert found[column].dtype == there[column].dtype
-
-
-def test_files_of_older_versions_are_read_without_what_they_lack(log, tmp_path):
-    arrays = older(log)
-    np.savez(tmp_path / "old.npz", **arrays)
-    again = warpmpc.RunLog.load(tmp_path / "old.npz")
-    for name, column in log.columns().items():
-        np.testing.assert_array_equal(again.columns()[name], column)
-    assert again.origin == log.origin
-    with pytest.raises(ValueError, match="no log of what its plans were made from"):
-        warpmpc.replay(again)
-
-    for name in ("beta", "eta", "goal_error", "error_names", "log_origin", "log_joint_q"):
-        del arrays[name]
-    np.savez(tmp_path / "old.npz", **arrays)
-    again = warpmpc.RunLog.load(tmp_path / "old.npz")
-    np.testing.assert_array_equal(again.states.joint_q, log.states.joint_q)
-    assert again.origin is None
-    assert again.names["errors"] == []
-    assert np.isnan(again.plans.beta).all()
-    assert again.columns().keys() == {name for name in log.columns() if not name.startswith("goal_error")}
 
 
 def test_how_far_the_goal_is_belongs_to_states(watched, log):

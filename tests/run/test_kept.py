@@ -9,7 +9,7 @@ import pytest
 
 from warpmpc.run import kept as module
 from warpmpc.run.episode import EpisodeResult
-from warpmpc.run.kept import KeptResults, result_from_json
+from warpmpc.run.kept import KeptResults
 from warpmpc.scene.load import load_scene
 
 SCENES = Path(load_scene("omni_push_box").path).parent
@@ -50,15 +50,15 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
 
 
 def test_a_result_survives_json():
-    assert result_from_json(a_result().to_json()) == a_result()
+    assert EpisodeResult.from_json(a_result().to_json()) == a_result()
     plain = a_result(
         success=False, position_error=None, yaw_error=None, axis_error=None, phases=(), reached=None, drawn={}
     )
-    assert result_from_json(plain.to_json()) == plain
+    assert EpisodeResult.from_json(plain.to_json()) == plain
     without = a_result(success=None, reason="timeout", mean_cost=2.5)
-    assert result_from_json(without.to_json()) == without
+    assert EpisodeResult.from_json(without.to_json()) == without
     assert without.passed
-    unknown = result_from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
+    unknown = EpisodeResult.from_json(a_result(cost=math.inf, plan_ms={"p50": math.nan}).to_json())
     assert math.isnan(unknown.cost)
     assert math.isnan(unknown.plan_ms["p50"])
 

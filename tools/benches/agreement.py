@@ -85,7 +85,7 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
                 state, joint_q=state.joint_q * (1.0 + ROUNDING * noise.uniform(-1.0, 1.0, state.joint_q.shape))
             )
         other.step(state)
-        other.engine.simulator.clone(other.planner.state)
+        other.engine.simulator.clone(other.plan_step.state)
         other.engine.simulator.rollout(control)
         theirs = recorded(other)
         for quantity, values in found.items():

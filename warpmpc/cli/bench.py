@@ -8,14 +8,13 @@ import os
 import shlex
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TextIO
 
 from ..origin import hardware
 from .interrupts import Interrupts
 from .progress import Bar, Messages
-from .setup import SUCCESS, Setup, results_only, user_errors
+from .setup import SUCCESS, RunArguments, Setup, results_only, user_errors
 
 if TYPE_CHECKING:
     import numpy as np
@@ -71,34 +70,19 @@ def median_interval(values: np.ndarray) -> tuple[float, float, float]:
 
 
 def bench(
-    source: str,
+    arguments: RunArguments,
     *,
     engines: Sequence[str],
     samples: Sequence[int],
     against: Sequence[str],
     plans: int,
     seed: int,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
-    device: str,
     json_lines: bool,
 ) -> int:
     """Time plans of every setting at the states of one closed loop, print them, and return the exit code.
 
     The first setting's plans are carried out. At every observation each setting makes one plan, in an order that
     rotates, so that drifts of the machine meet all settings alike.
-
-    Args:
-        source: Scene and variant.
-        engines: Engines of the roll-outs.
-        samples: Numbers of samples; the scene's own if empty.
-        against: Further settings: one or more ``KEY=VALUE`` in a text.
-        plans: Plans that count, of every setting.
-        seed: Seed of the episode.
-        overrides: ``KEY=VALUE`` texts of all settings.
-        term_files: Python files of cost terms.
-        device: Device of the roll-outs.
-        json_lines: Whether to print JSON.
     """
     notices = not json_lines
     with results_only() as out, Messages(notices=notices, warnings=notices), Interrupts() as interrupts:
@@ -106,9 +90,9 @@ def bench(
         settings: list[Setting] = []
         try:
             with user_errors():
-                for setting in _settings(engines, samples, against, overrides):
-                    options = {"term_files": term_files, "engine": setting.engine, "device": device}
-                    setting.episode = Setup(source, overrides=setting.overrides, **options).episode(seed)
+                for setting in _settings(engines, samples, against, arguments.overrides):
+                    own = replace(arguments, overrides=setting.overrides, engine=setting.engine)
+                    setting.episode = Setup(own).episode(seed)
                     settings.append(setting)
                     _check_states(settings[0], setting)
             before = os.getloadavg()[0]
@@ -125,7 +109,7 @@ def bench(
             for setting in settings:
                 del setting.plan_ms[count:]
             rows = [setting.to_json(settings[0]) for setting in settings]
-            report = {"scene": source, "seed": seed, "plans": count, "machine": machine, "settings": rows}
+            report = {"scene": arguments.source, "seed": seed, "plans": count, "machine": machine, "settings": rows}
             if json_lines:
                 print(json.dumps(report, ensure_ascii=False), file=out)
             else:
@@ -211,5 +195,5 @@ def _print(report: dict, control_dt: float, out: TextIO) -> None:
     busy = ": busy before the first plan, times are too long" if load[0] > BUSY * machine["cores"] else ""
     console.print(
         f"{report['plans']} plans each after {WARM_UP}; {machine['cores']} cores of {machine['cpu']}{gpus}; "
-        f"load {load[0]:.1f} before, {load[1]:.1f} after{busy}",
+        f"load {load[0]:.1f} before, {load[1]:.1f} after{busy}"
     )

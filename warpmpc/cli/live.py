@@ -20,14 +20,7 @@ NEEDED = ("viser", "tomlkit")
 
 
 def live(arguments: RunArguments, *, host: str, port: int, seed: int) -> None:
-    """Serve a scene's page until Ctrl-C or SIGTERM.
-
-    Args:
-        arguments: Scene and engine.
-        host: Address to listen at.
-        port: Port to listen at.
-        seed: Seed of the first episode.
-    """
+    """Serve a scene's page until Ctrl-C or SIGTERM."""
     with Interrupts(), user_errors():
         missing = [name for name in NEEDED if find_spec(name) is None]
         if missing:

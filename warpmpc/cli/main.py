@@ -189,8 +189,7 @@ def run(
         ),
     ] = None,
     results: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.jsonl", help="Keep results in a file; those it has are not run again."),
+        Path | None, typer.Option(metavar="FILE.jsonl", help="Keep results in a file; those it has are not run again.")
     ] = None,
     real_time: Annotated[
         bool,
@@ -241,8 +240,7 @@ def run(
 @app.command()
 def replay(
     path: Annotated[
-        Path,
-        typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog."),
+        Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
     ],
     terms: TermsOption = [],  # noqa: B006
 ) -> None:
@@ -258,8 +256,7 @@ def replay(
 @app.command()
 def plot(
     path: Annotated[
-        Path,
-        typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog."),
+        Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
@@ -305,15 +302,12 @@ def bench(
 
     raise typer.Exit(
         cli_bench(
-            scene,
+            _arguments(scene, overrides, terms, "auto", device),
             engines=engine,
             samples=samples,
             against=against,
             plans=plans,
             seed=seed,
-            overrides=overrides,
-            term_files=terms,
-            device=device,
             json_lines=json,
         )
     )
@@ -322,8 +316,7 @@ def bench(
 @app.command()
 def tune(
     scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE...", help="Shipped scenes or TOML files; several are tuned together."),
+        list[str], typer.Argument(metavar="SCENE...", help="Shipped scenes or TOML files; several are tuned together.")
     ],
     keys: Annotated[
         list[str],
@@ -361,17 +354,13 @@ def tune(
 
     raise typer.Exit(
         cli_tune(
-            scenes,
+            [_arguments(scene, overrides, terms, engine, device) for scene in scenes],
             keys=keys,
             trials=trials,
             seeds=range(seed, seed + episodes),
             jobs=jobs,
             study_file=study,
             out=output,
-            overrides=overrides,
-            term_files=terms,
-            engine=engine,
-            device=device,
             contact_penalty=contact_penalty,
         )
     )

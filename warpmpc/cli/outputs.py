@@ -50,11 +50,6 @@ class Outputs:
     def check(self, seeds: Sequence[int], *, envs: int, jobs: str | None) -> None:
         """Refuse files that cannot be made.
 
-        Args:
-            seeds: Seeds of the episodes.
-            envs: Episodes that are planned for together.
-            jobs: Where episodes run.
-
         Raises:
             ValueError: If options do not go together.
             OSError: If a file cannot be written.

@@ -15,13 +15,7 @@ from .terms import FolderTerms
 
 
 def plot(path: Path, *, out: Path | None, term_files: Sequence[Path]) -> int:
-    """Draw the episodes of a file or a run's folder; returns the exit code.
-
-    Args:
-        path: Run log (``.runlog``, ``.npz``) or folder.
-        out: Folder for the figures, ``plots`` in the run's folder or beside the file, named after it, if None.
-        term_files: Python files of cost terms.
-    """
+    """Draw the episodes of a run log (``.runlog``, ``.npz``) or of a run's folder; returns the exit code."""
     with results_only() as printed, Messages(notices=False, warnings=False), user_errors():
         files = logs_in(path)
         if importlib.util.find_spec("matplotlib") is None:

@@ -30,10 +30,6 @@ class Messages(logging.Handler):
     """Shows what warpmpc logs: every notice once, and the first warning of an episode; the results count the rest.
 
     What libraries and users' terms warn of by Python's ``warnings`` is among it.
-
-    Args:
-        notices: Whether to show notices, such as which engine ``auto`` took.
-        warnings: Whether to show warnings.
     """
 
     def __init__(self, *, notices: bool, warnings: bool):
@@ -75,12 +71,7 @@ class Messages(logging.Handler):
 
 
 class Bar:
-    """A bar on stderr, if that is a terminal.
-
-    Args:
-        total: What the bar counts up to.
-        shown: Whether to show anything.
-    """
+    """A bar on stderr, if that is a terminal."""
 
     def __init__(self, total: float, *, shown: bool):
         self.total, self.shown = total, shown
@@ -126,8 +117,6 @@ class EpisodeBar(Bar):
 
     Args:
         timeout: Longest simulated time of an episode [s].
-        seeds: Seeds of the episodes.
-        shown: Whether to show anything.
     """
 
     def __init__(self, timeout: float, seeds: Sequence[int], *, shown: bool):
@@ -154,12 +143,7 @@ class EpisodeBar(Bar):
 
 
 class BatchBar(Bar):
-    """Finished episodes of a batch.
-
-    Args:
-        episodes: Number of episodes.
-        shown: Whether to show anything.
-    """
+    """Finished episodes of a batch."""
 
     def __init__(self, episodes: int, *, shown: bool):
         super().__init__(episodes, shown=shown)

@@ -36,18 +36,7 @@ def run_real_time(
     json_lines: bool,
     quiet: bool,
 ) -> int:
-    """Run one episode per seed in real time, report, and return the exit code.
-
-    Args:
-        arguments: Scene and engine.
-        seeds: Seeds of the episodes.
-        robot: Name of the robot's driver.
-        speed: Simulated seconds in a second of wall time.
-        outputs: Files to write.
-        refused: Options that were given and do not go with real time.
-        json_lines: Whether to print JSON.
-        quiet: Whether to print nothing.
-    """
+    """Run one episode per seed in real time, report, and return the exit code."""
     results: list[RealTimeResult] = []
     notices = not quiet and not json_lines
     with results_only() as out, Messages(notices=notices, warnings=not quiet), Interrupts() as interrupts:

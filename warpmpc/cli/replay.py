@@ -15,12 +15,7 @@ from .terms import FolderTerms
 
 
 def replay(path: Path, *, term_files: Sequence[Path]) -> int:
-    """Replay the episodes of a file or a run's folder, report, and return the exit code.
-
-    Args:
-        path: Run log (``.runlog``, ``.npz``) or folder.
-        term_files: Python files of cost terms.
-    """
+    """Replay the episodes of a run log (``.runlog``, ``.npz``) or of a run's folder; returns the exit code."""
     same = True
     with results_only() as out, Messages(notices=False, warnings=False), Interrupts() as interrupts:
         try:

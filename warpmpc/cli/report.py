@@ -25,14 +25,7 @@ if TYPE_CHECKING:
 
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
-    from ..scene.schema import (
-        Condition,
-        Failure,
-        Object,
-        Obstacle,
-        Planner,
-        Scene,
-    )
+    from ..scene.schema import Condition, Failure, Object, Obstacle, Planner, Scene
 
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file."""
@@ -157,8 +150,7 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
     each = str(substeps[0]) if len(set(substeps)) == 1 else f"{min(substeps)} to {max(substeps)}"
     fact("engine", f"{controller.engine.name} on {controller.device}, seed {episode.seed}")
     fact(
-        "rollouts",
-        f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan",
+        "rollouts", f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan"
     )
     if controller.plan_step.refiner:
         fact("derivatives", controller.plan_step.refiner.summary)
@@ -296,13 +288,7 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
     phased = ["reached"] if results[0].reached is not None else []
     table = _table(
-        "seed",
-        "result",
-        *phased,
-        *numbers[1:],
-        *safe,
-        right=[*numbers, *phased, *safe],
-        title=_title(results[0]),
+        "seed", "result", *phased, *numbers[1:], *safe, right=[*numbers, *phased, *safe], title=_title(results[0])
     )
     for r in results:
         table.add_row(

@@ -35,7 +35,7 @@ def check(arguments: RunArguments, *, seed: int) -> int:
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                setup = Setup(**vars(arguments))
+                setup = Setup(arguments)
                 if setup.scene.variant is None:
                     for variant in variants(arguments.source):
                         load_scene(f"{arguments.source}:{variant}", overrides=arguments.overrides)
@@ -77,7 +77,7 @@ def run(
             with user_errors():
                 _check_options(outputs, seeds, envs, jobs, results_file)
                 envs = min(envs, len(seeds))
-                setup = Setup(**vars(arguments))
+                setup = Setup(arguments)
                 kept = _kept(results_file, setup, arguments.term_files)
                 asked = {"engine": arguments.engine, "device": arguments.device, "jobs": jobs}
                 folder = outputs.folder(setup.scene, seeds=seeds, term_files=arguments.term_files, asked=asked)

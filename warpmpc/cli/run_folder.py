@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 ABOUT, SCENE, RESULTS = "run.json", "scene.toml", "results.jsonl"
 LOG, RECORDING, TERMS = "episode.runlog", "recording.rrd", "terms"
-OLDER = "history.npz"
-"""Logs of warpmpc before the run log."""
 
 
 class RunFolder:
@@ -27,7 +25,6 @@ class RunFolder:
     Args:
         path: The folder; made if it is not there, else it must be empty.
         scene: The scene as it is used, variant and changes applied, its tasks not drawn yet.
-        seeds: Seeds of the episodes.
         term_files: Python files of cost terms; they are copied.
         asked: What else was asked for, such as the engine, as plain data.
 
@@ -86,10 +83,8 @@ def logs_in(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    names = [name.split(".") for name in (LOG, OLDER)]
-    found = [
-        file for stem, suffix in names for file in (*path.glob(f"{stem}.{suffix}"), *path.glob(f"{stem}-*.{suffix}"))
-    ]
+    stem, suffix = LOG.split(".")
+    found = [*path.glob(LOG), *path.glob(f"{stem}-*.{suffix}")]
     if not found:
         raise ValueError(f"{path}: no run's folder: there is no {LOG} in it; `warpmpc run SCENE --out DIR` makes one")
     return sorted(found, key=lambda file: (len(file.name), file.name))

@@ -22,7 +22,6 @@ from .terms import load_terms
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
     from ..run.batch import Batch
     from ..run.episode import Episode
@@ -93,7 +92,7 @@ def start_warp() -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RunArguments:
-    """Scene, engine and device that a command is given; keys of :class:`Setup`."""
+    """Scene, engine and device that a command is given."""
 
     source: str
     """Scene and variant."""
@@ -108,41 +107,29 @@ class RunArguments:
 class Setup:
     """A scene with everything that its episodes share.
 
-    Args:
-        source: Scene and variant.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
-
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown, or a file of terms cannot be used.
     """
 
-    def __init__(self, source: str, *, overrides: Sequence[str], term_files: Sequence[Path], engine: str, device: str):
-        self.engine, self.device = engine, device
-        self.scene: Scene = load_scene(source, overrides=overrides)
+    def __init__(self, arguments: RunArguments):
+        engine = self.engine = arguments.engine
+        self.device = arguments.device
+        self.scene: Scene = load_scene(arguments.source, overrides=arguments.overrides)
         if engine not in EngineName.names():
             raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName.names())}")
         start_warp()
         from ..run.episode import compile_shared
 
         self.compiled: CompiledScene | None = compile_shared(self.scene)
-        self.terms: list[UserTerm] = load_terms(term_files)
+        terms = load_terms(arguments.term_files)
+        self._shared = {"engine": engine, "device": self.device, "terms": terms, "compiled": self.compiled}
 
     def episode(self, seed: int) -> Episode:
         """The episode of a seed, ready to run."""
         from ..run.episode import Episode
 
-        return Episode(
-            self.scene,
-            seed=seed,
-            engine=self.engine,
-            device=self.device,
-            terms=self.terms,
-            compiled=self.compiled,
-        )
+        return Episode(self.scene, seed=seed, **self._shared)
 
     def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
         """Sentences on what in the scene is probably a mistake, or too slow for its controls.
@@ -160,12 +147,4 @@ class Setup:
         """The episodes of several seeds, ready to run on one controller."""
         from ..run.batch import Batch
 
-        return Batch(
-            self.scene,
-            seeds,
-            envs=envs,
-            engine=self.engine,
-            device=self.device,
-            terms=self.terms,
-            compiled=self.compiled,
-        )
+        return Batch(self.scene, seeds, envs=envs, **self._shared)

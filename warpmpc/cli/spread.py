@@ -56,7 +56,7 @@ def run_seeds(arguments: RunArguments, seeds: Sequence[int], logs: bool) -> list
 @lru_cache(maxsize=1)
 def shared_setup(arguments: RunArguments) -> Setup:
     """A scene with everything that the episodes of a process share."""
-    return Setup(**vars(arguments))
+    return Setup(arguments)
 
 
 def shares(seeds: Sequence[int], envs: int, workers: int) -> list[Sequence[int]]:
@@ -77,16 +77,6 @@ def run_spread(
     shown: bool,
 ) -> Iterator[EpisodeResult]:
     """Run one episode per seed at some place, ``envs`` environments in all at once, those of a job planned together.
-
-    Args:
-        arguments: Scene and engine.
-        setup: The same, built here.
-        seeds: Seeds of the episodes.
-        envs: Environments of all jobs together.
-        jobs: The place, as for :func:`~warpmpc.run.workers.open_workers`.
-        outputs: Files to write.
-        kept: Results that are there already, and where new ones go.
-        shown: Whether to show a bar.
 
     Yields:
         Kept results, then those of episodes as they end.

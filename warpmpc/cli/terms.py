@@ -35,7 +35,6 @@ class FolderTerms:
 
     Args:
         path: A run log or a run's folder.
-        given: Files of ``--terms``.
     """
 
     def __init__(self, path: Path, given: Sequence[Path]):
@@ -45,7 +44,6 @@ class FolderTerms:
         """Return those that a scene needs.
 
         Args:
-            scene: The scene.
             planned: Whether plans are made; else what success, failures and phases look at is needed alone.
 
         Raises:

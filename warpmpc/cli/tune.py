@@ -34,7 +34,7 @@ LAST_SEED = 999
 
 
 def tune(
-    sources: Sequence[str],
+    given: Sequence[RunArguments],
     *,
     keys: Sequence[str],
     trials: int,
@@ -42,28 +42,9 @@ def tune(
     jobs: str,
     study_file: Path | None,
     out: Path | None,
-    overrides: Sequence[str],
-    term_files: Sequence[Path],
-    engine: str,
-    device: str,
     contact_penalty: float,
 ) -> int:
-    """Run or go on with a study, print what it found, and return the exit code.
-
-    Args:
-        sources: Scenes and variants that are tuned together.
-        keys: Keys with their ranges, or files of such; derived from the scenes if empty.
-        trials: Trials that the study holds in the end.
-        seeds: Seeds of the episodes of a trial.
-        jobs: Where episodes run; one at a time in this process for ``1``.
-        study_file: SQLite file of the study; None for none.
-        out: Scene file to write.
-        overrides: ``KEY=VALUE`` texts.
-        term_files: Python files of cost terms.
-        engine: Engine of the roll-outs.
-        device: Device of the roll-outs.
-        contact_penalty: Price of contact beyond a graze [s].
-    """
+    """Run or go on with a study of scenes that are tuned together, print what it found, and return the exit code."""
     with (
         results_only() as printed,
         Messages(notices=True, warnings=False),
@@ -77,28 +58,28 @@ def tune(
                 check_jobs(jobs)
                 if seeds[-1] > LAST_SEED:
                     raise ValueError(f"--seed, --episodes: tuning has seeds 0 to {LAST_SEED}, not {seeds[-1]}")
-                options = {"term_files": term_files, "engine": engine, "device": device}
-                setups = {source: Setup(source, overrides=overrides, **options) for source in sources}
+                setups = {arguments.source: Setup(arguments) for arguments in given}
                 scenes = {source: setup.scene for source, setup in setups.items()}
+                overrides = list(given[0].overrides)
                 base = _file_to_change(scenes, out)
                 from ..tuning.search import Task, open_study
                 from ..tuning.space import bind_space, derive_space, parse_space
 
                 space = parse_space(keys or list(dict.fromkeys(t for s in scenes.values() for t in derive_space(s))))
-                space, start = bind_space(space, scenes, list(overrides))
+                space, start = bind_space(space, scenes, overrides)
                 task = Task(
                     scenes=scenes,
                     space=space,
                     start=start,
                     seeds=list(seeds),
-                    overrides=list(overrides),
+                    overrides=overrides,
                     contact_penalty=contact_penalty,
                 )
                 study = open_study(study_file, task)
             for parameter in space:
                 print(f"--key {parameter.key}={parameter}", file=sys.stderr)
             with user_errors():
-                submit, parallel = _submitter(setups, task, jobs, end, **options)
+                submit, parallel = _submitter(given, setups, task, jobs, end)
                 _search(study, task, submit, parallel, trials)
         except LostJob as error:
             print(f"error: {error}", file=sys.stderr)
@@ -131,29 +112,22 @@ def run_trial(arguments: RunArguments, changes: tuple[str, ...], seed: int, cont
 
 
 def _submitter(
-    setups: dict[str, Setup],
-    task: Task,
-    jobs: str,
-    end: ExitStack,
-    *,
-    term_files: Sequence[Path],
-    engine: str,
-    device: str,
+    given: Sequence[RunArguments], setups: dict[str, Setup], task: Task, jobs: str, end: ExitStack
 ) -> tuple[Submit, int]:
     """Function that starts an episode, and the number that run side by side."""
-    workers = None
+    workers, device = None, given[0].device
     if jobs != "1":
         workers, device = open_workers(jobs, device=device, prepare=start_warp)
         end.enter_context(workers)
     orders = {
-        source: RunArguments(
-            source=portable(source, setup),
-            overrides=tuple(task.overrides) if workers is None else one_thread(workers, task.overrides),
-            term_files=tuple(path.absolute() for path in term_files),
-            engine=engine,
+        arguments.source: replace(
+            arguments,
+            source=portable(arguments.source, setups[arguments.source]),
+            overrides=arguments.overrides if workers is None else one_thread(workers, arguments.overrides),
+            term_files=tuple(path.absolute() for path in arguments.term_files),
             device=device,
         )
-        for source, setup in setups.items()
+        for arguments in given
     }
 
     def submit(source: str, seed: int, changes: tuple[str, ...]) -> Future[Outcome]:

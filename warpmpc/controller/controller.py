@@ -312,7 +312,6 @@ class Controller:
 
         Args:
             sample: Which one; the cheapest if None. Sample 0 is the mean as it was before this plan moved it.
-            e: Environment.
 
         Raises:
             ValueError: If nothing has been planned yet, or there is no such sample or environment.

@@ -17,8 +17,6 @@ class Observation:
     """The last finite observation of every environment, the scene's start before there is one.
 
     Args:
-        layout: State layout.
-        envs: Number of environments E.
         dt: Time between observations that do not say when they are [s].
     """
 

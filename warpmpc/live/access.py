@@ -32,7 +32,6 @@ class Access:
 
     Args:
         host: Address or name to listen at.
-        port: Port to listen at.
     """
 
     def __init__(self, host: str, port: int):
@@ -106,7 +105,6 @@ def open_server(access: Access, label: str) -> viser.ViserServer:
 
     Args:
         access: Where to listen and who may look.
-        label: Title of the page.
 
     Raises:
         OSError: If the port was taken meanwhile.

@@ -33,14 +33,6 @@ class ClosedLoop:
 
     What cannot be built or planned with raises and leaves everything as it was.
 
-    Args:
-        source: Scene and variant.
-        overrides: ``KEY=VALUE`` texts.
-        seed: Seed of the first episode.
-        engine: Engine of the rollouts.
-        device: Device of the rollouts.
-        terms: Users' own cost terms.
-
     Raises:
         SceneError: If the scene is wrong.
         ValueError: If engine or device is unknown.

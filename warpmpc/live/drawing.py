@@ -9,14 +9,15 @@ import numpy as np
 
 from ..model.heightfields import heightfields
 from ..model.layout import WORLD
-from ..record.forces import FORCE_COLOR, arrows
 from ..record.meshes import mesh_of
 from ..record.rollout_paths import BEST_COLOR
 from ..record.shapes import (
     DEFAULT_COLOR,
+    FORCE_COLOR,
     GHOST,
     GROUND_COLOR,
     ContactPoints,
+    arrows,
     drawn_shapes,
     scene_bounds,
     shown_shapes,
@@ -43,13 +44,7 @@ MARK_COLOR = (50, 200, 80)
 
 
 class Drawing:
-    """Draws a session's plant once, then moves it.
-
-    Args:
-        server: The page's server.
-        session: The session.
-        snapshot: What there is to see.
-    """
+    """Draws a session's plant once, then moves it."""
 
     def __init__(self, server: viser.ViserServer, session: Session, snapshot: Snapshot):
         self._server, self._scene, self._session = server, server.scene, session

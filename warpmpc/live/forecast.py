@@ -29,11 +29,7 @@ class Forecast:
 
 
 class Forecaster:
-    """Evaluates the cheapest rollout step by step, with the terms, resources and weights that the plan had.
-
-    Args:
-        controller: The controller.
-    """
+    """Evaluates the cheapest rollout step by step, with the terms, resources and weights that the plan had."""
 
     def __init__(self, controller: Controller):
         self._controller = controller

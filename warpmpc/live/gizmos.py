@@ -25,9 +25,6 @@ class Gizmo:
     """A handle on one pose of the task.
 
     Args:
-        scene: The page's scene.
-        session: The session.
-        name: Which pose.
         pose: Where it is ``[7]``.
         size: Length of the arrows [m].
     """
@@ -68,9 +65,7 @@ def pulls(session: Session, mesh: viser.MeshHandle, body: str, radius: float) ->
     """Let the mouse pull at a body by its mesh, and turn it with the shift key.
 
     Args:
-        session: The session.
         mesh: Part of what the body looks like.
-        body: Name of the body.
         radius: Radius of the scene [m].
     """
 

@@ -40,11 +40,7 @@ def require_port(host: str, port: int) -> None:
 
 
 def serve(
-    session: Session,
-    access: Access,
-    *,
-    ending: threading.Event | None = None,
-    ready: Callable[[], None] = lambda: None,
+    session: Session, access: Access, *, ending: threading.Event | None = None, ready: Callable[[], None] = lambda: None
 ) -> None:
     """Start a session and show it until it ends, ``ending`` is set or Ctrl-C comes.
 

@@ -7,9 +7,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..scene.load import load_scene, shipped_scenes, variants
-from .inputs import on_change
 from .saving import place_of, save, values_of
-from .settings import Settings
+from .settings import Settings, on_change
 
 if TYPE_CHECKING:
     import viser
@@ -24,12 +23,7 @@ KEEP = 0.5
 
 
 class Panels:
-    """The controls of a session.
-
-    Args:
-        server: The page's server.
-        session: The session.
-    """
+    """The controls of a session."""
 
     def __init__(self, server: viser.ViserServer, session: Session):
         self._gui, self._session = server.gui, session

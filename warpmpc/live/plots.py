@@ -30,12 +30,7 @@ WIDTH = 330.0
 
 
 class Plots:
-    """The curves of a session.
-
-    Args:
-        server: The page's server.
-        session: The session.
-    """
+    """The curves of a session."""
 
     def __init__(self, server: viser.ViserServer, session: Session):
         self._budget, layout = 1e3 * session.scene.timing.control_dt, session.plant.layout

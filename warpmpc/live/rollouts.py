@@ -28,11 +28,7 @@ class RolloutPaths:
 
 
 class ShownRollouts:
-    """Looks at rollouts of a controller's last plan.
-
-    Args:
-        controller: The controller.
-    """
+    """Looks at rollouts of a controller's last plan."""
 
     paths: RolloutPaths | None
     """Paths to draw; None where no rollout survived."""

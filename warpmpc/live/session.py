@@ -31,7 +31,6 @@ class Session(ClosedLoop, threading.Thread):
     plans, and read :attr:`snapshot`. A change that cannot be made is told there and leaves everything as it was.
 
     Args:
-        source: Scene and variant.
         pace: Simulated seconds per second of wall time at most, as :attr:`pace`.
         options: As for :class:`~.closed_loop.ClosedLoop`.
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from ..scene.errors import join_key
 from ..scene.types import Section
-from .inputs import on_change
 
 if TYPE_CHECKING:
     import viser
@@ -33,8 +32,6 @@ class Settings:
 
     Args:
         gui: The page's inputs.
-        session: The session.
-        section: Name of the section.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, section: str):
@@ -144,3 +141,23 @@ def _step(value: float) -> float:
 
 def _plain(text: str | None) -> str:
     return re.sub(r"``|\s*\n\s*", lambda m: " " if "\n" in m[0] else "", text or "")
+
+
+def on_change(made: Any, change: Callable[[Any], None]) -> None:
+    """Call a function with the new value when a browser changes an input, but not when the page shows one anew.
+
+    A browser may send anything: a value that is not in a dropdown's list is put back.
+    """
+    listed, held = tuple(getattr(made, "options", ())), made.value
+
+    def changed(event: Any) -> None:
+        nonlocal held
+        value = made.value  # read once: another message may come
+        if listed and value not in listed:
+            made.value = held
+            return
+        held = value
+        if event.client is not None:
+            change(value)
+
+    made.on_update(changed)

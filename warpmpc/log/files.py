@@ -18,7 +18,6 @@ def replacing(path: Path, mode: str = "w", **keys: Any) -> Iterator[IO]:
     Args:
         path: The file that is replaced; where a symbolic link leads.
         mode: ``w`` or ``wb``.
-        keys: More for :func:`open`.
 
     Raises:
         OSError: If it cannot be written; the old file is as it was.

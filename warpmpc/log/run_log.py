@@ -161,8 +161,7 @@ class RunLog:
     def load(cls, path: str | Path) -> RunLog:
         """Read a ``.runlog`` file, with those of planners in real time beside it, or an ``.npz`` file.
 
-        Of a run that was killed the whole rows are read. NPZ files of warpmpc before the run log are read without what
-        their plans were made from.
+        Of a run that was killed the whole rows are read.
 
         Raises:
             ValueError: If it is something else, or damaged.
@@ -174,7 +173,7 @@ class RunLog:
                 packed = file.read(2) == b"PK"
             if packed:
                 with read_npz(path) as data:
-                    return cls._from_arrays(data) if "about" in data else cls._from_older(data)
+                    return cls._from_arrays(data)
             log = cls.parse(path.read_bytes())
             found = read_planners(path)
             if found is None:
@@ -232,25 +231,6 @@ class RunLog:
         if about["format"] != FORMAT or not {"states", "controls"} <= tables.keys():
             raise ValueError("it lacks what a run has")
         return cls._of(tables, about)
-
-    @classmethod
-    def _from_older(cls, data: Mapping[str, np.ndarray]) -> RunLog:
-        """Read what can be drawn of a file of warpmpc before the run log."""
-        count, states = len(data["control"]), len(data["time"])
-        names = {name.removesuffix("_names"): data[name].tolist() for name in data if name.endswith("_names")}
-        renamed = {"body": "bodies", "control": "controls", "pair": "pairs", "error": "errors", "term": "terms"}
-        names = {"errors": [], **{renamed.get(name, name): found for name, found in names.items()}}
-        old = {c: data[c] for c in TABLES["states"] if c != "goal_error"}
-        old["goal_error"] = data.get("goal_error", np.zeros((states, 0)))
-        sent = {"control": data["control"], "plan": np.arange(count), "plan_ms": data["plan_ms"]}
-        if "tick_now" in data:
-            ticks = {c: data[f"tick_{c}"] for c in ("plan", "following", "late_ms", "age")}
-            sent |= {**ticks, "clock": data["tick_now"]}
-        plans = {"number": sent["plan"], "cost": data["cost"], "terms": data["cost_terms"]}
-        plans |= {name: data.get(name, np.full(count, np.nan)) for name in ("beta", "eta")}
-        origin = next((json.loads(str(data[f"{p}_origin"])) for p in ("log", "made") if f"{p}_origin" in data), None)
-        tables = {"states": _table(old), "controls": _table(sent), "plans": _table(plans)}
-        return cls._of(tables, {"names": names, "origin": origin})
 
 
 def _npz_name(table: str, column: str) -> str:

@@ -106,7 +106,6 @@ def row_type(table: str, sizes: Mapping[str, int], columns: Sequence[str] | None
     """Type of a row of a table.
 
     Args:
-        table: Name of the table.
         sizes: Sizes of the axes by name.
         columns: Columns that are kept, all of them if None.
     """

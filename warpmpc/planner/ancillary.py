@@ -31,11 +31,7 @@ class Ancillaries:
     """All that a scene's ``planner.ancillary`` names.
 
     Args:
-        scene: The scene.
-        layout: Its layout.
-        task: The task, of E environments.
         knot_time: Times of the knots after the first ``[P]`` [s].
-        controllers: Users' own ancillary controllers.
 
     Raises:
         SceneError: If there is no such controller or file, or what it proposes at the start does not fit.
@@ -118,7 +114,6 @@ class StatePolicy(Proposer):
     """Samples that the observed state and the task alone decide.
 
     Args:
-        count: Number of samples.
         policy: The knots for them.
     """
 

@@ -37,14 +37,11 @@ class Covariance:
     All forms but ``full`` live in :attr:`sigma`, where knots and controls that share one σ hold the same number.
 
     Args:
-        form: What is adapted.
         sigma: Standard deviation at the start ``[nu]``, in control units.
         sigma_min: Floor of an adapted standard deviation ``[nu]``.
         kappa: Variance that is added when a plan moves on ``[nu]``.
         step_size: Step α_σ towards the spread of the weighted samples, 1 forgets the old value.
         schedule: Factor on the deviation in every iteration at every knot ``[n, P]``.
-        envs: Number of environments E.
-        device: Warp device.
         restarts: Whether every plan begins with ``sigma`` anew.
     """
 
@@ -138,7 +135,6 @@ def covariance_form(scene: Scene, *, adapts: bool) -> CovarianceForm:
     """The form a scene asks for.
 
     Args:
-        scene: The scene.
         adapts: Whether σ of every knot is adapted where the scene does not say.
 
     Raises:
@@ -169,8 +165,6 @@ def control_sigma(scene: Scene, layout: Layout, *, shared: bool = False) -> np.n
     """Standard deviation of the noise ``[nu]``, in control units.
 
     Args:
-        scene: The scene.
-        layout: Its layout.
         shared: Whether all controls have one.
 
     Raises:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -30,8 +30,6 @@ class RecedingPlan:
 
     Args:
         layout: State layout, which says what controls ask for nothing.
-        state: What plans start from.
-        spline: Spline over the knots.
         limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
     """
 
@@ -42,13 +40,7 @@ class RecedingPlan:
     null: wp.array2d[float]
     """Controls that ask for nothing in the observed state, ``[E, nu]``."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        state: ObservedState,
-        spline: Spline,
-        limits: tuple[wp.array, wp.array],
-    ):
+    def __init__(self, layout: Layout, state: ObservedState, spline: Spline, limits: tuple[wp.array, wp.array]):
         self._state, self._spline, self._limits = state, spline, limits
         self.device = state.joint_q.device
         self._launch = Launcher(self.device)
@@ -109,28 +101,18 @@ class Gaussian(RecedingPlan):
     """Samples about a mean that moves on, and their covariance.
 
     Args:
-        layout: State layout.
-        state: What plans start from.
-        spline: Spline over the knots.
-        limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
+        plan: Arguments of :class:`RecedingPlan`.
         covariance: Covariance of the samples.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        state: ObservedState,
-        spline: Spline,
-        limits: tuple[wp.array, wp.array],
-        covariance: Covariance,
-    ):
+    def __init__(self, *plan: Any, covariance: Covariance):
         self.covariance = covariance
-        super().__init__(layout, state, spline, limits)
+        super().__init__(*plan)
         knots, nu = self.dim[1:]
         self._columns = knots * nu
         self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
         self._column_limits = [
-            wp.array(np.tile(limit.numpy(), knots), dtype=float, device=self.device) for limit in limits
+            wp.array(np.tile(limit.numpy(), knots), dtype=float, device=self.device) for limit in self._limits
         ]
 
     @property
@@ -169,9 +151,6 @@ class Gaussian(RecedingPlan):
             undrawn: Knots ``[F, E, P, nu]`` of samples that are not drawn, and F, which may be none of them.
             iteration: Row of the schedule of σ.
             mean: Whether the mean is among the samples.
-            knots: Takes the samples.
-            first: First of the rows e·S + s to write.
-            count: Number of rows.
         """
         covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
         spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]

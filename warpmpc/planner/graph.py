@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.packing import (
-    REPORT,
-    report_kernel,
-    survey_kernel,
-    unpack_kernel,
-)
+from ..kernels.worlds.packing import REPORT, report_kernel, survey_kernel, unpack_kernel
 from ..launch import Launcher, Replay, step_lanes
 from .report import PlanReport
 from .weighting import block_dim
@@ -31,9 +26,6 @@ class PlanGraph:
     On a CUDA device the first plan runs launch by launch, which loads the kernels; then the same sequence is captured
     and later plans replay it. Terms that are plain functions over arrays cannot be captured: with one of them every
     plan runs launch by launch.
-
-    Args:
-        plan: The plan step.
     """
 
     def __init__(self, plan: PlanStep):
@@ -72,13 +64,7 @@ class PlanGraph:
         """Values of the task that the last plan was made for ``[E, n]``, overwritten by the next."""
         return self._packed[:, -self.plan.costs.task.block.shape[1] :]
 
-    def __call__(
-        self,
-        observed: np.ndarray,
-        elapsed: np.ndarray,
-        start: np.ndarray,
-        state: np.ndarray,
-    ) -> PlanReport:
+    def __call__(self, observed: np.ndarray, elapsed: np.ndarray, start: np.ndarray, state: np.ndarray) -> PlanReport:
         """Plan for what the task wants at present.
 
         Args:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..engine.timegrid import TimeGrid
 from ..model.state import State
-from .splines import SplineKind, fitting_matrix
+from .splines import fitting_matrix
 
 if TYPE_CHECKING:
     from ..scene.schema import Scene
@@ -23,15 +23,13 @@ class Horizon:
     """Turns controls over the horizon into knots of a plan.
 
     Args:
-        scene: The scene.
         knot_time: Times of the knots after the first ``[P]`` [s].
-        nu: Number of controls.
     """
 
     def __init__(self, scene: Scene, knot_time: np.ndarray, nu: int):
         self.nu, self.knot_time, self.time = nu, knot_time, TimeGrid.of(scene).t[:-1]
         """Times at which the steps begin ``[T]`` [s]."""
-        self.kind = SplineKind(scene.planner.spline.value)
+        self.kind = scene.planner.spline
         self._matrix = fitting_matrix(self.kind, knot_time, self.time)
 
     @property

@@ -27,13 +27,6 @@ LEAST_SPREAD = 1e-6
 def motions(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon) -> tuple[int, Ask]:
     """Number of motions of a file that are tried, and the function that selects them.
 
-    Args:
-        scene: The scene.
-        layout: Its layout.
-        key: Key of the file, for messages.
-        wanted: What the scene says.
-        horizon: Turns controls into knots.
-
     Raises:
         SceneError: If the file is missing or does not fit, or there is no such joint.
     """
@@ -66,7 +59,6 @@ class Nearness:
     way round.
 
     Args:
-        layout: State layout.
         states: Stored joint coordinates and velocities ``[N, nq + nv]``.
         columns: Numbers that count.
     """
@@ -76,10 +68,7 @@ class Nearness:
         starts = zip(layout.joint_type.tolist(), layout.joint_q_start.tolist(), strict=True)
         first = {int(BALL): 0, int(FREE): 3}
         self._quaternions = [slice(at + first[kind], at + first[kind] + 4) for kind, at in starts if kind in first]
-        linear, angular = layout.joint_dof_dim.T
-        turning = np.concatenate([np.arange(n) >= k for k, n in zip(linear, linear + angular, strict=True)])
-        endless = turning & (layout.dof_upper - layout.dof_lower > 1e3) & (layout.dof_coord >= 0)
-        self._endless = layout.dof_coord[endless]
+        self._endless = endless_coordinates(layout, turning=True)
         spread = self._differences(states[0]).std(axis=0)
         self._scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > LEAST_SPREAD)
 
@@ -128,6 +117,14 @@ def _motions(arrays: dict[str, np.ndarray], layout: Layout, horizon: Horizon) ->
     return states, control[:, holding(time, horizon.time)]
 
 
+def endless_coordinates(layout: Layout, *, turning: bool) -> np.ndarray:
+    """Coordinates of the joints that turn, or else slide, without end."""
+    linear, angular = layout.joint_dof_dim.T
+    turns = np.concatenate([np.arange(n) >= k for k, n in zip(linear, linear + angular, strict=True)])
+    endless = (turns == turning) & (layout.dof_upper - layout.dof_lower > 1e3) & (layout.dof_coord >= 0)
+    return layout.dof_coord[endless]
+
+
 def holding(time: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Index of the control that acts at other times, of those that begin at ascending times; the ends are held."""
     early = 1e-6  # a step that begins with a control has it, however the two times were rounded
@@ -138,8 +135,6 @@ def near_columns(layout: Layout, key: str, joints: Sequence[str] | None) -> np.n
     """Numbers of a state ``[nq + nv]`` that say what is near.
 
     Args:
-        layout: State layout.
-        key: Key of the joints, for messages.
         joints: Their names, all of them if None.
 
     Raises:

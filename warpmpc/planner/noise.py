@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sources of noise for the knots of all samples: standard normals, and what a shaping matrix makes of them."""
 
-from enum import StrEnum
-
 import numpy as np
 import warp as wp
 
@@ -16,14 +14,7 @@ from ..kernels.planning.sampling import (
     table_normal_kernel,
 )
 from ..launch import Launcher, step_lanes
-
-
-class NoiseKind(StrEnum):
-    """Source of the standard normals; the values are the words of scene files."""
-
-    HALTON = "halton"
-    SOBOL = "sobol"
-    RANDOM = "random"
+from ..scene.schema import NoiseSource as NoiseKind
 
 
 def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: int) -> np.ndarray:
@@ -55,14 +46,9 @@ class NoiseSource:
         redraw: Draw anew at every launch, else keep the first draw.
         starts: Redraw a table by other starts instead of rotations.
         seed: Seed of table, rotations and pseudo-random numbers.
-        envs: Number of environments E.
-        samples: Number of samples S.
-        knots: Number of knots P.
-        nu: Number of controls.
         spread: Factors (low, high) between which the samples' scale runs geometrically.
         shaping: Shaping matrix B ``[P, P]``, None for the identity.
         constant: Share of the samples whose noise is the same at every knot.
-        device: Warp device, the current one if None.
     """
 
     z: wp.array4d[float]
@@ -134,12 +120,7 @@ class NoiseSource:
             self._launch(random_shift_kernel, self._shift.shape, [self._counter, self.seed], [self._shift])
 
     def draw(self, first: int, count: int) -> None:
-        """Write noise of some samples as the draw that is on has it; capture-safe.
-
-        Args:
-            first: First of the rows e·S + s.
-            count: Number of rows.
-        """
+        """Write noise of some samples as the draw that is on has it; capture-safe."""
         dim = (count, self._drawn_knots, self.z.shape[3])
         if self._table is None:
             self._launch(random_normal_kernel, dim, [self._counter, self.seed, first], [self.z])

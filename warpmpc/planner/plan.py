@@ -72,8 +72,6 @@ def refitted(plan: Plan, kind: SplineKind, knot_time: np.ndarray) -> np.ndarray:
     """Knots ``[P, nu]``, or ``[E, P, nu]``, that a plan has on another spline.
 
     Args:
-        plan: The plan.
-        kind: The other spline.
         knot_time: Times of its knots after the plan's first one ``[P]`` [s].
 
     Returns:

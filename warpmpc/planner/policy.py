@@ -25,14 +25,6 @@ FLOAT = "tensor(float)"
 def policy(scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon, task: Task) -> tuple[int, Ask]:
     """Number of samples that the policy of a file proposes, and the function that runs it.
 
-    Args:
-        scene: The scene.
-        layout: Its layout.
-        key: Key of the file, for messages.
-        wanted: What the scene says.
-        horizon: Turns controls into knots.
-        task: The task.
-
     Raises:
         SceneError: If onnxruntime or the file is missing, or the policy reads or returns something else.
     """

@@ -42,9 +42,6 @@ class PostureSamples(Proposer):
 
     Args:
         scene: The scene, whose ``planner.postures`` says what is wanted.
-        layout: Its layout.
-        state: What plans start from.
-        spline: Spline over the knots.
         null: Controls that ask for nothing in the observed state ``[E, nu]``.
         cost: Costs of the samples ``[E, S]``.
         first: The sample that the first row is.

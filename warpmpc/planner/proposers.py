@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
 from ..launch import Launcher
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from ..model.state import State
     from .report import PlanReport
@@ -22,7 +21,7 @@ class Proposer:
     """One or more samples of every plan that are not drawn; they are clamped to the limits when they are tried.
 
     A proposer on the device writes :attr:`knots` in :meth:`before_plan`. One on the host is asked before that; its
-    answer travels with the observation (:class:`~.ancillary.Ancillaries`, :class:`AskedSamples`).
+    answer travels with the observation (:class:`~.ancillary.Ancillaries`, :class:`LaunchedSamples`).
 
     Args:
         count: Number of samples.
@@ -47,9 +46,7 @@ class Proposer:
         """Knots ``[n, P, nu]`` for one environment, n at most :attr:`count`; not finite, or None, for a null particle.
 
         Args:
-            e: Environment.
             state: Its observed state; None where there is none, and nothing is proposed.
-            task: What the run wants there.
             last: What came of the plan before this one, if there was one since the last reset.
         """
 
@@ -57,21 +54,22 @@ class Proposer:
         """Forget earlier plans."""
 
 
-class NullSamples(Proposer):
-    """Null particles, which ask for nothing all along: no speed or effort, or the observed position held.
+class LaunchedSamples(Proposer):
+    """Samples that one kernel writes for the state that is observed now, a thread for each knot.
 
     Args:
-        count: Number of samples.
-        null: Controls that ask for nothing in the observed state ``[E, nu]``.
+        kernel: ``null_rows_kernel``, for null particles (no speed or effort, or the observed position held), or
+            ``proposed_rows_kernel``, for answers of the host's proposers, null particles where there is none.
+        inputs: Its inputs.
     """
 
-    def __init__(self, count: int, null: wp.array):
+    def __init__(self, count: int, kernel: wp.Kernel, inputs: Sequence[wp.array]):
         super().__init__(count)
-        self._null, self._launch = null, Launcher(null.device)
+        self._kernel, self._inputs, self._launch = kernel, list(inputs), Launcher(inputs[0].device)
 
     def before_plan(self) -> None:
-        """Write what asks for nothing now; capture-safe."""
-        self._launch(null_rows_kernel, self.knots.shape[:3], [self._null], [self.knots])
+        """Launch the kernel; capture-safe."""
+        self._launch(self._kernel, self.knots.shape[:3], self._inputs, [self.knots])
 
 
 class BestSamples(Proposer):
@@ -79,7 +77,6 @@ class BestSamples(Proposer):
 
     Args:
         carry: Lets knots ``[E, P, nu]`` move on with the plan.
-        count: Number of samples.
     """
 
     def __init__(self, carry: Callable[[wp.array], None], count: int):
@@ -91,24 +88,6 @@ class BestSamples(Proposer):
         super().bind(knots)
         for row in range(len(knots)):
             self._carry(knots[row])
-
-
-class AskedSamples(Proposer):
-    """Answers of the host's proposers for the observed state; where that is nothing, a null particle.
-
-    Args:
-        proposed: Knots of all of them, side by side ``[E, n·P·nu]``.
-        null: Controls that ask for nothing in the observed state ``[E, nu]``.
-        columns: Numbers of a plan, P·nu.
-    """
-
-    def __init__(self, proposed: wp.array, null: wp.array, columns: int):
-        super().__init__(proposed.shape[1] // columns)
-        self._proposed, self._null, self._launch = proposed, null, Launcher(null.device)
-
-    def before_plan(self) -> None:
-        """Write what is proposed now; capture-safe."""
-        self._launch(proposed_rows_kernel, self.knots.shape[:3], [self._proposed, self._null], [self.knots])
 
 
 class StoredSamples(Proposer):

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..kernels.geometry.kinematics import FREE
 from ..scene.errors import SceneError
-from .motions import Nearness, holding, near_columns
+from .motions import Nearness, endless_coordinates, holding, near_columns
 from .proposers import Proposer
 from .splines import spline_value
 
@@ -36,11 +36,6 @@ class Recall(Proposer):
     all that were sent until the next plan.
 
     Args:
-        scene: The scene.
-        layout: Its layout.
-        key: Key of the table, for messages.
-        wanted: What the scene says.
-        horizon: Turns controls into knots.
         envs: Number of environments E, each with a memory of its own.
 
     Raises:
@@ -53,7 +48,7 @@ class Recall(Proposer):
         self._splices = [np.searchsorted(horizon.time, share * horizon.time[-1]) for share in wanted.splice]
         self._columns = near_columns(layout, f"{key}.joints", wanted.joints)
         if wanted.joints is None:
-            self._columns = np.setdiff1d(self._columns, _gone_for_good(layout))
+            self._columns = np.setdiff1d(self._columns, _unbounded_coordinates(layout))
         least = float(horizon.time[-1]) + scene.timing.control_dt
         if wanted.recall < least:
             message = f"is shorter than what a plan of {least:g} s needs, so that nothing is ever known; give more"
@@ -115,7 +110,6 @@ class _Memory:
     Args:
         count: How many are kept.
         control_dt: Time of a control [s]: a clock that is set back by less is read unevenly, and starts no run.
-        layout: State layout.
     """
 
     def __init__(self, count: int, control_dt: float, layout: Layout):
@@ -164,11 +158,7 @@ class _Memory:
         self._open = False
 
     def see(self, state: State) -> None:
-        """Take in the state that is observed now; one from more than a control before the last begins a run anew.
-
-        Args:
-            state: The state.
-        """
+        """Take in the state that is observed now; one from more than a control before the last begins a run anew."""
         if state.time < self.began - self._control_dt:
             self.forget()
         while self._end and self._rows[self._end - 1, 0] >= state.time:
@@ -181,11 +171,8 @@ def _sent(last: PlanReport, e: int) -> np.ndarray | None:
     return last.command[e] if np.isfinite(last.cost[e]) else None
 
 
-def _gone_for_good(layout: Layout) -> np.ndarray:
-    """Coordinates that need not come back: places of floating bodies, of joints that slide without end."""
+def _unbounded_coordinates(layout: Layout) -> np.ndarray:
+    """Coordinates that need not come back: positions of floating bodies and of joints that slide without end."""
     first = [int(at) for kind, at in zip(layout.joint_type, layout.joint_q_start, strict=False) if kind == int(FREE)]
     free = [at + i for at in first for i in range(3)]
-    linear, angular = layout.joint_dof_dim.T
-    sliding = np.concatenate([np.arange(n) < k for k, n in zip(linear, linear + angular, strict=True)])
-    endless = sliding & (layout.dof_upper - layout.dof_lower > 1e3) & (layout.dof_coord >= 0)
-    return np.concatenate([free, layout.dof_coord[endless]]).astype(int)
+    return np.concatenate([free, endless_coordinates(layout, turning=False)]).astype(int)

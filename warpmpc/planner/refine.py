@@ -21,7 +21,7 @@ from ..scene.errors import SceneError
 from ..scene.schema import Method, Refinement
 from .feedback import Feedback, StateSpace
 from .riccati import Backward, backward
-from .splines import SplineKind, spline_value
+from .splines import spline_value
 
 if TYPE_CHECKING:
     from ..derivatives.expansion import Linear
@@ -44,10 +44,7 @@ class Refiner(ABC):
     """Improves a strategy's mean by derivatives along its rollout.
 
     Args:
-        engine: Engine of the plans.
-        request: What it was built for.
         steps: Physics steps of the horizon.
-        strategy: The strategy.
 
     Raises:
         SceneError: If the engine, the time grid or a cost term does not allow it.
@@ -203,7 +200,7 @@ class GradientRefiner(Refiner):
     def _blend(self) -> np.ndarray:
         """Share of each knot in a step's control ``[E, T, P]``."""
         times, grid = self._request.spline.time.numpy().astype(float), self._request.grid.t[:-1]
-        kind, unit = SplineKind(self._planner.spline.value), np.eye(len(times))
+        kind, unit = self._planner.spline, np.eye(len(times))
         offsets = self._strategy.offset.numpy()
         return np.stack([[spline_value(kind, times, unit, float(t + offset)) for t in grid] for offset in offsets])
 
@@ -307,12 +304,6 @@ REFINERS = {Refinement.GRADIENT: GradientRefiner, Refinement.ILQG: IlqgRefiner}
 
 def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: SamplingStrategy) -> Refiner | None:
     """Refiner that a scene asks for, None without.
-
-    Args:
-        name: Name of the plans' engine.
-        request: What it was built for.
-        engine: The engine.
-        strategy: The strategy.
 
     Raises:
         SceneError: If no derivatives of the engine are to be had, or the scene does not allow them.

@@ -11,7 +11,7 @@ from ..engine.timegrid import TimeGrid
 from ..model.assets import resolve_asset
 from ..model.npz import read_npz
 from ..scene.errors import SceneError
-from .splines import SplineKind, fitted_knots
+from .splines import fitted_knots
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,9 +28,7 @@ def sequences(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
     comes nearest to it in the least-squares sense, which is the sequence itself where there are as many knots as steps.
 
     Args:
-        scene: The scene.
         knot_time: Times of the knots after the first ``[P]`` [s].
-        nu: Number of controls.
 
     Raises:
         SceneError: If the file is missing, cannot be read or has the wrong shape.
@@ -55,7 +53,7 @@ def sequences(scene: Scene, knot_time: np.ndarray, nu: int) -> np.ndarray:
         raise _error(scene, "has numbers that are not finite")
     if values.shape[1] == knots:
         return values.astype(np.float32)
-    return fitted_knots(SplineKind(scene.planner.spline.value), knot_time, values, grid.t[:-1])
+    return fitted_knots(scene.planner.spline, knot_time, values, grid.t[:-1])
 
 
 def _read(path: Path, scene: Scene) -> np.ndarray:

@@ -56,7 +56,6 @@ def bspline(knots: int, noise_knots: int | None = None, *, normalize: bool = Tru
     used; the other columns of B are zero.
 
     Args:
-        knots: Number of knots P.
         noise_knots: Number of noise knots n, half of P if None (Pezzato et al. 2025; Bhardwaj et al.
             2021 take a quarter); fewer than four lower the degree to n - 1.
         normalize: Scale the rows to unit length.

@@ -1,42 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of spline over the knots of a plan, and their values on the host."""
+"""Splines over the knots of a plan: their tables for kernels, and their values on the host."""
 
 from __future__ import annotations
-
-from enum import StrEnum
 
 import numpy as np
 import warp as wp
 
 from ..kernels.planning import splines as kernels
-
-
-class SplineKind(StrEnum):
-    """Spline from knots to controls; the values are the words of scene files."""
-
-    ZERO = "zero"
-    LINEAR = "linear"
-    CUBIC = "cubic"
-    BSPLINE = "bspline"
-
-    @property
-    def code(self) -> int:
-        """The ``kind`` of the kernels in ``warpmpc.kernels.planning.splines``."""
-        return int(getattr(kernels, self.name))
+from ..scene.schema import SplineKind
 
 
 def spline_table(kind: SplineKind, time: np.ndarray, step: float, device: str) -> kernels.Spline:
     """Table of a spline, as kernels take it.
 
     Args:
-        kind: Kind of spline.
         time: Times of the knots after the first ``[P]`` [s], ascending from zero.
         step: How long a single knot holds [s].
-        device: Warp device.
     """
     interval = np.diff(time) if len(time) > 1 else np.array([step])
     table = kernels.Spline()
-    table.kind = kind.code
+    table.kind = int(getattr(kernels, kind.name))
     table.even = int(np.allclose(interval, interval[0], rtol=1e-9))
     table.knot_dt = float(interval[0])
     relative = np.ones_like(interval) if table.even else interval / interval[0]
@@ -49,7 +32,6 @@ def spline_value(kind: SplineKind, times: np.ndarray, knots: np.ndarray, time: f
     """Value of a spline at a time, as ``evaluate_spline`` of the kernels has it (Howell et al. 2022, Eqs. 15-23).
 
     Args:
-        kind: Kind of spline.
         times: Times of the knots ``[P]`` [s], ascending.
         knots: Knots ``[P, nu]``.
         time: When [s]; before the first and after the last knot the end value is held.
@@ -80,7 +62,6 @@ def fitted_knots(kind: SplineKind, knot_time: np.ndarray, values: np.ndarray, ti
     """Knots ``[..., P, nu]`` whose spline comes nearest to values at some times, in the least-squares sense.
 
     Args:
-        kind: Kind of spline.
         knot_time: Times of the knots ``[P]`` [s].
         values: Values ``[..., T, nu]``.
         times: Times of the values ``[T]`` [s].
@@ -92,7 +73,6 @@ def fitting_matrix(kind: SplineKind, knot_time: np.ndarray, times: np.ndarray) -
     """The matrix ``[P, T]`` that turns values at some times into the knots whose spline comes nearest to them.
 
     Args:
-        kind: Kind of spline.
         knot_time: Times of the knots ``[P]`` [s].
         times: Times of the values ``[T]`` [s].
     """

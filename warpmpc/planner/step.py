@@ -20,7 +20,7 @@ from . import registry  # noqa: F401 (the shipped strategies)
 from .ancillary import Ancillaries
 from .plan import Plan, refitted
 from .refine import control_hold, refiner_of
-from .splines import SplineKind, spline_table
+from .splines import spline_table
 from .strategy import proposal
 
 if TYPE_CHECKING:
@@ -41,15 +41,9 @@ class PlanStep:
     """One plan step over all environments, with the state it carries from plan to plan.
 
     Args:
-        scene: The scene.
-        compiled: The scene, compiled.
         costs: The cost terms, on the device of the rollouts.
-        shape: Sizes of the batch.
-        engine: Name of the engine, or ``auto``.
         strategy: Name of the strategy, or ``"auto"``: the scene's ``planner.method``.
-        seed: Seed of the noise.
         properties: Draws of physical properties of the rollouts' worlds, None for nominal ones.
-        ancillaries: Users' own ancillary controllers that the scene names.
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
@@ -75,7 +69,7 @@ class PlanStep:
         layout = costs.layout
         make_strategy = STRATEGIES.find(str(scene.planner.method) if strategy == "auto" else strategy, "auto")
         self.costs, self.shape, self.device = costs, shape, costs.device
-        self.grid, self.kind = TimeGrid.of(scene), SplineKind(scene.planner.spline.value)
+        self.grid, self.kind = TimeGrid.of(scene), scene.planner.spline
         self.knot_time = knot_times(self.grid, scene.planner.knots, control_hold(scene))
         """Times of the knots after the first ``[P]`` [s]."""
         spline = spline_table(self.kind, self.knot_time, float(self.grid.dt[0]), self.device)

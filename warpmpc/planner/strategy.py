@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from ..engine.protocol import Proposal
+from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
 from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
@@ -18,9 +19,9 @@ from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
 from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian, RecedingPlan
 from .moments import SampleMoments
-from .noise import NoiseKind, NoiseSource
+from .noise import NoiseSource
 from .postures import PostureSamples
-from .proposers import AskedSamples, BestSamples, NullSamples, Proposer, StoredSamples
+from .proposers import BestSamples, LaunchedSamples, Proposer, StoredSamples
 from .sequences import sequences
 from .shaping import schedule, shaping_matrix
 from .weighting import Mppi, Weighting, WeightingState
@@ -34,10 +35,20 @@ if TYPE_CHECKING:
     from ..task.observed import ObservedState
 
 
-class Strategy(Protocol):
-    """Samples knots, is told what they cost, and knows the plan."""
+class Strategy:
+    """Samples knots, is told what they cost, and knows the plan. One of your own derives from it, or has all it has.
 
-    population: Sequence[int]
+    Args:
+        scene: The scene.
+        layout: Its layout.
+        state: State and task that plans start from, on the device.
+        spline: Spline over the knots.
+        limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
+        cost: Costs of the samples ``[E, S]``, which the engine writes.
+        seed: Seed of the noise.
+    """
+
+    population: Sequence[int] = ()
     """Samples of every environment that a round of a plan tries, one number for each round;
     the first ones, all others cost +inf then."""
     knots: wp.array4d[float]
@@ -50,6 +61,27 @@ class Strategy(Protocol):
     """Temperature, ``[E]``; one for strategies without."""
     eta: wp.array[float]
     """Number of samples that carry weight, ``[E]``, zero when every sample diverged."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        state: ObservedState,
+        spline: Spline,
+        limits: tuple[wp.array, wp.array],
+        cost: wp.array,
+        *,
+        seed: int = 0,
+    ):
+        self._scene, self._planner, self._layout, self._state, self._spline = (
+            scene,
+            scene.planner,
+            layout,
+            state,
+            spline,
+        )
+        self._limits, self._cost, self._seed = limits, cost, seed
+        self.knots = wp.zeros((*cost.shape, len(spline.time), layout.nu), dtype=float, device=cost.device)
 
     def shift(self) -> None:
         """Move the plan on by the time that has passed; capture-safe."""
@@ -73,7 +105,7 @@ def proposal(strategy: Strategy, iteration: int) -> Proposal:
     return Proposal(strategy.knots, strategy.offset, strategy.population[iteration], write)
 
 
-class SamplingStrategy:
+class SamplingStrategy(Strategy):
     """Samples about a mean, weighs them by cost, moves mean and covariance to the weighted samples.
 
     MPPI, predictive sampling and the cross-entropy method are its weightings; DIAL-MPC is MPPI with an annealed σ over
@@ -81,36 +113,20 @@ class SamplingStrategy:
     cross-entropy method with coloured noise, kept elites and a population that decays.
 
     Args:
-        scene: The scene.
-        layout: Its layout.
-        state: What plans start from.
-        spline: Spline over the knots.
-        limits: Lower and upper limits of the controls on the device, ``[nu]`` each.
-        cost: Costs of the samples ``[E, S]``, which the engine writes.
-        seed: Seed of the noise.
+        plan: Arguments of :class:`Strategy`.
         weighting: Makes the weighting of a scene's planner.
+        options: Further arguments of :class:`Strategy`.
 
     Raises:
         SceneError: If a list has the wrong number of values, keys contradict each other or sequences do not fit.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        layout: Layout,
-        state: ObservedState,
-        spline: Spline,
-        limits: tuple[wp.array, wp.array],
-        cost: wp.array,
-        *,
-        seed: int = 0,
-        weighting: Callable[[Planner], Weighting] = Mppi.of,
-    ):
-        planner = self._planner = scene.planner
+    def __init__(self, *plan: Any, weighting: Callable[[Planner], Weighting] = Mppi.of, **options: Any):
+        super().__init__(*plan, **options)
+        scene, layout, planner, cost = self._scene, self._layout, self._planner, self._cost
+        envs, samples, count, nu = self.knots.shape
         device = cost.device
-        envs, samples = cost.shape
-        count, nu = len(spline.time), layout.nu
-        self._state, self._launch = state, Launcher(device)
+        self._launch = Launcher(device)
         self.weighting = weighting(planner)
         self.weights = WeightingState(cost, temperature=planner.temperature.initial)
         self.beta, self.eta = self.weights.beta, self.weights.eta
@@ -126,13 +142,13 @@ class SamplingStrategy:
             device=device,
             restarts=planner.covariance.restart,
         )
-        self.distribution = Gaussian(layout, state, spline, limits, covariance)
+        self.distribution = Gaussian(layout, self._state, self._spline, self._limits, covariance=covariance)
         self.offset = self.distribution.offset
         keeps = planner.keep_best or planner.execute is Execute.BEST
         self._best = BestSamples(self.distribution.carry, int(planner.keep_best)) if keeps else None
         if self._best and not self._best.count:  # the best one is carried out, but not tried again
             self._best.bind(wp.zeros((1, *self.distribution.dim), dtype=float, device=device))
-        self.proposers = self._undrawn(scene, layout, spline, cost, seed)
+        self.proposers = self._undrawn()
         """Samples that are not drawn, from 1 on; sample 0 is the mean where that is tried."""
         self._fixed = sum(proposer.count for proposer in self.proposers)
         if self._fixed + 1 > samples:
@@ -145,13 +161,12 @@ class SamplingStrategy:
             proposer.bind(self._fixed_knots[end - proposer.count : end])
         self.population = _population(planner, samples, self._fixed)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
-        self.knots = wp.zeros((envs, samples, count, nu), dtype=float, device=device)
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
         white, redraw = planner.noise.shape is NoiseShape.IDENTITY, planner.noise.redraw
         self.noise = NoiseSource(
-            source=NoiseKind(planner.noise.source.value),
+            source=planner.noise.source,
             redraw=planner.iterations > 1 or covariance.adapts if redraw is None else redraw,
-            seed=seed,
+            seed=self._seed,
             envs=envs,
             samples=samples,
             knots=count,
@@ -163,18 +178,21 @@ class SamplingStrategy:
             device=device,
         )
 
-    def _undrawn(self, scene: Scene, layout: Layout, spline: Spline, cost: wp.array, seed: int) -> list[Proposer]:
+    def _undrawn(self) -> list[Proposer]:
         """The samples that a scene does not want drawn."""
-        planner, samples, distribution = scene.planner, cost.shape[1], self.distribution
+        scene, planner, layout, spline = self._scene, self._planner, self._layout, self._spline
+        samples, distribution = self._cost.shape[1], self.distribution
         nulls = max(int(planner.noise.null_sample), round(planner.noise.null_share * samples))
-        found = [NullSamples(nulls, distribution.null)]
+        found: list[Proposer] = [LaunchedSamples(nulls, null_rows_kernel, [distribution.null])]
         found += [self._best] if self._best else []
         if planner.postures is not None:
             first = 1 + sum(proposer.count for proposer in found)
-            where = {"first": first, "seed": seed}
-            found.append(PostureSamples(scene, layout, self._state, spline, distribution.null, cost, **where))
+            where = {"first": first, "seed": self._seed}
+            found.append(PostureSamples(scene, layout, self._state, spline, distribution.null, self._cost, **where))
         found.append(StoredSamples(sequences(scene, spline.time.numpy(), layout.nu)))
-        found.append(AskedSamples(self._state.proposed, distribution.null, len(spline.time) * layout.nu))
+        proposed = self._state.proposed
+        asked = proposed.shape[1] // (len(spline.time) * layout.nu)
+        found.append(LaunchedSamples(asked, proposed_rows_kernel, [proposed, distribution.null]))
         return [proposer for proposer in found if proposer.count]
 
     def reset(self, knots: np.ndarray | None = None) -> None:
@@ -199,9 +217,7 @@ class SamplingStrategy:
         """Sample knots about the mean; capture-safe.
 
         Args:
-            iteration: Which round of the plan.
             first: First of the samples' rows e·S + s.
-            count: Number of rows.
         """
         if self.noise.redraw:
             self.noise.draw(first, count)
@@ -222,31 +238,18 @@ class SamplingStrategy:
             self.moments.keep_best(cost, self._best.knots)
 
 
-class DerivativeStrategy:
+class DerivativeStrategy(Strategy):
     """A plan without samples: derivatives along its own rollout improve it (:mod:`.refine`).
 
-    Gradient descent and iLQG of Howell et al. 2022. Arguments are those of :class:`SamplingStrategy`; there is no seed.
+    Gradient descent and iLQG of Howell et al. 2022. Arguments are those of :class:`Strategy`; there is no seed.
     """
 
-    population = ()
-
-    def __init__(
-        self,
-        scene: Scene,
-        layout: Layout,
-        state: ObservedState,
-        spline: Spline,
-        limits: tuple[wp.array, wp.array],
-        cost: wp.array,
-        *,
-        seed: int = 0,
-    ):
-        self._plan, device = RecedingPlan(layout, state, spline, limits), cost.device
-        envs, *rest = self._plan.dim
+    def __init__(self, *plan: Any, **options: Any):
+        super().__init__(*plan, **options)
+        self._plan, device = RecedingPlan(self._layout, self._state, self._spline, self._limits), self._cost.device
         self.mean, self.offset = self._plan.mean, self._plan.offset
-        self.knots = wp.zeros((envs, cost.shape[1], *rest), dtype=float, device=device)
-        self.beta = wp.full(envs, scene.planner.temperature.initial, dtype=float, device=device)
-        self.eta = wp.zeros(envs, dtype=float, device=device)
+        self.beta = wp.full(len(self.mean), self._planner.temperature.initial, dtype=float, device=device)
+        self.eta = wp.zeros(len(self.mean), dtype=float, device=device)
 
     def shift(self) -> None:
         """Move the plan on by the time that has passed; capture-safe."""
@@ -256,11 +259,6 @@ class DerivativeStrategy:
         """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
         self._plan.reset(knots)
         self.eta.zero_()
-
-    def advance(self, iteration: int) -> None:
-        """Never called: there are no rounds."""
-
-    sample_knots = update = advance
 
 
 def _population(planner: Planner, samples: int, fixed: int) -> tuple[int, ...]:

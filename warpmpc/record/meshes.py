@@ -17,7 +17,6 @@ def mesh_of(shape: ShapeInfo, layout: Layout, *, fine: bool = True) -> trimesh.T
 
     Args:
         shape: The shape; planes have none.
-        layout: The scene's layout, which holds the meshes.
         fine: Whether round shapes have many triangles.
     """
     a, b, _ = shape.scale

@@ -99,11 +99,8 @@ def draw_run(
     star is the goal. Fine meshes that move are drawn as their convex hulls.
 
     Args:
-        axes: Where to draw.
-        log: The run.
         plant: A plant of its scene; without one ways alone are drawn, from above.
         view: One of :data:`~warpmpc.record.scene_picture.VIEWS`; from above where nothing rises or tilts if None.
-        snapshots: Moments drawn.
     """
     if plant is None:
         for name, way in zip(log.names["bodies"], log.states.body_q.transpose(1, 0, 2), strict=True):

@@ -17,12 +17,11 @@ import rerun as rr
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
-from .forces import FORCE_COLOR, arrows
 from .rerun_shapes import body_path, entity_path
 from .rollout_paths import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, paths_of, predicted_lanes
 from .run_recorder import turning
-from .scene_drawing import draw_scene, open_recording
-from .shapes import ContactPoints, scene_bounds, thinned
+from .scene_drawing import draw_scene, indexes_of, open_recording, send_curves
+from .shapes import FORCE_COLOR, ContactPoints, arrows, scene_bounds, thinned
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
@@ -83,7 +82,6 @@ class Recorder:
         self._turning = turning(scene)
         self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]
         self._curves = self._name_curves()
-        self._scalar = rr.Scalars.descriptor_scalars()
         self._states: list[tuple] = []
         self._plans: list[tuple] = []
 
@@ -227,8 +225,7 @@ class Recorder:
 
     def _indexes(self, steps: Sequence[int]) -> list[rr.TimeColumn]:
         steps = np.asarray(steps, dtype=np.int64)
-        nanoseconds = np.round(1e9 * self._dt * steps).astype("timedelta64[ns]")
-        return [rr.TimeColumn("time", duration=nanoseconds), rr.TimeColumn("step", sequence=steps)]
+        return indexes_of(self._dt * steps, steps)
 
     def _send(self) -> None:
         """Write all rows kept so far and wait until they are in the file."""
@@ -280,12 +277,6 @@ class Recorder:
             send("/prediction", at, lines.partition([len(lane) for lane in shown]))
 
     def _send_curves(self, curves: list[tuple[str, str]], steps: Sequence[int], values: Sequence[list[float]]) -> None:
-        table, indexes, descriptor = np.array(values, dtype=np.float64), self._indexes(steps), self._scalar
-        finite = np.isfinite(table)
-        for i, (at, _) in enumerate(curves):
-            keep = finite[:, i]
-            if not keep.any():
-                continue
-            rows = indexes if keep.all() else self._indexes(np.array(steps)[keep])
-            column = rr.ComponentColumn(descriptor, rr.components.ScalarBatch(table[keep, i]))
-            self._recording.send_columns(at, rows, [column])
+        table, steps = np.array(values, dtype=np.float64), np.asarray(steps, dtype=np.int64)
+        by_path = {at: table[:, i] for i, (at, _) in enumerate(curves)}
+        send_curves(self._recording, by_path, self._dt * steps, steps)

@@ -124,7 +124,7 @@ def require_plans(log: RunLog) -> None:
         ValueError: If it lacks what plans were made from.
     """
     if log.origin is None or "joint_q" not in (log.plans.dtype.names or ()):
-        why = "its file is of an older warpmpc, or its planner noted nothing"
+        why = "its planner noted nothing"
         raise ValueError(f"has no log of what its plans were made from ({why}): run it again with --npz or --out")
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import trimesh
 
 from .meshes import mesh_of
 from .shapes import DEFAULT_COLOR, GROUND_COLOR
@@ -35,10 +36,7 @@ def draw_shape(
     """Log a shape once, for all times, as a child of the entity it is fixed to.
 
     Args:
-        recording: The recording.
         at: Entity path of the shape.
-        shape: The shape.
-        layout: The scene's layout, which holds the meshes.
         reach: Half the edge of the square that stands for a plane [m].
         opacity: 1 is solid.
     """
@@ -79,7 +77,7 @@ def terrain(surface: Surface) -> rr.Mesh3D:
 
 
 def _mesh(points: np.ndarray, triangles: np.ndarray, color: list[float]) -> rr.Mesh3D:
-    normals = _normals(points, triangles)
+    normals = trimesh.Trimesh(points, triangles, process=False).vertex_normals.astype(np.float32)
     return rr.Mesh3D(vertex_positions=points, triangle_indices=triangles, vertex_normals=normals, albedo_factor=color)
 
 
@@ -87,14 +85,3 @@ def _square(reach: float) -> tuple[np.ndarray, np.ndarray]:
     """A square at z = 0, a little below, so that a grid drawn there stays visible."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=np.float32) * reach
     return np.column_stack([corners, np.full(4, -1e-3 * reach)]).astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Vertex normals ``[n, 3]``, the area-weighted mean over each vertex' triangles."""
-    corner = points[triangles]
-    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    index = triangles.ravel()
-    normal = np.column_stack(
-        [np.bincount(index, weights=np.repeat(face[:, k], 3), minlength=len(points)) for k in range(3)]
-    )
-    return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)).astype(np.float32)

@@ -43,7 +43,6 @@ def choose_rollouts(controller: Controller, fan: int = FAN) -> tuple[np.ndarray,
 
     Args:
         controller: The controller, of one environment, which has planned.
-        fan: Number of others.
     """
     cost = controller.engine.cost.numpy()[0]
     ranked = np.argsort(cost)

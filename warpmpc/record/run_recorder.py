@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -184,9 +185,11 @@ class RunRecorder:
 def names_of(plant: Plant) -> dict[str, list[str]]:
     """Names of the numbers of a plant, as :class:`~warpmpc.RunLog` has them."""
     layout = plant.layout
+    axes = {int(coord): name for coord, name in zip(layout.dof_coord, layout.dof_name, strict=True) if coord >= 0}
+    speeds = dict(enumerate(layout.dof_name))
     return {
-        "joint_q": list(_coordinates(layout)),
-        "joint_qd": list(_velocities(layout)),
+        "joint_q": list(_joint_numbers(layout, layout.joint_q_start, layout.nq, axes, POSE)),
+        "joint_qd": list(_joint_numbers(layout, layout.joint_qd_start, layout.nv, speeds, TWIST)),
         "bodies": list(layout.body_name),
         "controls": list(layout.control_name),
         "pairs": [f"{pair.first}-{pair.second}" for pair in plant.pairs],
@@ -201,23 +204,11 @@ def turning(scene: Scene) -> list[str]:
     return [name for name in ("yaw", "rotation") if any(getattr(w, name) is not None for w in wanted)]
 
 
-def _coordinates(layout: Layout) -> Iterator[str]:
-    """A name for every joint coordinate."""
-    axes = {int(coord): name for coord, name in zip(layout.dof_coord, layout.dof_name, strict=True) if coord >= 0}
-    for joint, (first, end) in enumerate(_spans(layout.joint_q_start, layout.nq)):
+def _joint_numbers(
+    layout: Layout, starts: np.ndarray, total: int, axes: Mapping[int, str], parts: Sequence[str]
+) -> Iterator[str]:
+    """A name for every joint coordinate or velocity: of its axis, or of its part where a joint has no axes."""
+    for joint, (first, end) in enumerate(itertools.pairwise([*map(int, starts), total])):
         moving = layout.body_name[layout.joint_child[joint]]
-        names = POSE if end - first == len(POSE) else POSE[3:]  # of a free joint or a ball joint
+        names = parts if end - first == len(parts) else parts[3:]  # of a free joint or a ball joint
         yield from (axes.get(i) or f"{moving}/{names[i - first]}" for i in range(first, end))
-
-
-def _velocities(layout: Layout) -> Iterator[str]:
-    """A name for every joint velocity."""
-    for joint, (first, end) in enumerate(_spans(layout.joint_qd_start, layout.nv)):
-        moving = layout.body_name[layout.joint_child[joint]]
-        names = TWIST if end - first == len(TWIST) else TWIST[3:]
-        yield from (layout.dof_name[i] or f"{moving}/{names[i - first]}" for i in range(first, end))
-
-
-def _spans(starts: np.ndarray, total: int) -> list[tuple[int, int]]:
-    """First and end of every joint's numbers."""
-    return list(zip(map(int, starts), [*map(int, starts[1:]), total], strict=True))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,8 +25,6 @@ def draw_scene(recording: rr.RecordingStream, plant: Plant, *, reach: float) -> 
     """Log the shapes of a plant's bodies and of its goal, once, for all times.
 
     Args:
-        recording: The recording.
-        plant: The plant.
         reach: Half the edge of the square that stands for a plane [m].
     """
     layout, goal = plant.layout, plant.scene.goal
@@ -66,3 +65,22 @@ def open_recording(name: str | Path, scene: Scene, views: rrb.Blueprint) -> rr.R
     except RuntimeError as error:
         raise OSError(f"cannot write the recording '{file}': {error}") from None
     return recording
+
+
+def indexes_of(time: np.ndarray, steps: np.ndarray) -> list[rr.TimeColumn]:
+    """The timelines ``time`` [s] and ``step`` of rows ``[N]``."""
+    nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
+    return [rr.TimeColumn("time", duration=nanoseconds), rr.TimeColumn("step", sequence=steps)]
+
+
+def send_curves(
+    recording: rr.RecordingStream, curves: Mapping[str, np.ndarray], time: np.ndarray, steps: np.ndarray
+) -> None:
+    """Send what is finite of curves ``[N]`` by entity path."""
+    whole, descriptor = indexes_of(time, steps), rr.Scalars.descriptor_scalars()
+    for at, values in curves.items():
+        keep = np.isfinite(values)
+        if keep.any():
+            indexes = whole if keep.all() else indexes_of(time[keep], steps[keep])
+            batch = rr.components.ScalarBatch(np.asarray(values, dtype=float)[keep])
+            recording.send_columns(at, indexes, [rr.ComponentColumn(descriptor, batch)])

@@ -69,7 +69,6 @@ def natural_view(layout: Layout, body_q: np.ndarray) -> str:
     """From above where no robot's body rises or tilts, such as a base on the ground; else in space.
 
     Args:
-        layout: The scene's layout.
         body_q: Poses of all bodies over time ``[N, nb, 7]``.
     """
     robots = [body for entity in layout.entities if entity.kind == "robot" for body in entity.bodies]
@@ -84,7 +83,6 @@ def triangles_of(shape: ShapeInfo, layout: Layout, *, hull: bool) -> np.ndarray:
 
     Args:
         shape: The shape; planes have none.
-        layout: The scene's layout, which holds the meshes.
         hull: Whether a fine mesh may be its convex hull.
     """
     mesh = mesh_of(shape, layout, fine=False)
@@ -104,8 +102,6 @@ class ScenePicture:
     """Draws a plant's scene into axes, as it is now or with bodies elsewhere.
 
     Args:
-        axes: Where to draw.
-        plant: The plant.
         view: From where it is seen.
     """
 
@@ -117,7 +113,6 @@ class ScenePicture:
         """Draw entities of some kinds with light and shade, the near before the far.
 
         Args:
-            body_q: Poses of all bodies ``[nb, 7]``.
             kinds: ``robot``, ``object`` or ``obstacle``.
         """
         corners, colors = [], []
@@ -140,7 +135,6 @@ class ScenePicture:
         """Draw the outlines of all shapes of some kinds, see-through.
 
         Args:
-            body_q: Poses of all bodies ``[nb, 7]``.
             kinds: ``robot``, ``object`` or ``obstacle``.
             alpha: 1 is solid.
         """

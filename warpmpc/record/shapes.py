@@ -11,7 +11,7 @@ import numpy as np
 from ..model.layout import IDENTITY, WORLD, rotate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..model.properties import Properties
@@ -22,6 +22,11 @@ GROUND_COLOR = (0.32, 0.34, 0.37)
 DEFAULT_COLOR = (0.7, 0.7, 0.7)
 GHOST = 0.35
 """Opacity of the goal."""
+FORCE_LENGTH = 0.005
+"""Length of a force's arrow [m/N]."""
+FORCE_LENGTH_MAX = 1.0
+"""Longest arrow [m]."""
+FORCE_COLOR = (255, 140, 0)
 
 
 def shown_shapes(layout: Layout, entity: Entity) -> tuple[ShapeInfo, ...]:
@@ -101,7 +106,6 @@ class ContactPoints:
     is nearest to the centre of any of the first one's collision shapes: exact enough to see which side is touched.
 
     Args:
-        layout: The scene's layout.
         first: Name of a robot or object.
         second: Name of an obstacle or of another robot.
     """
@@ -122,6 +126,23 @@ class ContactPoints:
         centre = body_q[self._body, :3] + rotate(body_q[self._body, 3:], self._centre)
         found = [_nearest(centre, box, body_q) for box in self._boxes]
         return min(found, key=lambda entry: entry[0])[1] if found else np.zeros(3)
+
+
+def arrows(
+    force: np.ndarray, points: Sequence[ContactPoints], body_q: np.ndarray, *, smallest: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arrows of the n pairs that touch: which pairs ``[n]``, origins ``[n, 3]`` and vectors ``[n, 3]`` [m].
+
+    Args:
+        force: Net force on the first of each pair ``[C, 3]`` [N].
+        points: Where to draw each.
+        smallest: Forces that are not larger are none [N].
+    """
+    size = np.linalg.norm(force, axis=1)
+    touching = np.flatnonzero(size > smallest)
+    origins = np.array([points[i](body_q) for i in touching]).reshape(-1, 3)
+    length = np.minimum(FORCE_LENGTH * size[touching], FORCE_LENGTH_MAX)
+    return touching, origins, force[touching] * (length / size[touching])[:, None]
 
 
 def _nearest(points: np.ndarray, box: tuple, body_q: np.ndarray) -> tuple[float, np.ndarray]:

@@ -44,8 +44,6 @@ class RecordingSwitch:
 
         Args:
             path: File to write, ``*.rrd``; an existing file is replaced.
-            controller: The loop's controller.
-            plant: Its plant.
 
         Raises:
             OSError: If the file cannot be written.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from ..realtime.agent import Fault
 from ..task.goal import GOAL
 from .blueprint import scene_view, series, side_by_side
 from .rerun_shapes import body_path, entity_path
-from .scene_drawing import draw_scene, open_recording
+from .scene_drawing import draw_scene, indexes_of, open_recording, send_curves
 from .shapes import scene_bounds
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ def record_ticks(path: str | Path, log: RunLog, plant: Plant) -> None:
 
     Args:
         path: File to write, ``*.rrd``; an existing file is replaced.
-        log: The run.
-        plant: Its plant.
 
     Raises:
         OSError: If the file cannot be written.
@@ -64,7 +62,7 @@ def record_ticks(path: str | Path, log: RunLog, plant: Plant) -> None:
 def _send(recording: rr.RecordingStream, log: RunLog, plant: Plant) -> None:
     """Send everything that changes."""
     states, controls, names = log.states, log.controls, log.names
-    indexes = _indexes(states.time)
+    indexes = indexes_of(states.time, np.arange(len(states)))
     for body in range(plant.layout.nb):
         pose = states.body_q[:, body]
         columns = rr.Transform3D.columns(translation=pose[:, :3], quaternion=pose[:, 3:])
@@ -81,13 +79,13 @@ def _send(recording: rr.RecordingStream, log: RunLog, plant: Plant) -> None:
         **_curves("goal_error", names["errors"], states.goal_error[:-1]),
         **_curves("contact_force", names["pairs"], force),
     }
-    _send_curves(recording, curves, states.time[:-1], np.arange(len(controls)))
+    send_curves(recording, curves, states.time[:-1], np.arange(len(controls)))
     if len(log.plans):  # all of them, those that no tick saw among them
         plans = log.plans
         costs = _curves("cost", names["terms"], plans.terms)
         costs |= {"/cost/total": plans.cost, "/temperature/beta": plans.beta, "/temperature/eta": plans.eta}
         steps = np.clip(np.searchsorted(states.time, plans.time), 0, len(states) - 1)
-        _send_curves(recording, costs, plans.time, steps)
+        send_curves(recording, costs, plans.time, steps)
     for fault in Fault.of(log):
         recording.set_time("time", duration=fault.start)
         recording.log("/faults", rr.TextLog(f"{fault.why}; sending the safe command", level="WARN"))
@@ -99,23 +97,6 @@ def _send(recording: rr.RecordingStream, log: RunLog, plant: Plant) -> None:
 def _curves(at: str, names: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
     """Columns by entity path."""
     return {entity_path(at, *name.split("/")): column for name, column in zip(names, values.T, strict=False)}
-
-
-def _send_curves(
-    recording: rr.RecordingStream, curves: Mapping[str, np.ndarray], time: np.ndarray, steps: np.ndarray
-) -> None:
-    """Send what is finite of curves ``[N]`` by entity path."""
-    for at, values in curves.items():
-        keep = np.isfinite(values)
-        if keep.any():
-            scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float)[keep])
-            recording.send_columns(at, _indexes(time[keep], steps[keep]), scalars)
-
-
-def _indexes(time: np.ndarray, steps: np.ndarray | None = None) -> list[rr.TimeColumn]:
-    steps = np.arange(len(time)) if steps is None else steps
-    nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
-    return [rr.TimeColumn("time", duration=nanoseconds), rr.TimeColumn("step", sequence=steps)]
 
 
 def _blueprint(plant: Plant, centre: np.ndarray, radius: float, *, costs: bool) -> rrb.Blueprint:

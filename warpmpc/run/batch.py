@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -128,37 +128,21 @@ class Batch:
 
 
 def run_batch(
-    scene: Scene,
-    seeds: Sequence[int],
-    *,
-    envs: int,
-    engine: str = "auto",
-    device: str = "auto",
-    terms: Sequence[UserTerm] = (),
-    compiled: CompiledScene | None = None,
-    on_step: OnStep | None = None,
+    scene: Scene, seeds: Sequence[int], *, envs: int, on_step: OnStep | None = None, **options: Any
 ) -> Iterator[EpisodeResult]:
-    """Run episodes of a scene, several at once; see :class:`Batch`.
+    """Run episodes of a scene, several at once.
 
     Args:
         scene: The scene; the goal that its ``randomize_task`` draws is each episode's own.
         seeds: Seeds of the episodes.
         envs: Largest number of environments E; never more than episodes.
-        engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
-        device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms and ancillary controllers that the scene names.
-        compiled: The scene compiled earlier, to save doing it again.
         on_step: Called as ``on_step(controller, plants, control [E, nu])`` after every step.
+        options: ``engine``, ``device``, ``terms`` and ``compiled``, as for :class:`Batch`, whose errors are raised.
 
     Returns:
         Results of the episodes in the order in which they end; they run as you iterate.
-
-    Raises:
-        SceneError: If the scene draws more than goals, names anything that does not exist, or no task can be drawn.
-        ValueError: If there are no episodes or environments, or engine or device is unknown or not to be had here.
     """
-    batch = Batch(scene, seeds, envs=envs, engine=engine, device=device, terms=terms, compiled=compiled)
-    return batch.run(on_step=on_step)
+    return Batch(scene, seeds, envs=envs, **options).run(on_step=on_step)
 
 
 def _refuse_drawn_bodies(scene: Scene) -> None:

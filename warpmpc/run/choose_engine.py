@@ -12,7 +12,7 @@ import platform
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -92,26 +92,24 @@ def choose_engine(
     return engine, best
 
 
-def plan_time(
-    scene: Scene,
-    compiled: CompiledScene,
-    device: str,
-    *,
-    envs: int,
-    terms: Sequence[UserTerm],
-    engine: str = "auto",
-) -> float:
+def plan_time(scene: Scene, compiled: CompiledScene, device: str, **options: Any) -> float:
     """Median wall time [s] of a plan from the start state, compilation not counted.
 
     Raises:
         SceneError: If the engine cannot simulate the scene, or a plan would take minutes.
     """
-    check_plan_time(scene, compiled, device, envs=envs, terms=terms, engine=engine)
-    return _timed(scene, compiled, device, envs=envs, terms=terms, engine=engine)
+    check_plan_time(scene, compiled, device, **options)
+    return _timed(scene, compiled, device, **options)
 
 
 def _timed(
-    scene: Scene, compiled: CompiledScene, device: str, *, envs: int, terms: Sequence[UserTerm], engine: str
+    scene: Scene,
+    compiled: CompiledScene,
+    device: str,
+    *,
+    envs: int = 1,
+    terms: Sequence[UserTerm] = (),
+    engine: str = "auto",
 ) -> float:
     """Median wall time [s] of a plan, however long."""
     from ..controller.controller import Controller
@@ -131,13 +129,7 @@ def _timed(
 
 
 def check_plan_time(
-    scene: Scene,
-    compiled: CompiledScene | None,
-    device: str,
-    *,
-    envs: int = 1,
-    terms: Sequence[UserTerm] = (),
-    engine: str = "auto",
+    scene: Scene, compiled: CompiledScene | None, device: str, *, envs: int = 1, **options: Any
 ) -> None:
     """Refuse a scene whose plans would take minutes here (:func:`require_short_plans`).
 
@@ -146,7 +138,7 @@ def check_plan_time(
     """
 
     def time(smaller: Scene) -> float:
-        return _timed(smaller, compiled or compile_scene(scene), device, envs=envs, terms=terms, engine=engine)
+        return _timed(smaller, compiled or compile_scene(scene), device, envs=envs, **options)
 
     require_short_plans(scene, time, envs=envs)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -113,40 +113,52 @@ class EpisodeResult(Result):
 
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys, ``None`` for numbers that are not finite."""
-        data = {
-            "scene": self.scene,
-            "variant": self.variant,
-            "seed": self.seed,
-            "engine": self.engine,
-            "device": self.device,
-            "success": self.success,
-            "reason": self.reason,
-            "time_to_goal_s": self.time_to_goal,
-            "sim_time_s": self.sim_time,
-            "steps": self.steps,
-            "final": {"position_error_m": self.position_error, "yaw_error_rad": self.yaw_error, "cost": self.cost},
-            "collisions": {"max_force_N": self.max_force, "time_in_contact_s": self.time_in_contact},
-            "plan_ms": self.plan_ms,
-            "stages_ms": self.stages_ms,
-            "diverged_worlds": self.diverged_worlds,
-            "samples": self.samples,
-            "horizon": self.horizon,
-            "fallbacks": self.fallbacks,
-            "envs": self.envs,
-        }
-        if self.axis_error is not None:
-            data["final"]["axis_error_m"] = self.axis_error
-        if self.phases:
-            data["phases"] = [{"phase": name, "time_s": time} for name, time in self.phases]
-        if self.reached is not None:
-            data["reached"] = self.reached
-        if self.drawn:
-            data["drawn"] = self.drawn
-        if self.success is None:
-            data["mean_cost"] = self.mean_cost
-        if self.verdict:
-            data["verdict"] = list(self.verdict)
+        data: dict[str, Any] = {"time_to_goal_s": self.time_to_goal}
+        for name in (known.name for known in fields(self)):
+            value = getattr(self, name)
+            left_out = self.success is not None if name == "mean_cost" else value in (None, (), {})
+            if name in LEFT_OUT and left_out:
+                continue
+            if name == "phases":
+                value = [{"phase": phase, "time_s": time} for phase, time in value]
+            *outer, key = JSON_KEYS.get(name, (name,))
+            (data.setdefault(*outer, {}) if outer else data)[key] = value
         return plain(data)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> EpisodeResult:
+        """The result that :meth:`to_json` wrote; a number that was not finite is NaN."""
+        found: dict[str, Any] = {}
+        for known in fields(cls):
+            *outer, key = JSON_KEYS.get(known.name, (known.name,))
+            inner = data[outer[0]] if outer else data
+            if known.name in LEFT_OUT and key not in inner:
+                continue
+            value = inner[key]
+            if known.name == "phases":
+                value = [(entry["phase"], entry["time_s"]) for entry in value]
+            if isinstance(value, list):
+                value = tuple(value)
+            if value is None and (known.type == "float" or known.name == "mean_cost"):
+                value = math.nan
+            if known.type == "dict[str, float]":
+                value = {name: math.nan if number is None else number for name, number in value.items()}
+            found[known.name] = value
+        return cls(**found)
+
+
+JSON_KEYS = {
+    "sim_time": ("sim_time_s",),
+    "position_error": ("final", "position_error_m"),
+    "yaw_error": ("final", "yaw_error_rad"),
+    "axis_error": ("final", "axis_error_m"),
+    "cost": ("final", "cost"),
+    "max_force": ("collisions", "max_force_N"),
+    "time_in_contact": ("collisions", "time_in_contact_s"),
+}
+"""Place of those fields of a result that have another one as JSON."""
+LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "verdict")
+"""Fields that are left out of JSON where there is nothing to say."""
 
 
 class EpisodeInterrupted(KeyboardInterrupt):
@@ -161,11 +173,7 @@ class EpisodeStats:
     """Adds up the plans of one episode.
 
     Args:
-        scene: The scene, its task drawn.
-        seed: Seed of the episode.
         drawn: Values drawn for it by scene key.
-        controller: Makes the plans.
-        plant: The plant that follows them.
     """
 
     def __init__(self, scene: Scene, seed: int, drawn: dict[str, object], controller: Controller, plant: Plant):
@@ -312,33 +320,23 @@ class Episode:
 def run_episode(
     scene: Scene,
     *,
-    seed: int = 0,
-    engine: str = "auto",
-    device: str = "auto",
-    terms: Sequence[UserTerm] = (),
-    compiled: CompiledScene | None = None,
     recorder: Callable[[Controller, Plant], Recorder] | None = None,
     on_step: Callable[[Controller, Plant, np.ndarray], None] | None = None,
+    **options: Any,
 ) -> EpisodeResult:
     """Run one episode of a scene.
 
     Args:
         scene: The scene; what its ``randomize_task`` names is drawn from the seed.
-        seed: Seed of the task, of the controller's noise and of the plant's properties.
-        engine: Engine of the rollouts, as for :class:`~warpmpc.Controller`.
-        device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
-        terms: Users' own cost terms and ancillary controllers that the scene names.
-        compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
         recorder: Makes the recorder of this episode from its controller and plant, such as
             ``functools.partial(warpmpc.record.recorder.Recorder, "run.rrd")``.
         on_step: Called as ``on_step(controller, plant, control)`` after every step.
+        options: ``seed``, ``engine``, ``device``, ``terms`` and ``compiled``, as for :class:`Episode`.
 
     Raises:
-        SceneError: If the scene names anything that does not exist, or no task can be drawn.
-        ValueError: If the engine or device is unknown or not to be had here.
-        EpisodeInterrupted: On Ctrl-C.
+        EpisodeInterrupted: On Ctrl-C; other errors are those of :class:`Episode`.
     """
-    episode = Episode(scene, seed=seed, engine=engine, device=device, terms=terms, compiled=compiled)
+    episode = Episode(scene, **options)
     made = recorder(episode.controller, episode.plant) if recorder else None
     return episode.run(recorder=made, on_step=on_step)
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..origin import code_digest
 from .code import scene_digest
@@ -54,7 +53,7 @@ class KeptResults:
             return []
         self.taken += len(found)
         self.outdated += sum(record["code"] != self._code for record in found)
-        return [result_from_json(record["result"]) for record in found]
+        return [EpisodeResult.from_json(record["result"]) for record in found]
 
     def add(self, seeds: Sequence[int], result: EpisodeResult) -> None:
         """Keep the result of one of the episodes that were planned together, on disk before this returns."""
@@ -63,31 +62,3 @@ class KeptResults:
     def _key(self, seeds: Sequence[int], seed: int) -> str:
         together = [seeds[0], len(seeds)] if len(seeds) > 1 else None
         return json.dumps([*self._what, together, seed])
-
-
-def result_from_json(data: dict[str, Any]) -> EpisodeResult:
-    """The result that :meth:`~warpmpc.EpisodeResult.to_json` wrote."""
-    final, collisions = data["final"], data["collisions"]
-    same = ("scene", "variant", "seed", "engine", "device", "success", "reason", "steps", "diverged_worlds", "samples")
-    return EpisodeResult(
-        **{name: data[name] for name in (*same, "horizon", "fallbacks", "envs")},
-        sim_time=data["sim_time_s"],
-        position_error=final["position_error_m"],
-        yaw_error=final["yaw_error_rad"],
-        axis_error=final.get("axis_error_m"),
-        cost=_number(final["cost"]),
-        max_force=collisions["max_force_N"],
-        time_in_contact=collisions["time_in_contact_s"],
-        plan_ms={name: _number(value) for name, value in data["plan_ms"].items()},
-        stages_ms={name: _number(value) for name, value in data["stages_ms"].items()},
-        phases=tuple((entry["phase"], entry["time_s"]) for entry in data.get("phases", ())),
-        reached=data.get("reached"),
-        drawn=data.get("drawn", {}),
-        verdict=tuple(data.get("verdict", ())),
-        mean_cost=None if data["success"] is not None else _number(data["mean_cost"]),
-    )
-
-
-def _number(value: float | None) -> float:
-    """A number that JSON could say, or else NaN."""
-    return math.nan if value is None else value

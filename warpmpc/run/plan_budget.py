@@ -37,9 +37,7 @@ def require_short_plans(scene: Scene, time: Callable[[Scene], float], *, envs: i
     steps of all rollouts.
 
     Args:
-        scene: The scene.
         time: Wall time of a plan of a scene [s].
-        envs: Number of environments.
 
     Raises:
         SceneError: If they would; it names the key that is farthest from what is usual.

@@ -33,7 +33,6 @@ class RayWorkers:
     Args:
         address: ``HOST:PORT`` of the cluster; ``RAY_ADDRESS`` or the one this host belongs to if empty.
         gpu: Whether each call has a GPU to itself, ``cuda:0``; without, calls see none.
-        prepare: Called once in every process.
 
     Raises:
         ValueError: If Ray is not installed, there is no such cluster, or it has no GPU where each call needs one.

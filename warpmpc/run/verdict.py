@@ -27,12 +27,7 @@ ONE, ALL = 1.5, 0.9
 
 
 class Symptoms:
-    """Counts, over an episode, what tells why it fails.
-
-    Args:
-        controller: Makes the plans.
-        plant: The plant that follows them.
-    """
+    """Counts, over an episode, what tells why it fails."""
 
     def __init__(self, controller: Controller, plant: Plant):
         self.controller, self.plant, layout = controller, plant, controller.layout

@@ -47,7 +47,6 @@ def open_workers(where: str, *, device: str = "auto", prepare: Prepare | None = 
         where: A number of processes on this host; ``gpus``, a process for each GPU of this host; ``ray``, the Ray
             cluster that this host belongs to; or ``ray:HOST:PORT``, another one.
         device: Device that was asked for. On a cluster a CUDA device takes a GPU for each call, anything else none.
-        prepare: Called once in every process.
 
     Raises:
         ValueError: If there is no such place, no GPU, or Ray is not installed.
@@ -95,9 +94,7 @@ class LocalWorkers:
     Each is a pool of its own, so that one that dies takes nobody along and its call is known.
 
     Args:
-        count: Number of processes.
         gpus: The GPU that each sees alone, by ``CUDA_VISIBLE_DEVICES``; all see what this process sees if empty.
-        prepare: Called once in every process.
     """
 
     def __init__(self, count: int, *, gpus: Sequence[str] = (), prepare: Prepare | None = None):

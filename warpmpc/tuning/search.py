@@ -82,7 +82,6 @@ def open_study(path: Path | None, task: Task, *, seed: int = 0) -> optuna.Study:
 
     Args:
         path: SQLite file of the study; None for a study in memory.
-        task: What is tuned.
         seed: Seed of the sampler.
 
     Raises:
@@ -155,12 +154,7 @@ def search(
     scene count as pruned at once.
 
     Args:
-        study: The study.
-        task: What is tuned.
-        submit: Starts an episode.
-        parallel: Trials that run side by side.
         trials: Number of trials the study shall hold.
-        on_trial: Called after each.
 
     Raises:
         SceneError: If the scenes' present values make no scene.

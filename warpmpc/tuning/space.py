@@ -254,11 +254,6 @@ def bind_space(
 ) -> tuple[list[Parameter], dict[str, object]]:
     """The search space with the scenes' present values, and those values as the first trial, key by key.
 
-    Args:
-        space: The search space.
-        scenes: Source, as for ``load_scene`` → scene with its overrides.
-        overrides: Those overrides.
-
     Raises:
         ValueError: If a key does not exist or is not set, or has several values.
     """
