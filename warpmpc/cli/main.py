@@ -57,6 +57,10 @@ DeviceOption = Annotated[
 ]
 LAST_SEED = 2**28
 """Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
+SeedOption = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")]
+RunPathArgument = Annotated[
+    Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
+]
 
 
 def main() -> None:
@@ -239,9 +243,7 @@ def run(
 
 @app.command()
 def replay(
-    path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
-    ],
+    path: RunPathArgument,
     terms: TermsOption = [],  # noqa: B006
 ) -> None:
     """Plan again what was logged, and verify that the same commands come out, bit for bit.
@@ -255,9 +257,7 @@ def replay(
 
 @app.command()
 def plot(
-    path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
-    ],
+    path: RunPathArgument,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
     ] = None,
@@ -287,7 +287,7 @@ def bench(
         ),
     ] = [],  # noqa: B006
     plans: Annotated[int, typer.Option(min=5, help="Plans of every setting that count.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,
+    seed: SeedOption = 0,
     overrides: SetOption = [],  # noqa: B006
     terms: TermsOption = [],  # noqa: B006
     device: DeviceOption = "auto",
@@ -373,7 +373,7 @@ def live(
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for whoever has the URL.")] = "127.0.0.1",
     overrides: SetOption = [],  # noqa: B006
     terms: TermsOption = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")] = 0,
+    seed: SeedOption = 0,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
 ) -> None:

@@ -147,13 +147,13 @@ class BatchBar(Bar):
 
     def __init__(self, episodes: int, *, shown: bool):
         super().__init__(episodes, shown=shown)
-        self._finished, self._reached, self._judged = 0, 0, True
+        self._finished, self._reached, self._has_success = 0, 0, True
 
     def finish(self, result: EpisodeResult) -> None:
         """An episode is over."""
         self._finished += 1
         self._reached += bool(result.success)
-        self._judged = result.success is not None
+        self._has_success = result.success is not None
 
     def step(self, controller: Controller, plants: PlantBatch, control: np.ndarray) -> None:
         """A batch's ``on_step``."""
@@ -162,5 +162,5 @@ class BatchBar(Bar):
 
     def advance(self, more: str = "") -> None:
         """Draw how many episodes are finished, and more."""
-        numbers = f"{self._reached} reached the goal{more}" if self._judged else more.strip()
+        numbers = f"{self._reached} reached the goal{more}" if self._has_success else more.strip()
         self.draw(f"{self._finished}/{int(self.total)} episodes", self._finished, numbers)

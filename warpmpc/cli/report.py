@@ -283,7 +283,7 @@ def _number(value: Any) -> str:
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
     costs = ["mean cost"] if results[0].success is None else []
-    numbers = ["seed", "time\n[s]", *costs, _judged(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
+    numbers = ["seed", "time\n[s]", *costs, _error_heading(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
     numbers += ["plan p50\n[ms]", "p99\n[ms]"]
     safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
     phased = ["reached"] if results[0].reached is not None else []
@@ -331,10 +331,10 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
         "result",
         "episodes",
         "mean time\n[s]",
-        _judged(results),
+        _error_heading(results),
         "contact\n[s]",
         "seeds",
-        right=["episodes", "mean time\n[s]", _judged(results), "contact\n[s]"],
+        right=["episodes", "mean time\n[s]", _error_heading(results), "contact\n[s]"],
         title=_title(results[0]),
     )
     for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
@@ -365,8 +365,8 @@ def _title(result: EpisodeResult) -> str:
     return f"{name}, {result.engine} on {result.device}"
 
 
-def _judged(results: Sequence[EpisodeResult]) -> str:
-    """Head of the column that says how far from the goal episodes ended, as success judges it."""
+def _error_heading(results: Sequence[EpisodeResult]) -> str:
+    """Heading of the column of final errors, as success counts them."""
     return "distance\n[m]" if results[0].axis_error is None else "worst axis\n[m]"
 
 

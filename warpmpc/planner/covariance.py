@@ -24,12 +24,6 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
     from .moments import SampleMoments
 
-FORMS = {
-    CovarianceForm.KNOTS: kernels.KNOTS,
-    CovarianceForm.DIAGONAL: kernels.DIAGONAL,
-    CovarianceForm.SIGMA: kernels.SIGMA,
-}
-
 
 class Covariance:
     """σ of every knot and control, or one full covariance of the controls (Bhardwaj et al. 2021, Eq. 5).
@@ -127,7 +121,7 @@ class Covariance:
             inputs, outputs = [*inputs, self._step_size, self._sigma_min], [self.covariance, self.factor, self.bands]
             self._launch(adapt_covariance_kernel, envs, inputs, outputs, block_dim=kernels.LANES)
         else:
-            inputs += [FORMS[self.form], self._step_size, self._sigma_min]
+            inputs += [int(getattr(kernels, self.form.name)), self._step_size, self._sigma_min]
             self._launch(adapt_sigma_kernel, (envs, nu), inputs, [self.sigma])
 
 

@@ -237,11 +237,11 @@ def differences(about: Mapping[str, Any]) -> Iterator[str]:
         for key, value in here[name].items():
             then = about[name].get(key)
             if then != value:
-                yield f"{key}: {_said(then)}, now {_said(value)}"
+                yield f"{key}: {_joined(then)}, now {_joined(value)}"
     if about["code"] != here["code"]:
         then, now = (f"{o['code']} ({o['revision']})" if o["revision"] else o["code"] for o in (about, here))
         yield f"source of warpmpc: {then}, now {now}"
 
 
-def _said(value: object) -> str:
+def _joined(value: object) -> str:
     return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)

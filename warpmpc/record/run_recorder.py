@@ -73,7 +73,7 @@ class RunRecorder:
             origin = {**provenance(controller), "from_start": controller.info is None, **(details or {})}
         self._clouds: dict[str, np.ndarray] = {}
         self._count = 0
-        self._told: tuple = ()  # of the newest fault
+        self._last_fault: tuple = ()  # of the newest fault
         path = None if path is None else Path(path)
         self._writer = RunLogWriter(path, tables, names=names, origin=origin, background=controller is None)
         self._take_state(np.nan)
@@ -138,11 +138,11 @@ class RunRecorder:
         )
         if faults:
             index, fault = len(faults) - 1, faults[-1]
-            told = (index, fault.kind, fault.why, fault.start, nothing if fault.end is None else fault.end, fault.count)
-            if told != self._told:
-                self._told = told
+            row = (index, fault.kind, fault.why, fault.start, nothing if fault.end is None else fault.end, fault.count)
+            if row != self._last_fault:
+                self._last_fault = row
                 self._writer.add(
-                    "faults", **dict(zip(("index", "kind", "why", "start", "end", "count"), told, strict=True))
+                    "faults", **dict(zip(("index", "kind", "why", "start", "end", "count"), row, strict=True))
                 )
         self._take_state(self._plant.forces)
 

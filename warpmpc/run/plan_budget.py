@@ -52,10 +52,10 @@ def require_short_plans(scene: Scene, time: Callable[[Scene], float], *, envs: i
     whole = seconds * steps / math.prod(plan_sizes(_smaller(scene, count)).values())
     if whole > LONGEST:
         name = farthest(sizes)
-        what = f"a plan would take about {_told(whole)} on this machine, more than {_told(LONGEST)}: lower this"
+        what = f"a plan would take about {_duration(whole)} on this machine, more than {_duration(LONGEST)}: lower this"
         raise SceneError(what, key=f"planner.{name}", file=scene.path, found=sizes[name])
     if whole > TOLD:
-        logger.info("a plan takes about %s on this machine", _told(whole))
+        logger.info("a plan takes about %s on this machine", _duration(whole))
 
 
 def _smaller(scene: Scene, samples: int) -> Scene:
@@ -65,8 +65,8 @@ def _smaller(scene: Scene, samples: int) -> Scene:
     return scene.model_copy(update={"planner": planner.model_copy(update=small)})
 
 
-def _told(seconds: float) -> str:
-    """A time as people say it."""
+def _duration(seconds: float) -> str:
+    """A time in its largest unit."""
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("min", 60.0)):
         if seconds >= length:
             return f"{seconds / length:.2g} {unit}"

@@ -61,7 +61,7 @@ class Symptoms:
         phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
         unmet = [item for item in monitor.progress.values() if not item.last.holds]
         for item in unmet:
-            yield f"not met{phase}: {_told(item)}"
+            yield f"not met{phase}: {_shortfall(item)}"
         if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
             yield (
                 f"all that success asks for{phase} is met at the end, but has not held for {scene.success.hold:g} s: "
@@ -111,7 +111,7 @@ class Symptoms:
             )
 
 
-def _told(item: Progress) -> str:
+def _shortfall(item: Progress) -> str:
     last, best = item.last, item.best
     wanted = f"at {'least' if last.above else 'most'} {last.bound:.4g}"
     return (
