@@ -113,8 +113,8 @@ class EpisodeResult(Result):
 
     def to_json(self) -> dict[str, Any]:
         """The result as data for JSON: plain types, units in the keys, ``None`` for numbers that are not finite."""
-        data: dict[str, Any] = {"time_to_goal_s": self.time_to_goal}
-        for name in (known.name for known in fields(self)):
+        data: dict[str, Any] = {}
+        for name in dict.fromkeys((*FIRST, *(known.name for known in fields(self) if known.name not in LAST), *LAST)):
             value = getattr(self, name)
             left_out = self.success is not None if name == "mean_cost" else value in (None, (), {})
             if name in LEFT_OUT and left_out:
@@ -147,7 +147,11 @@ class EpisodeResult(Result):
         return cls(**found)
 
 
+FIRST = ("scene", "variant", "seed", "engine", "device", "success", "reason", "time_to_goal", "sim_time", "steps")
+LAST = ("mean_cost", "verdict")
+"""Parts of a result that are first and last as JSON; others have the order of the fields."""
 JSON_KEYS = {
+    "time_to_goal": ("time_to_goal_s",),
     "sim_time": ("sim_time_s",),
     "position_error": ("final", "position_error_m"),
     "yaw_error": ("final", "yaw_error_rad"),
@@ -156,7 +160,7 @@ JSON_KEYS = {
     "max_force": ("collisions", "max_force_N"),
     "time_in_contact": ("collisions", "time_in_contact_s"),
 }
-"""Place of those fields of a result that have another one as JSON."""
+"""Place of those parts of a result that have another one as JSON."""
 LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "verdict")
 """Fields that are left out of JSON where there is nothing to say."""
 
