@@ -128,7 +128,7 @@ def test_a_registered_engine_and_strategy_drive_to_the_goal_of_a_scene_file(tmp_
 def test_a_planner_with_derivatives_drives_to_the_goal_on_a_registered_engine(tmp_path, method):
     scene = warpmpc.load_scene(scene_file(tmp_path, engine="gliding", method=method))
     controller = warpmpc.Controller(scene)
-    linear = controller.planner.refiner.differences
+    linear = controller.plan_step.refiner.differences
     assert isinstance(linear.worlds._simulator, Gliding)
     plant = warpmpc.Plant(scene, task=controller.task)
     while not plant.done:
