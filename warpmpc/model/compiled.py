@@ -29,6 +29,7 @@ import platformdirs
 from ..scene.errors import SceneError
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
+from .equilibrium import with_equilibrium
 from .layout import Layout
 from .movable import with_movable
 from .validate import validate_layout
@@ -117,7 +118,7 @@ def _compiled(scene: Scene, key: str | None) -> CompiledScene:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             return _fetch(folder, key)
     try:
-        compiled = _compile(scene)
+        compiled = with_equilibrium(_compile(scene))
     except SceneError:
         raise
     except Exception as error:  # of several kinds, from Newton, MuJoCo and readers of meshes

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from ..scene.errors import SceneError
-from .compiled import CompiledScene
 from .layout import accelerator
 from .movable import movable_body
 from .pairs import Pair
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from ..scene.schema import EngineSettings
+    from .compiled import CompiledScene
     from .layout import Layout
 
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
