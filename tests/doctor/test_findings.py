@@ -223,7 +223,7 @@ def test_a_hand_that_a_mocap_body_leads_is_found(tmp_path):
 @pytest.mark.parametrize(
     ("key", "text", "scene"),
     [
-        ("planner.horizon", "0.04 s ahead", [("horizon = 20", "horizon = 2")]),
+        ("planner.lookahead", "0.04 s ahead", [("horizon = 20", "horizon = 2")]),
         (
             "cost.distance.weight",
             "rewards a large distance",

@@ -217,6 +217,8 @@ def test_the_former_name_of_a_key_is_read_with_a_warning(tmp_path, caplog):
         ({"dt": 0.05}, 24, 0.05, 5),
         ({"knots": 9}, 15, 0.08, 9),
         ({"horizon": "auto", "dt": 0.4}, 3, 0.4, 3),
+        ({"lookahead": 2.4}, 30, 0.08, 5),
+        ({"lookahead": 0.2}, 3, 0.08, 3),
     ],
 )
 def test_a_planner_without_a_horizon_gets_the_recipe(planner, steps, dt, knots):
@@ -231,6 +233,18 @@ def test_a_planner_without_a_horizon_gets_the_recipe(planner, steps, dt, knots):
             1.0,
         )
         assert (found.noise.shape, found.noise.spread, found.temperature.ess) == ("identity", (0.02, 1.0), 4.0)
+
+
+def test_derivatives_look_as_far_ahead_in_steps_of_controls():
+    data = load_scene("pendulum").model_dump(exclude_unset=True)
+    scene = Scene.model_validate({**data, "planner": {"method": "ilqg", "lookahead": 0.5}})
+    for found in (scene.planner, Scene.model_validate(scene.model_dump(exclude_unset=True)).planner):
+        assert (found.horizon, found.dt) == (25, (0.02,))
+
+
+def test_a_horizon_and_a_lookahead_are_one_too_many():
+    with pytest.raises(SceneError, match="horizon and lookahead say the same"):
+        load_scene("pendulum", overrides=["planner.lookahead=2"])
 
 
 def test_what_is_said_comes_before_the_recipe():

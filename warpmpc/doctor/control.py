@@ -146,9 +146,9 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
     ahead = float(controller.plan_step.grid.t[-1])
     if ahead < SHORT:
         yield Finding(
-            "planner.horizon",
+            "planner.lookahead",
             f"plans look {ahead:.3g} s ahead: little of what follows from a control is seen",
-            "raise planner.horizon, or planner.dt to two or three controls a step; about 1 s suits most robots",
+            "leave planner.horizon and dt out and set planner.lookahead: about 1 s suits most robots",
         )
     costs = term_costs(controller)
     if len(costs) < 2:

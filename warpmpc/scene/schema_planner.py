@@ -76,7 +76,7 @@ class StepCount(StrEnum):
     """A number of steps that is not given."""
 
     AUTO = "auto"
-    """As many as look :data:`AHEAD` ahead."""
+    """As many as look ``planner.lookahead`` ahead."""
 
 
 AHEAD, STEP = 1.2, 0.08
@@ -180,7 +180,7 @@ fine to coarse, a temperature that suits every cost."""
 class Planner(Section):
     """The sampling-based planner.
 
-    A scene that leaves ``horizon`` out gets a recipe for all that it does not say itself: a look ahead of 1.2 s in
+    A scene that leaves ``horizon`` out gets a recipe for all that it does not say itself: ``lookahead`` of 1.2 s in
     steps of about 0.08 s, 5 cubic knots, no discount, ``noise = { shape = "identity", spread = [0.02, 1.0],
     constant = 0.1, redraw = true }`` and ``temperature = { ess = 4.0 }``.
     """
@@ -191,12 +191,15 @@ class Planner(Section):
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
     horizon: Horizon = 16
-    """Steps T of a rollout, or ``auto``, as when left out: as many as look 1.2 s ahead, or as ``dt`` lists; 16 with
-    ``refine``. How far to look is up to the task and not to the machine: ``samples`` alone are measured."""
+    """Steps T of a rollout, or ``auto``, as when left out: as many as look ``lookahead`` ahead, or as ``dt`` lists; 16
+    with ``refine``. A number leaves the recipe above: every key then has the default that stands here."""
+    lookahead: Positive | None = None
+    """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. How far to look is up to the task and not to the machine:
+    as far as it takes to see that something gets better."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
-    ``timing.control_dt``, or with ``horizon = "auto"`` about 0.08 s. Longer steps look further ahead at the same
-    price."""
+    ``timing.control_dt``, or with ``horizon = "auto"`` about 0.08 s. Longer steps look as far at a lower price, or
+    with a ``horizon`` further at the same."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     randomize: Flag = True
@@ -261,6 +264,10 @@ class Planner(Section):
         if not isinstance(data, dict):
             return handler(data)
         method, horizon = data.get("method"), data.get("horizon", StepCount.AUTO)
+        if data.get("lookahead") is not None:
+            if horizon != StepCount.AUTO:
+                raise ValueError("horizon and lookahead say the same: leave one out")
+            data = {**data, "horizon": StepCount.AUTO}
         preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
         recipe = RECIPE if horizon == StepCount.AUTO and "refine" not in {**preset, **data} else {}
         out = {**recipe, **preset, **data}
@@ -296,13 +303,14 @@ class Planner(Section):
             return self
         whole = 1 if self.refine else max(1, round(STEP / control_dt))
         dt = self.dt or (whole * control_dt,)
-        steps = len(dt) if len(dt) > 1 else max(1, math.ceil(AHEAD / dt[0] - 1e-9))
+        steps = len(dt) if len(dt) > 1 else max(1, math.ceil((self.lookahead or AHEAD) / dt[0] - 1e-9))
         update = {"horizon": steps, "dt": dt}
         if self.knots is not None and "knots" not in self.model_fields_set:
             update["knots"] = max(2, min(self.knots, steps))
         planner = self.model_copy(update=update)
         # worked out is not said: the rest of the recipe goes with a horizon that is left out
-        said = self.model_fields_set - (set() if self.refine else {"horizon"})
+        by_number = self.refine and self.lookahead is None
+        said = self.model_fields_set - (set() if by_number else {"horizon"})
         planner.__pydantic_fields_set__.intersection_update(said)
         return planner
 
