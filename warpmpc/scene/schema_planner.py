@@ -194,8 +194,8 @@ class Planner(Section):
     """Steps T of a rollout, or ``auto``, as when left out: as many as look ``lookahead`` ahead, or as ``dt`` lists; 16
     with ``refine``. A number leaves the recipe above: every key then has the default that stands here."""
     lookahead: Positive | None = None
-    """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. How far to look is up to the task and not to the machine:
-    as far as it takes to see that something gets better."""
+    """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. How far to look
+    is up to the task and not to the machine: as far as it takes to see that something gets better."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
     ``timing.control_dt``, or with ``horizon = "auto"`` about 0.08 s. Longer steps look as far at a lower price, or
@@ -265,9 +265,7 @@ class Planner(Section):
             return handler(data)
         method, horizon = data.get("method"), data.get("horizon", StepCount.AUTO)
         if data.get("lookahead") is not None:
-            if horizon != StepCount.AUTO:
-                raise ValueError("horizon and lookahead say the same: leave one out")
-            data = {**data, "horizon": StepCount.AUTO}
+            data = {**data, "horizon": horizon}
         preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
         recipe = RECIPE if horizon == StepCount.AUTO and "refine" not in {**preset, **data} else {}
         out = {**recipe, **preset, **data}
@@ -289,9 +287,18 @@ class Planner(Section):
         if self.horizon is StepCount.AUTO:
             if isinstance(self.dt, Growing):
                 raise ValueError('horizon = "auto" does not go with steps that grow: give horizon a number')
+            if self.lookahead is not None and self.dt and len(self.dt) > 1:
+                raise ValueError("dt lists every step: leave lookahead out, or give dt one number")
+        elif self.lookahead is not None and (
+            not isinstance(self.dt, tuple) or self.horizon != self._steps_ahead(self.dt[0])
+        ):
+            raise ValueError("horizon and lookahead say the same: leave one out")
         elif isinstance(self.dt, tuple) and len(self.dt) not in (1, self.horizon):
             raise ValueError(f"dt has one number, or {self.horizon}: one for each step of the horizon")
         return self
+
+    def _steps_ahead(self, dt: float) -> int:
+        return max(1, math.ceil((self.lookahead or AHEAD) / dt - 1e-9))
 
     def with_horizon(self, control_dt: float) -> Planner:
         """Return the planner with the number of steps, and their length, that ``auto`` stands for.
@@ -303,7 +310,7 @@ class Planner(Section):
             return self
         whole = 1 if self.refine else max(1, round(STEP / control_dt))
         dt = self.dt or (whole * control_dt,)
-        steps = len(dt) if len(dt) > 1 else max(1, math.ceil((self.lookahead or AHEAD) / dt[0] - 1e-9))
+        steps = len(dt) if len(dt) > 1 else self._steps_ahead(dt[0])
         update = {"horizon": steps, "dt": dt}
         if self.knots is not None and "knots" not in self.model_fields_set:
             update["knots"] = max(2, min(self.knots, steps))
