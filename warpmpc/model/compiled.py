@@ -19,7 +19,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,64 +29,18 @@ import platformdirs
 from ..scene.errors import SceneError
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
+from .compiled_scene import CompiledScene
 from .equilibrium import with_equilibrium
 from .layout import Layout
 from .movable import with_movable
 from .validate import validate_layout
 
 if TYPE_CHECKING:
-    import mujoco
-
     from ..scene.schema import Scene
     from .builder import World
     from .mjcf import MjcfRobot
 
 logger = logging.getLogger("warpmpc")
-
-
-@dataclass(frozen=True)
-class CompiledScene:
-    """One world of a scene as the MuJoCo engine needs it."""
-
-    layout: Layout
-    mjcf: str
-    """The MuJoCo model that ``SolverMuJoCo`` compiles from the Newton model without MJCF robots, as XML with meshes
-    inline; empty where there is nothing else."""
-    body_name: tuple[str, ...]
-    """MuJoCo name of each Newton body."""
-    geom_name: tuple[str, ...]
-    """MuJoCo name of each shape, empty for shapes that do not collide."""
-    joint_name: tuple[str, ...]
-    """MuJoCo name of each joint dof."""
-    actuator_name: tuple[str, ...] = ()
-    """Actuator of an MJCF file behind each control, empty for controls of drives."""
-    mjcf_robots: tuple[MjcfRobot, ...] = ()
-    """The MJCF robots, whose files go into the MuJoCo model as they are."""
-    notes: tuple[str, ...] = ()
-    """What was taken over from MJCF files and what was not."""
-    timestep: float | None = None
-    """Physics step that the first MJCF file asks for [s]."""
-    repaired: tuple[str, ...] = ()
-    """What of the assets is not as their files say, which is warned of every time."""
-
-    def spec(self) -> mujoco.MjSpec:
-        """The MuJoCo model of the scene, to be compiled."""
-        from .compose import compose
-
-        shapes = zip(self.layout.shapes, self.geom_name, strict=True)
-        return compose(self.mjcf, self.mjcf_robots, {name for shape, name in shapes if name and shape.collides})
-
-    def substeps(self, wanted: int | None, control_dt: float, default: int) -> int:
-        """Physics steps per control.
-
-        Args:
-            wanted: What the scene says.
-            control_dt: Length of a control [s].
-            default: What holds where neither the scene nor an MJCF file says anything.
-        """
-        if wanted is not None:
-            return wanted
-        return default if self.timestep is None else max(1, round(control_dt / self.timestep))
 
 
 def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:

@@ -21,7 +21,7 @@ from .state import State
 if TYPE_CHECKING:
     import newton
 
-    from .compiled import CompiledScene
+    from .compiled_scene import CompiledScene
     from .layout import Layout
 
 

@@ -16,7 +16,7 @@ from .safe import safe_command
 from .state_rows import StateRows
 
 if TYPE_CHECKING:
-    from .compiled import CompiledScene
+    from .compiled_scene import CompiledScene
 
 _STEP = 0.002
 """Physics step of the model [s]; an equilibrium has none, servos of velocity are told one."""
@@ -28,12 +28,12 @@ a drone under a load that swings little."""
 def with_equilibrium(compiled: CompiledScene) -> CompiledScene:
     """The scene with ``control_start`` that holds its start, where there is such a control and no keyframe has one.
 
-    Velocity and position servos hold by themselves, so that only efforts are asked for, by inverse dynamics
-    (MuJoCo's ``mj_inverse`` at zero acceleration) and least squares within the limits of the controls.
+    Position servos stay at their posture; the other controls come from inverse dynamics (MuJoCo's ``mj_inverse`` at
+    zero acceleration) by least squares within their limits.
     """
     layout = compiled.layout
-    effort = np.flatnonzero((layout.control_safe < 0) & (layout.control_brake < 0))
-    if layout.control_start.any() or not len(effort) or not layout.nv:
+    free = np.flatnonzero((layout.control_safe < 0) & (layout.control_brake < 0))
+    if layout.control_start.any() or not len(free) or not layout.nv:
         return compiled
     world = make_world(compiled, timestep=_STEP)
     model, data = world.model, mujoco.MjData(world.model)
@@ -48,7 +48,7 @@ def with_equilibrium(compiled: CompiledScene) -> CompiledScene:
         return data.qfrc_actuator.copy()
 
     without = force(safe)
-    each = np.stack([force(safe + unit) - without for unit in np.eye(layout.nu)[effort]], axis=1)
+    each = np.stack([force(safe + unit) - without for unit in np.eye(layout.nu)[free]], axis=1)
     data.qacc = 0.0
     mujoco.mj_inverse(model, data)
     moved = np.isin(model.dof_treeid, model.dof_treeid[np.abs(each).max(axis=1) > 0.0])
@@ -62,9 +62,9 @@ def with_equilibrium(compiled: CompiledScene) -> CompiledScene:
     scale = np.linalg.norm(wanted)
     if scale < 1e-6:
         return compiled
-    found = lsq_linear(matrix, wanted, bounds=(layout.control_lower[effort], layout.control_upper[effort]))
+    found = lsq_linear(matrix, wanted, bounds=(layout.control_lower[free], layout.control_upper[free]))
     if np.linalg.norm(matrix @ found.x - wanted) > _LEFT * scale:
         return compiled
     control = np.zeros(layout.nu, dtype=np.float32)
-    control[effort] = found.x
+    control[free] = found.x
     return replace(compiled, layout=replace(layout, control_start=control))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from ..scene.schema import EngineSettings
-    from .compiled import CompiledScene
+    from .compiled_scene import CompiledScene
     from .layout import Layout
 
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)

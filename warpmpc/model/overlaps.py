@@ -12,7 +12,7 @@ from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
     from ..scene.schema import Scene
-    from .compiled import CompiledScene
+    from .compiled_scene import CompiledScene
 
 DEEP = 0.01
 """Depth from which an overlap is refused [m]: what is less settles within a few steps."""
