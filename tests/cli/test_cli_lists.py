@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is printed before anything runs: version, help, scenes, terms, and what a check built."""
 
+import re
 import subprocess
 import sys
+import textwrap
+import tomllib
 
+import pytest
 from program import SCENE, warpmpc
+
+from warpmpc.run.episode import EpisodeResult
 
 
 def test_version():
@@ -49,6 +55,72 @@ def test_terms_lists_every_term_and_key_with_type_default_and_meaning():
         "[[text, text], ...]",
     ):
         assert part in done.stdout
+
+
+@pytest.mark.parametrize("args", [("terms",), ("keys",), ("keys", "planner"), ("terms", "distance")])
+def test_lists_fit_a_narrow_terminal(command, args):
+    done = command(*args)
+    assert done.returncode == 0
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_a_named_term_has_an_example_that_is_a_table_of_a_scene(command):
+    from warpmpc.terms import TERMS
+
+    done = command("terms", *TERMS)
+    blocks = re.findall(r"^    \[\[cost\]\].*?(?=^$|\Z)", done.stdout, re.MULTILINE | re.DOTALL)
+    tables = [tomllib.loads(textwrap.dedent(block))["cost"][0] for block in blocks]
+    assert [table["term"] for table in tables] == list(TERMS)
+    for table in tables:
+        own = {key: value for key, value in table.items() if key not in ("term", "name", "weight", "terminal")}
+        TERMS[table["term"]].keys.model_validate(own)
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ("planner.noise", ["[planner.noise]", "spread = [number > 0, number > 0]; default [", "Factors (low, high)"]),
+        ("robot.panda.drive", ["[[robot.drive]]", "effort_limit = "]),
+        ("robot.drive.mode", ["mode = velocity | position", "What a control means to the joints."]),
+        ("randomize.box", None),
+        ("randomize", ["[randomize.NAME]", "friction"]),
+        ("planner.noise.sigma", ["sigma = number > 0 or", "Share of the range"]),
+        ("cost", ["term = text; required", "warpmpc terms NAME"]),
+    ],
+)
+def test_keys_of_a_table(command, table, says):
+    done = command("keys", table)
+    if says is None:
+        assert (done.returncode, done.stdout) == (2, "")
+        return
+    assert (done.returncode, done.stderr) == (0, "")
+    for part in says:
+        assert part in done.stdout
+
+
+def test_keys_alone_lists_the_tables_and_an_unknown_one_is_an_error(command):
+    lines = command("keys").stdout.splitlines()
+    assert {"[planner.noise]", "[[robot]]", "[robot.frames.NAME]", "[success]"} <= {*lines}
+    for args in (("keys", "planner.nois"), ("terms", "distanc")):
+        done = command(*args)
+        assert done.returncode == 2
+        assert "Did you mean" in done.stderr
+
+
+@pytest.mark.parametrize("reason", ["goal reached", "the plant's physics diverged", "failed: ball_lost"])
+def test_results_are_whole_at_eighty_columns(monkeypatch, capsys, reason):
+    monkeypatch.setenv("COLUMNS", "80")
+    from warpmpc.cli.report import print_results
+
+    plan = {"p50": 123.4, "p90": 1.0, "p99": 1234.5, "max": 1.0}
+    shared = {"scene": "s", "variant": None, "engine": "fused", "device": "cpu", "steps": 9, "cost": 1.0}
+    shared |= {"plan_ms": plan, "stages_ms": {}, "diverged_worlds": 0, "samples": 9, "horizon": 9, "fallbacks": 12}
+    shared |= {"position_error": 1.234, "yaw_error": 3.123, "max_force": 1234.5, "time_in_contact": 12.34, "reached": 4}
+    print_results([EpisodeResult(seed=12, success=False, reason=reason, sim_time=45.0, **shared)], sys.stdout)
+    out = capsys.readouterr().out
+    for word in (*reason.split(), "45.00", "1.234", "3.123", "1234.5", "12.34", "123.4"):
+        assert word in out.split()
+    assert "…" not in out
 
 
 def test_check_shows_what_was_built(tmp_path):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -50,7 +51,8 @@ goal.position = [1.2, 0.0]
 def warpmpc(*args: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run ``warpmpc ARGS`` in a folder."""
     command = [*PROGRAM, *map(str, args)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, encoding="utf-8", timeout=280)
+    env = {**os.environ}  # without the COLUMNS that readline sets behind Python's back
+    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, encoding="utf-8", timeout=280)
 
 
 def results(done: subprocess.CompletedProcess[str]) -> list[dict]:

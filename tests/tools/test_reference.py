@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from warpmpc import Scene, load_scene
+from warpmpc.cli.lists import EXAMPLES
 from warpmpc.scene.describe import keys, takes
 from warpmpc.terms import TERMS
 
@@ -46,10 +47,10 @@ def test_every_key_has_an_example(examples):
         wanted |= plain_keys(term.keys, set())
     assert len(wanted) > 250
     missing = {(section.__name__, key) for section, key in wanted - examples.keys()}
-    assert not sorted(missing), "show these keys in a scene, on a page, or in tools/pages/examples.toml"
+    assert not sorted(missing), "show these keys in a scene, on a page, or in warpmpc/cli/examples.toml"
 
 
 def test_the_examples_kept_for_the_reference_are_a_scene():
-    scene = load_scene(PAGES / "examples.toml")
+    scene = load_scene(EXAMPLES)
     for cost in scene.cost:
         TERMS[cost.term].keys.model_validate(cost.params)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An example of every key of scene files, found in the scenes that ship, in the documentation, or beside this file."""
+"""An example of every key of scene files, found in the scenes that ship, in the documentation, or among examples."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from typing import get_args
 from pydantic import BaseModel
 
 from warpmpc import Scene, shipped_scenes
+from warpmpc.cli.lists import EXAMPLES
 from warpmpc.scene.describe import keys, takes, written
 from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
-MORE = Path(__file__).parent / "examples.toml"
-"""A scene that has every key that no other one has."""
 LONGEST = 90
 """Longer examples [characters] are taken where there is no shorter one."""
 
@@ -47,7 +46,7 @@ def _sources() -> Iterator[dict]:
     for page in sorted(ROOT.glob("docs/**/*.md")):
         blocks = re.findall(r"^```toml[^\n]*\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
         yield from map(tomllib.loads, blocks)
-    yield tomllib.loads(MORE.read_text(encoding="utf-8"))
+    yield tomllib.loads(EXAMPLES.read_text(encoding="utf-8"))
 
 
 def _entries(section: type[BaseModel], data: object) -> Iterator[tuple[type[BaseModel], str, object]]:

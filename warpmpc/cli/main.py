@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from . import lists
+
 if TYPE_CHECKING:
     from .setup import RunArguments
 
@@ -88,24 +90,8 @@ def _root(
     pass
 
 
-@app.command()
-def scenes() -> None:
-    """List the scenes that come with warpmpc."""
-    from . import report
-    from .setup import user_errors
-
-    with user_errors():
-        report.print_scenes()
-
-
-@app.command()
-def terms() -> None:
-    """List the built-in cost terms and their keys."""
-    from . import report
-    from .setup import start_warp
-
-    start_warp()
-    report.print_terms()
+for _list in (lists.scenes, lists.terms, lists.keys, lists.schema):
+    app.command()(_list)
 
 
 @app.command()
@@ -121,17 +107,6 @@ def new(
         for name in make_starter(folder):
             typer.echo(folder / name)
     typer.echo(f"next: cd {folder} && warpmpc run scene.toml --terms cost.py")
-
-
-@app.command()
-def schema() -> None:
-    """Print the JSON Schema of scene files, with which editors complete and check them."""
-    from .setup import start_warp
-
-    start_warp()
-    from .schema import schema_text
-
-    typer.echo(schema_text(), nl=False)
 
 
 @app.command()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 import statistics
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -13,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..scene.describe import default, takes
 from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method, ShareOfRange
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..scene.schema import Condition, Failure, Object, Obstacle, Planner, Scene
 
 PIPE_WIDTH = 160
-"""Width of tables that go into a pipe or file."""
+"""Width of tables that go into a pipe or file, unless ``COLUMNS`` says another."""
 
 VERDICTS = 2
 """Failed episodes whose verdict is printed: further ones mostly repeat it; ``--json`` has all."""
@@ -44,13 +44,26 @@ _UNITS = {
 
 def _console(out: TextIO | None = None) -> Console:
     console = Console(file=out, highlight=False)
-    if not console.is_terminal:
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
         console.width = PIPE_WIDTH
     return console
 
 
+def _show(console: Console, table: Table) -> None:
+    """Print a table whose words and numbers are whole, also where that takes more than the width there is."""
+    for column in table.columns:
+        cells = [str(cell) for cell in (column.header, *column.cells)]
+        column.min_width = max(
+            len(part) for cell in cells for part in (cell.split("\n") if column.no_wrap else cell.split() or [""])
+        )
+    least = 1 + sum(column.min_width + 2 for column in table.columns)
+    before, console.width = console.width, max(console.width, least)
+    console.print(table)
+    console.width = before
+
+
 def _table(*columns: str, right: Sequence[str] = (), title: str | None = None) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False, padding=(0, 1, 0, 0))
     for name in columns:
         table.add_column(Text(name), justify="right" if name in right else "left", no_wrap=name in right)
     return table
@@ -75,25 +88,6 @@ def print_scenes() -> None:
             Text(scene.title),
         )
     _console().print(table)
-
-
-def print_terms() -> None:
-    """Print the built-in cost terms with their keys."""
-    from ..terms import TERMS
-
-    table = _table("term", "key", "value", "default", "meaning")
-    for term in TERMS.values():
-        table.add_section()
-        table.add_row(Text(term.name, style="bold"), "", "", "", Text(term.summary, style="bold"))
-        for name, field in term.keys.model_fields.items():
-            table.add_row("", name, Text(takes(field)), Text(default(field)), Text(field.description or ""))
-    console = _console()
-    console.print(table)
-    console.print(
-        "Every [[cost]] table has a weight besides (1.0 when left out), and a name where one term is used twice.\n"
-        "A frame is robot/frame, robot/link, an object, an obstacle or goal.",
-        markup=False,
-    )
 
 
 def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) -> None:
@@ -161,8 +155,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
     for sentence in advice:
         fact("is it meant?", sentence)
     console.print(facts)
-    console.print(_controls(layout))
-    console.print(_costs(episode))
+    _show(console, _controls(layout))
+    _show(console, _costs(episode))
 
 
 def _controls(layout: Layout) -> Table:
@@ -282,31 +276,26 @@ def _number(value: Any) -> str:
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     """Print one row per episode and a line that sums them up."""
-    costs = ["mean cost"] if results[0].success is None else []
-    numbers = ["seed", "time\n[s]", *costs, _error_heading(results), "yaw\n[rad]", "peak force\n[N]", "contact\n[s]"]
-    numbers += ["plan p50\n[ms]", "p99\n[ms]"]
-    safe = ["safe\ncommands"] if any(result.fallbacks for result in results) else []
-    phased = ["reached"] if results[0].reached is not None else []
-    table = _table(
-        "seed", "result", *phased, *numbers[1:], *safe, right=[*numbers, *phased, *safe], title=_title(results[0])
-    )
-    for r in results:
-        table.add_row(
-            str(r.seed),
-            Text(r.reason, style="green" if r.passed else "red"),
-            *([str(r.reached)] if phased else []),
-            f"{r.sim_time:.2f}",
-            *([f"{r.mean_cost:.4g}"] if costs else []),
-            _metres(_position(r)),
-            "-" if r.yaw_error is None else f"{r.yaw_error:.3f}",
-            f"{r.max_force:.1f}",
-            f"{r.time_in_contact:.2f}",
-            _ms(r.plan_ms["p50"]),
-            _ms(r.plan_ms["p99"]),
-            *([str(r.fallbacks)] if safe else []),
-        )
+    every = {
+        "seed": [str(r.seed) for r in results],
+        "result": [Text(r.reason, style="green" if r.passed else "red") for r in results],
+        "reached": ["-" if r.reached is None else str(r.reached) for r in results],
+        "time\n[s]": [f"{r.sim_time:.2f}" for r in results],
+        "mean cost": ["-" if r.success is not None else f"{r.mean_cost:.4g}" for r in results],
+        _error_heading(results): [_metres(_position(r)) for r in results],
+        "yaw\n[rad]": [_metres(r.yaw_error) for r in results],
+        "peak force\n[N]": [f"{r.max_force:.1f}" for r in results],
+        "contact\n[s]": [f"{r.time_in_contact:.2f}" for r in results],
+        "plan p50\n[ms]": [_ms(r.plan_ms["p50"]) for r in results],
+        "p99\n[ms]": [_ms(r.plan_ms["p99"]) for r in results],
+        "safe\ncommands": [str(r.fallbacks or "-") for r in results],
+    }
+    columns = {name: cells for name, cells in every.items() if any(str(cell) != "-" for cell in cells)}
+    table = _table(*columns, right=[name for name in columns if name != "result"], title=_title(results[0]))
+    for row in zip(*columns.values(), strict=True):
+        table.add_row(*row)
     console = _console(out)
-    console.print(table)
+    _show(console, table)
     console.print(summary(results), markup=False)
     print_verdicts(results, console)
 
@@ -348,7 +337,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
             "" if group[0].passed else some([str(r.seed) for r in group], most=12),
         )
     console = _console(out)
-    console.print(table)
+    _show(console, table)
     safe = sum(r.fallbacks for r in results)
     console.print(
         f"plan of {envs} environments: p50 {_ms(p50)} ms, {_ms(p50 / envs)} ms each; longest {_ms(longest)} ms"
@@ -375,6 +364,7 @@ def _position(result: EpisodeResult) -> float | None:
 
 
 def _metres(value: float | None) -> str:
+    """Error [m] or [rad]; a dash without one."""
     return "-" if value is None else f"{value:.3f}"
 
 

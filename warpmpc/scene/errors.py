@@ -155,7 +155,7 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
         return {"message": "no such choice", "key": key, "found": found, "allowed": choices}
     if kind == "value_error":
         return {"message": str(context["error"]), "key": key, "found": found}
-    if kind == "tuple_type" and _model(annotation):
+    if kind == "tuple_type" and section_in(annotation):
         return {"message": f"must be an array of tables: write [[{key}]]", "key": key, "found": found}
     if kind == "tuple_type":
         return {"message": f"must be {_list(annotation, value)}", "key": key, "found": found}
@@ -201,16 +201,16 @@ def _schema(loc: tuple, root: type[BaseModel]) -> tuple[type[BaseModel], object]
             section = inner
             if part in section.model_fields:
                 annotation = section.model_fields[part].annotation
-                inner = _model(annotation)
+                inner = section_in(annotation)
                 named = inner is not None and get_origin(annotation) is dict
     return section, annotation
 
 
-def _model(annotation: object) -> type[BaseModel] | None:
-    """The section inside a type such as ``tuple[Robot, ...]`` or ``Ground | None``."""
+def section_in(annotation: object) -> type[BaseModel] | None:
+    """Section inside a type such as ``tuple[Robot, ...]`` or ``Ground | None``; None where there is none."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((model for arg in get_args(annotation) if (model := _model(arg))), None)
+    return next((model for arg in get_args(annotation) if (model := section_in(arg))), None)
 
 
 def _tuple(annotation: object) -> tuple:
@@ -237,7 +237,7 @@ def _length(annotation: object, context: dict) -> str:
     if most := context.get("max_length"):
         return f"has at most {most} values"
     least = context.get("min_length", 1)
-    return f"needs at least {least} {'entry' if _model(annotation) else 'value' if least == 1 else 'values'}"
+    return f"needs at least {least} {'entry' if section_in(annotation) else 'value' if least == 1 else 'values'}"
 
 
 def _shown(value: object) -> str:
