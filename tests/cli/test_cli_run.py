@@ -73,7 +73,7 @@ def test_json_is_all_there_is_on_stdout(two_episodes):
         assert list(result["final"]) == ["position_error_m", "yaw_error_rad", "cost", "axis_error_m"]
         assert list(result["collisions"]) == ["max_force_N", "time_in_contact_s"]
         assert list(result["plan_ms"]) == ["p50", "p90", "p99", "max"]
-        assert list(result["stages_ms"]) == ["begin", "sample", "evaluate", "update"]
+        assert list(result["stages_ms"]) == ["begin", "noise", "evaluate", "update"]
         assert (result["scene"], result["variant"]) == ("omni_push_box", "B")
         assert (result["engine"], result["device"]) == ("fused", "cpu")
         assert (result["samples"], result["horizon"], result["steps"]) == (16, 4, 10)

@@ -46,7 +46,7 @@ def test_it_brings_the_disc_to_its_goal(method):
     assert info.time == pytest.approx(plant.time - 0.04)
     assert info.diverged_worlds == 0
     assert info.plan_ms > 0.0
-    assert set(info.stages_ms) == {"begin", "sample", "evaluate", "update"}
+    assert set(info.stages_ms) == {"begin", "noise", "evaluate", "update"}
     assert info.cost == pytest.approx(sum(info.terms.values()), rel=1e-4)
 
 

@@ -95,7 +95,7 @@ def test_a_plan_on_the_gpu_costs_what_it_does_on_the_cpu(name, sharing):
     samples = 64 if sharing > 1 else 6144
     scene = warpmpc.load_scene(name, overrides=[f"planner.samples={samples}"])
     gpu, cpu = (warpmpc.Controller(scene, engine="fused", device=device, seed=1) for device in ("cuda:0", "cpu"))
-    assert gpu.engine.simulator.sharing == sharing
+    assert gpu.engine.physics.sharing == sharing
     state = warpmpc.State.start(gpu.layout)
     for controller in (gpu, cpu):
         controller.step(state)

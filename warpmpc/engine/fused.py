@@ -103,7 +103,7 @@ class FusedEngine(LaunchedEngine):
                 file=request.scene.path,
                 allowed=["auto", "mujoco", "newton"],
             )
-        self.simulator = physics = FusedPhysics(
+        self.physics = physics = FusedPhysics(
             request.scene, request.compiled, request.shape, device=request.device, **request.worlds(steps)
         )
         super().__init__(request, RolloutWork)
@@ -125,7 +125,7 @@ class FusedEngine(LaunchedEngine):
         """Terms that are part of the source, and the numbers of all others."""
         if self._on_gpu:
             return None, list(range(len(self.costs.terms)))
-        writer = PhysicsState(self.layout, self.simulator.map)
+        writer = PhysicsState(self.layout, self.physics.map)
         terms, on_record = launch_terms(self.costs, writer, stage_risk=self._stage_risk)
         return cost_code(writer, terms) if terms else None, on_record
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("warpmpc")
 
+_ON_RECORD = "cost term '%s' is evaluated on the record, not in the launch: %s"
+
 
 def launch_terms(
     costs: CostStack, state: StateCode, *, stage_risk: float = 0.0
@@ -51,11 +53,11 @@ def term_source(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: s
         label: What the log calls it.
     """
     if not isinstance(term, CostTerm):
+        logger.info(_ON_RECORD, label, "it is a function of whole arrays")
         return None
     try:
         value = term.source(code, bound) if term.source else None
         return trace(code, term.function, bound) if value is None else value
     except (OutOfRange, Refused) as error:
-        if term.advance is None:
-            logger.info("cost term '%s' is evaluated on the record, not in the launch: %s", label, error)
+        logger.info(_ON_RECORD, label, error)
         return None

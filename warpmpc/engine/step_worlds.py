@@ -120,7 +120,7 @@ class StepWorlds(ABC):
 
     @abstractmethod
     def follow(self) -> None:
-        """Take over what was observed besides the state, mocap bodies for instance; overwrites :attr:`start`."""
+        """Take over what was observed besides the state, mocap bodies for instance; overwrites :attr:`starts`."""
 
     @abstractmethod
     def take(self, part: int) -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..task.ancillary import AncillaryController
     from .feedback import Feedback
 
-STAGES = ("begin", "sample", "evaluate", "update")
+STAGES = ("begin", "noise", "evaluate", "update")
 
 
 class PlanStep:
@@ -143,7 +143,7 @@ class PlanStep:
         pieces = [("begin", self._replayed(self._begin))]
         for i in range(len(strategy.population)):
             pieces += [
-                ("sample", self._replayed(partial(strategy.advance, i))),
+                ("noise", self._replayed(partial(strategy.advance, i))),
                 ("evaluate", partial(engine.evaluate, proposal(strategy, i))),
                 ("update", self._replayed(partial(strategy.update, i))),
             ]

@@ -203,7 +203,7 @@ class Scene(Section):
 
     @property
     def cost_labels(self) -> list[str]:
-        """Names of the cost terms, with a number behind those that occur again."""
+        """Names of the cost terms, with a number behind those that occur again, which files may not have."""
         seen: dict[str, int] = {}
         labels = []
         for cost in self.cost:
