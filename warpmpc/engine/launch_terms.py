@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where cost terms are evaluated: in the launch, whose source they become part of, or on the record."""
+"""Places of cost terms: the launch, whose source they become part of, or the record."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Refused(Exception):
-    """What keeps a term out of the launch: a construct or a part of the state that source has not; the message says."""
+    """A construct or a part of the state that source has not, which keeps a term out of the launch."""
 
 
 @dataclass(frozen=True)
