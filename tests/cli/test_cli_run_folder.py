@@ -168,6 +168,13 @@ def test_figures_of_a_folder_are_beside_what_they_show(folder, command, tmp_path
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "here" / "path.png").exists()
 
+    done = command("plot", "run", "-o", "x.png")
+    assert (done.returncode, done.stdout.split()) == (0, ["x-episode-4.png", "x-episode-5.png"])
+    assert (tmp_path / "x-episode-4.png").stat().st_size > 10_000
+    for wrong in ("x.jpeg", "nothere/x.png"):
+        done = command("plot", "run", "-o", wrong)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
     done = command("plot", "no.npz")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)

@@ -146,7 +146,11 @@ def run(
     ] = None,
     csv: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Write states, controls, costs, plan times and forces of every step."),
+        typer.Option(
+            metavar="FILE.csv",
+            help="Write states, controls, forces and plan times of every step; cost and cost/NAME are those of the "
+            "plan's best sample over its horizon, weights included; the last row is the final state, with no control.",
+        ),
     ] = None,
     npz: Annotated[
         Path | None, typer.Option(metavar="FILE.npz", help="The same as NumPy arrays, see warpmpc.RunLog.")
@@ -234,7 +238,14 @@ def replay(
 def plot(
     path: RunPathArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the files; beside or in PATH when left out.")
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR|FILE.png",
+            help="Folder for the files, beside or in PATH when left out; or one picture with path, costs, controls "
+            "and errors.",
+        ),
     ] = None,
     terms: TermsOption = [],  # noqa: B006
 ) -> None:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 SNAPSHOTS = 9
 """Moments drawn."""
 DPI = 110
+PICTURES = (".png", ".pdf", ".svg")
+"""Endings of pictures that are written."""
 
 
 def plot_log(
@@ -58,6 +60,44 @@ def plot_log(
         figure.savefig(folder / f"{name}.png", bbox_inches="tight")
         written.append(folder / f"{name}.png")
     return written
+
+
+def plot_overview(
+    log: RunLog, path: Path, *, title: str = "", scene: Scene | None = None, terms: Sequence[UserTerm] = ()
+) -> None:
+    """Write one picture of a run: its path, and costs, controls and errors over time.
+
+    Args:
+        log: The run.
+        path: File, one of :data:`PICTURES`.
+        title: Title of the picture.
+        scene: The run's scene, as for :func:`plot_log`.
+        terms: Users' own cost terms that the scene's success or phases name.
+
+    Raises:
+        SceneError: If the scene of the log cannot be built here.
+        OSError: If the file cannot be written.
+    """
+    time, names = log.states.time, log.names
+    curves = [("controls", log.controls.control, names["controls"])] * bool(len(log.controls))
+    curves += [("goal error [m or rad]", log.states.goal_error, names["errors"])] * bool(names["errors"])
+    costs = bool(names["terms"] and len(log.controls))
+    figure = Figure(figsize=(15, 7), dpi=DPI, layout="constrained")
+    grid = figure.add_gridspec(max(len(curves) + costs, 1), 2)
+    draw_run(figure.add_subplot(grid[:, 0]), log, _plant(log, scene, terms))
+    figure.axes[0].set_title(title)
+    for row, (label, values, parts) in enumerate(curves, start=int(costs)):
+        axes = figure.add_subplot(grid[row, 1])
+        for name, column in zip(parts, values.T, strict=True):
+            axes.plot(time[: len(column)], column, lw=1.0, label=name)
+        axes.set_ylabel(label)
+    if costs:
+        draw_costs(figure.add_subplot(grid[0, 1]), log)
+    for axes in figure.axes[1:]:
+        axes.set_xlim(time[0], time[-1])
+        axes.set_xlabel("time [s]")
+        _legend(axes)
+    figure.savefig(path)
 
 
 def figures(log: RunLog, scene: Scene | None, terms: Sequence[UserTerm] = ()) -> Iterator[tuple[str, Figure]]:
