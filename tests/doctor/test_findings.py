@@ -218,6 +218,10 @@ def test_a_hand_that_a_mocap_body_leads_is_found(tmp_path):
     found = [f for f in still(scene) if f.key == "cost.distance"]
     assert len(found) == 1
     assert "no control can move arm/hand: a mocap body leads it" in found[0].text
+    assert found[0].cure.endswith('robot.arm.drive = { mode = "mocap", body = "lead", limit = 0.5 }')
+    driven = ('asset = "arm.xml"', 'asset = "arm.xml"\ndrive = { mode = "mocap", limit = 0.5 }')
+    scene = scene_of(tmp_path, asset=HAND, scene=[('["box", "goal"]', '["arm/hand", "goal"]'), driven])
+    assert not [f for f in still(scene) if f.key == "cost.distance"]
 
 
 @pytest.mark.parametrize(

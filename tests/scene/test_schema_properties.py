@@ -67,6 +67,11 @@ def drives(draw):
     bounds = draw(st.sampled_from([{"limit": (1.0,)}, {"lower": (-1.0,), "upper": (2.0,)}]))
     extra = {"wheel_radius": 0.1, "track": 0.5} if mode is DriveMode.DIFF_DRIVE else {}
     joints = ("left", "right") if mode is DriveMode.DIFF_DRIVE else draw(st.none() | st.just(("a", "b", "c")))
+    if mode is DriveMode.MOCAP:
+        joints, extra = (
+            None,
+            {"body": draw(st.none() | text), "rotation": draw(st.sampled_from(["none", "yaw", "all"]))},
+        )
     return Drive(
         mode=mode,
         joints=joints,
@@ -86,7 +91,7 @@ def robots(draw, name):
         position=draw(vec3),
         rotation=draw(quat),
         floating=draw(st.booleans()),
-        joint_q=draw(st.none() | floats | st.dictionaries(text, number, max_size=3)),
+        joint_q=draw(st.none() | floats | st.dictionaries(text, number | st.tuples(*[number] * 3), max_size=3)),
         frames=draw(
             st.dictionaries(st.sampled_from(["tip", "tool", "link"]), st.builds(Frame, link=text, offset=vec3))
         ),

@@ -124,17 +124,19 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
     asked = [(f"cost.{cost.name or cost.term}", _names(cost.params)) for cost in subject.scene.cost]
     if subject.scene.goal is not None:
         asked.append(("goal", {subject.scene.goal.target}))
-    mocap = {subject.compiled.body_name[b] for b in layout.mocap_body.tolist()}
+    mocap = [subject.compiled.body_name[b] for b in layout.mocap_body.tolist()]
     for key, names in asked:
         about = [name for name in sorted(names) if name in frames]
         if about and not any(frames[name] for name in about):
             hint = ": a mocap body leads it, and plans move no mocap bodies" if mocap else ""
-            yield Finding(
-                key,
-                f"no control can move {some(about)}{hint}",
+            cure = (
                 "drive the joints that carry it (robot.NAME.drive, or actuators in MJCF), or let something that is "
-                "driven touch it",
+                "driven touch it"
             )
+            if mocap:
+                robot, _, body = mocap[0].partition("/")
+                cure = f'drive the mocap body: robot.{robot}.drive = {{ mode = "mocap", body = "{body}", limit = 0.5 }}'
+            yield Finding(key, f"no control can move {some(about)}{hint}", cure)
 
 
 def plan_findings(controller: Controller) -> Iterator[Finding]:

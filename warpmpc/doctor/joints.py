@@ -83,7 +83,10 @@ def _starts(subject: Subject) -> Iterator[Finding]:
 
 
 def _servos(subject: Subject) -> Iterator[Finding]:
-    """Position servos of MJCF files whose control range has little to do with their joint's range."""
+    """Position servos of MJCF files whose control range has little to do with their hinge's range.
+
+    Grippers on slides are often sent far beyond their range, for the force.
+    """
     model = subject.world.model
     far = []
     for a in range(model.nu):
@@ -91,7 +94,8 @@ def _servos(subject: Subject) -> Iterator[Finding]:
         position = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[a, 1] < 0.0
         plain = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_gear[a, 0] == 1.0
         same_unit = np.isclose(model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 1])
-        if not (position and plain and same_unit and model.actuator_ctrllimited[a] and model.jnt_limited[j]):
+        hinge = model.jnt_type[j] == HINGE and model.jnt_limited[j]
+        if not (position and plain and same_unit and model.actuator_ctrllimited[a] and hinge):
             continue
         (low, high), (lower, upper) = model.actuator_ctrlrange[a], model.jnt_range[j]
         ratio = (high - low) / max(upper - lower, 1e-9)

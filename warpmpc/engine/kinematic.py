@@ -30,6 +30,7 @@ from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
+from ..scene.schema_bodies import DriveMode
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
 from .launch_terms import launch_terms
@@ -132,7 +133,9 @@ def _refuse(request: EngineRequest) -> None:
     layout, costs = request.costs.layout, request.costs
     wheels = (np.count_nonzero(layout.actuator_matrix, axis=1) > 1).any()
     forces = any(mode not in MODES for mode in layout.actuator_mode)
+    mocap = [r.name for r in request.scene.robot if any(d.mode is DriveMode.MOCAP for d in r.drive)]
     reasons = (
+        (f"robot.{'.'.join(mocap[:1])}.drive.mode", bool(mocap), "welds, by which a mocap body leads a hand"),
         ("robot.drive", any(request.compiled.actuator_name), "actuators of MJCF files: give the robot a drive"),
         ("robot.drive.mode", forces or wheels, "forces: neither efforts nor wheels that roll on a floor"),
         ("cost", bool(costs.pairs), "contact forces, which a cost term reads"),

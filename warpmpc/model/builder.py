@@ -12,7 +12,7 @@ import warp as wp
 from newton import GeoType, ShapeFlags
 
 from ..scene.errors import SceneError
-from ..scene.schema import Object, Obstacle, Robot, Scene, ShapeKind
+from ..scene.schema import DriveMode, Object, Obstacle, Robot, Scene, ShapeKind
 from .assets import AssetKind, asset_kind, resolve_asset
 from .axes import axis_names
 from .controls import Actuators, drive_robot
@@ -166,7 +166,15 @@ def _add_robot(
 
 
 def _refuse_mjcf_keys(robot: Robot, kind: AssetKind, scene: Scene) -> None:
-    """Only MJCF files bring actuators and keyframes of their own."""
+    """Only MJCF files bring actuators, mocap bodies and keyframes of their own."""
+    for number, drive in enumerate(robot.drive):
+        if drive.mode is DriveMode.MOCAP:
+            raise SceneError(
+                f"a {kind.upper()} file has no mocap bodies: take mode 'velocity' with joints",
+                key=f"robot.{robot.name}.drive" + f".{number}" * (len(robot.drive) > 1) + ".mode",
+                file=scene.path,
+                found=str(drive.mode),
+            )
     if not robot.drive:
         raise SceneError(
             f"a {kind.upper()} file has no actuators of its own: give the robot a drive",

@@ -4,23 +4,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from newton import JointTargetMode
+from newton import JointTargetMode, JointType
 
 from ..scene.errors import SceneError
 from ..scene.schema import Drive, DriveMode, Robot, Scene
 from .control_limits import asset_limits, own_limits
+from .mjcf_mocap import LAG
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import newton
 
 _TARGET = {
     DriveMode.VELOCITY: JointTargetMode.VELOCITY,
+    DriveMode.MOCAP: JointTargetMode.VELOCITY,
     DriveMode.DIFF_DRIVE: JointTargetMode.VELOCITY,
     DriveMode.POSITION: JointTargetMode.POSITION,
     DriveMode.EFFORT: JointTargetMode.EFFORT,
@@ -70,6 +73,7 @@ def drive_robot(
     *,
     first_coord: int,
     first_dof: int,
+    mocap: Mapping[int, tuple[str, ...]] = MappingProxyType({}),
 ) -> None:
     """Set a robot's start joints and servos in its builder and append its controls to ``actuators``.
 
@@ -81,6 +85,7 @@ def drive_robot(
         actuators: Takes the controls and actuators.
         first_coord: Joint coordinates of the robots before.
         first_dof: Joint velocities of the robots before.
+        mocap: Number of a drive → joints that its mocap body is put on.
 
     Raises:
         SceneError: If a joint name is unknown or driven twice, or a list has the wrong length.
@@ -89,18 +94,24 @@ def drive_robot(
     movable = {
         name: (coord, dof) for dof, (name, coord) in enumerate(zip(axes, _coordinates(part), strict=True)) if name
     }
-    _start(part, robot, movable, scene, key)
+    own = {name: place for name, place in movable.items() if all(name not in joints for joints in mocap.values())}
+    for coord, dof in (movable[name] for joints in mocap.values() for name in joints):
+        part.joint_q[coord] = part.joint_qd[dof] = 0.0
+    _start(part, robot, own, scene, key)
     for dof in range(part.joint_dof_count):
         part.joint_target_mode[dof] = int(JointTargetMode.NONE)
         part.joint_target_ke[dof] = part.joint_target_kd[dof] = 0.0
     driven: dict[str, None] = {}  # in control order
     for number, drive in enumerate(robot.drive):
         where = f"{key}.drive" + (f"[{number}]" if len(robot.drive) > 1 else "")
-        names = list(movable) if drive.joints is None else list(drive.joints)
+        if number in mocap:
+            _add_drive(part, robot, drive, mocap[number], movable, scene, where, actuators, first_coord, first_dof)
+            continue
+        names = list(own) if drive.joints is None else list(drive.joints)
         for name in names:
-            if name not in movable:
+            if name not in own:
                 raise SceneError(
-                    "no such joint with one axis", key=f"{where}.joints", file=scene.path, found=name, allowed=movable
+                    "no such joint with one axis", key=f"{where}.joints", file=scene.path, found=name, allowed=own
                 )
             if name in driven:
                 raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
@@ -173,13 +184,35 @@ def _coordinates(part: newton.ModelBuilder) -> list[int]:
 
 
 def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene, key: str) -> None:
+    free = {
+        label.removeprefix(f"{robot.name}/"): int(start)
+        for label, kind, start in zip(part.joint_label, part.joint_type, part.joint_q_start, strict=True)
+        if kind == JointType.FREE
+    }
     if isinstance(robot.joint_q, dict):
         for name, value in robot.joint_q.items():
-            if name not in movable:
+            if name not in movable and name not in free:
                 raise SceneError(
-                    "no such joint with one axis", key=f"{key}.joint_q", file=scene.path, found=name, allowed=movable
+                    "no such joint with one axis, or free joint",
+                    key=f"{key}.joint_q",
+                    file=scene.path,
+                    found=name,
+                    allowed=[*movable, *free],
                 )
-            part.joint_q[movable[name][0]] = value
+            numbers = value if isinstance(value, tuple) else (value,)
+            if len(numbers) not in ((3, 7) if name in free else (1,)):
+                raise SceneError(
+                    "needs [x, y, z] or [x, y, z, qx, qy, qz, qw]" if name in free else "needs one number",
+                    key=f"{key}.joint_q.{name}",
+                    file=scene.path,
+                    found=value,
+                )
+            first = free[name] if name in free else movable[name][0]
+            rotation = np.array(numbers[3:])
+            part.joint_q[first : first + len(numbers)] = [
+                *numbers[:3],
+                *(rotation / max(np.linalg.norm(rotation), 1e-9)),
+            ]
     elif robot.joint_q is not None:
         if len(robot.joint_q) != len(movable):
             raise SceneError(
@@ -218,6 +251,8 @@ def _add_drive(
             raise SceneError("lower must stay below upper", key=f"{where}.lower", file=scene.path, found=lower)
     ke = spread("stiffness", count, drive.stiffness)
     kd = spread("damping", count, drive.damping)
+    if drive.mode is DriveMode.MOCAP:
+        kd = [part.joint_armature[movable[name][1]] / LAG for name in names]
     effort = None if drive.effort_limit is None else spread("effort_limit", count, drive.effort_limit)
     speed = None if drive.speed_limit is None else spread("speed_limit", count, drive.speed_limit)
     accelerates = drive.mode is DriveMode.ACCELERATION
@@ -250,7 +285,8 @@ def _add_drive(
             }
         else:
             row = {first_control + i: 1.0}
-        mode = "velocity" if drive.mode is DriveMode.DIFF_DRIVE else str(drive.mode)
+        speeds = drive.mode in (DriveMode.DIFF_DRIVE, DriveMode.MOCAP)
+        mode = "velocity" if speeds else str(drive.mode)
         actuators.actuator.append(
             {
                 "dof": first_dof + dof,

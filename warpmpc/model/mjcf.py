@@ -11,10 +11,12 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import Robot
+from .mjcf_keys import Key, take_keys
+from .mjcf_mocap import drive_mocap
 from .mjcf_physics import refusal, repair_spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
     from pathlib import Path
 
 FREE = mujoco.mjtJoint.mjJNT_FREE
@@ -48,21 +50,6 @@ class MjcfRobot:
 
 
 @dataclass(frozen=True)
-class Key:
-    """A keyframe by names, in MuJoCo's conventions and in the file's own frame."""
-
-    name: str
-    qpos: dict[str, tuple[float, ...]]
-    """Joint → its coordinates."""
-    qvel: dict[str, tuple[float, ...]]
-    act: dict[str, tuple[float, ...]]
-    """Actuator → its activations."""
-    ctrl: dict[str, float]
-    mocap: dict[str, tuple[float, ...]]
-    """Mocap body → its pose (x, y, z, qx, qy, qz, qw)."""
-
-
-@dataclass(frozen=True)
 class Mjcf:
     """Content of an MJCF file."""
 
@@ -74,6 +61,8 @@ class Mjcf:
     """What was not taken over, and why."""
     repaired: tuple[str, ...]
     """What is not as the file says, one line each."""
+    mocap: dict[int, tuple[str, ...]]
+    """Number of a drive → joints that its mocap body is put on."""
 
 
 def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
@@ -93,8 +82,9 @@ def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
         left_out = _drop_broken_sensors(spec)
         _name_everything(spec)
         repaired = repair_spec(spec)
-        keys = _take_keys(spec)
+        keys = take_keys(spec)
         _set_root(spec, robot, key, file)
+        mocap, keys = drive_mocap(spec, robot, keys, file)
     except ValueError as error:
         raise SceneError(
             f"this asset cannot be read: {refusal(error)}", key=f"{key}.asset", file=file, found=mjcf_robot.path
@@ -109,26 +99,28 @@ def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
         for pair in list(spec.pairs):
             spec.delete(pair)
     actuators = len(spec.actuators)
-    if robot.drive:
+    if not robot.keeps_actuators:
         for actuator in list(spec.actuators):
             spec.delete(actuator)
-        for servo in mjcf_robot.servos:
-            _add_servo(spec, servo)
-    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(repaired))
+    for servo in mjcf_robot.servos:
+        _add_servo(spec, servo)
+    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(repaired), mocap)
 
 
-def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None) -> tuple[float, ...]:
+def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None, mocap: Collection[str]) -> tuple[float, ...]:
     """Place of a file's origin at which its root, the first body that moves, is where the scene puts it.
 
     Args:
         robot: The robot.
         model: The file's own model.
         key: Keyframe that the robot starts in, if any.
+        mocap: Joints of driven mocap bodies, which are no roots.
 
     Returns:
         The pose (x, y, z, qx, qy, qz, qw).
     """
-    moving = [int(model.body_rootid[b]) for b in range(1, model.nbody) if model.body_dofnum[b]]
+    led = {int(model.joint(name).bodyid[0]) for name in mocap}
+    moving = [int(model.body_rootid[b]) for b in range(1, model.nbody) if model.body_dofnum[b] and b not in led]
     root = min(moving, default=min(1, model.nbody - 1))  # an empty file is refused later
     own = np.concatenate([model.body_pos[root], model.body_quat[root]])
     joint = int(model.body_jntadr[root])
@@ -220,47 +212,6 @@ def _name(items: Iterable, wanted: Iterable[tuple[object, str]]) -> None:
             name = f"{stem}{number}"
         item.name = name
         taken.add(name)
-
-
-def _take_keys(spec: mujoco.MjSpec) -> tuple[Key, ...]:
-    """Keyframes by names; they leave the file, since their rows fit its own joints and actuators alone."""
-    if not spec.keys:
-        return ()
-    model = spec.compile()
-    found = tuple(_key(model, k) for k in range(model.nkey))
-    for key in list(spec.keys):
-        spec.delete(key)
-    return found
-
-
-_WIDTHS = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
-"""Coordinates and velocities of MuJoCo's joint types."""
-
-
-def _key(model: mujoco.MjModel, k: int) -> Key:
-    def row(values, start: int, width: int) -> tuple[float, ...]:
-        return tuple(float(x) for x in values[k, start : start + width])
-
-    joints = [(model.joint(j).name, _WIDTHS[int(model.jnt_type[j])], j) for j in range(model.njnt)]
-    actuators = [(model.actuator(a).name, a) for a in range(model.nu)]
-    mocap = {}
-    for body in range(model.nbody):
-        m = model.body_mocapid[body]
-        if m >= 0:
-            w, x, y, z = row(model.key_mquat, 4 * m, 4)
-            mocap[model.body(body).name] = (*row(model.key_mpos, 3 * m, 3), x, y, z, w)
-    return Key(
-        name=model.key(k).name,
-        qpos={name: row(model.key_qpos, model.jnt_qposadr[j], width[0]) for name, width, j in joints},
-        qvel={name: row(model.key_qvel, model.jnt_dofadr[j], width[1]) for name, width, j in joints},
-        act={
-            name: row(model.key_act, model.actuator_actadr[a], model.actuator_actnum[a])
-            for name, a in actuators
-            if model.actuator_actnum[a]
-        },
-        ctrl={name: float(model.key_ctrl[k, a]) for name, a in actuators},
-        mocap=mocap,
-    )
 
 
 def _set_root(spec: mujoco.MjSpec, robot: Robot, key: str, file: Path | None) -> None:

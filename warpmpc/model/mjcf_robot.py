@@ -15,7 +15,8 @@ from newton import JointTargetMode, JointType
 from ..scene.errors import SceneError
 from .controls import Actuators, add_own_controls, drive_robot
 from .layout import IDENTITY, WORLD, Entity, Keyframe
-from .mjcf import Key, Mjcf, MjcfRobot, Servo, compile_mjcf, origin_of, read_mjcf
+from .mjcf import Mjcf, MjcfRobot, Servo, compile_mjcf, origin_of, read_mjcf
+from .mjcf_keys import Key
 from .mjcf_links import add_links, pose
 
 if TYPE_CHECKING:
@@ -129,7 +130,8 @@ def add_mjcf_robot(
     mjcf_robot = MjcfRobot(str(path), robot)
     mjcf = read_mjcf(mjcf_robot, file=scene.path)
     model = compile_mjcf(mjcf, mjcf_robot, file=scene.path)
-    origin = origin_of(robot, model, next((key for key in mjcf.keys if key.name == robot.keyframe), None))
+    led = [joint for joints in mjcf.mocap.values() for joint in joints]
+    origin = origin_of(robot, model, next((key for key in mjcf.keys if key.name == robot.keyframe), None), led)
     place = wp.transform(wp.vec3(*origin[:3]), wp.quat(*origin[3:]))
     links = add_links(part, model, robot, place, file=scene.path)
     bodies = [model.body(b).name for b in range(1, model.nbody)]
@@ -155,14 +157,21 @@ def add_mjcf_robot(
         mjcf_robots.chosen.append(row)
     mjcf_robots.rows += rows
     axes += [f"{name}/{axis}" if axis else "" for axis in links.axes]
-    drive_robot(part, robot, links.axes, scene, actuators, first_coord=first["joint_q"], first_dof=first["joint_qd"])
-    servos: tuple[Servo, ...] = ()
-    if robot.drive:
-        servos = _servos(part, robot, links.axes)
-    else:
+    if robot.keeps_actuators:
         add_own_controls(model, robot, scene, actuators, first_coord=first["joint_q"])
         for a in range(model.nu):
             mjcf_robots.activations += [f"{name}/{model.actuator(a).name}"] * int(model.actuator_actnum[a])
+    drive_robot(
+        part,
+        robot,
+        links.axes,
+        scene,
+        actuators,
+        first_coord=first["joint_q"],
+        first_dof=first["joint_qd"],
+        mocap=mjcf.mocap,
+    )
+    servos = _servos(part, robot, links.axes) if robot.drive else ()
     for b in links.mocap:
         at = wp.transform(*part.joint_X_p[part.joint_child.index(b)])
         mjcf_robots.mocap[f"{name}/{bodies[b]}"] = first_body + b
@@ -213,7 +222,7 @@ def _row(
             for k, name in enumerate(names):
                 q[start + k], qd[dof + k] = key.qpos[name][0], key.qvel[name][0]
     poses = [place * wp.transform(wp.vec3(*at[:3]), wp.quat(*at[3:])) for at in key.mocap.values()]
-    own = not robot.drive
+    own = robot.keeps_actuators
     values = {
         "joint_q": q,
         "joint_qd": qd,
@@ -289,8 +298,8 @@ def _notes(
         "joint": model.njnt,
         "geom": model.ngeom,
         "site": model.nsite,
-        "actuator": 0 if robot.drive else model.nu,
-        "activation": 0 if robot.drive else model.na,
+        "actuator": model.nu if robot.keeps_actuators else 0,
+        "activation": model.na if robot.keeps_actuators else 0,
         "tendon": model.ntendon,
         "equality": model.neq,
         "contact exclude": model.nexclude,
@@ -301,7 +310,9 @@ def _notes(
     }
     taken = ", ".join(f"{n} {_plural(what, n)}" for what, n in counts.items() if n)
     changed = []
-    if robot.drive and mjcf.actuators:
+    if mjcf.mocap:
+        changed.append("mocap bodies that drives move are bodies on joints, at their welds' rest")
+    if not robot.keeps_actuators and mjcf.actuators:
         changed.append("its own actuators are replaced by the scene's drive")
     if robot.floating is False and not any(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
         changed.append("its root is fixed, as the scene says")

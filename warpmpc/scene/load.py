@@ -304,7 +304,7 @@ def _check_drives(scene: Scene) -> None:
         for i, drive in enumerate(robot.drive):
             key = f"robot.{robot.name}.drive" + f".{i}" * (len(robot.drive) > 1)
             if drive.joints is None:
-                if len(robot.drive) > 1:
+                if len(robot.drive) > 1 and drive.mode is not DriveMode.MOCAP:
                     raise SceneError("of several drives each must name its joints", key=f"{key}.joints")
                 continue
             for joint in drive.joints:

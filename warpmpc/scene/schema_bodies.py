@@ -39,6 +39,19 @@ class DriveMode(StrEnum):
     """Joint forces or torques [N or N·m]."""
     DIFF_DRIVE = "diff_drive"
     """Forward and turning speed (v [m/s], ω [rad/s]) of a base with a left and a right wheel."""
+    MOCAP = "mocap"
+    """Speed of a mocap body of an MJCF file along the file's axes, and about them [m/s, rad/s]."""
+
+
+class Turns(StrEnum):
+    """Rotations of a driven mocap body."""
+
+    NONE = "none"
+    """It keeps the rotation that it starts with."""
+    YAW = "yaw"
+    """About the vertical."""
+    ALL = "all"
+    """About the vertical, then the turned y, then the turned x."""
 
 
 class ShapeKind(StrEnum):
@@ -90,6 +103,10 @@ class Drive(Section):
     """``diff_drive``: radius of the wheels [m]."""
     track: Positive | None = None
     """``diff_drive``: distance between the wheels [m]."""
+    body: str | None = None
+    """``mocap``: the mocap body; the only one when left out. It starts where its weld is at rest."""
+    rotation: Turns = Turns.NONE
+    """``mocap``: rotations that are controls, after the three of the position."""
 
     @model_validator(mode="after")
     def _bounds(self) -> Drive:
@@ -104,6 +121,13 @@ class Drive(Section):
                 raise ValueError("mode 'diff_drive' needs wheel_radius and track")
             if self.joints is None or len(self.joints) != 2:
                 raise ValueError("mode 'diff_drive' needs joints = [left, right]")
+        if self.mode is DriveMode.MOCAP:
+            if self.limit is None and self.lower is None:
+                raise ValueError("mode 'mocap' needs limit = [...]: no asset says how fast a mocap body moves")
+            if self.joints is not None:
+                raise ValueError("mode 'mocap' moves a body, not joints: leave joints out, or take mode 'velocity'")
+        elif self.body is not None or self.rotation is not Turns.NONE:
+            raise ValueError("body and rotation belong to mode 'mocap'")
         if self.speed_limit is not None and self.mode is not DriveMode.ACCELERATION:
             raise ValueError("speed_limit belongs to mode 'acceleration'; velocities have limit = [...]")
         servo = (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE, DriveMode.ACCELERATION)
@@ -138,12 +162,13 @@ class Robot(Section):
     """MJCF: keyframe of the file to start in, with its velocities, activations and controls; ``joint_q`` comes on top
     of it."""
     joint_q: FloatsByName | None = None
-    """Start joint coordinates in the asset's order, or by joint name [m or rad]; the asset's own when left out."""
+    """Start joint coordinates in the asset's order, or by joint name [m or rad]; the asset's own when left out. By
+    name, a free joint takes a place in the scene, ``[x, y, z]`` or ``[x, y, z, qx, qy, qz, qw]``."""
     frames: dict[Name, Frame] = Field(default_factory=dict)
     """Named places on its links: ``robot/frame`` for cost terms, goals and conditions."""
     drive: Annotated[tuple[Drive, ...], OneOrMore] = ()
     """One drive or several, each with joints of its own; controls are stacked in this order. Without any, the actuators
-    of an MJCF file are the controls; with one, they are replaced."""
+    of an MJCF file are the controls; with one they are replaced, beside ``mocap`` alone they stay."""
     self_collision: Flag | None = None
     """Whether links of this robot collide with each other. When left out, as an MJCF file says (contype, conaffinity,
     exclude, pair), and not for URDF and USD files."""
@@ -158,6 +183,11 @@ class Robot(Section):
     empty list leaves the link out."""
     gravity_compensation: Flag = False
     """Whether gravity on its links is cancelled, as the controllers of most arms do."""
+
+    @property
+    def keeps_actuators(self) -> bool:
+        """Return whether the actuators of its MJCF file are controls."""
+        return all(drive.mode is DriveMode.MOCAP for drive in self.drive)
 
     @model_validator(mode="after")
     def _driven(self) -> Robot:

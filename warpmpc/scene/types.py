@@ -37,6 +37,10 @@ def _list_or_table(value: object) -> str:
     return "table" if isinstance(value, dict) else "list"
 
 
+def _number_or_list(value: object) -> str:
+    return "list" if isinstance(value, list | tuple) else "number"
+
+
 def _unit(q: tuple[float, ...]) -> tuple[float, ...]:
     """Normalize a quaternion; one that is already a unit stays as it is, to the last bit."""
     norm = math.hypot(*q)
@@ -90,8 +94,11 @@ Floats = Annotated[tuple[Finite, ...], Field(min_length=1), BeforeValidator(_as_
 Positives = Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 NonNegatives = Annotated[tuple[NonNegative, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
 Fractions = Annotated[tuple[Fraction, ...], Field(min_length=1), BeforeValidator(_as_tuple)]
+FloatOrFloats = Annotated[
+    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, ...], Tag("list")], Discriminator(_number_or_list)
+]
 FloatsByName = Annotated[
-    Annotated[Floats, Tag("list")] | Annotated[dict[str, Finite], Tag("table")], Discriminator(_list_or_table)
+    Annotated[Floats, Tag("list")] | Annotated[dict[str, FloatOrFloats], Tag("table")], Discriminator(_list_or_table)
 ]
 Param = Annotated[Any, AfterValidator(_plain)]
 OneOrMore = BeforeValidator(_as_list)
