@@ -40,7 +40,11 @@ def message(done: CompletedProcess[str]) -> str:
         ),
         ('term = "distance"', 'term = "distence"', ["cost.distence.term", "height", "Did you mean 'distance'?"]),
         ('"base/tip", "box"', '"base/tup", "box"', ["cost.distance.between", "found 'base/tup'", "'base/tip'?"]),
-        ('"base/tip", "box"]', '"base/tip", "box"]\nmetrik = 1', ["cost.distance.metrik", "'metric'?"]),
+        (
+            '"base/tip", "box"]',
+            '"base/tip", "box"]\nmetrik = 1',
+            ["cost.distance.metrik", "'metric'? (straight, or geodesic)"],
+        ),
         ('link = "base_link"', 'link = "base_lnk"', ["robot.base.frames.tip.link", "'base_link'?"]),
     ],
     ids=["key", "mass", "horizon", "syntax", "asset", "term", "frame", "term key", "link"],

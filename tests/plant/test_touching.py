@@ -81,6 +81,7 @@ def test_a_start_in_deep_overlap_is_refused_with_names_and_depth(sections, says)
         make_plant(make_scene(**sections))
     assert says in str(caught.value)
     assert "change the position" in str(caught.value)
+    assert ("(link base/base_link)" in str(caught.value)) == ("robot.base" in says)
 
 
 def test_two_robots_in_each_other_are_refused():

@@ -35,6 +35,7 @@ def set_to(tmp_path, override: str) -> SceneError:
         # unknown keys
         ("samples = 64", "sampels = 64", "planner.sampels", ["unknown key", "horizon", "Did you mean 'samples'?"]),
         ("mass = 1.0", "mas = 1.0", "object.box.mas", ["unknown key", "Did you mean 'mass'?", "1 more mistake"]),
+        ("samples = 64", "horizo = 64", "planner.horizo", ["'horizon'? (", "teps"]),
         ("[planner]", "[planer]", "planer", ["unknown key", "Did you mean 'planner'?", "variants"]),
         ("[variants.near]", "[variant.near]", "variant", ["this key cannot be set"]),
         ('{ link = "base_link" }', '{ lnk = "base_link" }', "robot.base.frames.tip.lnk", ["Did you mean 'link'?"]),

@@ -75,7 +75,7 @@ class CostStack:
                     key=f"{binding.key}.term",
                     file=scene.path,
                     found=cost.term,
-                    allowed=known,
+                    allowed={name: getattr(term, "summary", None) for name, term in known.items()},
                 )
             term = known[cost.term]
             bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)

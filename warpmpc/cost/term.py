@@ -228,7 +228,8 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
         # a name, and which entry of its list; what follows are names of types
         name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
         if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-            raise binding.error("unknown key", name, found=name, allowed=keys.model_fields) from None
+            known = {key: field.description for key, field in keys.model_fields.items()}
+            raise binding.error("unknown key", name, found=name, allowed=known) from None
         if first["type"] == "missing" and len(first["loc"]) == 1:
             raise binding.error(f"the key '{name}' is missing") from None
         field = keys.model_fields.get(str(first["loc"][0]))

@@ -24,8 +24,8 @@ in each other and exactly aligned, such as cylinders side by side."""
 
 def deepest_overlap(
     model: mujoco.MjModel, state: np.ndarray, geoms: dict[str, tuple[int, ...]]
-) -> tuple[str, str, float] | None:
-    """The two things of a scene that overlap most, and how deep [m]; None where nothing touches.
+) -> tuple[str, str, float, tuple[str, str]] | None:
+    """The two things of a scene that overlap most, how deep [m], and their bodies; None where nothing touches.
 
     Args:
         model: The scene's model.
@@ -42,11 +42,12 @@ def deepest_overlap(
         for contact in data.contact[: data.ncon]:
             first, second = (owner.get(int(geom)) for geom in contact.geom)
             if first is not None and second is not None and first != second:
-                found.append((-float(contact.dist), first, second))
+                bodies = tuple(model.body(int(model.geom_bodyid[geom])).name for geom in contact.geom)
+                found.append((-float(contact.dist), first, second, bodies))
     if not found:
         return None
-    depth, first, second = max(found)
-    return first, second, depth
+    depth, first, second, bodies = max(found)
+    return first, second, depth, bodies
 
 
 def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel, state: np.ndarray) -> None:
@@ -68,12 +69,15 @@ def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel,
     found = deepest_overlap(model, state, geoms)
     if found is None or found[2] < DEEP:
         return
-    *both, depth = found
+    *both, depth, bodies = found
     keys = {item.name: kind for kind in ("obstacle", "object", "robot") for item in getattr(scene, kind)}
     other, moved = sorted(both, key=lambda name: list(keys).index(name) if name in keys else -1)
     cure = "position or joint_q" if keys[moved] == "robot" else "position"
+    names = dict(zip(compiled.body_name, compiled.layout.body_name, strict=True))
+    links = " and ".join(name for body in bodies if "/" in (name := names.get(body, "")))
+    where = f" (link {links})" if links else ""
     raise SceneError(
-        f"'{moved}' and '{other}' overlap by {depth:.3g} m at the start: change the {cure}",
+        f"'{moved}' and '{other}' overlap by {depth:.3g} m at the start{where}: change the {cure}",
         key=f"{keys[moved]}.{moved}",
         file=scene.path,
     )

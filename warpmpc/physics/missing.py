@@ -137,7 +137,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
-    "a fluid (density, viscosity) in implicit steps": lambda p: (
+    "fluid (density, viscosity) in implicit steps": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
     ),
     "shapes of their own in a fluid": lambda p: (
@@ -156,10 +156,10 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         or p.mj.tendon_stiffnesspoly.any()
     ),
     "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
-    "a solver other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),
+    "solvers other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),
     "disabled or enabled parts of the physics (option flags)": lambda p: (
         p.mj.opt.disableflags & ~int(_DISABLED) or p.mj.opt.enableflags
     ),
-    "more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
+    "models of more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
 }
 """What this engine lacks, and how to see that a model has it."""

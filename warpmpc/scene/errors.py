@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, get_args, get_origin
 
@@ -34,6 +35,8 @@ _WANTED = {
 }
 """Pydantic's kinds of error in plain words; ``{...}`` is filled from the error's context."""
 
+SHORT = 90
+"""Longest meaning of a key that an error says beside its name [characters]."""
 _ALLOWED = {"bool_type": ("true", "false")}
 
 
@@ -45,8 +48,8 @@ class SceneError(ValueError):
         key: Dotted key of the scene (``robot.base.drive.limit``).
         file: Scene file, when the scene came from one.
         found: The offending value.
-        allowed: What may stand there instead, as a phrase or as the list of allowed names. With a list, the
-            nearest name to ``found`` is suggested.
+        allowed: What may stand there instead, as a phrase or as the allowed names. With names, the nearest one to
+            ``found`` is suggested, with what it means where ``allowed`` maps names to meanings.
         more: Number of further mistakes that wait behind this one.
     """
 
@@ -57,11 +60,12 @@ class SceneError(ValueError):
         key: str | None = None,
         file: Path | str | None = None,
         found: object = None,
-        allowed: str | Iterable[str] | None = None,
+        allowed: str | Iterable[str] | Mapping[str, object] | None = None,
         more: int = 0,
     ):
         self.message, self.key, self.file, self.found, self.more = message, key, file, found, more
         self.allowed = allowed if isinstance(allowed, str) or allowed is None else sorted(map(str, allowed))
+        self.meanings = dict(allowed) if isinstance(allowed, Mapping) else {}
         super().__init__(str(self))
 
     @property
@@ -83,7 +87,7 @@ class SceneError(ValueError):
         elif self.allowed is not None:
             text += f"; allowed: {', '.join(self.allowed) if self.allowed else 'nothing, there is none'}"
         if self.suggestion:
-            text += f". Did you mean {self.suggestion!r}?"
+            text += f". Did you mean {self.suggestion!r}?{_meaning(self.meanings.get(self.suggestion))}"
         if self.more:
             text += f" (and {self.more} more mistake{'s' * (self.more > 1)})"
         return text
@@ -143,7 +147,11 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
     key = join_key(parts)
     found = None if isinstance(value, dict | BaseModel) else value
     if kind == "extra_forbidden":
-        allowed = file_keys(section, root=section is root)
+        there = section.model_fields
+        allowed = {
+            name: there[name].description if name in there else None
+            for name in file_keys(section, root=section is root)
+        }
         return {"message": "unknown key", "key": key, "found": str(loc[-1]), "allowed": allowed}
     if kind == "missing" and isinstance(loc[-1], str):
         return {"message": "this key is missing", "key": key}
@@ -238,6 +246,12 @@ def _length(annotation: object, context: dict) -> str:
         return f"has at most {most} values"
     least = context.get("min_length", 1)
     return f"needs at least {least} {'entry' if section_in(annotation) else 'value' if least == 1 else 'values'}"
+
+
+def _meaning(text: object) -> str:
+    """First sentence of what a key means, where that is short."""
+    first = re.split(r"[.;:](?:\s|$)", " ".join(text.split()))[0] if isinstance(text, str) else ""
+    return f" ({first})" if 0 < len(first) <= SHORT else ""
 
 
 def _shown(value: object) -> str:
