@@ -134,6 +134,18 @@ def test_on_a_terminal_there_is_a_question(folder, tmp_path, answer, code):
     assert (b"10 of 10 commands agree" in out) == (code == 0)
 
 
+def test_a_folder_is_diagnosed(folder, command, tmp_path):
+    done = command("diagnose", "run", "--terms", "far.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    for seed in (4, 5):
+        assert f"episode-{seed}.runlog: mine:turned, seed {seed}" in done.stdout
+    assert done.stdout.count("observations without delay") == 2
+    assert done.stdout.count("nothing found: ") == 2
+    done = command("diagnose", "run")
+    assert done.returncode == 2
+    assert "run: its scene needs far" in done.stderr
+
+
 def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.npz").write_text("text")
@@ -149,7 +161,7 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(command, tmp_path):
         "cut": "episode.runlog: is no run log",
     }
     for name, message in wrong.items():
-        for verb in ("replay", "plot"):
+        for verb in ("replay", "plot", "diagnose"):
             done = command(verb, name)
             assert done.returncode == 2
             assert message in done.stderr

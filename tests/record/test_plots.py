@@ -122,7 +122,10 @@ def lines(figure) -> dict[str, np.ndarray]:
 def test_figures_show_the_run(log):
     scene = make_scene(object=[BOX], robot=[DISC])
     found = dict(figures(log, scene))
-    assert list(found) == ["path", "costs", "controls", "plan_times", "errors"]
+    assert list(found) == ["path", "costs", "controls", "plan_times", "errors", "foresight"]
+    errors = lines(found["foresight"])["state after 0.2 s"]
+    assert len(errors)
+    assert (errors >= 0.0).all()
     costs = lines(found["costs"])
     np.testing.assert_array_equal(costs["distance"], log.plans.terms[:, 0])
     np.testing.assert_array_equal(costs["sum"], log.plans.cost)
@@ -168,7 +171,7 @@ def test_files_are_written(log, tmp_path):
     written = plot_log(log, tmp_path / "new", title="a run")
     assert [path.name for path in written] == [
         "history.csv",
-        *(f"{name}.png" for name in ("path", "costs", "controls", "plan_times", "errors")),
+        *(f"{name}.png" for name in ("path", "costs", "controls", "plan_times", "errors", "foresight")),
     ]
     for path in written[1:]:
         assert plt.imread(path)[..., :3].std() > 0.02

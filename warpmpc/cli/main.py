@@ -235,6 +235,22 @@ def replay(
 
 
 @app.command()
+def diagnose(
+    path: RunPathArgument,
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Find why states that the planner foresaw are not those that came.
+
+    Rolls the controls that were sent out again as the planner foresaw them, with one thing changed at a time: physics
+    step, solver, properties, delay, noise, engine. Prints the error of the states with and without each change, the
+    cause and its cure.
+    """
+    from .diagnose import diagnose as cli_diagnose
+
+    raise typer.Exit(cli_diagnose(path, term_files=terms))
+
+
+@app.command()
 def plot(
     path: RunPathArgument,
     out: Annotated[

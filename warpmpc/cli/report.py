@@ -23,6 +23,7 @@ from .summary import summary
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ..doctor.diagnose import Diagnosis
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
     from ..scene.schema import Condition, Failure, Object, Obstacle, Planner, Scene
@@ -309,6 +310,24 @@ def print_verdicts(results: Sequence[EpisodeResult], console: Console) -> None:
             console.print(f"  - {sentence}", markup=False, soft_wrap=True)
     if len(failed) > VERDICTS:
         console.print(f"{len(failed) - VERDICTS} more did not succeed: --json has why", markup=False)
+
+
+def print_diagnosis(title: str, found: Diagnosis, left_out: Sequence[str], out: TextIO) -> None:
+    """Print which changes of a run's predictions were tried, and the cause of their error."""
+    table = _table("changed in the prediction", "error", "with it", right=["error", "with it"], title=title)
+    for trial in found.trials:
+        style = "green" if trial.helps else ""
+        table.add_row(Text(trial.cause, style=style), f"{trial.before:.1%}", f"{trial.after:.1%}")
+    console = _console(out)
+    console.print(table)
+    console.print(
+        "error: of the state 0.2 s after a plan, as a share of how far it moved; the plan's cost until then is "
+        f"{found.cost:.0%} off",
+        markup=False,
+    )
+    for reason in left_out:
+        console.print(f"not tried: {reason}", markup=False, soft_wrap=True)
+    console.print(found.sentence, markup=False, soft_wrap=True)
 
 
 def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:

@@ -37,9 +37,13 @@ class Properties:
     def of_worlds(self, shape: BatchSize) -> np.ndarray:
         """Draw of every world ``[W]``: its domain's when there are several, else its sample's, else its environment's.
 
+        A single draw is that of all.
+
         Raises:
             ValueError: If there are fewer draws than that needs.
         """
+        if self.draws == 1:
+            return np.zeros(shape.worlds, dtype=np.int32)
         count = next((n for n in (shape.domains, shape.samples) if n > 1), shape.envs)
         if self.draws < count:
             raise ValueError(f"{count} draws of physical properties are needed, {self.draws} were given")

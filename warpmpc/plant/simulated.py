@@ -72,7 +72,7 @@ class SimulatedPlant:
         compiled: CompiledScene | None = None,
         world: tuple[Worlds, int] | None = None,
     ):
-        self.scene = scene
+        self.scene, self.seed = scene, seed
         self.compiled = compiled or compile_scene(scene)
         if world is None:
             with capturing:  # nothing may be allocated while a controller records its plan

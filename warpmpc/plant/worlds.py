@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SUBSTEPS = 8
 """Physics steps per control where neither the scene nor an MJCF file says anything: finer than the planner's."""
-_SOLVER = {"iterations": 100, "tolerance": 1e-8}
+SOLVER = {"iterations": 100, "tolerance": 1e-8}
 """The constraint solver of plants, more careful than the rollouts'; with an MJCF file, the file's own."""
 
 
@@ -87,7 +87,7 @@ class Worlds:
             pairs=(*watching, *self.pairs, *self.touching),
             properties=_stacked(self.draws) if self.draws else None,
             threads=1 if len(seeds) == 1 else 0,
-            options=Options.of(scene.engine, **({} if compiled.mjcf_robots else _SOLVER)),
+            options=Options.of(scene.engine, **({} if compiled.mjcf_robots else SOLVER)),
             pushed=True,
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))

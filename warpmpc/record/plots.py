@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..model.compiled import compile_scene
+from ..plant.foresight import Foresight, foresee, logged_steps, takes_mujoco_steps
 from ..plant.plant import Plant
+from ..scene.errors import SceneError
 from ..task.goal import GOAL
 from .replay import logged_scene
 from .scene_picture import COLORS, VIEWS, ScenePicture, natural_view
@@ -115,6 +118,8 @@ def figures(log: RunLog, scene: Scene | None, terms: Sequence[UserTerm] = ()) ->
         yield "errors", _errors(log, scene)
     if names["pairs"]:
         yield "contact_forces", _curves(log, draw_forces)
+    if scene is not None and (foreseen := _foresight(log, scene, terms)) is not None:
+        yield "foresight", _curves(log, draw_foresight, foreseen)
     if log.real_time:
         labels = ("follows the plan", "its age [ms]", "tick late [ms]")
         yield "ticks", _rows(log, labels, np.stack([controls.following, 1e3 * controls.age, controls.late_ms], axis=1))
@@ -198,6 +203,25 @@ def draw_plan_times(axes: Axes, log: RunLog, scene: Scene | None) -> None:
         axes.axhline(1e3 * scene.timing.control_dt, color="tab:red", lw=1.0, ls="--", label="one control")
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("plan time [ms]")
+
+
+def draw_foresight(axes: Axes, log: RunLog, foreseen: Foresight) -> None:
+    """Draw how far the states that the planner foresaw are from those that came, as a share of their movement."""
+    axes.plot(foreseen.time, 100.0 * foreseen.errors, color="tab:blue", lw=1.0, label="state after 0.2 s")
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("error of the prediction [% of the movement]")
+
+
+def _foresight(log: RunLog, scene: Scene, terms: Sequence[UserTerm]) -> Foresight | None:
+    """What the planner of a run foresaw; None where log or engine do not tell, or terms of the user's are not here."""
+    planned = log.origin is not None and "joint_q" in (log.plans.dtype.names or ()) and len(log.controls)
+    if log.real_time or not planned or not takes_mujoco_steps(log.origin["engine"], scene):
+        return None
+    origin, steps = log.origin, logged_steps(log, scene)
+    try:
+        return foresee(scene, compile_scene(scene), steps, seed=origin["seed"], engine=origin["engine"], terms=terms)
+    except SceneError:
+        return None
 
 
 def _curves(log: RunLog, draw, *arguments: object) -> Figure:

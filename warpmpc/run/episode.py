@@ -15,6 +15,7 @@ from ..scene.draw import draw_task
 from ..scene.overrides import split_key
 from .choose_engine import with_samples
 from .fit_samples import fit_to_machine
+from .foreseen import StepRecorder, foresight_signs
 from .verdict import Symptoms
 
 if TYPE_CHECKING:
@@ -103,6 +104,10 @@ class EpisodeResult(Result):
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
+    foresight: dict[str, float] = field(default_factory=dict)
+    """Error of what the planner foresaw for the controls sent, as a share of how far the state moved (``state``: after
+    one control, ``state_ahead``: after 0.2 s) and of what was paid (``cost``); empty where it is not known."""
+
     verdict: tuple[str, ...] = ()
     """Likely reasons why an episode did not succeed, each with what to try."""
 
@@ -148,7 +153,7 @@ class EpisodeResult(Result):
 
 
 FIRST = ("scene", "variant", "seed", "engine", "device", "success", "reason", "time_to_goal", "sim_time", "steps")
-LAST = ("mean_cost", "verdict")
+LAST = ("mean_cost", "foresight", "verdict")
 """Parts of a result that are first and last as JSON; others have the order of the fields."""
 JSON_KEYS = {
     "time_to_goal": ("time_to_goal_s",),
@@ -161,7 +166,7 @@ JSON_KEYS = {
     "time_in_contact": ("collisions", "time_in_contact_s"),
 }
 """Place of those parts of a result that have another one as JSON."""
-LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "verdict")
+LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "foresight", "verdict")
 """Fields that are left out of JSON where there is nothing to say."""
 
 
@@ -178,18 +183,28 @@ class EpisodeStats:
 
     Args:
         drawn: Values drawn for it by scene key.
+        terms: Users' own cost terms that the scene names.
     """
 
-    def __init__(self, scene: Scene, seed: int, drawn: dict[str, object], controller: Controller, plant: Plant):
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        drawn: dict[str, object],
+        controller: Controller,
+        plant: Plant,
+        terms: Sequence[UserTerm] = (),
+    ):
         self.scene, self.seed, self.drawn, self.controller, self.plant = scene, seed, drawn, controller, plant
         self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
         self._diverged = self._fallbacks = 0
         self._cost = math.nan
-        self._symptoms = Symptoms(controller, plant)
+        self._symptoms, self._recorded = Symptoms(controller, plant), StepRecorder(controller, plant, terms)
 
     def note(self, info: Info, control: np.ndarray) -> None:
         """Keep the numbers of the plan just made and its control ``[nu]``, before it is applied."""
         self._symptoms.note(info, control)
+        self._recorded.note(control)
         self._plans.append((info.plan_ms, info.stages_ms))
         self._diverged += info.diverged_worlds
         self._fallbacks += info.fallback
@@ -204,6 +219,7 @@ class EpisodeStats:
         scene, controller, plant = self.scene, self.controller, self.plant
         error, goal = plant.error, scene.goal
         oriented = goal is not None and (goal.yaw is not None or goal.rotation is not None)
+        foreseen, failed = self._recorded.foresight(), scene.success is not None and not plant.success
         plans = self._plans or [(math.nan, dict.fromkeys(controller.plan_step.stages, math.nan))]
         p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
         return EpisodeResult(
@@ -233,7 +249,8 @@ class EpisodeStats:
             reached=plant.monitor.reached if scene.phase else None,
             drawn=self.drawn,
             mean_cost=None if scene.success else plant.mean_cost,
-            verdict=() if plant.success or not scene.success else tuple(self._symptoms.verdict()),
+            foresight=foreseen.numbers if foreseen else {},
+            verdict=(*self._symptoms.verdict(), *foresight_signs(foreseen)) if failed else (),
         )
 
 
@@ -278,7 +295,7 @@ class Episode:
         )
         keys = {"seed": seed, "terms": terms, "watch": watched(self.scene), "compiled": compiled}
         self.plant = Plant(self.scene, task=self.controller.task, **keys)
-        self._stats = EpisodeStats(self.scene, seed, self.drawn, self.controller, self.plant)
+        self._stats = EpisodeStats(self.scene, seed, self.drawn, self.controller, self.plant, terms)
 
     def run(
         self,

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record of an episode's controls and states, and what its planner foresaw of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..plant.foresight import Foresight, Steps, foresee, takes_mujoco_steps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..controller.controller import Controller
+    from ..cost.term import UserTerm
+    from ..plant.plant import Plant
+
+BAD = 0.35
+"""Error of the state after 0.2 s, as a share of its movement, from which a verdict tells of it."""
+
+
+class StepRecorder:
+    """Keeps what :class:`~warpmpc.plant.foresight.Steps` are made of; for a controller of one environment."""
+
+    def __init__(self, controller: Controller, plant: Plant, terms: Sequence[UserTerm] = ()):
+        self.controller, self.plant, self._terms = controller, plant, terms
+        self._known = controller.envs == 1 and takes_mujoco_steps(controller.engine.name, controller.scene)
+        self._rows: list[dict[str, np.ndarray]] = []
+
+    def note(self, control: np.ndarray) -> None:
+        """Keep the plan just made and its control ``[nu]``, before it is applied."""
+        if not self._known:
+            return
+        seen, true = self.controller.observed, self.plant.state
+        self._rows.append(
+            {
+                "joint_q": true.joint_q,
+                "joint_qd": true.joint_qd,
+                "control": np.array(control),
+                "seen_q": seen.joint_q,
+                "seen_qd": seen.joint_qd,
+                "seen": round(seen.time / self.controller.scene.timing.control_dt),
+                "act": seen.act,
+                "mocap": seen.mocap,
+                "task": self.controller.planned_task[0],
+            }
+        )
+
+    def foresight(self) -> Foresight | None:
+        """What was foreseen of the episode so far; None where that is not known."""
+        if not self._rows:
+            return None
+        rows, controller, end = self._rows, self.controller, self.plant.state
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        for name in ("joint_q", "joint_qd"):
+            columns[name] = np.concatenate([columns[name], getattr(end, name)[None]])
+        engine = controller.engine.name
+        return foresee(
+            controller.scene,
+            controller.compiled,
+            Steps(**columns),
+            seed=self.plant.seed,
+            engine=engine,
+            terms=self._terms,
+        )
+
+
+def foresight_signs(foresight: Foresight | None) -> Iterator[str]:
+    """Yield a sentence where predictions are bad."""
+    if foresight is not None and foresight.ahead > BAD:
+        yield (
+            f"the planner foresaw other states than those that came: after 0.2 s they are {foresight.ahead:.0%} of the "
+            f"way off, their cost {foresight.cost:.0%}: run with --out DIR, and warpmpc diagnose DIR names the cause"
+        )
