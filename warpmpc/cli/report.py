@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..doctor.diagnose import Diagnosis
+    from ..doctor.steps import StepError
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
     from ..scene.schema import Condition, Failure, Object, Obstacle, Planner, Scene
@@ -91,7 +92,7 @@ def print_scenes() -> None:
     _console().print(table)
 
 
-def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) -> None:
+def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = None, advice: Sequence[str] = ()) -> None:
     """Print what an episode is built of, and what is hardly meant; its controller has made a plan."""
     # slow to import, and lists need no physics
     from ..engine.registry import physics_steps
@@ -147,6 +148,8 @@ def print_check(episode: Episode, out: TextIO, *, advice: Sequence[str] = ()) ->
     fact(
         "rollouts", f"{shape.worlds} worlds × {shape.horizon} controls × {each} substeps = {steps} physics steps a plan"
     )
+    if coarse is not None:
+        fact("physics step", str(coarse))
     if controller.plan_step.refiner:
         fact("derivatives", controller.plan_step.refiner.summary)
     ahead = float(controller.plan_step.grid.t[-1])

@@ -45,11 +45,14 @@ def check(arguments: RunArguments, *, seed: int) -> int:
                     episode.controller.step(observation)
 
             from ..doctor.examine import examine
+            from ..doctor.steps import step_error
             from .report import print_check
 
             controller = episode.controller
             advice = setup.advice(controller.info.plan_ms, controller.compiled)
-            print_check(episode, out, advice=[*advice, *map(str, examine(controller))])
+            steps = step_error(controller)
+            findings = [*examine(controller), *([steps.finding] if steps and steps.finding else [])]
+            print_check(episode, out, coarse=steps, advice=[*advice, *map(str, findings)])
         except KeyboardInterrupt:
             return interrupts.code
     return SUCCESS

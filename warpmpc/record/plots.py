@@ -213,7 +213,7 @@ def draw_foresight(axes: Axes, log: RunLog, foreseen: Foresight) -> None:
 
 
 def _foresight(log: RunLog, scene: Scene, terms: Sequence[UserTerm]) -> Foresight | None:
-    """What the planner of a run foresaw; None where log or engine do not tell, or terms of the user's are not here."""
+    """Return what a run's planner foresaw; None where log or engine do not tell, or a term is not here."""
     planned = log.origin is not None and "joint_q" in (log.plans.dtype.names or ()) and len(log.controls)
     if log.real_time or not planned or not takes_mujoco_steps(log.origin["engine"], scene):
         return None

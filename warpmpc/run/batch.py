@@ -106,7 +106,7 @@ class Batch:
         )
         controller.reset()
         running = {
-            e: EpisodeStats(scene, seed, drawn, controller, plants.plants[e])
+            e: EpisodeStats(scene, seed, drawn, controller, plants.plants[e], self.terms)
             for e, (seed, scene, drawn) in enumerate(tasks)
         }
         try:

@@ -106,7 +106,8 @@ class EpisodeResult(Result):
 
     foresight: dict[str, float] = field(default_factory=dict)
     """Error of what the planner foresaw for the controls sent, as a share of how far the state moved (``state``: after
-    one control, ``state_ahead``: after 0.2 s) and of what was paid (``cost``); empty where it is not known."""
+    one control, ``state_ahead``: after 0.2 s) and of what was paid (``cost``); empty where it is not known, and in
+    batches of several environments."""
 
     verdict: tuple[str, ...] = ()
     """Likely reasons why an episode did not succeed, each with what to try."""
@@ -199,7 +200,8 @@ class EpisodeStats:
         self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
         self._diverged = self._fallbacks = 0
         self._cost = math.nan
-        self._symptoms, self._recorded = Symptoms(controller, plant), StepRecorder(controller, plant, terms)
+        self._symptoms = Symptoms(controller, plant)
+        self._recorded = StepRecorder(scene, controller, plant, terms)
 
     def note(self, info: Info, control: np.ndarray) -> None:
         """Keep the numbers of the plan just made and its control ``[nu]``, before it is applied."""

@@ -15,17 +15,25 @@ if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..cost.term import UserTerm
     from ..plant.plant import Plant
+    from ..scene.schema import Scene
 
 BAD = 0.35
 """Error of the state after 0.2 s, as a share of its movement, from which a verdict tells of it."""
 
 
 class StepRecorder:
-    """Keeps what :class:`~warpmpc.plant.foresight.Steps` are made of; for a controller of one environment."""
+    """Keeps what :class:`~warpmpc.plant.foresight.Steps` are made of.
 
-    def __init__(self, controller: Controller, plant: Plant, terms: Sequence[UserTerm] = ()):
-        self.controller, self.plant, self._terms = controller, plant, terms
-        self._known = controller.envs == 1 and takes_mujoco_steps(controller.engine.name, controller.scene)
+    Args:
+        scene: The scene, drawn for the episode.
+        controller: The controller.
+        plant: The plant; of one that shares its controller with others nothing is kept, for a batch would take longer.
+        terms: Users' own cost terms that the scene names.
+    """
+
+    def __init__(self, scene: Scene, controller: Controller, plant: Plant, e: int = 0, terms: Sequence[UserTerm] = ()):
+        self.scene, self.controller, self.plant, self._e, self._terms = scene, controller, plant, e, terms
+        self._known = takes_mujoco_steps(controller.engine.name, scene)
         self._rows: list[dict[str, np.ndarray]] = []
 
     def note(self, control: np.ndarray) -> None:
@@ -33,37 +41,32 @@ class StepRecorder:
         if not self._known:
             return
         seen, true = self.controller.observed, self.plant.state
+        one = ... if seen.joint_q.ndim == 1 else 0
         self._rows.append(
             {
                 "joint_q": true.joint_q,
                 "joint_qd": true.joint_qd,
                 "control": np.array(control),
-                "seen_q": seen.joint_q,
-                "seen_qd": seen.joint_qd,
-                "seen": round(seen.time / self.controller.scene.timing.control_dt),
-                "act": seen.act,
-                "mocap": seen.mocap,
+                "seen_q": seen.joint_q[one],
+                "seen_qd": seen.joint_qd[one],
+                "seen": round(float(np.ravel(seen.time)[0]) / self.scene.timing.control_dt),
+                "act": seen.act[one],
+                "mocap": seen.mocap[one],
                 "task": self.controller.planned_task[0],
             }
         )
 
     def foresight(self) -> Foresight | None:
-        """What was foreseen of the episode so far; None where that is not known."""
+        """Return what was foreseen of the episode so far; None where that is not known."""
         if not self._rows:
             return None
         rows, controller, end = self._rows, self.controller, self.plant.state
         columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         for name in ("joint_q", "joint_qd"):
             columns[name] = np.concatenate([columns[name], getattr(end, name)[None]])
-        engine = controller.engine.name
-        return foresee(
-            controller.scene,
-            controller.compiled,
-            Steps(**columns),
-            seed=self.plant.seed,
-            engine=engine,
-            terms=self._terms,
-        )
+        engine, seed = controller.engine.name, self.plant.seed
+        steps = Steps(**columns)
+        return foresee(self.scene, controller.compiled, steps, seed=seed, engine=engine, terms=self._terms)
 
 
 def foresight_signs(foresight: Foresight | None) -> Iterator[str]:
