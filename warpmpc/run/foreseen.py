@@ -31,9 +31,9 @@ class StepRecorder:
         terms: Users' own cost terms that the scene names.
     """
 
-    def __init__(self, scene: Scene, controller: Controller, plant: Plant, e: int = 0, terms: Sequence[UserTerm] = ()):
-        self.scene, self.controller, self.plant, self._e, self._terms = scene, controller, plant, e, terms
-        self._known = takes_mujoco_steps(controller.engine.name, scene)
+    def __init__(self, scene: Scene, controller: Controller, plant: Plant, terms: Sequence[UserTerm] = ()):
+        self.scene, self.controller, self.plant, self._terms = scene, controller, plant, terms
+        self._known = controller.envs == 1 and takes_mujoco_steps(controller.engine.name, scene)
         self._rows: list[dict[str, np.ndarray]] = []
 
     def note(self, control: np.ndarray) -> None:
