@@ -51,7 +51,10 @@ def check(arguments: RunArguments, *, seed: int) -> int:
             controller = episode.controller
             advice = setup.advice(controller.info.plan_ms, controller.compiled)
             steps = step_error(controller)
-            findings = [*examine(controller), *([steps.finding] if steps and steps.finding else [])]
+            findings = [
+                *examine(controller, episode.plant.monitor),
+                *([steps.finding] if steps and steps.finding else []),
+            ]
             print_check(episode, out, coarse=steps, advice=[*advice, *map(str, findings)])
         except KeyboardInterrupt:
             return interrupts.code

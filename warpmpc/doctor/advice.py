@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..scene.schema import Scene
 
-WIDE, NARROW = 1.0, 1e-3
+WIDE, NARROW = 1.0, 2e-3
 """Standard deviations of the noise beyond these shares of a control's range are hardly meant."""
 HEAVY = 1e5
 """Greatest mass that is not asked about [kg]."""
+LONG = 0.5
+"""Longest control that is not asked about [s]."""
 LARGE, SMALL = 100.0, 1e-4
 """Sizes of shapes that are not asked about [m]."""
 
@@ -55,6 +57,8 @@ def slow_plans(plan_ms: float, control_dt: float, *, speed: float = 1.0) -> str 
 
 
 def _times(scene: Scene) -> Iterator[str]:
+    if scene.timing.control_dt > LONG:
+        yield f"timing.control_dt = {scene.timing.control_dt:g} s is long for a control: is it in milliseconds?"
     hold, timeout, planner = scene.success.hold if scene.success else 0.0, scene.timing.timeout, scene.planner
     if hold > timeout:
         yield f"success.hold = {hold:g} s is longer than timing.timeout = {timeout:g} s: no run can succeed"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about bodies: what overlaps, what nothing can touch, masses, friction, roots, goals inside obstacles."""
+"""Findings about bodies: what overlaps, what nothing can touch, masses, friction, roots."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
     from .subject import Subject
 
-HEAVIEST = 25_000.0
-"""Density above which a body's mass is hardly in kilograms [kg/m³]: osmium, the densest metal, has 22 590."""
+HEAVIEST, LIGHTEST = 100_000.0, 1.0
+"""Densities beyond which a body's mass is hardly in kilograms [kg/m³]: osmium has 22 590, air 1.2; models whose shapes
+are drawn too small have up to 40 000."""
 NEAR_GROUND = 0.03
 """Height up to which a link counts as standing on the ground [m]."""
 _CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
@@ -27,13 +28,12 @@ HIGH_ROOT = 0.2
 
 
 def contact_findings(subject: Subject) -> Iterator[Finding]:
-    """Overlaps, entities that nothing can touch, implausible densities, ice, welded roots, goals in obstacles."""
+    """Overlaps, entities that nothing can touch, implausible densities, ice, welded roots."""
     yield from _overlaps(subject)
     yield from _untouchable(subject)
     yield from _densities(subject)
     yield from _slippery(subject)
     yield from _welded(subject)
-    yield from _goal(subject)
 
 
 def _overlaps(subject: Subject) -> Iterator[Finding]:
@@ -90,7 +90,13 @@ def _densities(subject: Subject) -> Iterator[Finding]:
         if volume > 0.0 and mass / volume > HEAVIEST:
             yield Finding(
                 f"{entity.kind}.{entity.name}",
-                f"{entity.name} weighs {mass:.3g} kg in {volume:.3g} m³, more than any metal",
+                f"{entity.name} weighs {mass:.3g} kg in {volume:.3g} m³, more than any metal: is its mass in grams?",
+                "masses are in kilograms and lengths in metres",
+            )
+        elif volume > 0.0 and mass / volume < LIGHTEST and entity.kind == "object":
+            yield Finding(
+                f"object.{entity.name}",
+                f"{entity.name} weighs {mass:.3g} kg in {volume:.3g} m³, less than air: is its mass in tonnes?",
                 "masses are in kilograms and lengths in metres",
             )
 
@@ -144,65 +150,3 @@ def _root(model: mujoco.MjModel, body: int, roots: list[int]) -> int:
     while body not in roots and body:
         body = int(model.body_parentid[body])
     return body
-
-
-def _goal(subject: Subject) -> Iterator[Finding]:
-    """A goal inside an obstacle."""
-    goal, model, world = subject.scene.goal, subject.world.model, subject.world
-    if goal is None:
-        return
-    data = mujoco.MjData(model)
-    data.qpos, data.mocap_pos, data.mocap_quat = subject.start.qpos, subject.start.mocap_pos, subject.start.mocap_quat
-    mujoco.mj_forward(model, data)
-    place = np.array([*goal.position, 0.0][:3])
-    if goal.object is not None:
-        body = next((b for b in world.bodies.get(goal.object, ()) if b), 0)
-        joint = int(model.body_jntadr[body]) if body else -1
-        if joint < 0 or model.jnt_type[joint] != 0:
-            return
-        first = int(model.jnt_qposadr[joint])
-        place[2] = goal.position[2] if len(goal.position) == 3 else data.qpos[first + 2]
-        data.qpos[first : first + 3] = place
-        mujoco.mj_forward(model, data)
-        own = set(world.geoms.get(goal.object, ()))
-    elif len(goal.position) < 3:
-        return
-    for entity in subject.compiled.layout.entities:
-        if entity.kind != "obstacle":
-            continue
-        geoms = set(world.geoms.get(entity.name, ()))
-        if goal.object is not None:
-            inside = any(
-                contact.dist < -DEEP and {int(contact.geom[0]) in own, int(contact.geom[1]) in own} == {True, False}
-                for contact in data.contact[: data.ncon]
-                if geoms & {int(contact.geom[0]), int(contact.geom[1])}
-            )
-        else:
-            inside = any(_contains(model, data, g, place) for g in geoms)
-        if inside:
-            yield Finding(
-                "goal.position",
-                f"the goal of {goal.target} lies inside the obstacle {entity.name}: it cannot be reached",
-                "move the goal or the obstacle",
-            )
-
-
-def _contains(model: mujoco.MjModel, data: mujoco.MjData, g: int, point: np.ndarray) -> bool:
-    """True for a point inside a box, sphere, capsule, cylinder or ellipsoid."""
-    x, size, kind = (
-        data.geom_xmat[g].reshape(3, 3).T @ (point - data.geom_xpos[g]),
-        model.geom_size[g],
-        model.geom_type[g],
-    )
-    geom = mujoco.mjtGeom
-    if kind == geom.mjGEOM_BOX:
-        return bool(np.all(np.abs(x) < size))
-    if kind == geom.mjGEOM_SPHERE:
-        return bool(np.linalg.norm(x) < size[0])
-    if kind == geom.mjGEOM_ELLIPSOID:
-        return bool(np.linalg.norm(x / size) < 1.0)
-    if kind == geom.mjGEOM_CYLINDER:
-        return bool(np.hypot(*x[:2]) < size[0] and abs(x[2]) < size[1])
-    if kind == geom.mjGEOM_CAPSULE:
-        return bool(np.linalg.norm([*x[:2], max(abs(x[2]) - size[1], 0.0)]) < size[0])
-    return False

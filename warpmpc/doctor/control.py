@@ -28,6 +28,8 @@ SAME = 1e-6
 """Share of a term's cost by which samples must differ, or it counts as the same in all: float32 has seven digits."""
 SHORT = 0.1
 """Look-ahead below which plans see little of what follows from a control [s]."""
+LEADS = 0.01
+"""Share of what tells samples apart below which the terms that lead to the goal decide nothing."""
 
 
 def controlled(subject: Subject) -> np.ndarray:
@@ -52,11 +54,11 @@ def controlled(subject: Subject) -> np.ndarray:
     links = [(a, b) for a, b in links if a >= 0 and b >= 0]
     graph = coo_matrix((np.ones(len(links)), tuple(np.array(links).T) if links else ([], [])), shape=(trees, trees))
     _, group = connected_components(graph, directed=False)
-    driven = {int(group[tree]) for tree in _driven(model) if tree >= 0}
-    return np.array([tree >= 0 and int(group[tree]) in driven for tree in model.body_treeid])
+    groups = {int(group[tree]) for tree in driven(model) if tree >= 0}
+    return np.array([tree >= 0 and int(group[tree]) in groups for tree in model.body_treeid])
 
 
-def _driven(model: mujoco.MjModel) -> set[int]:
+def driven(model: mujoco.MjModel) -> set[int]:
     """Kinematic trees with an actuator."""
     kinds, found = mujoco.mjtTrn, set()
     for a in range(model.nu):
@@ -124,6 +126,8 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
     asked = [(f"cost.{cost.name or cost.term}", _names(cost.params)) for cost in subject.scene.cost]
     if subject.scene.goal is not None:
         asked.append(("goal", {subject.scene.goal.target}))
+    wanted = subject.scene.success.conditions if subject.scene.success else ()
+    asked += [("success.conditions", {condition.frame, condition.to}) for condition in wanted if condition.frame]
     mocap = [subject.compiled.body_name[b] for b in layout.mocap_body.tolist()]
     for key, names in asked:
         about = [name for name in sorted(names) if name in frames]
@@ -152,6 +156,14 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
             f"plans look {ahead:.3g} s ahead: little of what follows from a control is seen",
             "leave planner.horizon and dt out and set planner.lookahead: about 1 s suits most robots",
         )
+    planner, grid = controller.scene.planner, controller.plan_step.grid
+    counts = float(np.sum(planner.discount ** np.arange(grid.steps) * grid.dt))
+    if planner.terminal == 1.0 and counts < SHORT <= ahead:
+        yield Finding(
+            "planner.discount",
+            f"with a discount of {planner.discount:g} a step, {counts:.2g} s of the {ahead:.3g} s ahead count",
+            "set planner.discount = 1",
+        )
     costs = term_costs(controller)
     if len(costs) < 2:
         return
@@ -170,6 +182,36 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
             "raise planner.noise.sigma, look further ahead, or add a term that leads to the goal",
         )
         return
+    yield from _outweighed(controller, np.where(weights > 0.0, spread, 0.0))
+
+
+def _outweighed(controller: Controller, spread: np.ndarray) -> Iterator[Finding]:
+    """Terms that lead a robot to what success asks for, and decide nothing beside the others.
+
+    Objects are left out: as long as nothing touches them, no sample moves them.
+
+    Args:
+        controller: It has made a plan.
+        spread: Difference between samples in each term's cost.
+    """
+    scene, labels = controller.scene, controller.costs.labels
+    pairs = [{c.frame, c.to} for c in (scene.success.conditions if scene.success else ()) if c.frame and c.distance]
+    if scene.goal is not None and scene.goal.object is None:
+        pairs.append({scene.goal.target, "goal"})
+    objects = {item.name for item in scene.object}
+    leading = [
+        i
+        for i, cost in enumerate(scene.cost)
+        if cost.term == "distance" and any(pair <= _names(cost.params) and not pair & objects for pair in pairs)
+    ]
+    if leading and 0.0 < spread[leading].sum() < LEADS * spread.sum():
+        label, heaviest = labels[leading[0]], labels[int(np.argmax(spread))]
+        yield Finding(
+            f"cost.{label}.weight",
+            f"{label} decides {spread[leading].sum() / spread.sum():.2%} of what tells samples apart, {heaviest} "
+            f"{spread.max() / spread.sum():.0%}: plans do not go where success is",
+            f"raise its weight, or lower that of {heaviest}",
+        )
 
 
 def term_costs(controller: Controller) -> np.ndarray:

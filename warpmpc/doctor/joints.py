@@ -24,8 +24,8 @@ TURNS = 8.0 * np.pi
 SLIGHT = 0.1
 """Range of a hinge below which it is more likely written in radians and read as degrees [rad]: 6°; a full turn of 2π
 read as degrees is .11."""
-STRONG = 1.0
-"""Share of its force limit from which an actuator that holds the start against gravity has nothing left."""
+FEW, WEAK = 2, 10.0
+"""Robots with as few driven joints are often meant to swing up: weak from this many times their force."""
 
 
 def joint_findings(subject: Subject) -> Iterator[Finding]:
@@ -92,23 +92,28 @@ def _servos(subject: Subject) -> Iterator[Finding]:
     for a in range(model.nu):
         j = int(model.actuator_trnid[a, 0])
         position = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[a, 1] < 0.0
-        plain = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_gear[a, 0] == 1.0
+        plain = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_gear[a, 0] != 0.0
         same_unit = np.isclose(model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 1])
-        hinge = model.jnt_type[j] == HINGE and model.jnt_limited[j]
-        if not (position and plain and same_unit and model.actuator_ctrllimited[a] and hinge):
+        hinge = plain and model.jnt_type[j] == HINGE and model.jnt_limited[j]
+        if not (position and same_unit and model.actuator_ctrllimited[a] and hinge):
             continue
-        (low, high), (lower, upper) = model.actuator_ctrlrange[a], model.jnt_range[j]
+        low, high = sorted(model.actuator_ctrlrange[a] / model.actuator_gear[a, 0])
+        lower, upper = model.jnt_range[j]
         ratio = (high - low) / max(upper - lower, 1e-9)
         if not 0.05 < ratio < 20.0 or high < lower or low > upper:
-            far.append((model.actuator(a).name, low, high, model.joint(j).name, lower, upper))
+            sign = model.actuator_gear[a, 0] < 0.0 and -high < upper and -low > lower
+            far.append((model.actuator(a).name, low, high, model.joint(j).name, lower, upper, sign))
     if far:
-        name, low, high, joint, lower, upper = far[0]
+        name, low, high, joint, lower, upper, sign = far[0]
         degrees = ": is one of them in degrees?" if 0.3 < (high - low) / (upper - lower) / DEGREE < 3.0 else ""
+        cure = 'give ctrlrange in radians, even where joint ranges are in degrees, or inheritrange="1"'
+        if sign:
+            degrees, cure = ": is the sign of gear wrong?", "make gear positive, or turn the sign of ctrlrange"
         yield Finding(
             f"{subject.asset_key(name)}.asset",
-            f"servo {some([item[0] for item in far])} is sent {low:.4g} to {high:.4g} where joint {joint} turns from "
+            f"servo {some([item[0] for item in far])} is sent {low:.4g} to {high:.4g} where joint {joint} goes from "
             f"{lower:.4g} to {upper:.4g}{degrees}",
-            'give ctrlrange in radians, even where joint ranges are in degrees, or inheritrange="1"',
+            cure,
         )
 
 
@@ -152,11 +157,11 @@ def _strength(subject: Subject) -> Iterator[Finding]:
     still = mujoco.MjData(model)
     still.qpos = data.qpos
     mujoco.mj_forward(model, still)
-    weak = []
+    weak, short = [], 1.0 if np.count_nonzero(force) > FEW else WEAK
     for j in range(model.njnt):
         dof, root = int(model.jnt_dofadr[j]), int(model.body_rootid[model.jnt_bodyid[j]])
         need = abs(float(still.qfrc_bias[dof] - still.qfrc_passive[dof]))
-        if model.jnt_type[j] >= 2 and root not in floating and 0.0 < force[dof] < STRONG * need:
+        if model.jnt_type[j] >= 2 and root not in floating and 0.0 < short * force[dof] < need:
             weak.append((model.joint(j).name, need, force[dof], model.jnt_type[j] == HINGE))
     if weak:
         name, need, there, hinge = weak[0]

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from ..model.mujoco_model import MujocoWorld, Options, make_world
+from ..model.safe import safe_command
 from ..model.state_rows import StateRows
 
 if TYPE_CHECKING:
@@ -55,9 +56,18 @@ class Subject:
         data = mujoco.MjData(model)
         act = layout.act[None] if len(layout.act) else None
         row = StateRows(layout, self.world)(layout.joint_q[None], layout.joint_qd[None], act)[0]
-        data.qpos, data.qvel = row[: model.nq], row[model.nq : model.nq + model.nv]
+        data.qpos, data.qvel, data.act = np.split(row, [model.nq, model.nq + model.nv])
         mujoco.mj_forward(model, data)
         return data
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Controls that hold the start ``[nu]``: the layout's, else the safe ones, within their bounds."""
+        layout = self.compiled.layout
+        if layout.control_start.any():
+            return np.array(layout.control_start, dtype=float)
+        safe = safe_command(layout, layout.joint_q[None], np.zeros((1, layout.nv)), 1.0)[0]
+        return np.clip(safe, layout.control_lower, layout.control_upper).astype(float)
 
     @cached_property
     def owner(self) -> np.ndarray:

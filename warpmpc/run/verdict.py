@@ -22,6 +22,8 @@ OFTEN = 1.0 / 3.0
 """Share of the controls from which something is the rule rather than an exception."""
 EDGE = 0.01
 """Share of its range within which a control or joint counts as being at the limit."""
+SLACK = 1e-6
+"""Tolerance of times [s]: they are sums of steps."""
 ONE, ALL = 1.5, 0.9
 """η below which one sample decides, and share of the samples above which all count alike."""
 
@@ -61,7 +63,9 @@ class Symptoms:
         phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
         unmet = [item for item in monitor.progress.values() if not item.last.holds]
         for item in unmet:
-            yield f"not met{phase}: {_shortfall(item)}"
+            nearer = 0.0 < self.plant.time - SLACK <= item.when
+            more = ", and still coming nearer: a longer timing.timeout" if nearer else ""
+            yield f"not met{phase}: {_shortfall(item)}{more}"
         if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
             yield (
                 f"all that success asks for{phase} is met at the end, but has not held for {scene.success.hold:g} s: "

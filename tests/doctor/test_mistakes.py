@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planted mistakes: each is named by ``check`` or by a run's verdict, at its key and with its cure."""
+
+from dataclasses import dataclass
+
+import pytest
+from planted import ARM, HAND, LEGS, SCENE, TWO_ARMS
+
+from warpmpc import SceneError
+from warpmpc.controller.controller import Controller
+from warpmpc.doctor.advice import advise
+from warpmpc.doctor.examine import examine
+from warpmpc.plant.plant import Plant
+from warpmpc.run.episode import Episode
+from warpmpc.scene.load import load_scene
+
+CHECK, VERDICT = "check", "verdict"
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake in a scene that is fine without it."""
+
+    name: str
+    edits: dict[str, str]
+    """Replacements in the text of the scene and of its asset; of a shipped scene, values by key."""
+    says: tuple[str, ...]
+    """Parts of one sentence: the key, the mistake, the cure."""
+    base: str = SCENE
+    """The scene's text, or the name of a shipped scene."""
+    asset: str = ARM
+    where: str = CHECK
+
+
+TABLE = [
+    Mistake("radians read as degrees", {'<compiler angle="radian"/>': ""}, ("from -1.5° to 1.5°", 'angle="radian"')),
+    Mistake(
+        "degrees read as radians",
+        {'range="-1.5 1.5" damping': 'range="-90 90" damping', 'ctrlrange="-1.5 1.5"': ""},
+        ("from -90 to 90 rad", 'angle="degree"'),
+    ),
+    Mistake(
+        "start in degrees",
+        {'asset = "arm.xml"': 'asset = "arm.xml"\njoint_q = { elbow = 30.0 }'},
+        ("robot.arm.joint_q", "arm/elbow starts at 30, outside its range", "in degrees?", "give joint_q"),
+    ),
+    Mistake(
+        "servo sent degrees",
+        {'ctrlrange="-2 2"': 'ctrlrange="-115 115"'},
+        ("robot.arm.asset", "is one of them in degrees?", "give ctrlrange in radians"),
+    ),
+    Mistake("sign of a servo's gain", {'kp="50"': 'kp="-50"'}, ("robot.arm.asset", "wrong sign", "kp and kv are pos")),
+    Mistake(
+        "sign of a gear",
+        {'range="-2 2" damping': 'range=".1 2" damping', 'ctrlrange="-2 2"': 'ctrlrange=".1 2" gear="-1"'},
+        ("robot.arm.asset", "is the sign of gear wrong?", "make gear positive"),
+    ),
+    Mistake(
+        "sign of damping",
+        {'range="-2 2" damping="1"': 'range="-2 2" damping="-1"'},
+        ("robot.arm.asset", "arm/elbow has negative damping", "make damping positive"),
+    ),
+    Mistake(
+        "link in grams",
+        {'mass=".5"': 'mass="500"'},
+        ("to hold the start against gravity", "check masses (kilograms)"),
+    ),
+    Mistake("object in grams", {"mass = 0.5": "mass = 500.0"}, ("object.box", "in grams?", "masses are in kilograms")),
+    Mistake("object in tonnes", {"mass = 0.5": "mass = 0.0005"}, ("object.box", "in tonnes?", "masses are in kilo")),
+    Mistake(
+        "obstacle in millimetres",
+        {"[0.1, 0.1, 0.6]": "[100.0, 100.0, 600.0]", "[1.0, 0.5, 0.3]": "[1000.0, 500.0, 300.0]"},
+        ("the shape post of 600 m", "in millimetres?"),
+    ),
+    Mistake(
+        "object without friction",
+        {"mass = 0.5": "mass = 0.5\nfriction = 0.0"},
+        ("object.box.friction", "no friction", "rubber on wood has about 0.8"),
+    ),
+    Mistake(
+        "robot without friction",
+        {'asset = "arm.xml"': 'asset = "arm.xml"\nfriction = 0.0'},
+        ("robot.arm.friction", "no friction", "rubber on wood has about 0.8"),
+    ),
+    Mistake(
+        "robot without collision shapes",
+        {'contype="1" conaffinity="1"': 'contype="0" conaffinity="0"'},
+        ("object.box", "no robot can touch box", "give the robot's links collision shapes"),
+    ),
+    Mistake(
+        "object stands in an obstacle",
+        {"[0.6, 0.0, 0.05]": "[1.0, 0.5, 0.05]"},
+        ("object.box", "'box' and 'post' overlap", "change the position"),
+    ),
+    Mistake(
+        "actuators are missing",
+        {'<motor joint="slide" ctrlrange="-1 1"/>': ""},
+        ("nothing to control", "give a robot with joints a drive"),
+        asset=HAND,
+    ),
+    Mistake(
+        "hand that a mocap body leads",
+        {'["box", "goal"]': '["arm/hand", "goal"]'},
+        ("cost.distance", "no control can move arm/hand: a mocap body leads it", '{ mode = "mocap", body = "lead"'),
+        asset=HAND,
+    ),
+    Mistake(
+        "root welded to the world",
+        {"<freejoint/>": ""},
+        ("robot.arm.floating", "2 legs stand on the ground", "set floating = true"),
+        asset=LEGS,
+    ),
+    Mistake(
+        "robot starts in the air",
+        {'pos="0 0 .5"': 'pos="0 0 1.5"'},
+        ("robot.arm", "falls freely from the start", "start it on the ground"),
+        asset=LEGS,
+    ),
+    Mistake(
+        "gravity points up",
+        {"<worldbody>": '<option gravity="0 0 9.81"/><worldbody>'},
+        ("gravity is 9.81 m/s² upwards", 'gravity="0 0 -9.81"'),
+    ),
+    Mistake(
+        "motor without force",
+        {'joint="left" ctrlrange': 'joint="left" gear="0" ctrlrange'},
+        ("robot.arm.drive", "control arm/", "changes nothing", "check gear"),
+        asset=LEGS,
+    ),
+    Mistake(
+        "drive 1000 times too soft",
+        {"robot.base.drive.damping": "0.6"},
+        ("robot.base.drive", "of the speed it is sent", "raise damping"),
+        base="omni_push_box",
+    ),
+    Mistake(
+        "effort limit in kilonewtons",
+        {"robot.base.drive.effort_limit": "0.1"},
+        ("robot.base.drive", "of the speed it is sent", "effort_limit"),
+        base="omni_push_box",
+    ),
+    Mistake(
+        "goal in an obstacle",
+        {"[0.9, 0.0]": "[1.0, 0.5]"},
+        ("goal.position", "inside the obstacle post", "move the goal or the obstacle"),
+    ),
+    Mistake(
+        "goal of a frame in an obstacle",
+        {'object = "box"\nposition = [0.9, 0.0]': 'frame = "arm/fore"\nposition = [1.0, 0.5, 0.3]'},
+        ("goal.position", "inside the obstacle post", "move the goal or the obstacle"),
+    ),
+    Mistake(
+        "object that nothing can touch is to be moved",
+        {'contype="1" conaffinity="1"': 'contype="0" conaffinity="0"'},
+        ("cost.distance", "no control can move box", "let something that is driven touch it"),
+    ),
+    Mistake(
+        "object starts beside the table",
+        {"timing =": "ground = false\ntiming ="},
+        ("object.box", "falls, and nothing is beneath it", "start it on what carries it"),
+    ),
+    Mistake(
+        "goal under the ground",
+        {"[0.9, 0.0]": "[0.9, 0.0, -0.05]"},
+        ("goal.position", "0.05 m under the ground", "raise its third number"),
+    ),
+    Mistake(
+        "goal in centimetres",
+        {"goal.position": "[50.0, -20.0, 50.0]", "randomize_task": "{}"},
+        ("goal.position", "which reaches", "check units"),
+        base="panda_reach",
+    ),
+    Mistake(
+        "two robots swapped",
+        {"pos_left": "1.5", "pos_right": "-1.5"},
+        ("cost.left", "which reaches", "name the robot that is near"),
+        base=TWO_ARMS,
+    ),
+    Mistake(
+        "fails at the start",
+        {"failure": '[{ name = "fallen", conditions = { frame = "walker/hips", above = 0.5 } }]'},
+        ("failure.fallen", "holds at the start", "above"),
+        base="walker",
+    ),
+    Mistake(
+        "weight 1000 times too small",
+        {"cost.distance.weight": "0.001"},
+        ("cost.distance.weight", "of what tells samples apart", "raise its weight"),
+        base="quadrotor",
+    ),
+    Mistake(
+        "weight below zero",
+        {'between = ["box", "goal"]': 'between = ["box", "goal"]\nweight = -1.0'},
+        ("cost.distance.weight", "rewards a large distance", "weights of costs are positive"),
+    ),
+    Mistake(
+        "terms about what does not move",
+        {'["arm/fore", "box"]': '["post", "box"]'},
+        ("cost", "cost the same", "add a term that leads to the goal"),
+    ),
+    Mistake(
+        "σ 100 times too small",
+        {"planner.noise.sigma": "0.003"},
+        ("planner.noise.sigma", "samples hardly differ", "a quarter of each control's range"),
+        base="quadrotor",
+    ),
+    Mistake(
+        "σ far too wide",
+        {"{ range = 0.2 }": "10.0"},
+        ("planner.noise.sigma", "lies at a limit", "a quarter of each control's range"),
+    ),
+    Mistake("horizon too short", {"horizon = 20": "horizon = 2"}, ("plans look", "0.04 s ahead", "about 1 s suits")),
+    Mistake(
+        "discount of a second as one of a step",
+        {"horizon = 20": "horizon = 20\ndiscount = 0.5"},
+        ("planner.discount", "0.04 s of the 0.4 s ahead count", "set planner.discount = 1"),
+    ),
+    Mistake(
+        "hold longer than the run", {"success.hold": "60.0"}, ("success.hold = 60", "no run can"), base="quadrotor"
+    ),
+    Mistake(
+        "control in milliseconds",
+        {"control_dt = 0.02, timeout = 2.0": "control_dt = 20.0, timeout = 2000.0"},
+        ("timing.control_dt", "in millisec"),
+    ),
+    Mistake(
+        "timeout too short",
+        {"timing.timeout": "0.4", "randomize_task": "{}", "planner.samples": "64"},
+        ("not met", "still coming nearer", "a longer timing.timeout"),
+        base="quadrotor",
+        where=VERDICT,
+    ),
+    Mistake(
+        "temperature far too high",
+        {"planner.temperature": "{ initial = 1e6 }", "timing.timeout": "0.4", "planner.samples": "32"},
+        ("all samples count alike", "lower temperature.initial"),
+        base="quadrotor",
+        where=VERDICT,
+    ),
+]
+
+
+def planted(mistake: Mistake, folder):
+    """The scene with the mistake in it."""
+    if "\n" not in mistake.base:
+        return load_scene(mistake.base, overrides=[f"{key}={value}" for key, value in mistake.edits.items()])
+    frame = {LEGS: "arm/left", HAND: "arm/hand"}.get(mistake.asset, "arm/fore")
+    texts = {"scene.toml": mistake.base.replace("arm/fore", frame), "arm.xml": mistake.asset}
+    for old, new in mistake.edits.items():
+        assert any(old in text for text in texts.values()), old
+        texts = {name: text.replace(old, new) for name, text in texts.items()}
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return load_scene(folder / "scene.toml")
+
+
+def checked(scene) -> list[str]:
+    """All that ``check`` would say."""
+    controller = Controller(scene, engine="mujoco", device="cpu")
+    plant = Plant(scene, task=controller.task, seed=1)
+    controller.step(plant.observe())
+    return [*advise(scene, controller.compiled), *map(str, examine(controller, plant.monitor))]
+
+
+@pytest.mark.parametrize("mistake", TABLE, ids=[mistake.name for mistake in TABLE])
+def test_a_planted_mistake_is_named_with_its_cure(tmp_path, mistake):
+    try:
+        scene = planted(mistake, tmp_path)
+        if mistake.where == CHECK:
+            sentences = checked(scene)
+        else:
+            sentences = Episode(scene, engine="mujoco", device="cpu").run().verdict
+    except SceneError as error:
+        sentences = [str(error)]
+    assert any(all(part in sentence for part in mistake.says) for sentence in sentences), sentences
+
+
+LED = {
+    'asset = "arm.xml"': 'asset = "arm.xml"\ndrive = { mode = "mocap", limit = 0.5 }',
+    '["box", "goal"]': '["arm/hand", "goal"]',
+}
+"""A hand that controls lead by its mocap body."""
+
+
+@pytest.mark.parametrize(
+    ("base", "asset", "edits"),
+    [
+        (SCENE, ARM, {}),
+        (SCENE, LEGS, {}),
+        (SCENE, HAND, LED),
+        (TWO_ARMS, ARM, {"pos_left": "-1.5", "pos_right": "1.5"}),
+    ],
+    ids=["arm", "legs", "hand", "two arms"],
+)
+def test_without_a_mistake_nothing_is_named(tmp_path, base, asset, edits):
+    assert checked(planted(Mistake("", edits, (), base, asset), tmp_path)) == []

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robot models of Python packages, each in a scene that asks nothing of it."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from warpmpc import Scene
+from warpmpc.model.assets import package_dirs
+
+ARMS = (
+    "panda_description/urdf/panda.urdf",
+    "so_arm_description/urdf/so101.urdf",
+    "z1_description/urdf/z1.urdf",
+    "ur_description/urdf/ur5_robot.urdf",
+    "ur_description/urdf/ur10_joint_limited_robot.urdf",
+    "ur_description/urdf/ur3_gripper.urdf",
+    "kinova_description/robots/kinova.urdf",
+    "xarm_description/urdf/xarm7.urdf",
+    "allegro_hand_description/urdf/allegro_right_hand.urdf",
+    "talos_data/robots/talos_left_arm.urdf",
+    "finger_edu_description/robots/finger_edu.urdf",
+    "double_pendulum_description/urdf/double_pendulum.urdf",
+    "asr_twodof_description/urdf/TwoDofs.urdf",
+    "baxter_description/urdf/baxter.urdf",
+    "pr2_description/urdf/pr2.urdf",
+    "tiago_description/robots/tiago.urdf",
+    "tiago_pro_description/robots/tiago_pro.urdf",
+)
+"""Robots of ``example-robot-data`` with a fixed root."""
+LEGGED = {
+    "laikago_description/urdf/laikago.urdf": 0.5,
+    "g1_description/urdf/g1_29dof_rev_1_0.urdf": 0.8,
+    "go1_description/urdf/go1.urdf": 0.5,
+    "go2_description/urdf/go2.urdf": 0.5,
+    "a1_description/urdf/a1.urdf": 0.5,
+    "b1_description/urdf/b1.urdf": 0.75,
+    "anymal_c_simple_description/urdf/anymal.urdf": 0.75,
+    "hyq_description/robots/hyq_no_sensors.urdf": 0.8,
+    "solo_description/robots/solo12.urdf": 0.4,
+    "bolt_description/robots/bolt.urdf": 0.6,
+    "talos_data/robots/talos_reduced.urdf": 1.2,
+    "icub_description/robots/icub_reduced.urdf": 0.8,
+    "simple_humanoid_description/urdf/simple_humanoid.urdf": 1.2,
+    "centauro_description/urdf/centauro.urdf": 1.0,
+    "alex_description/urdf/alex_nub_hands.urdf": 1.2,
+}
+"""Robots of ``example-robot-data`` that walk, and the height of their root [m]."""
+MJCF = {
+    "dm_control": [
+        f"suite/{name}.xml"
+        for name in (
+            "acrobot",
+            "ball_in_cup",
+            "cartpole",
+            "cheetah",
+            "finger",
+            "hopper",
+            "humanoid_CMU",
+            "manipulator",
+            "pendulum",
+            "point_mass",
+            "quadruped",
+            "reacher",
+            "stacker",
+            "walker",
+        )
+    ],
+    "gymnasium_robotics": [
+        "envs/assets/adroit_hand/adroit_door.xml",
+        "envs/assets/adroit_hand/adroit_hammer.xml",
+        "envs/assets/adroit_hand/adroit_pen.xml",
+        "envs/assets/hand/manipulate_block.xml",
+        "envs/assets/hand/reach.xml",
+        "envs/assets/point/point.xml",
+    ],
+    "gymnasium": [
+        f"envs/mujoco/assets/{name}.xml"
+        for name in (
+            "ant",
+            "half_cheetah",
+            "hopper",
+            "humanoid",
+            "humanoidstandup",
+            "inverted_double_pendulum",
+            "inverted_pendulum",
+            "pusher_v5",
+            "reacher",
+            "swimmer",
+            "walker2d_v5",
+        )
+    ],
+    "mjlab": [
+        "tasks/cartpole/cartpole.xml",
+    ],
+    "mujoco_playground": ["_src/dm_control_suite/xmls/cheetah.xml"],
+    "metaworld": [
+        f"assets/sawyer_xyz/sawyer_{name}.xml"
+        for name in ("drawer", "door_pull", "push_v3", "reach_v3", "window_horizontal", "hammer")
+    ],
+    "newton": ["examples/assets/nv_ant.xml", "examples/assets/nv_humanoid.xml"],
+}
+
+
+DRIVEN = (
+    ("gymnasium_robotics", "envs/assets/fetch/push.xml"),
+    ("mjlab", "asset_zoo/robots/i2rt_yam/xmls/yam.xml"),
+    ("mjlab", "asset_zoo/robots/unitree_g1/xmls/g1.xml"),
+    ("mjlab", "asset_zoo/robots/unitree_go1/xmls/go1.xml"),
+)
+"""MJCF files without actuators."""
+
+
+def package_models() -> dict[str, Scene]:
+    """A scene for each model that is installed, by package and file."""
+    scenes = {}
+    data = next((d / "example-robot-data/robots" for d in package_dirs() if (d / "example-robot-data").is_dir()), None)
+    drive = {"mode": "velocity", "damping": 10.0, "limit": 1.0}
+    for name in (*ARMS, *LEGGED) if data else ():
+        keys = {"floating": True, "position": (0.0, 0.0, LEGGED[name])} if name in LEGGED else {}
+        scenes[f"example-robot-data/{name}"] = _scene(data / name, drive=drive, **keys)
+    for package, files in MJCF.items():
+        spec = find_spec(package)
+        for name in files if spec else ():
+            scenes[f"{package}/{name}"] = _scene(Path(spec.submodule_search_locations[0]) / name)
+    for package, name in DRIVEN:
+        if spec := find_spec(package):
+            asset = Path(spec.submodule_search_locations[0]) / name
+            scenes[f"{package}/{name}"] = _scene(asset, drive={**drive, "effort_limit": 50.0})
+    return scenes
+
+
+def _scene(asset: Path, **robot) -> Scene:
+    return Scene.model_validate(
+        {
+            "timing": {"control_dt": 0.04, "timeout": 1.0},
+            "robot": [{"name": "robot", "asset": str(asset), **robot}],
+            "cost": [{"term": "joint_velocity"}],
+            "planner": {"samples": 16, "horizon": 10},
+        }
+    )
+
+
+KNOWN: list[tuple[str, tuple[str, ...]]] = []
+"""True findings: a part of the sentence, and the models of which it is true."""
