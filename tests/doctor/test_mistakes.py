@@ -226,7 +226,7 @@ TABLE = [
     Mistake(
         "timeout too short",
         {"timing.timeout": "0.4", "randomize_task": "{}", "planner.samples": "64"},
-        ("not met", "still coming nearer", "a longer timing.timeout"),
+        ("distance to the goal", "still coming nearer", "a longer timing.timeout"),
         base="quadrotor",
         where=VERDICT,
     ),

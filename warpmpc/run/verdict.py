@@ -63,9 +63,10 @@ class Symptoms:
         phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
         unmet = [item for item in monitor.progress.values() if not item.last.holds]
         for item in unmet:
-            nearer = 0.0 < self.plant.time - SLACK <= item.when
-            more = ", and still coming nearer: a longer timing.timeout" if nearer else ""
-            yield f"not met{phase}: {_shortfall(item)}{more}"
+            yield f"not met{phase}: {_shortfall(item)}"
+        nearer = [item.last.name for item in unmet if 0.0 < self.plant.time - SLACK <= item.when]
+        if nearer:
+            yield f"{some(nearer)} was still coming nearer at the end: a longer timing.timeout, or faster drives"
         if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
             yield (
                 f"all that success asks for{phase} is met at the end, but has not held for {scene.success.hold:g} s: "
