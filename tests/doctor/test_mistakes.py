@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planted mistakes: each is named by ``check`` or by a run's verdict, at its key and with its cure."""
+"""Planted mistakes: each is named by ``check``, a run's verdict or ``diagnose``, at its key and with its cure."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,16 @@ from planted import ARM, HAND, LEGS, SCENE, TWO_ARMS
 from warpmpc import SceneError
 from warpmpc.controller.controller import Controller
 from warpmpc.doctor.advice import advise
+from warpmpc.doctor.diagnose import diagnose
 from warpmpc.doctor.examine import examine
+from warpmpc.model.compiled import compile_scene
 from warpmpc.plant.plant import Plant
+from warpmpc.record.replay import logged_scene
+from warpmpc.record.run_recorder import RunRecorder
 from warpmpc.run.episode import Episode
 from warpmpc.scene.load import load_scene
 
-CHECK, VERDICT = "check", "verdict"
+CHECK, VERDICT, DIAGNOSE = "check", "verdict", "diagnose"
 
 
 @dataclass(frozen=True)
@@ -199,6 +203,11 @@ TABLE = [
         ("cost", "cost the same", "add a term that leads to the goal"),
     ),
     Mistake(
+        "term about two places",
+        {'["box", "goal"]': '["post", "goal"]'},
+        ("cost.distance", "neither post nor goal is moved", "name what is to move"),
+    ),
+    Mistake(
         "σ 100 times too small",
         {"planner.noise.sigma": "0.003"},
         ("planner.noise.sigma", "samples hardly differ", "a quarter of each control's range"),
@@ -237,6 +246,32 @@ TABLE = [
         base="quadrotor",
         where=VERDICT,
     ),
+    Mistake(
+        "delay of 80 ms",
+        {"plant.delay": "0.08", "planner.samples": "64", "timing.timeout": "1.2"},
+        ("without delay", "plant.delay"),
+        base="cartpole_swingup",
+        where=DIAGNOSE,
+    ),
+    Mistake(
+        "robot twice as heavy as its model",
+        {"plant.factor.quadrotor.mass": "2", "planner.samples": "64", "timing.timeout": "1.2"},
+        ("masses, friction and sizes", "plant.factor"),
+        base="quadrotor",
+        where=DIAGNOSE,
+    ),
+    Mistake(
+        "sensors that are noisy",
+        {
+            "plant.noise.position": "0.03",
+            "plant.noise.velocity": "0.5",
+            "planner.samples": "64",
+            "timing.timeout": "1.2",
+        },
+        ("without noise", "plant.noise"),
+        base="cartpole_swingup",
+        where=DIAGNOSE,
+    ),
 ]
 
 
@@ -262,14 +297,26 @@ def checked(scene) -> list[str]:
     return [*advise(scene, controller.compiled), *map(str, examine(controller, plant.monitor))]
 
 
+def run_verdict(scene) -> tuple[str, ...]:
+    """The verdict on a run."""
+    return Episode(scene, engine="mujoco", device="cpu").run().verdict
+
+
+def diagnosed(scene) -> list[str]:
+    """What ``diagnose`` says of a run."""
+    episode = Episode(scene, engine="mujoco", device="cpu")
+    recorder = RunRecorder(episode.plant, episode.controller)
+    episode.run(recorder=recorder)
+    logged = logged_scene(recorder.run_log)
+    found, _ = diagnose(recorder.run_log, logged, compile_scene(logged))
+    return [f"{found.cause}: {found.sentence}"]
+
+
 @pytest.mark.parametrize("mistake", TABLE, ids=[mistake.name for mistake in TABLE])
 def test_a_planted_mistake_is_named_with_its_cure(tmp_path, mistake):
     try:
         scene = planted(mistake, tmp_path)
-        if mistake.where == CHECK:
-            sentences = checked(scene)
-        else:
-            sentences = Episode(scene, engine="mujoco", device="cpu").run().verdict
+        sentences = {CHECK: checked, VERDICT: run_verdict, DIAGNOSE: diagnosed}[mistake.where](scene)
     except SceneError as error:
         sentences = [str(error)]
     assert any(all(part in sentence for part in mistake.says) for sentence in sentences), sentences

@@ -18,6 +18,7 @@ from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema import Method, ShareOfRange
 from ..scene.waypoints import runs_of
+from .joint_table import joint_table
 from .summary import summary
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ def print_scenes() -> None:
 def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = None, advice: Sequence[str] = ()) -> None:
     """Print what an episode is built of, and what is hardly meant; its controller has made a plan."""
     # slow to import, and lists need no physics
+    from ..doctor.effects import contact_cost
+    from ..doctor.subject import Subject
     from ..engine.registry import physics_steps
     from ..model.memory import size
     from ..model.trajectory import Trajectory
@@ -150,6 +153,7 @@ def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = Non
     )
     if coarse is not None:
         fact("physics step", str(coarse))
+    fact("contacts", contact_cost(Subject(scene, controller.compiled)))
     if controller.plan_step.refiner:
         fact("derivatives", controller.plan_step.refiner.summary)
     ahead = float(controller.plan_step.grid.t[-1])
@@ -159,6 +163,7 @@ def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = Non
     for sentence in advice:
         fact("is it meant?", sentence)
     console.print(facts)
+    _show(console, joint_table(layout))
     _show(console, _controls(layout))
     _show(console, _costs(episode))
 

@@ -78,6 +78,12 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
     for cost in scene.cost:
         between = cost.params.get("between")
         if cost.term == "distance" and isinstance(between, list | tuple) and len(between) == 2:
+            if all(name == "goal" or _static(subject, name) is not None for name in between):
+                yield Finding(
+                    f"cost.{cost.name or cost.term}",
+                    f"neither {between[0]} nor {between[1]} is moved by any control: this term never changes",
+                    "name what is to move (a frame of a robot, an object)",
+                )
             asked += [(f"cost.{cost.name or cost.term}", *pair, 0.0) for pair in (between, between[::-1])]
     seen = set()
     for key, frame, place, near in asked:
