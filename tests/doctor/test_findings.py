@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """No false alarms: shipped scenes and models of packages have no finding that is not true of them."""
 
+import mujoco
+import numpy as np
 import pytest
 from needs import need_scene
 from package_models import KNOWN, package_models
@@ -8,6 +10,7 @@ from package_models import KNOWN, package_models
 from warpmpc import Controller, Plant
 from warpmpc.doctor.advice import advise
 from warpmpc.doctor.examine import examine, examine_model
+from warpmpc.doctor.places import reach
 from warpmpc.doctor.subject import Subject
 from warpmpc.model.compiled import compile_scene
 from warpmpc.scene.load import load_scene, shipped_scenes
@@ -41,3 +44,18 @@ def test_models_of_packages_have_no_finding_but_those_that_are_true():
         if not any(text in sentence and any(part in name for part in parts) for text, parts in KNOWN)
     ]
     assert unknown == []
+
+
+def test_no_posture_takes_a_hand_out_of_its_reach():
+    scene = load_scene("panda_reach")
+    subject = Subject(scene, compile_scene(scene))
+    model, layout, (centre, radius) = subject.world.model, subject.compiled.layout, reach(subject, "panda/hand")
+    index = layout.frame_name.index("panda/hand")
+    body = model.body(subject.compiled.body_name[layout.frame_body[index]]).id
+    rng, data, farthest = np.random.default_rng(0), mujoco.MjData(model), 0.0
+    for _ in range(300):
+        data.qpos[:] = rng.uniform(-3.0, 3.0, model.nq)
+        mujoco.mj_kinematics(model, data)
+        at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ layout.frame_pose[index, :3]
+        farthest = max(farthest, float(np.linalg.norm(at - centre)))
+    assert 0.6 * radius < farthest < radius

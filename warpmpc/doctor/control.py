@@ -144,7 +144,7 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
 
 
 def plan_findings(controller: Controller) -> Iterator[Finding]:
-    """Samples that all cost the same, weights below zero, and plans that look ahead too short.
+    """Samples that all cost the same, weights that are wrong, and plans that look ahead too short.
 
     Args:
         controller: It has made a plan.
@@ -157,11 +157,11 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
             "leave planner.horizon and dt out and set planner.lookahead: about 1 s suits most robots",
         )
     planner, grid = controller.scene.planner, controller.plan_step.grid
-    counts = float(np.sum(planner.discount ** np.arange(grid.steps) * grid.dt))
-    if planner.terminal == 1.0 and counts < SHORT <= ahead:
+    counted = float(np.sum(planner.discount ** np.arange(grid.steps) * grid.dt))
+    if planner.terminal == 1.0 and counted < SHORT <= ahead:
         yield Finding(
             "planner.discount",
-            f"with a discount of {planner.discount:g} a step, {counts:.2g} s of the {ahead:.3g} s ahead count",
+            f"with a discount of {planner.discount:g} a step, {counted:.2g} s of the {ahead:.3g} s ahead count",
             "set planner.discount = 1",
         )
     costs = term_costs(controller)
