@@ -31,12 +31,12 @@ def joint_table(layout: Layout) -> Table:
         limited = upper - lower < _UNLIMITED
         numbers = [lower if limited else -np.inf, start, upper if limited else np.inf]
         joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])
-        hinge = dof - int(layout.joint_qd_start[joint]) >= int(layout.joint_dof_dim[joint, 0])
+        hinge = bool(dof - int(layout.joint_qd_start[joint]) >= int(layout.joint_dof_dim[joint, 0]))
         outside = limited and not lower <= start <= upper
         table.add_row(
             name,
             *(f"{number:.4g}" for number in numbers),
             "rad" if hinge else "m",
-            " ".join(f"{np.degrees(number):.0f}" for number in numbers) * hinge + " outside" * outside,
+            (" ".join(f"{np.degrees(number):.0f}" for number in numbers) if hinge else "") + " outside" * bool(outside),
         )
     return table
