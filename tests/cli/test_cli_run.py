@@ -69,7 +69,7 @@ def test_json_is_all_there_is_on_stdout(two_episodes):
     assert two_episodes.stderr == ""
     first, second = results(two_episodes)
     for result in (first, second):
-        assert list(result) == [*KEYS, "verdict"]  # the run fails
+        assert list(result) == [*KEYS, "foresight", "verdict"]  # the run fails
         assert list(result["final"]) == ["position_error_m", "yaw_error_rad", "cost", "axis_error_m"]
         assert list(result["collisions"]) == ["max_force_N", "time_in_contact_s"]
         assert list(result["plan_ms"]) == ["p50", "p90", "p99", "max"]
@@ -131,7 +131,7 @@ def test_drawn_tasks_say_what_was_drawn(tmp_path, command):
     (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", draw))
     done = command("run", "mine.toml", "--json", "--episodes", "2", *TINY)
     first, second = results(done)
-    assert list(first) == [*KEYS, "drawn", "verdict"]
+    assert list(first) == [*KEYS, "drawn", "foresight", "verdict"]
     assert first["drawn"].keys() == second["drawn"].keys() == {"goal.position"}
     assert first["drawn"] != second["drawn"]
 
@@ -155,6 +155,7 @@ def test_many_episodes_at_once(tmp_path, command):
     assert {(result["envs"], result["steps"], result["reason"]) for result in found} == {(2, 10, "timeout")}
     alone = results(command("run", "mine.toml", "--json", "--seed", "3", "--engine", "fused", *TINY))[0]
     assert alone["envs"] == 1
+    assert alone.pop("foresight")  # which batches do not look at
     assert {**untimed(found[0]), "envs": 1} == untimed(alone)
 
 

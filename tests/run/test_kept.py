@@ -43,6 +43,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
         "reached": 1,
         "drawn": {"goal.position": [1.0, 2.0]},
         "mean_cost": None,
+        "foresight": {"state": 0.1, "state_ahead": 0.2, "cost": 0.3},
         "verdict": ("position: 0.2 m off, 0.1 m too far",),
     }
     assert set(values) == {field.name for field in dataclasses.fields(EpisodeResult)}

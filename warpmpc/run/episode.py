@@ -221,7 +221,8 @@ class EpisodeStats:
         scene, controller, plant = self.scene, self.controller, self.plant
         error, goal = plant.error, scene.goal
         oriented = goal is not None and (goal.yaw is not None or goal.rotation is not None)
-        foreseen, failed = self._recorded.foresight(), scene.success is not None and not plant.success
+        foreseen = None if reason else self._recorded.foresight()  # Ctrl-C does not wait for it
+        failed = scene.success is not None and not plant.success
         plans = self._plans or [(math.nan, dict.fromkeys(controller.plan_step.stages, math.nan))]
         p50, p90, p99, longest = np.percentile([plan for plan, _ in plans], [50, 90, 99, 100]).tolist()
         return EpisodeResult(
