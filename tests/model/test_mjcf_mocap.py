@@ -93,6 +93,15 @@ def test_the_hand_starts_at_rest_and_follows_the_commanded_speed_in_the_plant(tm
     np.testing.assert_allclose(hand, lead, atol=0.01)
 
 
+def test_it_stays_in_the_box_that_it_is_given(tmp_path):
+    box = "[[0.2, 0.4, 0.9], [0.6, 0.7, 1.1]]"
+    plant = Plant(scene_of(tmp_path, drive(f'drive = {{ mode = "mocap", limit = 0.5, within = {box} }}')))
+    moved(plant, lead_x=-0.5, lead_z=0.5)
+    np.testing.assert_allclose(pose_of(plant, "arm/lead")[[0, 2]], [0.2, 1.1], atol=0.02)
+    hand, _ = moved(plant, steps=10, lead_x=0.3, lead_z=-0.3)  # there is nothing to undo before it comes back
+    np.testing.assert_allclose(hand[[0, 2]], [0.06, -0.06], atol=0.02)
+
+
 @pytest.mark.parametrize("engine", ["fused", "mujoco"])
 def test_plans_foresee_it_and_keep_the_limit(tmp_path, engine):
     sigma = ("horizon = 25", "horizon = 25\nnoise.sigma = 5.0")
@@ -179,6 +188,7 @@ OTHER = '<body name="other" mocap="true"/>'
         ('{ mode = "mocap" }', "", r"drive: mode 'mocap' needs limit"),
         ('{ mode = "mocap", limit = 1, joints = ["elbow"] }', "", "drive: .*leave joints out"),
         ('{ mode = "velocity", damping = 1, limit = 1, body = "lead" }', "", "drive: .*belong to mode 'mocap'"),
+        ('{ mode = "mocap", limit = 1, within = [[0, 0, 0], [1, 0, 1]] }', "", "drive: within is .lowest corner"),
         ('{ mode = "mocap", limit = [1, 2] }', "", "drive.limit: needs 1 or 3 values"),
         ('{ mode = "mocap", limit = 1, rotation = "roll" }', "", "drive.rotation: no such choice"),
         ('{ mode = "mocap", limit = 1, body = "led" }', "", "drive.body: .*no such mocap body; .*Did you mean 'lead'"),

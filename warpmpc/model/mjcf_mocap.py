@@ -67,9 +67,8 @@ def drive_mocap(
             if not weld.data[6:10].any():  # MuJoCo would take it from the zero of all joints
                 first, second = (poses.get(n, _pose(start, n)) for n in (weld.name1, weld.name2))
                 weld.data[3:10] = np.concatenate(_mul(_inverse(first), second))
-        _on_joints(
-            spec.body(body), pose, joints_of(body, next(d.rotation for n, d in drives.items() if bodies[n] == body))
-        )
+        drive = next(drive for n, drive in drives.items() if bodies[n] == body)
+        _on_joints(spec.body(body), pose, joints_of(body, drive.rotation), drive.within)
     joints = {n: joints_of(bodies[n], drive.rotation) for n, drive in drives.items()}
     return joints, tuple(_key(key, offset, joints, bodies) for key, offset in zip(keys, offsets, strict=True))
 
@@ -147,7 +146,9 @@ def _inverse(a: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return position, rotation
 
 
-def _on_joints(body: mujoco.MjsBody, pose: tuple[np.ndarray, np.ndarray], names: tuple[str, ...]) -> None:
+def _on_joints(
+    body: mujoco.MjsBody, pose: tuple[np.ndarray, np.ndarray], names: tuple[str, ...], within: tuple | None
+) -> None:
     """An ordinary body at a pose, on joints along and about the axes of the file."""
     body.mocap = False
     body.pos, body.quat = pose
@@ -163,6 +164,9 @@ def _on_joints(body: mujoco.MjsBody, pose: tuple[np.ndarray, np.ndarray], names:
         joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.damping, joint.stiffness = np.zeros_like(joint.damping), np.zeros_like(joint.stiffness)
         joint.frictionloss = joint.ref = 0.0
+        if within is not None and n < 3:
+            joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [corner[n] - pose[0][n] for corner in within]
+            joint.solref_limit = [LAG, 1.0]
 
 
 def _key(key: Key, offset: dict[str, np.ndarray], joints: dict[int, tuple[str, ...]], bodies: dict[int, str]) -> Key:

@@ -105,6 +105,9 @@ class Drive(Section):
     """``diff_drive``: distance between the wheels [m]."""
     body: str | None = None
     """``mocap``: the mocap body; the only one when left out. It starts where its weld is at rest."""
+    within: tuple[Vec3, Vec3] | None = None
+    """``mocap``: lowest and highest corner of the box that it stays in, in the file's coordinates [m]. Without it, it
+    goes on where the hand is held up, and pulls the harder."""
     rotation: Turns = Turns.NONE
     """``mocap``: rotations that are controls, after the three of the position."""
 
@@ -126,8 +129,10 @@ class Drive(Section):
                 raise ValueError("mode 'mocap' needs limit = [...]: no asset says how fast a mocap body moves")
             if self.joints is not None:
                 raise ValueError("mode 'mocap' moves a body, not joints: leave joints out, or take mode 'velocity'")
-        elif self.body is not None or self.rotation is not Turns.NONE:
-            raise ValueError("body and rotation belong to mode 'mocap'")
+            if self.within and any(low >= high for low, high in zip(*self.within, strict=True)):
+                raise ValueError("within is [lowest corner, highest corner]: each number below its counterpart")
+        elif self.body is not None or self.within is not None or self.rotation is not Turns.NONE:
+            raise ValueError("body, within and rotation belong to mode 'mocap'")
         if self.speed_limit is not None and self.mode is not DriveMode.ACCELERATION:
             raise ValueError("speed_limit belongs to mode 'acceleration'; velocities have limit = [...]")
         servo = (DriveMode.VELOCITY, DriveMode.DIFF_DRIVE, DriveMode.ACCELERATION)
