@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from ..cost.term import UserTerm
+    from ..model.mujoco_model import MujocoWorld
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
 
@@ -153,6 +154,15 @@ class SimulatedPlant:
     def model(self) -> mujoco.MjModel:
         """The MuJoCo model that is stepped, with the plant's own properties; not to be changed."""
         return self._engine.models[self._index]
+
+    @property
+    def world(self) -> MujocoWorld:
+        """The model of all plants that are stepped together, and how its arrays map to the layout."""
+        return self._engine.world
+
+    def show(self, data: mujoco.MjData) -> None:
+        """Put the true state into a simulation state of :attr:`model`."""
+        self._engine.show(self._index, data)
 
     def _camera(self, camera: Camera, seed: int) -> DepthCamera:
         """A camera in this plant's world."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..scene.errors import some
 from ..scene.schema import Method
+from .plant_signs import EDGE, OFTEN, PlantSigns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,12 +19,10 @@ if TYPE_CHECKING:
     from ..plant.monitor import Progress
     from ..plant.plant import Plant
 
-OFTEN = 1.0 / 3.0
-"""Share of the controls from which something is the rule rather than an exception."""
-EDGE = 0.01
-"""Share of its range within which a control or joint counts as being at the limit."""
 SLACK = 1e-6
 """Tolerance of times [s]: they are sums of steps."""
+DIVERGED = 0.1
+"""Share of the rollouts that may diverge: what is left finds its way."""
 ONE, ALL = 1.5, 0.9
 """η below which one sample decides, and share of the samples above which all count alike."""
 
@@ -35,19 +34,14 @@ class Symptoms:
         self.controller, self.plant, layout = controller, plant, controller.layout
         self._steps = self._diverged = self._fallbacks = self._lone = self._even = 0
         self._at_limit = np.zeros(layout.nu)
-        self._axes = np.flatnonzero((layout.dof_coord >= 0) & (layout.dof_upper - layout.dof_lower < 1e3))
-        self._at_stop = np.zeros(len(self._axes))
+        self._of_plant = PlantSigns(controller, plant)
 
     def note(self, info: Info, control: np.ndarray) -> None:
         """Keep what the plan just made and its control ``[nu]`` show."""
-        layout = self.controller.layout
         lower, upper = self.controller.limits
         edge = EDGE * (upper - lower)
         self._at_limit += (control <= lower + edge) | (control >= upper - edge)
-        q, ranges = self.plant.state.joint_q[layout.dof_coord[self._axes]], (layout.dof_lower, layout.dof_upper)
-        lower, upper = (limit[self._axes] for limit in ranges)
-        edge = EDGE * (upper - lower)
-        self._at_stop += (q <= lower + edge) | (q >= upper - edge)
+        self._of_plant.note(info, control)
         self._steps += 1
         self._diverged += info.diverged_worlds
         self._fallbacks += info.fallback
@@ -75,6 +69,8 @@ class Symptoms:
 
     def _signs(self) -> Iterator[str]:
         controller, layout = self.controller, self.controller.layout
+        unmet = any(not item.last.holds for item in self.plant.monitor.progress.values())
+        yield from self._of_plant.signs(unmet=unmet)
         share = self._at_limit / self._steps
         stuck = [name for name, part in zip(layout.control_name, share, strict=True) if part > OFTEN]
         if stuck:
@@ -82,16 +78,8 @@ class Symptoms:
                 f"control {some(stuck)} is at a limit {share.max():.0%} of the time: wider limits, another sign or "
                 "unit of the drive, or a term on the control (control, control_rate)"
             )
-        share = self._at_stop / self._steps
-        names = [layout.dof_name[axis] for axis in self._axes]
-        stuck = [name for name, part in zip(names, share, strict=True) if part > OFTEN]
-        if stuck:
-            yield (
-                f"joint {some(stuck)} is at an end of its range {share.max():.0%} of the time: another start, a term "
-                "joint_limit, or a goal within reach"
-            )
         worlds = self._steps * controller.shape.rollouts
-        if self._diverged > 0.01 * worlds:
+        if self._diverged > DIVERGED * worlds:
             yield (
                 f"{self._diverged / worlds:.0%} of the rollouts diverged: a finer physics step (engine.substeps), "
                 "lower gains, or real effort limits"

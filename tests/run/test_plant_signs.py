@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a plant moves tells why a run failed: falls, a standstill, stops, links that touch; none where all is well."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_scenes import make_scene
+
+from warpmpc.model.compiled import compile_scene
+from warpmpc.plant.plant import Plant
+from warpmpc.run.plant_signs import PlantSigns
+
+BASE = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="torso" pos="0 0 .5">
+    {root}
+    <geom type="box" size=".05 .05 .4" mass="5" contype="1" conaffinity="1"/>
+    <body name="upper" pos="0 .06 .3"><joint name="turn" axis="0 0 1" range="-.6 .6" damping=".5" armature=".01"/>
+      <geom type="capsule" fromto="0 0 0 0 .3 0" size=".02" mass=".1" contype="0" conaffinity="0"/>
+      <body name="fore" pos="0 .3 0"><joint name="bend" axis="0 0 1" range="-3 3" damping=".5" armature=".01"/>
+        <geom type="capsule" fromto="0 .01 0 0 .3 0" size=".02" mass=".1" contype="2" conaffinity="2"/></body>
+      <body name="guard" pos="0 .1 0">
+        <geom type="box" pos="-.1 0 0" size=".08 .04 .02" mass=".1" contype="2" conaffinity="2"/></body>
+    </body>
+  </body>
+</worldbody><actuator>
+  <position name="turn" joint="turn" kp="20" ctrlrange="-.6 .6"/>
+  <motor name="bend" joint="bend" ctrlrange="-3 3"/>
+</actuator></mujoco>
+"""
+
+
+def signs_of(tmp_path, *, root, control, time, terms=(("a", 1.0),), unmet=True, **robot) -> list[str]:
+    """Signs of a plant that is sent one control all the time."""
+    (tmp_path / "r.xml").write_text(BASE.format(root=root))
+    scene = make_scene(
+        timing={"control_dt": 0.02, "timeout": 60.0},
+        robot=[{"name": "r", "asset": str(tmp_path / "r.xml"), **robot}],
+        goal={"frame": "r/fore", "position": (5.0, 0.0, 0.0)},
+        cost=[{"term": "distance", "between": ["r/fore", "goal"]}],
+    )
+    plant = Plant(scene, compiled=compile_scene(scene, cache=False))
+    signs = PlantSigns(SimpleNamespace(costs=SimpleNamespace(labels=[name for name, _ in terms])), plant)
+    for _ in range(round(time / 0.02)):
+        signs.note(SimpleNamespace(terms=dict(terms)), np.array(control))
+        plant.apply(np.array(control))
+    return list(signs.signs(unmet=unmet))
+
+
+def test_a_tall_robot_that_tips_over_fell_and_nothing_else_is_said(tmp_path):
+    robot = {"position": (0.0, 0.0, 0.5), "rotation": (0.0, 0.15, 0.0, 0.989)}
+    (sign,) = signs_of(tmp_path, root="<freejoint/>", control=(0.6, 0.0), time=3.0, **robot)
+    assert sign.startswith("r fell at ")
+    assert "tilted by" in sign
+    assert "orientation with tilt" in sign
+
+
+def test_a_robot_that_stands_has_not_fallen(tmp_path):
+    assert not [s for s in signs_of(tmp_path, root="<freejoint/>", control=(0.0, 0.0), time=1.0) if "fell" in s]
+
+
+@pytest.mark.parametrize(
+    ("terms", "says"),
+    [
+        ((("near", 3.0), ("far", 1.0), ("none", 0.0)), "costs balance there (near 75%, far 25%): raise the weight"),
+        ((("near", 3.0), ("none", 0.0)), "near 100% of the cost is left and no sample finds less: raise"),
+    ],
+)
+def test_a_standstill_is_told_with_the_shares_of_the_costs(tmp_path, terms, says):
+    (sign,) = signs_of(tmp_path, root="", control=(0.0, 0.0), time=4.0, terms=terms)
+    assert sign.startswith("all stands still for the last 1.3 s: ")
+    assert says in sign
+    assert signs_of(tmp_path, root="", control=(0.0, 0.0), time=4.0, terms=terms, unmet=False) == []
+
+
+def test_a_servo_that_is_sent_to_its_lock_is_no_sign_and_a_motor_that_pushes_to_a_stop_is(tmp_path):
+    assert not [s for s in signs_of(tmp_path, root="", control=(0.6, 0.0), time=2.0) if "end of its range" in s]
+    pushed = signs_of(tmp_path, root="", control=(0.0, -3.0), time=3.0, unmet=False)
+    assert [s for s in pushed if s.startswith("joint r/bend is at an end of its range")]
+
+
+def test_links_of_one_robot_that_touch_are_named(tmp_path):
+    signs = signs_of(tmp_path, root="", control=(0.0, 3.0), time=3.0, unmet=False)
+    assert [s for s in signs if s.startswith("links r/fore and r/guard touch each other")], signs
