@@ -14,6 +14,7 @@ from program import PROGRAM, SCENE, TINY, results, untimed, warpmpc
 
 import warpmpc as package
 from warpmpc.cli.progress import Messages
+from warpmpc.cli.setup import RunArguments, Setup
 
 KEYS = [
     "scene",
@@ -184,6 +185,40 @@ def test_a_run_says_what_is_judged_and_what_is_hardly_meant(tmp_path, command):
     done = command("check", "mine.toml", *TINY, *odd)
     asked = [line for line in done.stdout.splitlines() if line.startswith("is it meant?")]
     assert [line.split()[3] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
+
+
+def test_plans_too_slow_for_real_time_are_told_by_check_and_not_after_a_run_in_lock_step(tmp_path, command):
+    (tmp_path / "mine.toml").write_text(SCENE)
+    quick = [*TINY, "--engine", "mujoco", "--set", "timing.control_dt=0.0002", "--set", "timing.timeout=0.001"]
+    assert "real time would need" not in command("run", "mine.toml", *quick).stdout
+    done = command("check", "mine.toml", *quick)
+    assert "real time would need a plan every 0.2 ms" in " ".join(done.stdout.split())
+    assert "median of several" in done.stdout
+
+
+def test_what_the_machine_chose_is_never_too_slow(tmp_path):
+    (tmp_path / "mine.toml").write_text(SCENE)
+    for samples, late in (("64", 1), ('"auto"', 0)):
+        setup = Setup(RunArguments(source=str(tmp_path / "mine.toml"), overrides=(f"planner.samples={samples}",)))
+        assert len([s for s in setup.advice(setup.compiled, plan_ms=1e4) if s.startswith("real time")]) == late
+
+
+def test_check_tells_the_phases_and_the_spread_of_the_noise(tmp_path, command):
+    phases = """
+[[phase]]
+name = "over"
+goal = { position = [1.5, 0.0] }
+until = { frame = "box", below = 0.5 }
+hold = 0.2
+
+[[phase]]
+name = "there"
+"""
+    (tmp_path / "mine.toml").write_text(SCENE + phases)
+    done = command("check", "mine.toml", *TINY, "--engine", "mujoco", "--set", "planner.noise.spread=[0.1, 2.0]")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "over: goal at [1.5, 0] m, until box below 0.5, for 0.2 s" in done.stdout
+    assert " × 0.1 to 2, discount" in " ".join(done.stdout.split())
 
 
 def test_notices_are_shown_once_and_warnings_once_per_episode(capsys):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import statistics
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 from rich import box
@@ -16,10 +16,10 @@ from rich.text import Text
 
 from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
-from ..scene.schema import Method, ShareOfRange
 from ..scene.waypoints import runs_of
 from .joint_table import joint_table
 from .summary import summary
+from .words import failure_words, goal_words, number_words, phase_words, planner_words, shape_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from ..doctor.steps import StepError
     from ..model.layout import Layout
     from ..run.episode import Episode, EpisodeResult
-    from ..scene.schema import Condition, Failure, Object, Obstacle, Planner, Scene
 
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file, unless ``COLUMNS`` says another."""
@@ -93,8 +92,23 @@ def print_scenes() -> None:
     _console().print(table)
 
 
-def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = None, advice: Sequence[str] = ()) -> None:
-    """Print what an episode is built of, and what is hardly meant; its controller has made a plan."""
+def print_check(
+    episode: Episode,
+    out: TextIO,
+    *,
+    plan_ms: float | None = None,
+    coarse: StepError | None = None,
+    advice: Sequence[str] = (),
+) -> None:
+    """Print what an episode is built of, and what is hardly meant; its controller has made a plan.
+
+    Args:
+        episode: The episode.
+        out: Where to.
+        plan_ms: Wall time of a plan, the median of several [ms]; that of the last if None.
+        coarse: Error that the planner's physics step makes.
+        advice: Sentences on what is hardly meant.
+    """
     # slow to import, and lists need no physics
     from ..doctor.effects import contact_cost
     from ..doctor.subject import Subject
@@ -118,7 +132,7 @@ def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = Non
     if scene.path:
         fact("file", str(scene.path))
     if episode.drawn:
-        drawn = ", ".join(f"{key} = {_number(value)}" for key, value in episode.drawn.items())
+        drawn = ", ".join(f"{key} = {number_words(value)}" for key, value in episode.drawn.items())
         fact(f"drawn, seed {episode.seed}", drawn)
     for robot in scene.robot:
         entity = layout.entity(robot.name)
@@ -129,20 +143,21 @@ def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = Non
     for line in controller.compiled.repaired:
         fact("repaired", line)
     for item in scene.object:
-        fact("object", f"{item.name}: {_shape(item)}, {item.mass:g} kg")
+        fact("object", f"{item.name}: {shape_words(item)}, {item.mass:g} kg")
     for item in scene.obstacle:
-        fact("obstacle", f"{item.name}: {_shape(item)} at {_number(item.position)}")
+        fact("obstacle", f"{item.name}: {shape_words(item)} at {number_words(item.position)}")
     fact("frames", ", ".join(layout.frame_name))
-    fact("goal", _goal(scene))
+    fact("goal", goal_words(scene))
     for failure in scene.failure:
-        fact("failure", _failure(failure))
+        fact("failure", failure_words(failure))
     for target in scene.target:
-        fact("target", f"{target.name} at {_number(target.position)} m")
+        fact("target", f"{target.name} at {number_words(target.position)} m")
     if scene.scalar:
-        fact("scalars", ", ".join(f"{name} = {_number(value)}" for name, value in scene.scalar.items()))
+        fact("scalars", ", ".join(f"{name} = {number_words(value)}" for name, value in scene.scalar.items()))
     for name, last in runs_of(phase.name for phase in scene.phase):
-        fact("phase", name if last == name else f"{name} to {last}")
-    fact("planner", _planner(scene))
+        phase = next(phase for phase in scene.phase if phase.name == name)
+        fact("phase", (name if last == name else f"{name} to {last}") + phase_words(phase))
+    fact("planner", planner_words(scene))
     shape = controller.shape
     substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.plan_step.grid).count
     steps = shape.worlds * sum(substeps)
@@ -159,7 +174,8 @@ def print_check(episode: Episode, out: TextIO, *, coarse: StepError | None = Non
     ahead = float(controller.plan_step.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
-    fact("one plan took", f"{controller.info.plan_ms:.1f} ms on this machine")
+    took = f"{controller.info.plan_ms:.1f} ms" if plan_ms is None else f"{plan_ms:.1f} ms, the median of several"
+    fact("one plan took", f"{took} on this machine")
     for sentence in advice:
         fact("is it meant?", sentence)
     console.print(facts)
@@ -198,89 +214,10 @@ def _costs(episode: Episode) -> Table:
     costs = episode.controller.costs
     task = episode.controller.task
     for label, cost in zip(costs.labels, episode.scene.cost, strict=True):
-        keys = ", ".join(f"{key} = {_number(value)}" for key, value in cost.params.items())
+        keys = ", ".join(f"{key} = {number_words(value)}" for key, value in cost.params.items())
         best = episode.controller.info.terms[label]
         table.add_row(Text(label), Text(cost.term), f"{float(task[label]):g}", f"{best:.4g}", Text(keys))
     return table
-
-
-def _shape(item: Object | Obstacle) -> str:
-    return f"{item.shape} {_number(item.size)} m" if item.size else f"{item.shape} {item.mesh or ''}".strip()
-
-
-def _goal(scene: Scene) -> str:
-    goal = scene.goal
-    if goal is None:
-        return "none; " + _success(scene)
-    turn = f", yaw {goal.yaw:g} rad" if goal.yaw is not None else ""
-    turn = f", rotation {_number(goal.rotation)}" if goal.rotation is not None else turn
-    return f"{goal.target} at {_number(goal.position)} m{turn}; {_success(scene)}"
-
-
-def _success(scene: Scene) -> str:
-    if scene.success is None:
-        return f"the run goes on for {scene.timing.timeout:g} s and has a cost"
-    success = scene.success.model_dump(exclude_none=True, exclude={"conditions"})
-    within = [
-        f"{name} {_number(value[0] if name == 'position' and len(value) == 1 else value)}"
-        for name, value in success.items()
-        if name != "hold" or value
-    ]
-    conditions = [_condition(condition) for condition in scene.success.conditions]
-    return f"reached within {', '.join(within + conditions)}"
-
-
-def _failure(failure: Failure) -> str:
-    return " ".join(
-        [
-            f"{failure.name}:",
-            ", ".join(map(_condition, failure.conditions)) or "too long",
-            *([f"for {failure.hold:g} s"] if failure.hold else []),
-            *([f"in phase {failure.phase}"] if failure.phase else []),
-            *([f"after {failure.after:g} s"] if failure.after else []),
-        ]
-    )
-
-
-def _condition(condition: Condition) -> str:
-    values = condition.model_dump(exclude_none=True, exclude={"frame", "joint", "term", "to"})
-    subject = condition.frame or condition.joint or condition.term
-    return f"{subject} " + " ".join(f"{name} {_number(value)}" for name, value in values.items())
-
-
-def _planner(scene: Scene) -> str:
-    planner, noise = scene.planner, scene.planner.noise
-    knots = f"{planner.knots} {planner.spline} knots" if planner.knots else f"{planner.horizon} knots"
-    domains = f" × {planner.domains} domains ({planner.risk})" if planner.domains > 1 else ""
-    return (
-        f"{planner.method}: {planner.samples} samples{domains}, horizon {planner.horizon}, {knots}, "
-        f"{noise.source} {noise.shape} noise, σ {_sigma(noise.sigma)}, discount {planner.discount:g}"
-        + _temperature(planner)
-        + (f", {planner.iterations} iterations" if planner.iterations > 1 else "")
-    )
-
-
-def _sigma(sigma: ShareOfRange | tuple[float, ...]) -> str:
-    if isinstance(sigma, ShareOfRange):
-        return f"{_number(sigma.range[0] if len(sigma.range) == 1 else sigma.range)} of each control's range"
-    return _number(sigma)
-
-
-def _temperature(planner: Planner) -> str:
-    if planner.method is not Method.MPPI:
-        return ""
-    t = planner.temperature
-    aim = f" for an ESS of {t.ess:g}" if t.ess else f" for η in {_number(t.eta)}" if t.eta else ", fixed"
-    return f", β {t.initial:g}{aim}"
-
-
-def _number(value: Any) -> str:
-    """A value as a scene file would write it, numbers short."""
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_number(item) for item in value)}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:

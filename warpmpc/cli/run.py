@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 from contextlib import closing
 from pathlib import Path
 from statistics import median
@@ -19,12 +18,17 @@ from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, results
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..run.episode import EpisodeResult
+    from ..run.episode import Episode, EpisodeResult
     from ..run.kept import KeptResults
     from .outputs import Outputs
     from .run_folder import RunFolder
 
 logger = logging.getLogger("warpmpc")
+
+WARM_UP, PLANS = 2, 9
+"""Plans of a check that do not count, the first of which compiles kernels, and those that do."""
+LONGEST = 3.0
+"""Time after which no more of them are made [s]."""
 
 
 def check(arguments: RunArguments, *, seed: int) -> int:
@@ -40,25 +44,32 @@ def check(arguments: RunArguments, *, seed: int) -> int:
                     for variant in variants(arguments.source):
                         load_scene(f"{arguments.source}:{variant}", overrides=arguments.overrides)
                 episode = setup.episode(seed)
-                observation = episode.plant.observe()
-                for _ in range(2):  # the first plan compiles kernels
-                    episode.controller.step(observation)
+                plan_ms = _plan_ms(episode)
 
             from ..doctor.examine import examine
             from ..doctor.steps import step_error
             from .report import print_check
 
             controller = episode.controller
-            advice = setup.advice(controller.info.plan_ms, controller.compiled)
+            advice = setup.advice(controller.compiled, plan_ms=plan_ms)
             steps = step_error(controller)
             findings = [
                 *examine(controller, episode.plant.monitor),
                 *([steps.finding] if steps and steps.finding else []),
             ]
-            print_check(episode, out, coarse=steps, advice=[*advice, *map(str, findings)])
+            print_check(episode, out, plan_ms=plan_ms, coarse=steps, advice=[*advice, *map(str, findings)])
         except KeyboardInterrupt:
             return interrupts.code
     return SUCCESS
+
+
+def _plan_ms(episode: Episode) -> float:
+    """Make plans from an episode's start; returns the median of their wall time after warm-up [ms]."""
+    observation, times = episode.plant.observe(), []
+    while len(times) <= WARM_UP or (len(times) < WARM_UP + PLANS and sum(times[1:]) < 1e3 * LONGEST):
+        episode.controller.step(observation)
+        times.append(episode.controller.info.plan_ms)
+    return median(times[WARM_UP:])
 
 
 def run(
@@ -120,8 +131,7 @@ def run(
 
             results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
-            plan_ms = math.nan if envs > 1 else median(result.plan_ms["p50"] for result in results)
-            for sentence in setup.advice(plan_ms, setup.compiled):
+            for sentence in setup.advice(setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
     if interrupted:
         return interrupts.code

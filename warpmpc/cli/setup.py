@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ import typer
 
 from ..scene.errors import SceneError
 from ..scene.load import load_scene
-from ..scene.schema import EngineName
+from ..scene.schema import EngineName, SampleCount
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -131,16 +132,17 @@ class Setup:
 
         return Episode(self.scene, seed=seed, **self._shared)
 
-    def advice(self, plan_ms: float, compiled: CompiledScene | None) -> list[str]:
+    def advice(self, compiled: CompiledScene | None, *, plan_ms: float = math.nan) -> list[str]:
         """Sentences on what in the scene is probably a mistake, or too slow for its controls.
 
         Args:
-            plan_ms: Wall time of a plan of one environment, NaN where it was not measured [ms].
             compiled: The scene compiled; None where every episode has bodies of its own.
+            plan_ms: Wall time of a plan [ms] where it matters; what ``samples = "auto"`` chose is never too slow.
         """
         from ..doctor.advice import advise, slow_plans
 
-        late = slow_plans(plan_ms, self.scene.timing.control_dt)
+        chosen = self.scene.planner.samples is SampleCount.AUTO
+        late = None if chosen else slow_plans(plan_ms, self.scene.timing.control_dt)
         return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
 
     def batch(self, seeds: Sequence[int], envs: int) -> Batch:
