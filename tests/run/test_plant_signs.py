@@ -20,9 +20,9 @@ BASE = """
       <geom type="capsule" fromto="0 0 0 0 .3 0" size=".02" mass=".1" contype="0" conaffinity="0"/>
       <body name="fore" pos="0 .3 0"><joint name="bend" axis="0 0 1" range="-3 3" damping=".5" armature=".01"/>
         <geom type="capsule" fromto="0 .01 0 0 .3 0" size=".02" mass=".1" contype="2" conaffinity="2"/></body>
-      <body name="guard" pos="0 .1 0">
-        <geom type="box" pos="-.1 0 0" size=".08 .04 .02" mass=".1" contype="2" conaffinity="2"/></body>
     </body>
+    <body name="guard" pos="-.1 .16 .3">
+      <geom type="box" size=".08 .04 .02" mass=".1" contype="2" conaffinity="2"/></body>
   </body>
 </worldbody><actuator>
   <position name="turn" joint="turn" kp="20" ctrlrange="-.6 .6"/>
@@ -81,5 +81,5 @@ def test_a_servo_that_is_sent_to_its_lock_is_no_sign_and_a_motor_that_pushes_to_
 
 
 def test_links_of_one_robot_that_touch_are_named(tmp_path):
-    signs = signs_of(tmp_path, root="", control=(0.0, 3.0), time=3.0, unmet=False)
+    signs = signs_of(tmp_path, root="", control=(0.0, 3.0), time=3.0, unmet=False, self_collision=True)
     assert [s for s in signs if s.startswith("links r/fore and r/guard touch each other")], signs
