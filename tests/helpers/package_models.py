@@ -27,6 +27,7 @@ ARMS = (
     "pr2_description/urdf/pr2.urdf",
     "tiago_description/robots/tiago.urdf",
     "tiago_pro_description/robots/tiago_pro.urdf",
+    "alex_description/urdf/alex_nub_hands.urdf",
 )
 """Robots of ``example-robot-data`` with a fixed root."""
 LEGGED = {
@@ -44,7 +45,6 @@ LEGGED = {
     "icub_description/robots/icub_reduced.urdf": 0.8,
     "simple_humanoid_description/urdf/simple_humanoid.urdf": 0.65,
     "centauro_description/urdf/centauro.urdf": 1.0,
-    "alex_description/urdf/alex_nub_hands.urdf": 0.9,
 }
 """Robots of ``example-robot-data`` that walk, and the height of their root [m]."""
 MJCF = {
