@@ -167,6 +167,7 @@ derivatives (2212.00541)."""
 
 RECIPE = {
     "horizon": "auto",
+    "iterations": 2,
     "knots": 5,
     "spline": "cubic",
     "discount": 1.0,
@@ -174,15 +175,16 @@ RECIPE = {
     "temperature": {"ess": 4.0},
 }
 """Defaults of a scene that leaves ``horizon`` out, or says ``auto``: smooth plans that look far ahead, samples from
-fine to coarse, a temperature that suits every cost."""
+fine to coarse, a temperature that suits every cost, and a second round about what the first one found: with one, a
+quadrotor held its place in 2 of 6 runs, with two in 6."""
 
 
 class Planner(Section):
     """The sampling-based planner.
 
     A scene that leaves ``horizon`` out gets a recipe for all that it does not say itself: ``lookahead`` of 1.2 s in
-    steps of about 0.08 s, 5 cubic knots, no discount, ``noise = { shape = "identity", spread = [0.02, 1.0],
-    constant = 0.1, redraw = true }`` and ``temperature = { ess = 4.0 }``.
+    steps of about 0.08 s, 5 cubic knots, 2 iterations, no discount, ``noise = { shape = "identity",
+    spread = [0.02, 1.0], constant = 0.1, redraw = true }`` and ``temperature = { ess = 4.0 }``.
     """
 
     method: Method = Method.MPPI
