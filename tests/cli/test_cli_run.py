@@ -196,6 +196,20 @@ def test_plans_too_slow_for_real_time_are_told_by_check_and_not_after_a_run_in_l
     assert "median of several" in done.stdout
 
 
+def test_files_whose_sizes_differ_are_no_matter_for_a_warning(tmp_path):
+    robot = '[[robot]]\nname = "{0}"\nasset = "{0}.xml"\nposition = [{1}, 0.0, 1.0]\n'
+    for name, size in (("a", 1), ("b", 7)):
+        (tmp_path / f"{name}.xml").write_text(
+            f'<mujoco><size nkey="{size}" nuserdata="{size}"/><worldbody><body name="l"><joint name="j" axis="0 1 0"/>'
+            '<geom type="sphere" size=".1" mass="1"/></body></worldbody>'
+            '<actuator><motor name="m" joint="j" ctrlrange="-1 1"/></actuator></mujoco>'
+        )
+    rest = '[goal]\nframe = "a/l"\nposition = [0.0, 0.0]\n[[cost]]\nterm = "distance"\nbetween = ["a/l", "goal"]\n'
+    (tmp_path / "two.toml").write_text(robot.format("a", 0.0) + robot.format("b", 1.0) + rest)
+    done = warpmpc("run", "two.toml", *TINY, "--engine", "mujoco", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_what_the_machine_chose_is_never_too_slow(tmp_path):
     (tmp_path / "mine.toml").write_text(SCENE)
     for samples, late in (("64", 1), ('"auto"', 0)):

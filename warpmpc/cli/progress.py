@@ -46,6 +46,7 @@ class Messages(logging.Handler):
         self._caught = warnings.catch_warnings()
         self._caught.__enter__()
         warnings.showwarning = self._show
+        warnings.filterwarnings("ignore", "Attach conflict")  # MuJoCo's, about sizes such as nkey
         return self
 
     def __exit__(self, *error: object) -> None:

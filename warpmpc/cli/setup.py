@@ -120,7 +120,10 @@ class Setup:
         if engine not in EngineName.names():
             raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName.names())}")
         start_warp()
+        from ..engine.mujoco import silence_mujoco
         from ..run.episode import compile_shared
+
+        silence_mujoco()  # files that are put together differ in sizes that mean nothing here
 
         self.compiled: CompiledScene | None = compile_shared(self.scene)
         terms = load_terms(arguments.term_files)
