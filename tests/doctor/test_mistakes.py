@@ -154,6 +154,14 @@ TABLE = [
         ("goal.position", "inside the obstacle post", "move the goal or the obstacle"),
     ),
     Mistake(
+        "goal of a frame that is fixed to the world",
+        {
+            "  <worldbody>": '  <worldbody><body name="stand" pos="1 1 0"><geom size=".05"/></body>',
+            'object = "box"': 'frame = "arm/stand"',
+        },
+        ("goal", "arm/stand is fixed to the world", "name a frame of a body with a joint"),
+    ),
+    Mistake(
         "object that nothing can touch is to be moved",
         {'contype="1" conaffinity="1"': 'contype="0" conaffinity="0"'},
         ("cost.distance", "no control can move box", "let something that is driven touch it"),

@@ -124,8 +124,15 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
             if model.body_treeid[there] >= 0 or model.body_mocapid[model.body_rootid[there]] >= 0:
                 frames[name] = bool(moved[there])
     asked = [(f"cost.{cost.name or cost.term}", _names(cost.params)) for cost in subject.scene.cost]
-    if subject.scene.goal is not None:
-        asked.append(("goal", {subject.scene.goal.target}))
+    goal = subject.scene.goal
+    if goal is not None and goal.target in frames:
+        asked.append(("goal", {goal.target}))
+    elif goal is not None and goal.target not in robots:
+        yield Finding(
+            "goal",
+            f"{goal.target} is fixed to the world: nothing can bring it to its goal",
+            "name a frame of a body with a joint between it and the world (warpmpc check lists frames)",
+        )
     wanted = subject.scene.success.conditions if subject.scene.success else ()
     asked += [("success.conditions", {condition.frame, condition.to}) for condition in wanted if condition.frame]
     mocap = [subject.compiled.body_name[b] for b in layout.mocap_body.tolist()]
