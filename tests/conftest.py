@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests share: the devices they run on and how hypothesis searches."""
 
+import os
 from pathlib import Path
 
 import hypothesis
@@ -10,6 +11,9 @@ from needs import CUDA, Lacking, need
 # a fixed search: a failure seen once is seen again; launches are too uneven for deadlines
 hypothesis.settings.register_profile("warpmpc", deadline=None, derandomize=True, max_examples=40)
 hypothesis.settings.load_profile("warpmpc")
+
+
+os.environ.pop("COLUMNS", None)  # readline sets it in the environment that workers of pytest-xdist begin with
 
 
 def pytest_addoption(parser):

@@ -116,7 +116,7 @@ def test_a_run_that_fails_says_so_and_ends_in_exit_code_1(command):
     assert table.returncode == 1
     (row,) = [line.split() for line in table.stdout.splitlines() if "failed: stuck" in line]
     assert row[:4] == ["0", "failed:", "stuck", "0.20"]
-    assert "real time would need a plan every 40 ms of wall time" in table.stdout
+    assert "real time" not in table.stdout  # the plant waits for plans
 
 
 def test_a_goal_that_is_reached_at_the_start_needs_no_plan(command):

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safe command of arms driven by efforts: they fall, or gravity is balanced."""
+"""The safe command of arms driven by efforts: what holds the start, or gravity balanced wherever they are."""
 
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 from small_scenes import make_scene
@@ -44,10 +47,24 @@ def droop(scene) -> float:
     return float(np.abs(robot.state.joint_q - start).max())
 
 
+def imbalance(scene, posture: list[float]) -> float:
+    """Largest acceleration under the safe command of an arm at rest in a posture [rad/s²]."""
+    robot = simulated_robot(scene)
+    seen = replace(robot.observe(), joint_q=np.array(posture, dtype=np.float32))
+    command = Agent(scene, robot.layout).command(seen, None, robot.time)
+    data = mujoco.MjData(robot.model)
+    data.qpos, data.ctrl = posture, robot.world.actuator_matrix @ command + robot.world.actuator_offset
+    mujoco.mj_forward(robot.model, data)
+    return float(np.abs(data.qacc).max())
+
+
 @pytest.mark.parametrize(("drive", "actuators"), [(DRIVE, ""), ({}, MOTORS)], ids=["drive", "motors"])
-def test_an_arm_falls_without_effort_and_stays_where_gravity_is_balanced(drive, actuators, tmp_path):
-    assert droop(arm(tmp_path, drive, actuators)) > 0.5
-    assert droop(arm(tmp_path, drive, actuators, safe="gravity")) < 0.02
+def test_an_arm_stays_at_its_start_and_where_gravity_is_balanced_anywhere(drive, actuators, tmp_path):
+    rest, balanced = (arm(tmp_path, drive, actuators, safe=safe) for safe in ("rest", "gravity"))
+    assert droop(rest) < 0.02
+    assert droop(balanced) < 0.02
+    assert imbalance(rest, [1.0, -0.5]) > 1.0
+    assert imbalance(balanced, [1.0, -0.5]) < 0.05
 
 
 def test_efforts_stay_within_their_limits(tmp_path):

@@ -89,7 +89,7 @@ def print_scenes() -> None:
             f"{1.0 / scene.timing.control_dt:g}",
             Text(scene.title),
         )
-    _console().print(table)
+    _show(_console(), table)
 
 
 def print_check(
