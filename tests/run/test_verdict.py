@@ -51,6 +51,26 @@ def test_a_success_that_does_not_last_is_told():
 
 
 @pytest.mark.parametrize(
+    ("goal", "pull", "told"),
+    [
+        (0.4, 1.3, "distance to the goal [m] was as wanted and left it again"),
+        (1.3, 0.3, "distance to the goal [m] came no nearer after"),
+    ],
+    ids=["left", "stuck"],
+)
+def test_a_goal_that_is_passed_or_not_come_nearer_to_is_told(goal, pull, told):
+    result = run(
+        goal={"frame": "base/centre", "position": (goal, 0.0)},
+        target=[{"name": "lure", "position": (pull, 0.0)}],
+        cost=[{"term": "distance", "between": ["base/centre", "lure"], "weight": 5.0}],
+        success={"distance": 0.2, "hold": 1.0},
+        timing={"control_dt": 0.04, "timeout": 4.0},
+    )
+    assert [s for s in result.verdict if s.startswith(told)], result.verdict
+    assert not [s for s in result.verdict if "timing.timeout" in s]
+
+
+@pytest.mark.parametrize(
     ("planner", "told"),
     [
         ({"temperature": {"initial": 1e9, "eta": None, "ess": None}}, "all samples count alike"),

@@ -23,6 +23,8 @@ SLACK = 1e-6
 """Tolerance of times [s]: they are sums of steps."""
 DIVERGED = 0.1
 """Share of the rollouts that may diverge: what is left finds its way."""
+SETTLED = 0.9
+"""Share of a run in which the best value came, for one that has stopped getting better."""
 ONE, ALL = 1.5, 0.9
 """η below which one sample decides, and share of the samples above which all count alike."""
 
@@ -58,7 +60,24 @@ class Symptoms:
         unmet = [item for item in monitor.progress.values() if not item.last.holds]
         for item in unmet:
             yield f"not met{phase}: {_shortfall(item)}"
-        nearer = [item.last.name for item in unmet if 0.0 < self.plant.time - SLACK <= item.when]
+        left = [item.last.name for item in unmet if item.best.holds]
+        if left:
+            yield (
+                f"{some(left)} was as wanted and left it again: a term on speeds (joint_velocity, speed), or more "
+                "planner.iterations or samples"
+            )
+        end = self.plant.time - SLACK
+        if monitor.failure is not None or end <= 0.0:  # what ended the run is the reason
+            return
+        away = [item for item in unmet if not item.best.holds]
+        stuck = [item for item in away if item.when < SETTLED * end]
+        if stuck:
+            ahead = float(self.controller.plan_step.grid.t[-1])
+            yield (
+                f"{some([item.last.name for item in stuck])} came no nearer after {max(i.when for i in stuck):.2f} s: "
+                f"look further ahead (planner.lookahead, {ahead:.3g} s now), then raise planner.iterations"
+            )
+        nearer = [item.last.name for item in away if end <= item.when]
         if nearer:
             yield f"{some(nearer)} was still coming nearer at the end: a longer timing.timeout, or faster drives"
         if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
