@@ -333,12 +333,12 @@ class Episode:
                 if on_step is not None:
                     on_step(controller, plant, control)
                 observation = plant.observe()
+            return self._stats.result()  # which takes a while: what was foreseen is rolled out
         except KeyboardInterrupt:
             raise EpisodeInterrupted(self._stats.result(reason="interrupted")) from None
         finally:
             if recorder is not None:
                 recorder.close()
-        return self._stats.result()
 
 
 def run_episode(
