@@ -168,7 +168,7 @@ def evaluated(where: str) -> Rollouts:
 
 @functools.cache
 def sourced(where: str, lanes: int) -> np.ndarray:
-    """What the source says ``[term, T, W]``."""
+    """Costs by the source ``[term, T, W]``."""
     return SourceEvaluator(evaluated(where), lanes).cost()
 
 

@@ -311,7 +311,7 @@ def run_verdict(scene) -> tuple[str, ...]:
 
 
 def diagnosed(scene) -> list[str]:
-    """What ``diagnose`` says of a run."""
+    """The sentence of ``diagnose`` about a run."""
     episode = Episode(scene, engine="mujoco", device="cpu")
     recorder = RunRecorder(episode.plant, episode.controller)
     episode.run(recorder=recorder)

@@ -40,7 +40,7 @@ class Outcome:
 
     seed: int
     what: str
-    """What was changed."""
+    """The change that was tried."""
     code: int | None
     """Its exit code, None if an exception got out."""
     err: str

@@ -29,13 +29,13 @@ class Trial:
     """A change that was tried."""
 
     cause: str
-    """What was changed."""
+    """The change that was tried."""
     before: float
     """Error of predicted states without the change, a share of how far they moved."""
     after: float
     """The same with it."""
     cure: str
-    """What to do where this is the cause, with its key."""
+    """Cure where this is the cause, with its key."""
 
     @property
     def helps(self) -> bool:

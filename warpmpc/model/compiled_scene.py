@@ -32,11 +32,11 @@ class CompiledScene:
     mjcf_robots: tuple[MjcfRobot, ...] = ()
     """The MJCF robots, whose files go into the MuJoCo model as they are."""
     notes: tuple[str, ...] = ()
-    """What was taken over from MJCF files and what was not."""
+    """Parts of MJCF files that were taken over, and those that were not."""
     timestep: float | None = None
     """Physics step that the first MJCF file asks for [s]."""
     repaired: tuple[str, ...] = ()
-    """What of the assets is not as their files say, which is warned of every time."""
+    """Repairs of the assets, which are warned of every time."""
 
     def spec(self) -> mujoco.MjSpec:
         """The MuJoCo model of the scene, to be compiled."""
