@@ -123,6 +123,25 @@ def test_results_are_whole_at_eighty_columns(monkeypatch, capsys, reason):
     assert "…" not in out
 
 
+def test_many_failures_have_a_line_each_with_their_cause(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    from warpmpc.cli.report import print_results
+
+    plan = {"p50": 1.0, "p90": 1.0, "p99": 1.0, "max": 1.0}
+    shared = {"scene": "s", "variant": None, "engine": "fused", "device": "cpu", "steps": 9, "cost": 1.0}
+    shared |= {"plan_ms": plan, "stages_ms": {}, "diverged_worlds": 0, "samples": 9, "horizon": 9, "fallbacks": 0}
+    shared |= {"position_error": 1.0, "yaw_error": 0.0, "max_force": 0.0, "time_in_contact": 0.0, "reached": None}
+    verdicts = [("not met: x is 1", "r fell at 1 s: a start"), ("not met: x is 2",), ("not met: x is 3", "it: why"), ()]
+    results = [
+        EpisodeResult(seed=n, success=not verdict, reason="timeout", sim_time=1.0, verdict=verdict, **shared)
+        for n, verdict in enumerate(verdicts)
+    ]
+    print_results(results, sys.stdout)
+    rows = [line.strip().split(maxsplit=2) for line in capsys.readouterr().out.split("why it failed")[1].splitlines()]
+    rows = [row for row in rows if row[1:2] == ["timeout"]]
+    assert rows == [["0", "timeout", "r fell at 1 s"], ["1", "timeout", "not met: x is 2"], ["2", "timeout", "it"]]
+
+
 def test_check_shows_what_was_built(tmp_path):
     (tmp_path / "mine.toml").write_text(SCENE)
     done = warpmpc("check", "mine.toml:near", "--set", "cost.distance.weight=2.5", folder=tmp_path)

@@ -226,6 +226,31 @@ TABLE = [
         {"{ range = 0.2 }": "10.0"},
         ("planner.noise.sigma", "lies at a limit", "a quarter of each control's range"),
     ),
+    Mistake(
+        "speeds 100 times too small",
+        {"robot.panda.drive.limit": "0.015", "randomize_task": "{}", "timing.timeout": "4.0"},
+        ("goal.position", "panda/hand moves at most", "raise the limits of the controls"),
+        base="panda_reach",
+    ),
+    Mistake(
+        "base 100 times too slow for what it pushes",
+        {"robot.base.drive.limit": "[0.008, 0.008, 0.01]"},
+        ("goal", "any robot moves at most", "box is 2.", "raise the limits of the controls"),
+        base="omni_push_box",
+    ),
+    Mistake(
+        "control range ten times too small",
+        {
+            'ctrlrange="-2 2"': 'ctrlrange="-.2 .2"',
+            "[goal]\n": '[success]\nconditions = { joint = "arm/elbow", above = 1.0 }\n\n[goal]\n',
+        },
+        ("success.conditions", "arm/elbow moves at most 0.2", "raise the limits of the controls"),
+    ),
+    Mistake(
+        "joints that are stuck",
+        {'damping="1"': 'damping="1e6"'},
+        ("cost.near", "no sample of a plan moves arm/fore", "check damping"),
+    ),
     Mistake("horizon too short", {"horizon = 20": "horizon = 2"}, ("plans look", "0.04 s ahead", "about 1 s suits")),
     Mistake(
         "discount of a second as one of a step",

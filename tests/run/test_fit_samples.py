@@ -1,6 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene that leaves the number of samples open gets as many as fit into a control, measured once."""
 
+import logging
+import os
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
 import pytest
 from small_scenes import compiled, make_scene
 
@@ -9,6 +16,7 @@ from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.run import fit_samples as module
 from warpmpc.run.episode import Episode
 from warpmpc.run.fit_samples import FEWEST, MOST, SHARE, fit_samples, most_samples
+from warpmpc.run.machine_load import BUSY, Waiting
 from warpmpc.scene.errors import SceneError
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.schema import SampleCount
@@ -56,6 +64,55 @@ def test_what_fits_is_measured_once_and_kept(timed):
     assert len(timed) == first
     assert fit_samples(scene, envs=4, compiled=compiled(scene)).planner.samples < found / 2
     assert len(timed) > first
+
+
+def test_what_was_measured_is_told_also_when_it_was_kept(timed, caplog):
+    scene = make_scene(planner=OPEN)
+    with caplog.at_level(logging.INFO, logger="warpmpc"):
+        found = fit_samples(scene, compiled=compiled(scene)).planner.samples
+        fit_samples(scene, compiled=compiled(scene))
+        first = len(timed)
+        fit_samples(scene, compiled=compiled(scene), measure=True)
+    assert len(timed) == 2 * first
+    now, kept, again = (record.message for record in caplog.records if "planner.samples" in record.message)
+    assert now == again
+    assert now.startswith(
+        f"planner.samples = {found}: their plan takes {0.04 * found:.1f} ms of the control's 40 ms, m"
+    )
+    assert kept.startswith(now.removesuffix("now"))
+    assert kept.endswith(f"on {time.strftime('%Y-%m-%d')} (warpmpc check --measure does it again)")
+
+
+def test_a_machine_that_others_use_is_noticed(timed, monkeypatch, caplog):
+    monkeypatch.setattr(module, "Waiting", lambda: SimpleNamespace(share=0.4))
+    scene = make_scene(planner=OPEN)
+    for _ in range(2):
+        caplog.clear()
+        fit_samples(scene, compiled=compiled(scene))
+        (told,) = [record.message for record in caplog.records if record.levelname == "WARNING"]
+        assert "its threads waited 40 % of the time" in told
+        assert "warpmpc check --measure" in told
+
+
+def test_a_thread_that_waits_for_its_core_is_seen():
+    cores = os.sched_getaffinity(0)
+    spin = "import time\nend = time.time() + 60\nwhile time.time() < end: pass"
+    waiting = Waiting()
+    assert waiting.share < 1.0
+    rivals = []
+    try:
+        os.sched_setaffinity(0, {min(cores)})  # the rival inherits it
+        rivals.append(subprocess.Popen([sys.executable, "-c", spin]))
+        time.sleep(0.5)
+        waiting, until = Waiting(), time.perf_counter() + 1.0
+        while time.perf_counter() < until:
+            pass
+        assert waiting.share > BUSY
+    finally:
+        os.sched_setaffinity(0, cores)
+        for rival in rivals:
+            rival.kill()
+            rival.wait()
 
 
 def test_a_number_that_is_given_is_taken(timed):

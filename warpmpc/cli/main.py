@@ -117,11 +117,15 @@ def check(
     seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of a scene that draws its tasks.")] = 0,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Time plans anew for what is auto: samples, and the device.")
+    ] = False,
 ) -> None:
     """Build everything a run would, make one plan, and show what was built."""
     from . import run as cli_run
 
-    raise typer.Exit(cli_run.check(_arguments(scene, overrides, terms, engine, device), seed=seed))
+    arguments = _arguments(scene, overrides, terms, engine, device)
+    raise typer.Exit(cli_run.check(arguments, seed=seed, measure=measure))
 
 
 @app.command()

@@ -24,6 +24,7 @@ from .words import failure_words, goal_words, number_words, phase_words, planner
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ..controller.rollout import Rollout
     from ..doctor.diagnose import Diagnosis
     from ..doctor.steps import StepError
     from ..model.layout import Layout
@@ -33,7 +34,7 @@ PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file, unless ``COLUMNS`` says another."""
 
 VERDICTS = 2
-"""Failed episodes whose verdict is printed: further ones mostly repeat it; ``--json`` has all."""
+"""Failed episodes whose whole verdict is printed: further ones mostly repeat it; ``--json`` has all."""
 
 _UNITS = {
     "velocity": ("m/s", "rad/s"),
@@ -110,14 +111,15 @@ def print_check(
         advice: Sentences on what is hardly meant.
     """
     # slow to import, and lists need no physics
-    from ..doctor.effects import contact_cost
+    from ..doctor.approach import probes
+    from ..doctor.contact_time import contact_time
     from ..doctor.subject import Subject
     from ..engine.registry import physics_steps
     from ..model.memory import size
     from ..model.trajectory import Trajectory
 
     scene, controller = episode.scene, episode.controller
-    layout = controller.layout
+    layout, rollouts = controller.layout, probes(controller)
     console = _console(out)
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="bold", no_wrap=True)
@@ -168,13 +170,14 @@ def print_check(
     )
     if coarse is not None:
         fact("physics step", str(coarse))
-    fact("contacts", contact_cost(Subject(scene, controller.compiled)))
+    fact("contacts", contact_time(Subject(scene, controller.compiled), rollouts))
     if controller.plan_step.refiner:
         fact("derivatives", controller.plan_step.refiner.summary)
     ahead = float(controller.plan_step.grid.t[-1])
     fact("time", f"a control lasts {1e3 * scene.timing.control_dt:g} ms, a plan looks {ahead:g} s ahead")
     fact("memory", f"{size(Trajectory.bytes(shape, layout, len(controller.costs.pairs)))} if every rollout is recorded")
-    took = f"{controller.info.plan_ms:.1f} ms" if plan_ms is None else f"{plan_ms:.1f} ms, the median of several"
+    took = f"{controller.info.plan_ms if plan_ms is None else plan_ms:.1f} ms"
+    took += ", the median of several along a run" * (plan_ms is not None)
     fact("one plan took", f"{took} on this machine")
     for sentence in advice:
         fact("is it meant?", sentence)
@@ -182,6 +185,8 @@ def print_check(
     _show(console, joint_table(layout))
     _show(console, _controls(layout))
     _show(console, _costs(episode))
+    if episode.scene.success is not None or episode.scene.phase:
+        _show(console, _conditions(episode, rollouts))
 
 
 def _controls(layout: Layout) -> Table:
@@ -210,13 +215,39 @@ def _is_linear(layout: Layout, dof: int) -> bool:
 
 
 def _costs(episode: Episode) -> Table:
-    table = _table("cost", "term", "weight", "best sample", "keys", right=["weight", "best sample"])
-    costs = episode.controller.costs
-    task = episode.controller.task
-    for label, cost in zip(costs.labels, episode.scene.cost, strict=True):
+    from ..doctor.control import term_costs
+
+    right = ["weight", "best sample", "tells apart"]
+    table = _table("cost", "term", "weight", "best sample", "tells apart", "keys", right=right)
+    controller = episode.controller
+    costs = term_costs(controller)
+    apart = np.abs(costs - np.median(costs, axis=0)).mean(axis=0) if len(costs) else np.zeros(costs.shape[1])
+    share = apart / max(apart.sum(), 1e-30)
+    for label, cost, part in zip(controller.costs.labels, episode.scene.cost, share, strict=True):
         keys = ", ".join(f"{key} = {number_words(value)}" for key, value in cost.params.items())
-        best = episode.controller.info.terms[label]
-        table.add_row(Text(label), Text(cost.term), f"{float(task[label]):g}", f"{best:.4g}", Text(keys))
+        weight, best = f"{float(controller.task[label]):g}", f"{controller.info.terms[label]:.4g}"
+        table.add_row(Text(label), Text(cost.term), weight, best, f"{part:.0%}" if part else "same in all", Text(keys))
+    table.caption = "tells apart: share of a term in what the costs of the first plan's samples differ by"
+    table.caption_justify = "left"
+    return table
+
+
+def _conditions(episode: Episode, rollouts: list[Rollout]) -> Table:
+    from ..doctor.approach import approaches
+
+    right = ["start", "wanted", "nearest sample"]
+    table = _table("success waits for", "start", "wanted", "nearest sample", "", right=right)
+    found = approaches(rollouts, episode.plant.monitor)
+    for item in found:
+        start, bound = item.start, f"{'≥' if item.start.above else '≤'} {item.start.bound:.4g}"
+        nearer = "" if item.nearer else "no nearer"
+        table.add_row(Text(start.name), f"{start.value:.4g}", bound, f"{item.best.value:.4g}", nearer)
+    if not all(item.nearer for item in found):
+        table.caption = (
+            "no nearer: as it should be where something has to be reached or grasped first; else look further ahead "
+            "(planner.lookahead) or raise planner.noise.sigma"
+        )
+        table.caption_justify = "left"
     return table
 
 
@@ -246,15 +277,30 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     print_verdicts(results, console)
 
 
-def print_verdicts(results: Sequence[EpisodeResult], console: Console) -> None:
-    """Print why the first episodes that did not succeed failed, and what to try."""
+def print_verdicts(results: Sequence[EpisodeResult], console: Console, *, outcomes: bool = True) -> None:
+    """Print why episodes failed: a line for each where they are many, and what to try for the first.
+
+    Args:
+        results: Results of all episodes.
+        console: Where to.
+        outcomes: Whether these lines say how each episode ended.
+    """
     failed = [result for result in results if result.verdict]
+    if len(failed) > VERDICTS:
+        table = _table("seed", *["result"] * outcomes, "why it failed", right=["seed"])
+        for result in failed:
+            table.add_row(str(result.seed), *[Text(result.reason)] * outcomes, Text(in_short(result.verdict)))
+        _show(console, table)
     for result in failed[:VERDICTS]:
         console.print(f"why seed {result.seed} did not succeed:", markup=False)
         for sentence in result.verdict:
             console.print(f"  - {sentence}", markup=False, soft_wrap=True)
-    if len(failed) > VERDICTS:
-        console.print(f"{len(failed) - VERDICTS} more did not succeed: --json has why", markup=False)
+
+
+def in_short(verdict: Sequence[str]) -> str:
+    """The first cause that a verdict names, without its cure; else what was not met."""
+    causes = [sentence.split(": ")[0] for sentence in verdict if not sentence.startswith("not met")]
+    return causes[0] if causes else verdict[0]
 
 
 def print_diagnosis(title: str, found: Diagnosis, left_out: Sequence[str], out: TextIO) -> None:
@@ -310,7 +356,7 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
     )
     share = f"{100.0 * sum(r.passed for r in results) / len(results):.1f} %: " if results[0].success is not None else ""
     console.print(share + summary(results), markup=False)
-    print_verdicts(results, console)
+    print_verdicts(results, console, outcomes=False)
 
 
 def _title(result: EpisodeResult) -> str:

@@ -129,11 +129,11 @@ class Setup:
         terms = load_terms(arguments.term_files)
         self._shared = {"engine": engine, "device": self.device, "terms": terms, "compiled": self.compiled}
 
-    def episode(self, seed: int) -> Episode:
+    def episode(self, seed: int, **options: bool) -> Episode:
         """The episode of a seed, ready to run."""
         from ..run.episode import Episode
 
-        return Episode(self.scene, seed=seed, **self._shared)
+        return Episode(self.scene, seed=seed, **self._shared, **options)
 
     def advice(self, compiled: CompiledScene | None, *, plan_ms: float = math.nan) -> list[str]:
         """Sentences on what in the scene is probably a mistake, or too slow for its controls.

@@ -373,7 +373,11 @@ class Controller:
     def _warn_of_overflow(self, report: PlanReport) -> None:
         if report.overflow_halves.any() and not self._warned_of_overflow:
             bits, self._warned_of_overflow = int(np.bitwise_or.reduce(report.overflow)), True
-            logger.warning("%s", self.engine.overflow_message(bits))
+            logger.warning(
+                "%s: %s; rollouts go on without the rest, in which bodies sink into each other",
+                self.scene.name,
+                self.engine.overflow_message(bits),
+            )
 
     def _describe(self, report: PlanReport, e: int, fallback: bool, plan_ms: float) -> Info:
         """Row e of the report, in words."""

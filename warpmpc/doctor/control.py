@@ -103,13 +103,13 @@ def _coupled(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
             yield int(tree[model.jnt_bodyid[first]]), int(tree[model.jnt_bodyid[second]])
 
 
-def _names(value: object) -> set[str]:
+def names_in(value: object) -> set[str]:
     """All text in the keys of a term."""
     if isinstance(value, str):
         return {value}
     if isinstance(value, dict):
-        return set().union(*map(_names, value.values()), set())
-    return set().union(*map(_names, value), set()) if isinstance(value, list | tuple) else set()
+        return set().union(*map(names_in, value.values()), set())
+    return set().union(*map(names_in, value), set()) if isinstance(value, list | tuple) else set()
 
 
 def reach_findings(subject: Subject) -> Iterator[Finding]:
@@ -123,7 +123,7 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
             there = model.body(subject.compiled.body_name[body]).id
             if model.body_treeid[there] >= 0 or model.body_mocapid[model.body_rootid[there]] >= 0:
                 frames[name] = bool(moved[there])
-    asked = [(f"cost.{cost.name or cost.term}", _names(cost.params)) for cost in subject.scene.cost]
+    asked = [(f"cost.{cost.name or cost.term}", names_in(cost.params)) for cost in subject.scene.cost]
     goal = subject.scene.goal
     if goal is not None and goal.target in frames:
         asked.append(("goal", {goal.target}))
@@ -209,7 +209,7 @@ def _outweighed(controller: Controller, spread: np.ndarray) -> Iterator[Finding]
     leading = [
         i
         for i, cost in enumerate(scene.cost)
-        if cost.term == "distance" and any(pair <= _names(cost.params) and not pair & objects for pair in pairs)
+        if cost.term == "distance" and any(pair <= names_in(cost.params) and not pair & objects for pair in pairs)
     ]
     if leading and 0.0 < spread[leading].sum() < LEADS * spread.sum():
         label, heaviest = labels[leading[0]], labels[int(np.argmax(spread))]

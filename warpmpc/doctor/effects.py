@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import time
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -27,8 +26,6 @@ ANSWER = 0.25
 """Time in which a velocity servo has to answer [s]."""
 FOLLOWS = 0.05
 """Share of the speed it is sent that a servo reaches by then; arms of 5 kg·m² with a gain of 10 reach 0.4."""
-MESHES, STEPS = 4, 50
-"""Colliding meshes from which a cheaper shape is spoken of, and steps that are timed."""
 
 
 def effect_findings(subject: Subject) -> Iterator[Finding]:
@@ -43,33 +40,6 @@ def effect_findings(subject: Subject) -> Iterator[Finding]:
     yield from _controls(subject)
     if gravity < 0.0:
         yield from _falls(subject, -gravity)
-
-
-def contact_cost(subject: Subject) -> str:
-    """Share of contacts in the time of a physics step, in words, with a cure where many meshes collide."""
-    model = subject.world.model
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    meshes = int(np.sum(solid & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)))
-    whole, rest = (_step_time(subject, contacts=contacts) for contacts in (True, False))
-    cure = ": boxes, capsules or spheres cost less, or self_collision = false" if meshes >= MESHES else ""
-    return (
-        f"{max(1.0 - rest / whole, 0.0):.0%} of a physics step of {1e6 * whole:.0f} µs in MuJoCo; {int(solid.sum())} "
-        f"shapes collide, {meshes} of them meshes{cure}"
-    )
-
-
-def _step_time(subject: Subject, *, contacts: bool) -> float:
-    """CPU time of a physics step from the start on, the least of three rounds [s]."""
-    model, times = copy.copy(subject.world.model), []
-    if not contacts:
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for _ in range(3):
-        data = mujoco.MjData(model)
-        data.qpos, data.qvel, data.act = subject.start.qpos, subject.start.qvel, subject.start.act
-        began = time.process_time()
-        mujoco.mj_step(model, data, STEPS)
-        times.append((time.process_time() - began) / STEPS)
-    return min(times)
 
 
 def _controls(subject: Subject) -> Iterator[Finding]:
@@ -102,7 +72,7 @@ def _controls(subject: Subject) -> Iterator[Finding]:
             speeds = data[1].qvel - data[0].qvel
             differs |= bool(np.any(speeds))
             if servo:
-                reached = max(reached, float(speeds[_dof(subject, int(layout.actuator_dof[rows[0]]))]))
+                reached = max(reached, float(speeds[subject.dof(int(layout.actuator_dof[rows[0]]))]))
             elif differs:
                 break
         if not differs:
@@ -122,13 +92,6 @@ def _controls(subject: Subject) -> Iterator[Finding]:
             f"{ANSWER:g} s",
             "raise damping, the servo's gain, or effort_limit; check masses (kilograms)",
         )
-
-
-def _dof(subject: Subject, dof: int) -> int:
-    """Velocity coordinate of the model behind one of the layout's."""
-    layout = subject.compiled.layout
-    joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])
-    return int(subject.world.joint_qd[joint]) + dof - int(layout.joint_qd_start[joint])
 
 
 def _falls(subject: Subject, gravity: float) -> Iterator[Finding]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .approach import probes, still_findings
 from .contacts import contact_findings
 from .control import plan_findings, reach_findings
 from .effects import effect_findings
 from .joints import joint_findings
 from .places import place_findings
 from .subject import Finding, Subject
+from .travel import travel_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,12 +29,13 @@ def examine(controller: Controller, monitor: Monitor) -> list[Finding]:
         monitor: It has seen the start.
     """
     subject = Subject(controller.scene, controller.compiled)
-    return [*examine_model(subject), *_at_once(monitor), *plan_findings(controller)]
+    of_plan = [*plan_findings(controller), *still_findings(subject, probes(controller))]
+    return [*examine_model(subject), *_at_once(monitor), *of_plan]
 
 
 def examine_model(subject: Subject) -> list[Finding]:
     """The findings that need no plan."""
-    kinds = (joint_findings, contact_findings, effect_findings, place_findings, reach_findings)
+    kinds = (joint_findings, contact_findings, effect_findings, place_findings, reach_findings, travel_findings)
     return [finding for kind in kinds for finding in kind(subject)]
 
 

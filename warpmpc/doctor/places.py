@@ -67,18 +67,11 @@ def reach(subject: Subject, frame: str) -> tuple[np.ndarray, float] | None:
 
 def _beyond(subject: Subject) -> Iterator[Finding]:
     """Frames that are to come near a place which they cannot reach."""
-    goal, success, scene = subject.scene.goal, subject.scene.success, subject.scene
-    asked = []
-    if goal is not None and len(goal.position) == 3 and goal.object is None:
-        near = success.distance or float(np.max(success.position or 0.0)) if success else 0.0
-        asked.append(("goal.position", goal.target, "goal", near))
-    for condition in success.conditions if success else ():
-        if condition.frame is not None and condition.distance is not None:
-            asked.append(("success.conditions", condition.frame, condition.to, condition.distance))
+    scene, asked = subject.scene, list(wanted_distances(subject))
     for cost in scene.cost:
         between = cost.params.get("between")
         if cost.term == "distance" and isinstance(between, list | tuple) and len(between) == 2:
-            if all(name == "goal" or _static(subject, name) is not None for name in between):
+            if all(name == "goal" or static_position(subject, name) is not None for name in between):
                 yield Finding(
                     f"cost.{cost.name or cost.term}",
                     f"neither {between[0]} nor {between[1]} is moved by any control: this term never changes",
@@ -87,7 +80,7 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
             asked += [(f"cost.{cost.name or cost.term}", *pair, 0.0) for pair in (between, between[::-1])]
     seen = set()
     for key, frame, place, near in asked:
-        at, sphere = _static(subject, place), reach(subject, frame)
+        at, sphere = static_position(subject, place), reach(subject, frame)
         if at is None or sphere is None or (frame, place) in seen:
             continue
         away = float(np.linalg.norm(at - sphere[0]))
@@ -100,7 +93,18 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
             )
 
 
-def _static(subject: Subject, name: str) -> np.ndarray | None:
+def wanted_distances(subject: Subject) -> Iterator[tuple[str, str, str, float]]:
+    """Key, frame, place and distance [m] of what success asks for: the goal of a frame, and its conditions."""
+    goal, success = subject.scene.goal, subject.scene.success
+    if goal is not None and len(goal.position) == 3 and goal.object is None:
+        near = success.distance or float(np.max(success.position or 0.0)) if success else 0.0
+        yield "goal.position", goal.target, "goal", near
+    for condition in success.conditions if success else ():
+        if condition.frame is not None and condition.distance is not None:
+            yield "success.conditions", condition.frame, condition.to, condition.distance
+
+
+def static_position(subject: Subject, name: str) -> np.ndarray | None:
     """Position ``[3]`` of what never moves: the goal, a target, an obstacle."""
     scene = subject.scene
     if name == "goal":

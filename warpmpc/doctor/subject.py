@@ -77,6 +77,12 @@ class Subject:
             owner[[body for body in self.world.bodies.get(entity.name, ()) if body]] = i
         return owner
 
+    def dof(self, dof: int) -> int:
+        """Velocity coordinate of the model behind one of the layout's."""
+        layout = self.compiled.layout
+        joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])
+        return int(self.world.joint_qd[joint]) + dof - int(layout.joint_qd_start[joint])
+
     def asset_key(self, name: str) -> str:
         """Key of the robot that a body, joint or actuator belongs to, by the name it begins with."""
         robots = [robot.name for robot in self.scene.robot]

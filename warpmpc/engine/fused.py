@@ -173,4 +173,7 @@ class FusedEngine(LaunchedEngine):
 
     def overflow_message(self, bits: int) -> str:
         """A sentence about what overflowed."""
-        return "more contacts at once than the engine fused has room for: try the engine mujoco"
+        return (
+            'more contacts at once than the engine fused has room for: engine.name = "mujoco" has room for all, fewer '
+            "or simpler collision shapes need less"
+        )

@@ -145,7 +145,7 @@ class Monitor:
         if scene.goal is not None:
             pose = self._success.frame_pose(snapshot, self._frame)
             self.error = goal_error(scene.goal, snapshot.pose(GOAL, task, e), pose)
-        last_phase = not scene.phase or task.phase[e] == len(scene.phase) - 1
+        last_phase = self._in_last_phase
         wanted = scene.success if last_phase else None
         reached = False
         if wanted:
@@ -155,6 +155,22 @@ class Monitor:
         self._note_failures(snapshot)
         if not last_phase:
             self._advance(snapshot)
+
+    @property
+    def _in_last_phase(self) -> bool:
+        phases = self._scene.phase
+        return not phases or self._task.phase[self._e] == len(phases) - 1
+
+    def compared(self, snapshot: StateSnapshot) -> list[Comparison]:
+        """Compare what the success, or the end of the present phase, waits for with its bounds; notes nothing."""
+        scene, task, e = self._scene, self._task, self._e
+        if not self._in_last_phase:
+            return list(self._until[task.phase[e]].compared(snapshot))
+        of_goal = ()
+        if scene.success is not None and scene.goal is not None:
+            pose = self._success.frame_pose(snapshot, self._frame)
+            of_goal = goal_error(scene.goal, snapshot.pose(GOAL, task, e), pose).compared(scene.success)
+        return [*of_goal, *self._success.compared(snapshot)]
 
     def _pass(self, time: float) -> None:
         """Move the clock on; the first phase begins with the first state."""

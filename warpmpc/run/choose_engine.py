@@ -44,6 +44,7 @@ def choose_engine(
     envs: int = 1,
     terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
+    measure: bool = False,
 ) -> tuple[str, str]:
     """Engine and device for a scene; with both left to ``auto``, GPU and CPU are compared by timing some plans.
 
@@ -57,6 +58,7 @@ def choose_engine(
         envs: Number of environments.
         terms: Users' own cost terms.
         compiled: The scene compiled earlier; any draw of its bodies will do.
+        measure: Whether plans are timed although the result of an earlier time is kept.
 
     Raises:
         SceneError: If no engine can simulate the scene.
@@ -73,7 +75,7 @@ def choose_engine(
     file = cache_folder().parent / "engines" / f"{timing_key(scene, where, envs, terms)}.json"
     times: dict[str, float] = {}
     with contextlib.suppress(ValueError, TypeError):
-        kept = read_kept(file) or {}
+        kept = {} if measure else read_kept(file) or {}
         times = {device: float(kept[device]) for device in choices if device in kept}
     if not times:
         compiled = compiled or compile_scene(scene)

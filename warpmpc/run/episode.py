@@ -267,6 +267,7 @@ class Episode:
         device: Device of the rollouts, as for :class:`~warpmpc.Controller`.
         terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier (:func:`compile_shared`), to save doing it again.
+        measure: Whether samples, engine and device that are left open are measured although they are known.
 
     Raises:
         SceneError: If the scene names anything that does not exist, or no task can be drawn.
@@ -282,6 +283,7 @@ class Episode:
         device: str = "auto",
         terms: Sequence[UserTerm] = (),
         compiled: CompiledScene | None = None,
+        measure: bool = False,
     ):
         from ..controller.controller import Controller  # slow to import, and a scene may prove wrong without them
         from ..plant.plant import Plant
@@ -290,7 +292,7 @@ class Episode:
         self.scene, self.drawn = draw_task(scene, seed)
         if compiled is None or draws_bodies(scene):
             compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
-        fitted = fit_to_machine(scene, engine=engine, device=device, terms=terms, compiled=compiled)
+        fitted = fit_to_machine(scene, engine=engine, device=device, terms=terms, compiled=compiled, measure=measure)
         samples, engine, device = fitted
         self.scene = with_samples(self.scene, samples)
         self.controller = Controller(

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..model.compiled import cache_folder, compile_scene
 from ..scene.schema import SampleCount
 from .choose_engine import check_plan_time, choose_engine, keep, plan_time, read_kept, timing_key, with_samples
+from .machine_load import BUSY, Waiting
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
     from ..scene.schema import Scene
@@ -32,6 +36,7 @@ def fit_samples(
     envs: int = 1,
     terms: Sequence[UserTerm] = (),
     compiled: CompiledScene | None = None,
+    measure: bool = False,
 ) -> Scene:
     """A scene with ``planner.samples = "auto"`` with the number that fits this machine, any other as it is.
 
@@ -45,6 +50,7 @@ def fit_samples(
         envs: Number of environments.
         terms: Users' own cost terms.
         compiled: The scene compiled earlier; any draw of its bodies will do.
+        measure: Whether plans are timed although the result of an earlier time is kept.
 
     Raises:
         SceneError: If the engine cannot simulate the scene.
@@ -53,25 +59,52 @@ def fit_samples(
         return scene
     where = "cpu" if device == "auto" else device
     file = cache_folder().parent / "samples" / f"{timing_key(scene, where, envs, terms)}-{engine}.json"
-    kept = read_kept(file)
-    if isinstance(kept, int) and FEWEST <= kept <= MOST:
-        return with_samples(scene, kept)
-    compiled = compiled or compile_scene(scene)
+    kept = None if measure else _kept(file)
+    if kept is None:
+        compiled, waiting = compiled or compile_scene(scene), Waiting()
 
-    def time(count: int) -> float:
-        return plan_time(with_samples(scene, count), compiled, device, envs=envs, terms=terms, engine=engine)
+        def time_of(count: int) -> float:
+            return plan_time(with_samples(scene, count), compiled, device, envs=envs, terms=terms, engine=engine)
 
-    count, seconds = most_samples(time, SHARE * scene.timing.control_dt)
-    keep(file, count)
+        count, seconds = most_samples(time_of, SHARE * scene.timing.control_dt)
+        today = time.strftime("%Y-%m-%d")
+        kept = {"samples": count, "plan_ms": 1e3 * seconds, "when": today, "waited": waiting.share}
+        keep(file, kept)
+        when = "now"
+    else:
+        when = f"on {kept['when']}"
     period = 1e3 * scene.timing.control_dt
     logger.info(
-        "a plan of %d samples takes %.1f ms of the control's %g ms: taking as many", count, 1e3 * seconds, period
+        "planner.samples = %d: their plan takes %.1f ms of the control's %g ms, measured %s%s",
+        *(kept["samples"], kept["plan_ms"], period, when),
+        "" if when == "now" else " (warpmpc check --measure does it again)",
     )
-    return with_samples(scene, count)
+    if kept["waited"] > BUSY:
+        logger.warning(
+            "planner.samples was measured while others used this machine, its threads waited %.0f %% of the time: "
+            "more may fit; warpmpc check --measure measures again",
+            100.0 * kept["waited"],
+        )
+    return with_samples(scene, kept["samples"])
+
+
+def _kept(file: Path) -> dict[str, Any] | None:
+    """What an earlier time measured; None where it is not known."""
+    kept = read_kept(file)
+    if not isinstance(kept, dict) or kept.keys() != {"samples", "plan_ms", "when", "waited"}:
+        return None
+    return kept if isinstance(kept["samples"], int) and FEWEST <= kept["samples"] <= MOST else None
 
 
 def fit_to_machine(
-    scene: Scene, *, engine: str, device: str, envs: int = 1, terms: Sequence[UserTerm], compiled: CompiledScene | None
+    scene: Scene,
+    *,
+    engine: str,
+    device: str,
+    envs: int = 1,
+    terms: Sequence[UserTerm],
+    compiled: CompiledScene | None,
+    measure: bool = False,
 ) -> tuple[int, str, str]:
     """Number of samples, engine and device for a scene here; arguments as for :func:`fit_samples`.
 
@@ -80,8 +113,8 @@ def fit_to_machine(
         ValueError: If engine or device is unknown or not to be had here.
     """
     shared = {"envs": envs, "terms": terms}
-    engine, device = choose_engine(scene, engine=engine, device=device, compiled=compiled, **shared)
-    scene = fit_samples(scene, engine=engine, device=device, compiled=compiled, **shared)
+    engine, device = choose_engine(scene, engine=engine, device=device, compiled=compiled, measure=measure, **shared)
+    scene = fit_samples(scene, engine=engine, device=device, compiled=compiled, measure=measure, **shared)
     check_plan_time(scene, compiled, device, engine=engine, **shared)
     return scene.planner.samples, engine, device
 

@@ -13,7 +13,7 @@ from ..model.layout import rotate
 from ..scene.errors import some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     from ..controller.controller import Controller
     from ..model.state import Info
@@ -36,6 +36,8 @@ LOOKS = 10
 """Controls between two looks at contacts within robots."""
 FREE = 4
 """Newton's type of a free joint."""
+GRIPPER = -1
+"""Finger of all links of grippers: being at an end of their range is what they are for."""
 
 
 class PlantSigns:
@@ -48,7 +50,8 @@ class PlantSigns:
 
     def __init__(self, controller: Controller, plant: Plant):
         self._controller, self._plant, layout = controller, plant, plant.layout
-        self._axes = np.flatnonzero((layout.dof_coord >= 0) & (layout.dof_upper - layout.dof_lower < 1e3))
+        limited = np.flatnonzero((layout.dof_coord >= 0) & (layout.dof_upper - layout.dof_lower < 1e3))
+        self._axes, self._moves = _driven(plant, limited)
         self._at_stop = np.zeros(len(self._axes))
         self._servos = _servos(plant, self._axes)
         self._bases = {
@@ -70,6 +73,8 @@ class PlantSigns:
             if entity.kind == "robot" and body
         }
         self._touching: Counter[tuple[str, str]] = Counter()
+        self._fingers = fingers(plant.model, self._links)
+        self._holding: Counter[int] = Counter()  # looks at which each finger touches what is not of its robot
         self._looks = 0
 
     def note(self, info: Info, control: np.ndarray) -> None:
@@ -128,13 +133,16 @@ class PlantSigns:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        found = set()
-        for first, second in model.geom_bodyid[data.contact.geom[: data.ncon]]:
-            (one, a), (other, b) = (self._links.get(int(body), (None, "")) for body in (first, second))
+        found, holding = set(), set()
+        for first, second in model.geom_bodyid[data.contact.geom[: data.ncon]].tolist():
+            (one, a), (other, b) = (self._links.get(body, (None, "")) for body in (first, second))
             if one is not None and one == other and a != b:
                 found.add((min(a, b), max(a, b)))
+            elif one != other and min(model.body_treeid[[first, second]]) >= 0:
+                holding |= {self._fingers.get(int(model.body_weldid[body])) for body in (first, second)}
         self._looks += 1
         self._touching.update(found)
+        self._holding.update(holding)
 
     def fallen(self) -> dict[str, float]:
         """Robots whose base has fallen and stayed so, and since when [s]."""
@@ -187,12 +195,18 @@ class PlantSigns:
     def _stops(self) -> Iterator[str]:
         share = self._at_stop / len(self._q)
         names = [self._plant.layout.dof_name[axis] for axis in self._axes]
+        share[[n for n, body in enumerate(self._moves) if self._grips(body)]] = 0.0
         stuck = [name for name, part in zip(names, share, strict=True) if part > OFTEN]
         if stuck:
             yield (
                 f"joint {some(stuck)} is at an end of its range {share.max():.0%} of the time: another start, a term "
                 "joint_limit, or a goal within reach"
             )
+
+    def _grips(self, body: int) -> bool:
+        """True for a link of a gripper, and of a finger that mostly touches something."""
+        finger = self._fingers.get(body)
+        return finger is not None and (finger == GRIPPER or self._holding[finger] > OFTEN * self._looks)
 
     def _contacts(self) -> Iterator[str]:
         often = [(pair, count) for pair, count in self._touching.most_common() if count > OFTEN * self._looks]
@@ -203,6 +217,48 @@ class PlantSigns:
                 f"links {first} and {second} touch each other {count / self._looks:.0%} of the time{more}: a term "
                 "self_collision, another start, or self_collision = false where their shapes are too wide"
             )
+
+
+def fingers(model: mujoco.MjModel, links: Collection[int]) -> dict[int, int]:
+    """First link of the finger that each link of robots belongs to; ``GRIPPER`` for two links at the end of an arm.
+
+    A finger is one of several chains that begin on one link: legs and arms are fingers, too, in this sense.
+    """
+    moving = [body for body in links if model.body_weldid[body] == body and model.body_jntnum[body]]
+    parent = {body: int(model.body_weldid[model.body_parentid[body]]) for body in moving}
+    on = Counter(parent.values())
+    found = {}
+    for body in moving:
+        first = body
+        while on[parent[first]] == 1 and parent[first] in parent:
+            first = parent[first]
+        if on[parent[first]] > 1:
+            found[body] = first
+    for link in set(parent.values()) & set(moving):
+        ends = [body for body in moving if parent[body] == link]
+        on_arm = model.jnt_type[model.body_jntadr[link]] != mujoco.mjtJoint.mjJNT_FREE
+        if on_arm and len(ends) > 1 and not any(on[body] for body in ends):
+            found |= dict.fromkeys(ends, GRIPPER)
+    return found
+
+
+def _driven(plant: Plant, axes: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """Those of some velocity coordinates that an actuator acts on, and the link that each moves."""
+    layout, world, model = plant.layout, plant.world, plant.model
+    data, moment = mujoco.MjData(model), np.zeros((model.nu, model.nv))
+    plant.show(data)
+    mujoco.mj_fwdPosition(model, data)
+    if model.nu:
+        rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
+    kept, links = [], []
+    for axis in axes:
+        joint = int(np.flatnonzero(layout.joint_qd_start <= axis)[-1])
+        dof = int(world.joint_qd[joint] + axis - layout.joint_qd_start[joint])
+        if world.joint_qd[joint] >= 0 and moment[:, dof].any():
+            kept.append(axis)
+            links.append(int(model.jnt_bodyid[model.dof_jntid[dof]]))
+    return np.array(kept, dtype=int), links
 
 
 def _servos(plant: Plant, axes: np.ndarray) -> list[tuple[int, int, float, float]]:
