@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import tempfile
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,8 @@ _ROOM = 1 << 20
 _ELF = b"\x7fELF"
 _load = wp.Module.load
 """Warp's own."""
+_loading: dict[str, threading.RLock] = {}
+"""Held by module while it is loaded: whoever wants it meanwhile waits, and does not compile it a second time."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,16 @@ def _checked(
     threads = module.options["block_dim"] if block_dim is None else block_dim
     if binary_path is not None or not wp.config.cache_kernels or (device.context, threads) in module.execs:
         return _load(module, device, block_dim, binary_path, **rest)
+    with _loading.setdefault(module.name, threading.RLock()):
+        return _load_checked(module, device, block_dim, threads, **rest)
+
+
+def _load_checked(module: wp.Module, device: wp.Device, block_dim: int | None, threads: int, **rest: object) -> object:
+    """Load a module that is not loaded yet.
+
+    Raises:
+        OSError: As :func:`_checked`.
+    """
     cached = Cached.of(module, device, threads)
     kept = cached.intact()
     if not kept:

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import sys
+from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import typer
 
+from ..scene.load import load_scene
 from .interrupts import Interrupts
-from .setup import RunArguments, start_warp, user_errors
+from .setup import RunArguments, begin, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -30,7 +33,11 @@ def live(arguments: RunArguments, *, host: str, port: int, seed: int) -> None:
         from ..live.session import Session
 
         require_port(host, port)
-        start_warp()
+        begin(
+            load_scene(arguments.source, overrides=arguments.overrides),
+            arguments.device,
+            say=partial(print, file=sys.stderr),
+        )
         try:
             options = {"engine": arguments.engine, "device": arguments.device}
             options["terms"] = load_terms(arguments.term_files)

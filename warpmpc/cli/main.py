@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 from pathlib import Path
@@ -70,6 +72,8 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
+    gc.set_threshold(100_000, 50, 100)  # a million objects of imports and models stay: looking at them takes seconds,
+    atexit.register(gc.freeze)  # at the end, too
     app(prog_name="warpmpc")
 
 

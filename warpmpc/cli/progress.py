@@ -129,6 +129,7 @@ class EpisodeBar(Bar):
         count = f" ({seed - self._seeds[0] + 1}/{len(self._seeds)})" if len(self._seeds) > 1 else ""
         self._name = f"seed {seed}{count}"
         self.draw(self._name, 0.0, "first plan")
+        self._next = 0.0  # the first step is shown
 
     def step(self, controller: Controller, plant: Plant, control: np.ndarray) -> None:
         """An episode's ``on_step``."""

@@ -15,7 +15,7 @@ from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Messages
 from .run_folder import LOG
-from .setup import FAILURE, SUCCESS, RunArguments, results_only, start_warp, user_errors
+from .setup import FAILURE, SUCCESS, RunArguments, begin, results_only, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def run_real_time(
                     raise ValueError(f"--robot {robot}: --record, --csv, --npz and --out show the simulated one alone")
                 outputs.check(seeds, envs=1, jobs=None)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
-                start_warp()
+                begin(scene, arguments.device)
                 options = {"engine": arguments.engine, "device": arguments.device, "robot": robot, "speed": speed}
                 asked = {**options, "real_time": True}
                 folder = outputs.folder(scene, seeds=seeds, term_files=arguments.term_files, asked=asked)

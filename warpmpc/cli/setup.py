@@ -7,7 +7,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +91,24 @@ def start_warp() -> None:
         raise
 
 
+def begin(scene: Scene, device: str, *, say: Callable[[str], None] = logger.info) -> None:
+    """Tell a terminal which scene it is before what takes long begins, start Warp, begin to compile what plans need.
+
+    Args:
+        scene: The scene.
+        device: Device of the rollouts.
+        say: Shows a line.
+    """
+    say = say if sys.stderr.isatty() else logger.debug
+    say(f"{scene.name}: {scene.title}" if scene.title else scene.name)
+    start_warp()
+    from ..compiling import LONG, compile_beside
+
+    seconds = 0.0 if device.startswith("cuda") else compile_beside()
+    if seconds >= LONG:
+        say(f"compiling the kernels that all scenes share, once on this machine, about {seconds:.0f} s")
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunArguments:
     """Scene, engine and device that a command is given."""
@@ -119,7 +137,7 @@ class Setup:
         self.scene: Scene = load_scene(arguments.source, overrides=arguments.overrides)
         if engine not in EngineName.names():
             raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName.names())}")
-        start_warp()
+        begin(self.scene, self.device)
         from ..engine.mujoco import silence_mujoco
         from ..run.episode import compile_shared
 

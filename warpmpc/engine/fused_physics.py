@@ -133,8 +133,9 @@ class FusedPhysics:
     @cached_property
     def _ready(self) -> tuple[wp.Kernel, RolloutWork]:
         """The kernel of rollouts of given controls, and what it takes."""
-        kernel = make_kernel(self.source(), native_lanes(), self.sharing)
-        compile_kernel(kernel, self.device, WARP, f"the physics of {self._scene.name}")
+        source = self.source()
+        kernel = make_kernel(source, native_lanes(), self.sharing)
+        compile_kernel(kernel, self.device, WARP, f"the physics of {self._scene.name}", source=source)
         shape, work, out, device = self.shape, RolloutWork(), self.trajectory, self.device
         self.fill(work)
         tap = np.zeros((shape.envs, shape.horizon, int(TAPS)), dtype=np.int32)

@@ -82,7 +82,8 @@ class LaunchedEngine(RolloutEngine):
         self._sharing, self._threads, (struct, self._params) = sharing, threads, terms
         common = {"lanes": self.lanes, "sharing": sharing, "options": options}
         self._kernel = make_kernel(source, self._work_type, struct, self._code, **common)
-        compile_kernel(self._kernel, self.device, threads, f"the rollouts of {self.request.scene.name}")
+        what = f"the rollouts of {self.request.scene.name}"
+        compile_kernel(self._kernel, self.device, threads, what, source=source)
 
     def _split(self, samples: int) -> list[Part]:
         """Parts that together try the first samples of every environment.

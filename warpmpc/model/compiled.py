@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import importlib.metadata
 import json
 import logging
 import os
 import re
 import tempfile
+import threading
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -26,6 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import platformdirs
 
+from ..compiling import shown
 from ..scene.errors import SceneError
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
@@ -72,7 +75,8 @@ def _compiled(scene: Scene, key: str | None) -> CompiledScene:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             return _fetch(folder, key)
     try:
-        compiled = with_equilibrium(_compile(scene))
+        with shown(f"building {scene.name}" + (", once" if key else "")):
+            compiled = with_equilibrium(_compile(scene))
     except SceneError:
         raise
     except Exception as error:  # of several kinds, from Newton, MuJoCo and readers of meshes
@@ -141,19 +145,36 @@ def _derive(world: World) -> tuple[str, tuple[str, ...], tuple[str, ...], tuple[
     return with_movable(mjcf, world.layout, geoms), tuple(bodies), tuple(geoms), tuple(joints)
 
 
+_TRANSLATION = "newton._src.solvers.mujoco.kernels"
+
+
+def _load_translation() -> None:
+    import warp as wp
+
+    with contextlib.suppress(Exception):  # the solver hears of it
+        wp.load_module(_TRANSLATION, device="cpu", block_dim=1)
+
+
 @contextlib.contextmanager
 def _newton_alone() -> Iterator[None]:
     """Newton's solver made for its translation alone: what it says of files and of MuJoCo Warp is about neither.
 
-    Its kernels run once and take 18 s to compile, 7 s without optimization.
+    Its kernels run once and take 18 s to compile, 7 s without optimization; a thread begins with that while the world
+    is finalized, which compiles others.
     """
     newton = logging.getLogger("newton")
     level = newton.level
     newton.setLevel(logging.WARNING)
     try:
-        with warnings.catch_warnings(), _unoptimized("newton._src.solvers.mujoco.kernels"):
+        with warnings.catch_warnings(), _unoptimized("newton._src.geometry.bvh"), _unoptimized(_TRANSLATION):
             warnings.filterwarnings("ignore", module="mujoco_warp")
-            yield
+            importlib.import_module(_TRANSLATION)
+            beside = threading.Thread(target=_load_translation, name="warpmpc compiling")
+            beside.start()
+            try:
+                yield
+            finally:
+                beside.join()
     finally:
         newton.setLevel(level)
 

@@ -48,18 +48,16 @@ class Hulls:
         points = m.mesh_vert[m.mesh_vertadr[mesh] :]
         self.vertex += list(points[ids])
         first = int(m.mesh_polyadr[mesh])
-        rings = {
-            face: m.mesh_polyvert[m.mesh_polyvertadr[face] :][: m.mesh_polyvertnum[face]].tolist()
-            for face in range(first, first + int(m.mesh_polynum[mesh]))
-        }
-        for vertex in ids:
-            for face, ring in rings.items():
-                if vertex not in ring:
-                    continue
-                at = ring.index(vertex)
+        around: dict[int, list[tuple[int, list[int]]]] = {vertex: [] for vertex in ids}  # its faces, from it on
+        for face in range(first, first + int(m.mesh_polynum[mesh])):
+            ring = m.mesh_polyvert[m.mesh_polyvertadr[face] :][: m.mesh_polyvertnum[face]].tolist()
+            for at, vertex in enumerate(ring):
+                around[vertex].append((face, ring[at:] + ring[:at]))
+        number = {vertex: i for i, vertex in enumerate(ids)} | {-1: -1}
+        for faces in around.values():
+            for face, ring in faces:
                 self.face_normal.append(m.mesh_polynormal[face])
-                corners = quadrangle(points, ring[at:] + ring[:at])
-                self.face_vertex.append([ids.index(k) if k >= 0 else -1 for k in corners])
+                self.face_vertex.append([number[k] for k in quadrangle(points, ring)])
             self.face_first.append(len(self.face_normal))
 
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import mujoco
 import numpy as np
 
@@ -15,6 +17,10 @@ RIM = 16
 MOST_CORNERS = 32
 """Corners of a mesh's face that are kept, since the time to clip two faces grows with the square of their number. Of a
 regular polygon none of the others is farther outside than 0.018 of its radius; a cylinder's rim is 0.019."""
+
+
+_known: WeakKeyDictionary[PhysicsModel, dict] = WeakKeyDictionary()
+"""Faces of the meshes of models whose tables are being written."""
 
 
 def flat_geoms(model: PhysicsModel) -> set[int]:
@@ -48,16 +54,19 @@ def fewer(corners: np.ndarray) -> np.ndarray:
     return corners
 
 
+def ring_faces(model: PhysicsModel) -> dict[int, list[tuple[np.ndarray, np.ndarray]]]:
+    """The :func:`faces` of each mesh that may have several contacts, by geom."""
+    if model not in _known:
+        m = model.mj
+        _known[model] = {g: faces(m, int(m.geom_dataid[g])) for g in flat_geoms(model) if m.geom_type[g] == MESH}
+    return _known[model]
+
+
 def ring_size(model: PhysicsModel) -> int:
     """Most corners of a face that may have several contacts, 0 where no pair has any."""
-    m, sizes = model.mj, {BOX: 4, CYLINDER: RIM}
-    out = [0]
-    for g in flat_geoms(model):
-        kind = int(m.geom_type[g])
-        out += (
-            [len(corners) for _, corners in faces(m, int(m.geom_dataid[g]))] if kind == MESH else [sizes.get(kind, 2)]
-        )
-    return max(out)
+    kinds = {int(model.mj.geom_type[g]) for g in flat_geoms(model)} - {MESH}
+    corners = (len(corners) for rows in ring_faces(model).values() for _, corners in rows)
+    return max([0, *({BOX: 4, CYLINDER: RIM}.get(kind, 2) for kind in kinds), *corners])
 
 
 def ring_tables(model: PhysicsModel, size: int) -> list[str]:
@@ -67,14 +76,12 @@ def ring_tables(model: PhysicsModel, size: int) -> list[str]:
         model: The model.
         size: Corners that each has room for.
     """
-    m, geoms = model.mj, flat_geoms(model)
     if not size:
         return []
     first, rows = [], []
-    for g in range(m.ngeom):
+    for g in range(model.mj.ngeom):
         first.append(len(rows))
-        if g in geoms and m.geom_type[g] == MESH:
-            rows += faces(m, int(m.geom_dataid[g]))
+        rows += ring_faces(model).get(g, [])
     angles = 2.0 * np.pi / RIM * np.arange(RIM)
     return [
         ints("ring_first", first),
