@@ -24,6 +24,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason=reason("playwrigh
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.access import Access  # noqa: E402
 from warpmpc.live.page import require_port, serve  # noqa: E402
+from warpmpc.live.plots import FORESIGHT  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
 from warpmpc.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
@@ -286,6 +287,41 @@ def test_tabs_come_and_go(served, page, browser, session):
     second.close()
     steps = session.snapshot.steps
     until(lambda: session.snapshot.steps > steps + 3)
+
+
+CURVES_HEIGHT = """title => {
+    const plot = [...document.querySelectorAll(".uplot")].find(p => p.textContent.includes(title));
+    const canvas = plot.querySelector("canvas");
+    const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+    const rows = [];
+    for (let i = 0; i < data.length; i += 4)
+        if (data[i + 3] > 0 && Math.max(...data.slice(i, i + 3)) - Math.min(...data.slice(i, i + 3)) > 60)
+            rows.push(Math.floor(i / 4 / canvas.width));
+    return rows.length ? rows.at(-1) - rows[0] : 0;
+}"""
+"""Height of the curves of a plot [pixels], few if they are flat: what is coloured, for axes and texts are grey."""
+
+
+def foreseen_so_far(page):
+    """Error of what was foreseen, as the page reads it out [%]."""
+    line = page.get_by_text("% off").first.text_content(timeout=WAIT)
+    return float(line.split("foresight ")[1].split("%")[0])
+
+
+def test_what_was_foreseen_is_drawn_beside_what_came_and_a_wrong_model_raises_the_number(page, session):
+    click(page, "Run", "tab")
+    until(lambda: session.snapshot.foreseen is not None and session.snapshot.time > 1.0)
+    assert foreseen_so_far(page) < 2.0
+    until(lambda: page.evaluate(CURVES_HEIGHT, FORESIGHT) > 20)
+    for key, wrong, right in [("plant.factor", "{ discs = { mass = 3.0 } }", "{}"), ("plant.delay", "0.06", "0.0")]:
+        episode = session.snapshot.episode
+        session.set_key(key, wrong)
+        until(lambda: session.snapshot.episode > episode and session.snapshot.foreseen is not None)  # noqa: B023
+        until(lambda: session.snapshot.foreseen.error > 0.1)
+        until(lambda: foreseen_so_far(page) > 10.0)
+        session.set_key(key, right)
+    until(lambda: session.snapshot.foreseen is not None and session.snapshot.foreseen.error < 0.02)
+    assert not session.snapshot.message
 
 
 @pytest.fixture

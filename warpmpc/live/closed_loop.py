@@ -16,6 +16,7 @@ from ..record.switch import RecordingSwitch
 from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
 from ..scene.load import load_scene
+from .foresight import Foreseen, ForesightMeter
 from .rollouts import ShownRollouts
 from .snapshot import Snapshot
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 PUBLISH = 0.05
 """Shortest wall time between two snapshots with rollouts [s]."""
+COMPARE = 0.3
+"""Shortest wall time between two comparisons of what was foreseen with what came [s]."""
 
 
 class ClosedLoop:
@@ -68,6 +71,10 @@ class ClosedLoop:
         if self.planning:
             self._plan = self.controller.plan(observation)
         self._control = self._command(observation)
+        if self.planning:
+            self.foresight.note(self._control)
+        else:
+            self.foresight.forget()
         self.plant.apply(self._control)
         if self.controller.info is not None:
             self._recording.log(self._control)
@@ -75,6 +82,8 @@ class ClosedLoop:
         rollouts = self.watched and (now - self._published >= PUBLISH or self.paused)
         if rollouts:
             self._published = now
+            if now - self._compared >= COMPARE:
+                self._foreseen, self._compared = self.foresight.compare() or self._foreseen, now
         self._publish(rollouts=rollouts)
 
     def _command(self, observation: State) -> np.ndarray:
@@ -94,12 +103,12 @@ class ClosedLoop:
         """Another scene, seed or plant; what there was stays if it cannot be built."""
         scene = load_scene(source, overrides=[*overrides, *_texts(keys)])
         episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
-        rollouts = ShownRollouts(episode.controller)
+        shown = ShownRollouts(episode.controller), ForesightMeter(episode.controller, episode.plant)
         if source != self.source:
             self.tuned = {}
         self.source, self.overrides, self.keys, self.seed = source, tuple(overrides), keys, seed
         self.scene, self.controller, self.plant = episode.scene, episode.controller, episode.plant
-        self._rollouts = rollouts
+        self._rollouts, self.foresight = shown
         self.build += 1
         self._begin()
 
@@ -117,7 +126,9 @@ class ClosedLoop:
         self.episode += 1
         self._control = np.zeros(self.plant.layout.nu, np.float32)
         self._plan: Plan | None = None
-        self._published, self._status = 0.0, "running"
+        self.foresight.clear()
+        self._foreseen: Foreseen | None = None
+        self._published, self._compared, self._status = 0.0, 0.0, "running"
         self._publish(rollouts=False)
 
     def _reset(self, seed: int | None) -> None:
@@ -152,8 +163,10 @@ class ClosedLoop:
         )
         controller.step(self.plant.observe())  # what users' functions make of it shows now
         controller.reset(self._plan)
+        shown = ShownRollouts(controller), ForesightMeter(controller, self.plant)
         self._recording.stop()
-        self.scene, self.controller, self.keys, self._rollouts = scene, controller, keys, ShownRollouts(controller)
+        self.scene, self.controller, self.keys = scene, controller, keys
+        self._rollouts, self.foresight, self._foreseen = *shown, None
 
     def _publish(self, *, rollouts: bool) -> None:
         plant, task = self.plant, self.controller.task
@@ -183,6 +196,7 @@ class ClosedLoop:
             eta=nothing if info is None else info.eta,
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
+            foreseen=self._foreseen,
             status=status,
             paused=self.paused,
             planning=self.planning,

@@ -120,6 +120,8 @@ class Panels:
         text = f"**{snapshot.status}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
         if snapshot.plan_ms == snapshot.plan_ms:
             text += f" · plan {snapshot.plan_ms:.0f} ms"
+        if snapshot.foreseen is not None:
+            text += f" · foresight {snapshot.foreseen.error:.0%} off"
         if snapshot.recording:
             text += f"\n\nrecording to `{snapshot.recording}`"
         if snapshot.message:

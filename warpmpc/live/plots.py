@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of the page: cost of each term and controls, past and predicted, what β and η are, plan times."""
+"""Curves of the page: cost of each term and controls, past and predicted, foresight, what β and η are, plan times."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from ..plant.foresight import AHEAD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +27,7 @@ CURVES = 8
 """Curves of one plot, that can still be told apart."""
 COLORS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#17a2b8", "#b8860b", "#f032e6")
 AHEAD_COLOR = "rgba(0, 0, 0, 0.07)"
+FORESIGHT = f"cost of the last {AHEAD:g} s: foreseen, came"
 WIDTH = 330.0
 """Width of the panel [pixels]."""
 
@@ -38,7 +41,7 @@ class Plots:
         self._rows: deque[list[float]] = deque(maxlen=KEPT)
         self._episode, self._steps, self._drawn = -1, -1, 0.0
         terms, nu = len(self._labels), len(controls)
-        self._widths = (terms, nu, 1, 1, 2)
+        self._widths = (terms, nu, 1, 1, 2, 2)
         panel = server.gui.add_panel()
         panel.dock_left()
         panel.set_width(WIDTH)
@@ -50,6 +53,8 @@ class Plots:
                 *self._split(server, "temperature β", ("β",), terms + nu + 1),
                 *self._split(server, "plan time [ms]", ("plan", "budget"), terms + nu + 2),
             ]
+            if session.foresight.known:
+                self._plots += self._split(server, FORESIGHT, ("foreseen", "came"), terms + nu + 4)
 
     def _split(
         self, server: viser.ViserServer, title: str, names: Sequence[str], first: int, *, ahead: bool = False
@@ -86,7 +91,9 @@ class Plots:
             return
         self._steps, ahead = snapshot.steps, snapshot.forecast
         if ahead is not None:
+            seen = snapshot.foreseen
             numbers = [snapshot.eta, snapshot.beta, snapshot.plan_ms, self._budget]
+            numbers += [np.nan, np.nan] if seen is None else [seen.cost, seen.came]
             self._rows.append([snapshot.time, *ahead.cost[:, 0], *snapshot.control, *numbers])
         if perf_counter() - self._drawn < PERIOD or not self._rows:
             return

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from .forecast import Forecast
+    from .foresight import Foreseen
     from .rollouts import RolloutPaths
 
 
@@ -46,6 +47,8 @@ class Snapshot:
     eta: float
     beta: float
     plan_ms: float
+    foreseen: Foreseen | None
+    """The newest prediction beside what came; None before the first."""
     status: str
     """Status in words."""
     paused: bool

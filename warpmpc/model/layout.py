@@ -142,7 +142,7 @@ class Layout:
     meshes: tuple[tuple[np.ndarray, np.ndarray], ...] = field(default=(), repr=False)
     """Vertices [n, 3] and triangles [m, 3] of each distinct mesh."""
     # what an asset may bring beyond joints and bodies
-    control_start: np.ndarray = field(default_factory=_no_floats)  # [nu] of the keyframe it starts with, else empty
+    control_start: np.ndarray = field(default_factory=_no_floats)  # [nu] that holds the start; may be empty
     activation_name: tuple[str, ...] = ()  # [na] robot/actuator
     act: np.ndarray = field(default_factory=_no_floats)  # [na] start
     mocap_name: tuple[str, ...] = ()  # [nm] robot/body

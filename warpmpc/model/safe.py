@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def safe_command(layout: Layout, joint_q: np.ndarray, joint_qd: np.ndarray, control_dt: float) -> np.ndarray:
-    """Zero velocity or effort, the position given, a stop by the next control, as the drive is ``[n, nu]``.
+    """The position given, a stop by the next control, or what holds the start, as the drive is ``[n, nu]``.
 
-    Controls of an MJCF file that starts from a keyframe are at rest where the keyframe has them. Limits are the
-    caller's.
+    The last is ``control_start``: the controls of an MJCF file's keyframe, else an equilibrium; zero where there is
+    none. Limits are the caller's.
 
     Args:
         layout: State layout.

@@ -31,6 +31,7 @@ from .worlds import SOLVER, SUBSTEPS
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
+    from ..model.layout import Layout
     from ..scene.schema import EngineSettings, Scene
 
 AHEAD = 0.2
@@ -153,6 +154,23 @@ class Physics:
         )
 
 
+class StateDistance:
+    """Distance of two joint coordinates each ``[N, nq]``: ``[N]`` [m, rad]; velocities jitter where things touch."""
+
+    def __init__(self, compiled: CompiledScene, layout: Layout):
+        world = make_world(compiled, timestep=0.002)
+        self._model, self._rows, self._nv = world.model, StateRows(layout, world), layout.nv
+
+    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Measure."""
+        model, rows = self._model, self._rows
+        still = np.zeros((len(first), self._nv))
+        found = np.zeros((len(first), model.nv))
+        for out, a, b in zip(found, rows(first, still), rows(second, still), strict=True):
+            mujoco.mj_differentiatePos(model, out, 1.0, a[: model.nq], b[: model.nq])
+        return np.linalg.norm(found, axis=1)
+
+
 class Windows:
     """Pieces of a run that are rolled out again: N moments, K controls each.
 
@@ -234,26 +252,27 @@ class Windows:
         return rolled
 
     @cached_property
-    def _rows(self) -> tuple[mujoco.MjModel, StateRows]:
-        world = make_world(self.compiled, timestep=0.002)
-        return world.model, StateRows(self.layout, world)
-
-    def distance(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Distance of two coordinates each ``[N, nq]``: ``[N]`` [m, rad]; velocities jitter where things touch."""
-        model, rows = self._rows
-        still = np.zeros((len(first), self.layout.nv))
-        found = np.zeros((len(first), model.nv))
-        for out, a, b in zip(found, rows(first, still), rows(second, still), strict=True):
-            mujoco.mj_differentiatePos(model, out, 1.0, a[: model.nq], b[: model.nq])
-        return np.linalg.norm(found, axis=1)
+    def distance(self) -> StateDistance:
+        """Distance of states."""
+        return StateDistance(self.compiled, self.layout)
 
     def error(self, rolled: Rolled, slot: int = -1) -> np.ndarray:
         """Error of predicted states after a slot of controls, as a share of how far the state moved ``[N]``."""
         after = self.rows + (slot % len(rolled.joint_q) + 1) * rolled.hold
         came = self.steps.joint_q[after]
-        moved = np.mean(self.distance(self.steps.joint_q[self.rows], came)) + STILL
-        error = self.distance(rolled.joint_q[slot], came) / moved
-        return np.where(np.isfinite(error), np.minimum(error, WORST), WORST)
+        moved = self.distance(self.steps.joint_q[self.rows], came)
+        return share_of_movement(self.distance(rolled.joint_q[slot], came), moved)
+
+
+def share_of_movement(error: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Errors of predicted states as shares of how far states moved on average, :data:`WORST` at most.
+
+    Args:
+        error: Distance of each predicted state from the one that came ``[N]``.
+        moved: Distance of that from the state at the beginning ``[N]``.
+    """
+    share = error / (np.mean(moved) + STILL)
+    return np.where(np.isfinite(share), np.minimum(share, WORST), WORST)
 
 
 @dataclass(frozen=True)
