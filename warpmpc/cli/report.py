@@ -228,6 +228,11 @@ def _costs(episode: Episode) -> Table:
         weight, best = f"{float(controller.task[label]):g}", f"{controller.info.terms[label]:.4g}"
         table.add_row(Text(label), Text(cost.term), weight, best, f"{part:.0%}" if part else "same in all", Text(keys))
     table.caption = "tells apart: share of a term in what the costs of the first plan's samples differ by"
+    if len(costs) > 1 and not share.all():
+        table.caption += (
+            "\nsame in all: as it should be for contacts and limits that are far away; a term that leads to the goal "
+            "needs a longer planner.lookahead, more planner.noise.sigma, or names of what controls move"
+        )
     table.caption_justify = "left"
     return table
 
