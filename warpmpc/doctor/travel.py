@@ -120,6 +120,8 @@ def travel(subject: Subject, body: int, at: np.ndarray, moves: np.ndarray) -> fl
     while model.body_weldid[body] != 0:
         first = int(model.body_jntadr[body])
         for j in range(first, first + int(model.body_jntnum[body])):
+            if model.jnt_type[j] >= 2 and not np.isfinite(moves[j]):
+                return np.inf
             if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE:
                 turned += moves[j]
                 near += moves[j] * float(np.linalg.norm(at - data.xanchor[j]))
@@ -129,8 +131,6 @@ def travel(subject: Subject, body: int, at: np.ndarray, moves: np.ndarray) -> fl
             else:
                 partner = _welded_to(model, body)
                 return np.inf if partner is None else slid + far + travel(subject, partner, at, moves)
-            if not np.isfinite(moves[j]):
-                return np.inf
         lever += float(np.linalg.norm(model.body_pos[body]))
         body = int(model.body_parentid[body])
     return slid + (near * (1.0 + turned) if turned < 1.0 else far)
