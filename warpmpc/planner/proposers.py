@@ -58,7 +58,7 @@ class LaunchedSamples(Proposer):
     """Samples that one kernel writes for the state that is observed now, a thread for each knot.
 
     Args:
-        kernel: ``null_rows_kernel``, for null particles (no speed or effort, or the observed position held), or
+        kernel: ``null_rows_kernel``, for null particles (the observed position, or what holds the start), or
             ``proposed_rows_kernel``, for answers of the host's proposers, null particles where there is none.
         inputs: Its inputs.
     """

@@ -24,7 +24,7 @@ class EngineName(Name):
 
 
 class Solver(StrEnum):
-    """Newton solvers of the engine ``newton``."""
+    """Solvers of the engine ``newton``: MuJoCo Warp, and Newton's own."""
 
     MUJOCO = "mujoco"
     XPBD = "xpbd"
@@ -74,6 +74,6 @@ class EngineSettings(Section):
     impratio: Positive | None = None
     """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
     solver: Solver = Solver.MUJOCO
-    """``newton``: which of Newton's solvers."""
+    """``newton``: MuJoCo Warp, which is called directly (``mujoco``), or another solver, of Newton's."""
     options: dict[str, Param] = Field(default_factory=dict)
     """``newton``: further options, passed to the solver's constructor by name."""

@@ -80,7 +80,7 @@ class Noise(Section):
     knots: Count | None = None
     """Noise knots of the shape ``bspline``, fewer of them smoother; half of the knots of a plan when left out."""
     null_sample: Flag = True
-    """One sample asks for nothing: no speed or effort, or the observed position held."""
+    """One sample asks for nothing: the observed position, or what holds the start; zero where nothing does."""
     null_share: Fraction = 0.0
     """Share of the samples that ask for nothing, where that is more than the one: an arm that is nearly there coasts
     and stops (STORM)."""
