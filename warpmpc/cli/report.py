@@ -215,13 +215,13 @@ def _is_linear(layout: Layout, dof: int) -> bool:
 
 
 def _costs(episode: Episode) -> Table:
-    from ..doctor.control import term_costs
+    from ..doctor.control import term_costs, told_apart
 
     right = ["weight", "best sample", "tells apart"]
     table = _table("cost", "term", "weight", "best sample", "tells apart", "keys", right=right)
     controller = episode.controller
     costs = term_costs(controller)
-    apart = np.abs(costs - np.median(costs, axis=0)).mean(axis=0) if len(costs) else np.zeros(costs.shape[1])
+    apart = told_apart(costs)
     share = apart / max(apart.sum(), 1e-30)
     for label, cost, part in zip(controller.costs.labels, episode.scene.cost, share, strict=True):
         keys = ", ".join(f"{key} = {number_words(value)}" for key, value in cost.params.items())

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..scene.errors import some
 from ..task.conditions import StateSnapshot
-from .control import PROBES, driven, names_in
+from .control import PROBES, driven_frames, names_in
 from .subject import Finding
 
 if TYPE_CHECKING:
@@ -65,20 +65,13 @@ def still_findings(subject: Subject, rollouts: list[Rollout]) -> Iterator[Findin
 
     Objects, and what a robot has to touch first, may well stand still in all samples.
     """
-    scene, layout, model = subject.scene, subject.compiled.layout, subject.world.model
+    scene, layout = subject.scene, subject.compiled.layout
     if not rollouts:
         return
     poses = np.array([rollout.body_q for rollout in rollouts])
     still = np.ptp(poses, axis=(0, 1)).max(axis=-1) < STILL
-    trees = driven(model)
-    at_rest = {
-        name
-        for name, body in zip(layout.frame_name, layout.frame_body, strict=True)
-        if body >= 0
-        and still[body]
-        and int(model.body_treeid[model.body(subject.compiled.body_name[body]).id]) in trees
-        and name not in {robot.name for robot in scene.robot}
-    }
+    bodies = dict(zip(layout.frame_name, layout.frame_body, strict=True))
+    at_rest = {name for name in driven_frames(subject) if still[bodies[name]]} - {robot.name for robot in scene.robot}
     asked = [(f"cost.{cost.name or cost.term}", names_in(cost.params)) for cost in scene.cost]
     if scene.goal is not None:
         asked.append(("goal", {scene.goal.target}))

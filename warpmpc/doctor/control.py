@@ -150,10 +150,24 @@ def reach_findings(subject: Subject) -> Iterator[Finding]:
             yield Finding(key, f"no control can move {some(about)}{hint}", cure)
 
 
-def plan_findings(controller: Controller) -> Iterator[Finding]:
+def driven_frames(subject: Subject) -> set[str]:
+    """Frames of bodies of kinematic trees that an actuator acts on."""
+    layout, model = subject.compiled.layout, subject.world.model
+    trees, names = driven(model), subject.compiled.body_name
+    bodies = zip(layout.frame_name, layout.frame_body, strict=True)
+    return {name for name, b in bodies if b >= 0 and int(model.body_treeid[model.body(names[b]).id]) in trees}
+
+
+def told_apart(costs: np.ndarray) -> np.ndarray:
+    """Mean distance of samples' costs ``[n, terms]`` from the median, by term; the few that collide count little."""
+    return np.abs(costs - np.median(costs, axis=0)).mean(axis=0) if len(costs) else np.zeros(costs.shape[1])
+
+
+def plan_findings(subject: Subject, controller: Controller) -> Iterator[Finding]:
     """Samples that all cost the same, weights that are wrong, and plans that look ahead too short.
 
     Args:
+        subject: The scene.
         controller: It has made a plan.
     """
     ahead = float(controller.plan_step.grid.t[-1])
@@ -189,15 +203,16 @@ def plan_findings(controller: Controller) -> Iterator[Finding]:
             "raise planner.noise.sigma, look further ahead, or add a term that leads to the goal",
         )
         return
-    yield from _outweighed(controller, np.where(weights > 0.0, spread, 0.0))
+    yield from _outweighed(subject, controller, np.where(weights > 0.0, told_apart(costs), 0.0))
 
 
-def _outweighed(controller: Controller, spread: np.ndarray) -> Iterator[Finding]:
+def _outweighed(subject: Subject, controller: Controller, spread: np.ndarray) -> Iterator[Finding]:
     """Terms that lead a robot to what success asks for, and decide nothing beside the others.
 
-    Objects are left out: as long as nothing touches them, no sample moves them.
+    Objects, and what else is not driven, are left out: as long as nothing touches them, no sample moves them.
 
     Args:
+        subject: The scene.
         controller: It has made a plan.
         spread: Difference between samples in each term's cost.
     """
@@ -205,11 +220,12 @@ def _outweighed(controller: Controller, spread: np.ndarray) -> Iterator[Finding]
     pairs = [{c.frame, c.to} for c in (scene.success.conditions if scene.success else ()) if c.frame and c.distance]
     if scene.goal is not None and scene.goal.object is None:
         pairs.append({scene.goal.target, "goal"})
-    objects = {item.name for item in scene.object}
+    objects, moved = {item.name for item in scene.object}, driven_frames(subject)
     leading = [
         i
         for i, cost in enumerate(scene.cost)
-        if cost.term == "distance" and any(pair <= names_in(cost.params) and not pair & objects for pair in pairs)
+        if cost.term == "distance"
+        and any(pair <= names_in(cost.params) and pair & moved and not pair & objects for pair in pairs)
     ]
     if leading and 0.0 < spread[leading].sum() < LEADS * spread.sum():
         label, heaviest = labels[leading[0]], labels[int(np.argmax(spread))]

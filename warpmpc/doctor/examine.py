@@ -29,7 +29,7 @@ def examine(controller: Controller, monitor: Monitor) -> list[Finding]:
         monitor: It has seen the start.
     """
     subject = Subject(controller.scene, controller.compiled)
-    of_plan = [*plan_findings(controller), *still_findings(subject, probes(controller))]
+    of_plan = [*plan_findings(subject, controller), *still_findings(subject, probes(controller))]
     return [*examine_model(subject), *_at_once(monitor), *of_plan]
 
 

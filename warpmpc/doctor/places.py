@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 BEYOND = 1.05
 """Share of its reach from which a place counts as out of it: the reach is that of a stretched arm without limits."""
+LURES = 1.25
+"""The same of places that a term leads to: as far as a frame goes may be all that is meant."""
 GEOM = mujoco.mjtGeom
 
 
@@ -84,7 +86,7 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
         if at is None or sphere is None or (frame, place) in seen:
             continue
         away = float(np.linalg.norm(at - sphere[0]))
-        if away - near > BEYOND * sphere[1]:
+        if away - near > (LURES if key.startswith("cost.") else BEYOND) * sphere[1]:
             seen.add((frame, place))
             yield Finding(
                 key,
@@ -96,7 +98,8 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
 def wanted_distances(subject: Subject) -> Iterator[tuple[str, str, str, float]]:
     """Key, frame, place and distance [m] of what success asks for: the goal of a frame, and its conditions."""
     goal, success = subject.scene.goal, subject.scene.success
-    if goal is not None and len(goal.position) == 3 and goal.object is None:
+    counts = success is None or success.distance is not None or success.position is not None
+    if goal is not None and len(goal.position) == 3 and goal.object is None and counts:
         near = success.distance or float(np.max(success.position or 0.0)) if success else 0.0
         yield "goal.position", goal.target, "goal", near
     for condition in success.conditions if success else ():

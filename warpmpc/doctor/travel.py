@@ -14,6 +14,7 @@ from .subject import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ..scene.schema_over import Success
     from .subject import Subject
 
 SHORT, PUSHED = 1.5, 3.0
@@ -27,7 +28,7 @@ def travel_findings(subject: Subject) -> Iterator[Finding]:
     moves = displacements(subject)
     elsewhere = {motion.name for motion in scene.motion}.union(*(phase.target for phase in scene.phase))
     elsewhere |= {"goal" for phase in scene.phase if phase.goal is not None}
-    for key, frame, place, near in wanted_distances(subject):
+    for key, frame, place, near in wanted_distances(subject) if success is not None else ():
         at, from_ = static_position(subject, place), _position(subject, frame)
         if at is None or from_ is None or place in elsewhere:
             continue
@@ -35,7 +36,7 @@ def travel_findings(subject: Subject) -> Iterator[Finding]:
         away = float(np.linalg.norm((at - from_[0])[: 2 if place in scene.flat_poses else 3])) - near
         if away > SHORT * most:
             yield _finding(subject, key, frame, most, f"{place} is {away:.3g} m away", "m")
-    if goal is not None and goal.object is not None and success is not None and "goal" not in elsewhere:
+    if goal is not None and goal.object is not None and "goal" not in elsewhere and _bounds_position(success):
         start = _position(subject, goal.object)
         near = success.distance or float(np.max(success.position or 0.0))
         away = float(np.linalg.norm(goal.position - start[0][: len(goal.position)])) - near
@@ -67,6 +68,10 @@ def _finding(subject: Subject, key: str, name: str, most: float, away: str, unit
         f"within the limits of controls {name} moves at most {most:.2g} {unit} in the {timeout:g} s of a run: {away}",
         "raise the limits of the controls (drive.limit, ctrlrange in MJCF; rad/s and m/s), or timing.timeout",
     )
+
+
+def _bounds_position(success: Success | None) -> bool:
+    return success is not None and (success.distance is not None or success.position is not None)
 
 
 def displacements(subject: Subject) -> np.ndarray:
