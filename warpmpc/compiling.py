@@ -24,9 +24,9 @@ PLANNING = {
     **{"worlds.packing": 0.3, "worlds.mujoco": 0.2, "worlds.thread_pool": 0.1},
 }
 """Modules of kernels that plans of every scene and its plant use on the CPU, and the time to compile each [s], on a
-busy core of an Intel Xeon at 2.5 GHz; those that take longest first."""
+busy core of an AMD EPYC; those that take longest first."""
 RATE = 1.6e-5
-"""Time to compile a byte of source on the CPU [s]: median of 600 launches on two busy cores of a Xeon at 2.5 GHz."""
+"""Time to compile a byte of source on the CPU [s]: median of 600 launches, on two busy cores of an AMD EPYC."""
 LONG = 2.0
 """Time to compile from which it is told how long it takes [s]."""
 WORKERS = 3

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 BODIES = ("robot", "object", "obstacle", "ground")
 """Sections of a scene that its compiled form depends on."""
+KEPT = 10
+"""Seeds whose drawn bodies are kept compiled on disk, so that a run is quick to start again; others would fill it."""
 
 
 class Recorder(Protocol):
@@ -291,7 +293,7 @@ class Episode:
         self.seed = seed
         self.scene, self.drawn = draw_task(scene, seed)
         if compiled is None or draws_bodies(scene):
-            compiled = compile_scene(self.scene, cache=not draws_bodies(scene))
+            compiled = compile_scene(self.scene, cache=seed < KEPT or not draws_bodies(scene))
         fitted = fit_to_machine(scene, engine=engine, device=device, terms=terms, compiled=compiled, measure=measure)
         samples, engine, device = fitted
         self.scene = with_samples(self.scene, samples)
