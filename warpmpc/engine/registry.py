@@ -18,6 +18,7 @@ from ..registry import ENGINES
 from ..scene.errors import SceneError
 from ..scene.schema import EngineName, Solver
 from .evaluation import SimulatorEngine
+from .physics_step import physics_step_count
 from .request import EngineRequest, PhysicsSteps
 
 if TYPE_CHECKING:
@@ -141,6 +142,9 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     """
     default = max(SUBSTEPS, math.ceil(grid.dt[0] / LONGEST - 1e-6))
     substeps = compiled.substeps(scene.engine.substeps, float(grid.dt[0]), default)
+    measures = scene.engine.substeps is None and compiled.timestep is not None
+    if measures and ENGINES[name].physics and scene.engine.solver is Solver.MUJOCO:
+        substeps = physics_step_count(scene, compiled, grid, substeps)
     if ENGINES[name].any_dt:
         return PhysicsSteps((substeps,) * grid.steps, tuple((grid.dt / substeps).tolist()))
     timestep = float(grid.dt[0]) / substeps

@@ -59,8 +59,8 @@ class EngineSettings(Section):
     name: EngineName = EngineName.AUTO
     """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
     substeps: Count | None = None
-    """Physics steps in a step of a rollout; else as many as the MJCF file's timestep asks for, or 2, none longer
-    than 0.02 s."""
+    """Physics steps in a step of a rollout; else as the MJCF file's timestep asks for, a half or a quarter as many
+    where that hardly changes rollouts, or 2, none longer than 0.02 s."""
     threads: Natural = 0
     """CPU threads; 0 means one per core."""
     iterations: Count | None = None
