@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class CompiledScene:
     """Physics step that the first MJCF file asks for [s]."""
     repaired: tuple[str, ...] = ()
     """Repairs of the assets, which are warned of every time."""
+    measured: dict[str, int] = field(init=False, default_factory=dict, compare=False, repr=False)
+    """Numbers of physics steps that were found for it by rolling it out."""
 
     def spec(self) -> mujoco.MjSpec:
         """The MuJoCo model of the scene, to be compiled."""
