@@ -59,10 +59,10 @@ def narrow(**keys) -> Controller:
 
 @pytest.mark.parametrize("kind", ["zero", "linear", "cubic", "bspline"])
 def test_a_controller_goes_on_from_a_plan_on_the_clock_of_its_observations(kind):
-    other = make_controller(spline=kind, horizon=8, knots=None if kind == "zero" else 5)
+    other = make_controller(spline=kind, horizon=8, knots="steps" if kind == "zero" else 5)
     plan = other.plan(start(other, time=1.0))
     assert np.ptp(plan.knots) > 0.05
-    first, second = (narrow(spline=kind, horizon=8, knots=None if kind == "zero" else 5) for _ in range(2))
+    first, second = (narrow(spline=kind, horizon=8, knots="steps" if kind == "zero" else 5) for _ in range(2))
     first.step(start(first))
     first.reset(plan=plan)
     same = first.plan(start(first, time=1.0))

@@ -37,6 +37,7 @@ term = "control_effort"
 [planner]
 samples = 16
 horizon = 50
+dt = 0.02
 
 [planner.noise]
 sigma = { range = 0.2 }

@@ -83,6 +83,7 @@ between = ["arm/fore", "box"]
 [planner]
 samples = 16
 horizon = 20
+dt = 0.02
 
 [planner.noise]
 sigma = { range = 0.2 }
@@ -121,6 +122,7 @@ between = ["right/fore", "bell"]
 [planner]
 samples = 16
 horizon = 20
+dt = 0.02
 
 [planner.noise]
 sigma = { range = 0.2 }

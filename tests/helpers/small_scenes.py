@@ -32,8 +32,29 @@ BOX = {"name": "box", "shape": "box", "size": (0.3, 0.5, 0.2), "mass": 1.0, "pos
 WALL = {"name": "wall", "shape": "box", "size": (0.2, 2.0, 0.4), "position": (1.5, 0.0, 0.2)}
 
 
+PLAIN = {"iterations": 1, "knots": "steps", "spline": "zero", "discount": 0.95}
+PLAIN_NOISE = {"shape": "bspline", "spread": (1.0, 1.0), "constant": 0.0}
+BY_ITSELF = {"icem": ("iterations", "shape"), "dial": ("iterations", "shape")}
+"""What methods mean by themselves."""
+
+
+def plain(planner: dict, control_dt: float) -> dict:
+    """A planner whose arithmetic fits into a test: one round, a knot for every control, σ as it is said."""
+    own = BY_ITSELF.get(planner.get("method"), ())
+    out = {key: value for key, value in PLAIN.items() if key not in own} | {"dt": control_dt} | planner
+    noise, rounds = planner.get("noise", {}), out.get("iterations", 2) > 1
+    form = planner.get("covariance", {}).get("form", "sigma" if planner.get("method") == "cem" else "fixed")
+    shape = {key: value for key, value in PLAIN_NOISE.items() if key not in own}
+    temperature = planner.get("temperature", {})
+    steered = {} if temperature.keys() & {"ess", "eta"} else {"eta": (5.0, 10.0)}
+    return {**out, "noise": {**shape, "redraw": rounds or form != "fixed", **noise}, "temperature": {**steered, **temperature}}
+
+
 def make_scene(**sections) -> Scene:
-    """A disc that drives to (1, 0.5); keyword arguments replace whole sections."""
+    """A disc that drives to (1, 0.5); keyword arguments replace whole sections.
+
+    A planner whose ``horizon`` is a number is a :func:`plain` one, but for what is said.
+    """
     data = {
         "timing": {"control_dt": 0.04, "timeout": 4.0},
         "robot": [DISC],
@@ -42,7 +63,12 @@ def make_scene(**sections) -> Scene:
         "planner": {"samples": 32, "horizon": 6},
         "success": {"distance": 0.1},
     }
-    return Scene.model_validate({**data, **sections})
+    data |= sections
+    planner = data["planner"]
+    derived = "refine" in planner or planner.get("method") in ("gradient_descent", "ilqg", "ilqs")
+    if isinstance(planner.get("horizon"), int) and not derived:
+        data["planner"] = plain(planner, data["timing"].get("control_dt", 0.04))
+    return Scene.model_validate(data)
 
 
 def compiled(scene: Scene) -> CompiledScene:

@@ -69,6 +69,7 @@ weight = 10.0
 [planner]
 samples = 32
 horizon = 10
+dt = 0.04
 
 [success]
 distance = 0.05

@@ -135,10 +135,10 @@ def test_cem_may_have_a_fixed_covariance():
     assert np.all(planning.sigma == 0.5)
 
 
-@pytest.mark.parametrize(("redraw", "changes"), [(None, True), (True, True), (False, False)])
+@pytest.mark.parametrize(("redraw", "changes"), [({}, True), ({"redraw": True}, True), ({"redraw": False}, False)])
 def test_noise_of_an_adapted_covariance_is_redrawn_unless_the_scene_says_no(redraw, changes):
     """STORM draws its Halton points once and adapts all the same."""
-    noise = {"sigma": (0.5,), "redraw": redraw}
+    noise = {"sigma": (0.5,), **redraw}
     planning = Planning(planner={**MPPI, "covariance": {"form": "diagonal"}, "noise": noise})
     planning()
     first = planning.strategy.noise.noise.numpy().copy()

@@ -162,7 +162,7 @@ def test_cem_narrows_sigma_down_to_its_floor():
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("knots", [None, 5])
+@pytest.mark.parametrize("knots", ["steps", 5])
 def test_the_sigma_of_cem_stays_above_its_floor_however_it_varies_along_the_horizon(knots, seed):
     """Shifted by a cubic, a σ that falls steeply overshoots below zero."""
     planner = {**METHODS["cem"], "knots": knots, "spline": "cubic", "elites": 2}

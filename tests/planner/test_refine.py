@@ -54,7 +54,7 @@ def test_gradient_descent_only_ever_improves_the_plan():
 
 
 def test_ilqs_is_no_worse_than_the_samples_alone():
-    _, samples = planned(disc("predictive_sampling", knots=None, spline="zero"))
+    _, samples = planned(disc("predictive_sampling", knots="steps", spline="zero"))
     controller, refined = planned(disc("ilqs"))
     assert refined[0] < samples[0]
     assert controller.info.eta == 1.0

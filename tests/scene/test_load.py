@@ -243,11 +243,20 @@ def test_derivatives_look_as_far_ahead_in_steps_of_controls():
 
 
 def test_a_horizon_and_a_lookahead_are_one_too_many():
-    with pytest.raises(SceneError, match="horizon and lookahead say the same"):
-        load_scene("pendulum", overrides=["planner.lookahead=2"])
+    data = load_scene("pendulum").model_dump(exclude_unset=True)
+    with pytest.raises(ValueError, match="horizon and lookahead say the same"):
+        Scene.model_validate({**data, "planner": {"horizon": 20, "lookahead": 2.0}})
 
 
-def test_what_is_said_comes_before_the_recipe():
+def test_the_later_of_two_keys_that_say_the_same_replaces_the_other():
+    longer = load_scene("quadrotor", overrides=["planner.horizon=20"])  # its file has a lookahead
+    assert (longer.planner.horizon, longer.planner.lookahead, longer.planner.spline) == (20, None, "cubic")
+    assert load_scene("quadrotor", overrides=["planner.horizon=20", "planner.lookahead=1.6"]).planner.lookahead == 1.6
+    temperature = load_scene("walker", overrides=["planner.temperature.ess=3"]).planner.temperature
+    assert (temperature.ess, temperature.eta) == (3.0, None)
+
+
+def test_what_is_said_comes_before_the_defaults():
     data = load_scene("pendulum").model_dump(exclude_unset=True)
     said = {"noise": {"sigma": 0.3, "redraw": False}, "temperature": {"eta": (3.0, 8.0)}, "discount": 0.9}
     planner = Scene.model_validate({**data, "planner": said}).planner
@@ -255,8 +264,8 @@ def test_what_is_said_comes_before_the_recipe():
     assert (planner.temperature.eta, planner.temperature.ess, planner.discount) == ((3.0, 8.0), None, 0.9)
 
 
-@pytest.mark.parametrize("planner", [{"horizon": 20}, {"method": "ilqg"}, {"refine": {"method": "gradient"}}])
-def test_a_horizon_that_is_given_and_derivatives_keep_the_steps_of_controls(planner):
+@pytest.mark.parametrize("planner", [{"method": "ilqg"}, {"refine": {"method": "gradient"}}])
+def test_derivatives_keep_the_steps_of_controls(planner):
     data = load_scene("pendulum").model_dump(exclude_unset=True)
     found = Scene.model_validate({**data, "planner": planner}).planner
-    assert (found.dt, found.spline, found.discount) == (None, "zero", 0.95)
+    assert (found.horizon, found.dt, found.spline, found.iterations) == (60, (0.02,), "zero", 1)

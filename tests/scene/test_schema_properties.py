@@ -129,7 +129,7 @@ def scenes(draw):
         samples=st.integers(8, 1_000),
         horizon=count,
         risk=st.sampled_from(Risk),
-        knots=st.none() | st.integers(2, 50),
+        knots=st.just("steps") | st.integers(2, 50),
         spline=st.sampled_from(SplineKind),
         discount=st.floats(0.1, 1.0),
         noise=noise,

@@ -70,7 +70,8 @@ def test_keys_come_from_files_too(tmp_path):
 
 
 def test_the_start_is_what_the_scenes_say():
-    scenes = {name: warpmpc.load_scene(name) for name in ("omni_push_box:A", "omni_push_box:B")}
+    keys = ["planner.noise.sigma=[0.4, 0.4, 0.7]", "planner.temperature.eta=[2.5, 5.0]"]
+    scenes = {name: warpmpc.load_scene(name, overrides=keys) for name in ("omni_push_box:A", "omni_push_box:B")}
     texts = [
         "planner.noise.sigma[2]=0.01..9.0",
         "planner.temperature.eta=false|[2.5, 5.0]",
@@ -119,7 +120,8 @@ def test_a_key_holds_what_the_scene_says():
 )
 def test_a_start_outside_the_space_is_refused(text, says):
     with pytest.raises(ValueError, match=r"^--") as error:
-        bind_space(parse_space([text]), {"point_reach": warpmpc.load_scene("point_reach")}, [])
+        scene = warpmpc.load_scene("point_reach", overrides=["planner.noise.sigma=[0.8, 0.8, 0.2]"])
+        bind_space(parse_space([text]), {"point_reach": scene}, [])
     assert says in str(error.value)
 
 

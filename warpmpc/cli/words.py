@@ -72,7 +72,7 @@ def _condition(condition: Condition) -> str:
 def planner_words(scene: Scene) -> str:
     """Settings of the planner, in a line."""
     planner, noise = scene.planner, scene.planner.noise
-    knots = f"{planner.knots} {planner.spline} knots" if planner.knots else f"{planner.horizon} knots"
+    knots = f"{planner.knots} {planner.spline} knots" if planner.knot_count else f"{planner.horizon} knots"
     spread = f" × {noise.spread[0]:g} to {noise.spread[1]:g}" if noise.spread != (1.0, 1.0) else ""
     domains = f" × {planner.domains} domains ({planner.risk})" if planner.domains > 1 else ""
     return (

@@ -139,7 +139,7 @@ class Controller:
             SceneError: If there is not enough memory for their knots and noise.
         """
         shape, planner = self.shape, self.scene.planner
-        knots = planner.knots or planner.horizon
+        knots = planner.knot_count or planner.horizon
         needed = 4 * shape.envs * shape.samples * knots * self.layout.nu * 3  # knots, noise as drawn, noise as shaped
         cure = "lower planner.samples, planner.knots or the number of environments"
         require_memory(needed, device, f"the knots of {shape.samples} samples", key="planner.samples", cure=cure)

@@ -62,7 +62,7 @@ def _times(scene: Scene) -> Iterator[str]:
     hold, timeout, planner = scene.success.hold if scene.success else 0.0, scene.timing.timeout, scene.planner
     if hold > timeout:
         yield f"success.hold = {hold:g} s is longer than timing.timeout = {timeout:g} s: no run can succeed"
-    if planner.knots is not None and planner.knots > planner.horizon:
+    if planner.knot_count and planner.knot_count > planner.horizon:
         yield (
             f"planner.knots = {planner.knots} are more than the {planner.horizon} steps of planner.horizon: what lies "
             "between steps changes nothing"

@@ -70,7 +70,7 @@ class PlanStep:
         make_strategy = STRATEGIES.find(str(scene.planner.method) if strategy == "auto" else strategy, "auto")
         self.costs, self.shape, self.device = costs, shape, costs.device
         self.grid, self.kind = TimeGrid.of(scene), scene.planner.spline
-        self.knot_time = knot_times(self.grid, scene.planner.knots, control_hold(scene))
+        self.knot_time = knot_times(self.grid, scene.planner.knot_count, control_hold(scene))
         """Times of the knots after the first ``[P]`` [s]."""
         spline = spline_table(self.kind, self.knot_time, float(self.grid.dt[0]), self.device)
 

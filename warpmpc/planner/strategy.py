@@ -162,10 +162,10 @@ class SamplingStrategy(Strategy):
         self.population = _population(planner, samples, self._fixed)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
-        white, redraw = planner.noise.shape is NoiseShape.IDENTITY, planner.noise.redraw
+        white = planner.noise.shape is NoiseShape.IDENTITY
         self.noise = NoiseSource(
             source=planner.noise.source,
-            redraw=planner.iterations > 1 or covariance.adapts if redraw is None else redraw,
+            redraw=planner.noise.redraw,
             seed=self._seed,
             envs=envs,
             samples=samples,

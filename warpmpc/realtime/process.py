@@ -116,7 +116,7 @@ class PlannerProcess:
         self.scene, self.task = scene, task or Task(scene)
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
-        knots = max(scene.planner.knots or 0, scene.planner.horizon)
+        knots = max(scene.planner.knot_count or 0, scene.planner.horizon)
         log = None if log is None else Path(log)
         self._order = _Order(scene, seed, engine, device, terms, speed, knots, log)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork

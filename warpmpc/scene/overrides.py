@@ -27,6 +27,9 @@ _PART = r"""\s*("[^"]+"|'[^']+'|[^."'\s]+)\s*"""
 NAMED = ("robot", "object", "obstacle", "cost", "motion")
 """Arrays of tables at the top of a scene whose entries have names."""
 
+RIVALS = {("planner",): ("horizon", "lookahead"), ("planner", "temperature"): ("ess", "eta")}
+"""Keys of a table that say the same in two ways: a patch that has one takes the other away."""
+
 
 def parse_override(text: str) -> tuple[Key, object]:
     """Read ``K=V``: a dotted key and a TOML value; a bare word is a string.
@@ -104,6 +107,9 @@ def merge(base: object, patch: object, at: Key = ()) -> object:
     if not isinstance(base, dict):
         base = {}
     merged = dict(base)
+    rivals = RIVALS.get(at, ())
+    if len(given := [name for name in rivals if name in patch]) == 1:
+        merged = {name: value for name, value in merged.items() if name not in rivals or name in given}
     for name, value in patch.items():
         for key in list(base) if name == "*" else (name,):
             merged[key] = merge(merged.get(key), value, (*at, key))

@@ -57,19 +57,18 @@ class Noise(Section):
 
     source: NoiseSource = NoiseSource.HALTON
     """Where standard normals z come from."""
-    shape: NoiseShape = NoiseShape.BSPLINE
+    shape: NoiseShape = NoiseShape.IDENTITY
     """How they are correlated along the horizon, B."""
     sigma: Sigma = ShareOfRange(range=(0.25,))
     """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
     range, as when left out."""
-    spread: tuple[Positive, Positive] = (1.0, 1.0)
+    spread: tuple[Positive, Positive] = (0.02, 1.0)
     """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
-    constant: Channel = 0.0
+    constant: Channel = 0.1
     """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
     several controls hardly ever draw."""
-    redraw: Flag | None = None
-    """Fresh noise in every round; when false it is drawn once, as in the papers. When left out it is drawn anew with
-    ``iterations`` above one or an adapted covariance: a σ that narrows onto the same draws carries the plan away."""
+    redraw: Flag = True
+    """Fresh noise in every round; when false it is drawn once, as in the papers."""
     renewal: Renewal = Renewal.ROTATE
     """How a Halton or Sobol table is drawn anew: ``rotate`` every column by a random shift modulo one, or ``start``
     every column somewhere else, which takes a tenth of the time."""
@@ -94,15 +93,15 @@ class Temperature(Section):
 
     initial: Positive = 1.0
     """β of the first plan, in units of cost."""
-    eta: tuple[Positive, Positive] | None = (5.0, 10.0)
-    """Bounds of the effective number of samples η; β follows them between plans [P6]."""
-    ess: Positive | None = None
-    """Effective sample size (Σw)²/Σw² that β is solved for within each plan, instead of ``eta``."""
+    eta: tuple[Positive, Positive] | None = None
+    """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. False: β stays."""
+    ess: Positive | None = 4.0
+    """Effective sample size (Σw)²/Σw² that β is solved for within each plan."""
 
     @model_validator(mode="before")
     @classmethod
-    def _ess_replaces_default_eta(cls, data: object) -> object:
-        return {"eta": None, **data} if isinstance(data, dict) and data.get("ess") else data
+    def _eta_replaces_default_ess(cls, data: object) -> object:
+        return {"ess": None, **data} if isinstance(data, dict) and "eta" in data else data
 
     @model_validator(mode="after")
     def _ordered(self) -> Temperature:

@@ -79,6 +79,13 @@ class StepCount(StrEnum):
     """As many as look ``planner.lookahead`` ahead."""
 
 
+class KnotCount(StrEnum):
+    """A number of knots that is not given."""
+
+    STEPS = "steps"
+    """One for each step."""
+
+
 AHEAD, STEP = 1.2, 0.08
 """How far ``horizon = "auto"`` looks ahead, and the length of its steps, rounded to whole controls [s]."""
 
@@ -98,6 +105,9 @@ Samples = Annotated[
 ]
 
 
+Knots = Annotated[
+    Annotated[TwoOrMore, Tag("number")] | Annotated[KnotCount, Tag("text")], Discriminator(_number_or_text)
+]
 Horizon = Annotated[Annotated[Count, Tag("number")] | Annotated[StepCount, Tag("text")], Discriminator(_number_or_text)]
 
 
@@ -165,26 +175,17 @@ the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The las
 derivatives (2212.00541)."""
 
 
-RECIPE = {
-    "horizon": "auto",
-    "iterations": 2,
-    "knots": 5,
-    "spline": "cubic",
-    "discount": 1.0,
-    "noise": {"shape": "identity", "spread": (0.02, 1.0), "constant": 0.1, "redraw": True},
-    "temperature": {"ess": 4.0},
-}
-"""Defaults of a scene that leaves ``horizon`` out, or says ``auto``: smooth plans that look far ahead, samples from
-fine to coarse, a temperature that suits every cost, and a second round about what the first one found: with one, a
-quadrotor held its place in 2 of 6 runs, with two in 6."""
+DERIVATIVES = {"iterations": 1, "knots": KnotCount.STEPS, "spline": "zero", "noise": {"shape": "bspline"}}
+"""Defaults of plans with ``refine``, whose steps are single controls: derivatives are taken along every one of them."""
 
 
 class Planner(Section):
     """The sampling-based planner.
 
-    A scene that leaves ``horizon`` out gets a recipe for all that it does not say itself: ``lookahead`` of 1.2 s in
-    steps of about 0.08 s, 5 cubic knots, 2 iterations, no discount, ``noise = { shape = "identity",
-    spread = [0.02, 1.0], constant = 0.1, redraw = true }`` and ``temperature = { ess = 4.0 }``.
+    The defaults suit most tasks: smooth plans that look 1.2 s ahead, samples from fine to coarse, a temperature that
+    suits every cost, and a second round about what the first one found: with one, a quadrotor held its place in 2 of 6
+    runs, with two in 6. With ``refine``, and with the methods that mean it, steps are single controls, and the defaults
+    ``iterations = 1``, ``knots = "steps"``, ``spline = "zero"`` and ``noise.shape = "bspline"``.
     """
 
     method: Method = Method.MPPI
@@ -192,16 +193,14 @@ class Planner(Section):
     samples: Samples = 256
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
-    horizon: Horizon = 16
-    """Steps T of a rollout, or ``auto``, as when left out: as many as look ``lookahead`` ahead, or as ``dt`` lists; 16
-    with ``refine``. A number leaves the recipe above: every key then has the default that stands here."""
+    horizon: Horizon = StepCount.AUTO
+    """Steps T of a rollout, or ``auto``: as many as look ``lookahead`` ahead, or as ``dt`` lists."""
     lookahead: Positive | None = None
     """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. How far to look
     is up to the task and not to the machine: as far as it takes to see that something gets better."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
-    ``timing.control_dt``, or with ``horizon = "auto"`` about 0.08 s. Longer steps look as far at a lower price, or
-    with a ``horizon`` further at the same."""
+    about 0.08 s in whole controls; one control with ``refine``. Longer steps look as far at a lower price."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     randomize: Flag = True
@@ -215,11 +214,12 @@ class Planner(Section):
     stage_risk: Finite = 0.0
     """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
     [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
-    knots: TwoOrMore | None = None
-    """Spline control points P; one per step when left out, and always for ``ilqg`` and ``ilqs``."""
-    spline: SplineKind = SplineKind.ZERO
+    knots: Knots = 5
+    """Spline control points P, at most one per step when left out; or ``steps``, one per step, as always for ``ilqg`` and
+    ``ilqs``."""
+    spline: SplineKind = SplineKind.CUBIC
     """Splines by which knots become controls."""
-    discount: Share = 0.95
+    discount: Share = 1.0
     """Factor γ per step of a rollout [P5]."""
     terminal: NonNegative = 1.0
     """Factor on the last step's cost, besides its discount."""
@@ -248,7 +248,7 @@ class Planner(Section):
     is ``predictive_sampling`` with ``ilqg``."""
     execute: Execute = Execute.MEAN
     """What is carried out: the mean, or the best of the last samples."""
-    iterations: Count = 1
+    iterations: Count = 2
     """Sample-roll-out-update rounds per plan."""
     decay: Annotated[Positive, Field(ge=1.0)] = 1.0
     """γ of a population that decays: iteration i tries S/γ^i samples, but no fewer than twice the ``elites``."""
@@ -265,21 +265,17 @@ class Planner(Section):
         """Fill in what a method means by itself; what the scene says comes first, and it alone counts as set."""
         if not isinstance(data, dict):
             return handler(data)
-        method, horizon = data.get("method"), data.get("horizon", StepCount.AUTO)
-        if data.get("lookahead") is not None:
-            data = {**data, "horizon": horizon}
+        method = data.get("method")
         preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
-        recipe = RECIPE if horizon == StepCount.AUTO and "refine" not in {**preset, **data} else {}
-        out = {**recipe, **preset, **data}
+        base = DERIVATIVES if "refine" in {**preset, **data} else {}
+        out = {**base, **preset, **data}
         for key in ("noise", "temperature", "covariance", "refine"):
-            tables = [part[key] for part in (recipe, preset, data) if key in part]
+            tables = [part[key] for part in (base, preset, data) if key in part]
             if all(isinstance(table, dict) for table in tables) and tables:
                 out[key] = {name: value for table in tables for name, value in table.items()}
-        if recipe and "eta" in (data.get("temperature") or {}):  # bounds of η take the place of a wanted sample size
-            out["temperature"] = data["temperature"]
         if isinstance(method, str) and method in DIRECT:
             smooth = out.get("spline") in (SplineKind.CUBIC, SplineKind.BSPLINE)
-            out |= {"knots": None} | ({"spline": SplineKind.ZERO} if smooth else {})
+            out |= {"knots": KnotCount.STEPS} | ({"spline": SplineKind.ZERO} if smooth else {})
         planner = handler(out)
         planner.__pydantic_fields_set__.intersection_update(data)
         return planner
@@ -308,20 +304,26 @@ class Planner(Section):
         Args:
             control_dt: Length of a control [s].
         """
-        if self.horizon is not StepCount.AUTO:
+        open_ended = self.horizon is StepCount.AUTO
+        if self.refine and not open_ended:
             return self
         whole = 1 if self.refine else max(1, round(STEP / control_dt))
         dt = self.dt or (whole * control_dt,)
-        steps = len(dt) if len(dt) > 1 else self._steps_ahead(dt[0])
+        steps = self.horizon
+        if open_ended:
+            steps = len(dt) if len(dt) > 1 else self._steps_ahead(dt[0])
         update = {"horizon": steps, "dt": dt}
-        if self.knots is not None and "knots" not in self.model_fields_set:
+        if "knots" not in self.model_fields_set and isinstance(self.knots, int):
             update["knots"] = max(2, min(self.knots, steps))
         planner = self.model_copy(update=update)
-        # worked out is not said: the rest of the recipe goes with a horizon that is left out
-        by_number = self.refine and self.lookahead is None
-        said = self.model_fields_set - (set() if by_number else {"horizon"})
+        said = self.model_fields_set - ({"horizon"} if open_ended else set())  # worked out is not said
         planner.__pydantic_fields_set__.intersection_update(said)
         return planner
+
+    @property
+    def knot_count(self) -> int | None:
+        """Number of knots P; None for one per step."""
+        return self.knots if isinstance(self.knots, int) else None
 
     @model_validator(mode="after")
     def _domains_differ(self) -> Planner:

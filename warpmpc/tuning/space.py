@@ -228,8 +228,8 @@ def derive_space(scene: Scene) -> list[str]:
     texts += [f"planner.noise.sigma{'.range' * (not isinstance(planner.noise.sigma, tuple))}=x0.2..5"]
     if isinstance(planner.horizon, int) and not (isinstance(planner.dt, tuple) and len(planner.dt) > 1):
         texts.append(f"planner.horizon={max(2, planner.horizon // 2)}..{2 * planner.horizon}")
-    if planner.knots is not None:
-        texts.append(f"planner.knots={max(2, planner.knots // 2)}..{2 * planner.knots}")
+    if planner.knot_count:
+        texts.append(f"planner.knots={max(2, planner.knot_count // 2)}..{2 * planner.knot_count}")
     if planner.discount < 1.0:
         rest = 1.0 - planner.discount
         texts.append(f"planner.discount={max(1.0 - 3.0 * rest, 0.1):.6g}..{1.0 - rest / 3.0:.6g}")
