@@ -47,7 +47,11 @@ def plain(planner: dict, control_dt: float) -> dict:
     shape = {key: value for key, value in PLAIN_NOISE.items() if key not in own}
     temperature = planner.get("temperature", {})
     steered = {} if temperature.keys() & {"ess", "eta"} else {"eta": (5.0, 10.0)}
-    return {**out, "noise": {**shape, "redraw": rounds or form != "fixed", **noise}, "temperature": {**steered, **temperature}}
+    return {
+        **out,
+        "noise": {**shape, "redraw": rounds or form != "fixed", **noise},
+        "temperature": {**steered, **temperature},
+    }
 
 
 def make_scene(**sections) -> Scene:

@@ -221,7 +221,7 @@ def test_the_former_name_of_a_key_is_read_with_a_warning(tmp_path, caplog):
         ({"lookahead": 0.2}, 3, 0.08, 3),
     ],
 )
-def test_a_planner_without_a_horizon_gets_the_recipe(planner, steps, dt, knots):
+def test_steps_follow_from_how_far_a_planner_looks_ahead(planner, steps, dt, knots):
     data = load_scene("pendulum").model_dump(exclude_unset=True)  # controls of 0.02 s
     scene = Scene.model_validate({**data, "planner": planner})
     for found in (scene.planner, Scene.model_validate(scene.model_dump(exclude_unset=True)).planner):

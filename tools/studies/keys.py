@@ -29,7 +29,7 @@ from warpmpc.run.episode import run_episode
 from warpmpc.run.records import Records
 from warpmpc.run.workers import FORMS, check_jobs, open_workers
 from warpmpc.scene.schema import Scene
-from warpmpc.scene.schema_planner import RECIPE, Planner
+from warpmpc.scene.schema_planner import Planner
 
 GROUPS = {
     "method": ("method",),
@@ -62,20 +62,14 @@ CHEAP = 0.1
 
 
 def short(scene: Scene) -> dict:
-    """What a scene says of its planner, with ``lookahead`` for ``horizon`` and without what the recipe says too."""
-    planner = scene.planner
-    own = planner.model_dump(exclude_unset=True)
-    defaults = Planner().model_dump()
-    (dt,) = planner.dt or (scene.timing.control_dt,)
-    out = {**own, "lookahead": round(planner.horizon * dt, 6), "dt": dt}
-    out.pop("horizon", None)
-    for key in RECIPE.keys() - {"horizon", "noise", "temperature"}:
-        out[key] = getattr(planner, key)
-    noise, recipe = planner.noise.model_dump(), defaults["noise"]
-    keys = {*own.get("noise", {}), *RECIPE["noise"]}
-    out["noise"] = {key: noise[key] for key in sorted(keys) if noise[key] != recipe[key]}
-    out["temperature"] = planner.temperature.model_dump(exclude_none=True)
-    return {key: value for key, value in out.items() if key == "dt" or value != defaults.get(key, ...)}
+    """What a scene says of its planner, with ``lookahead`` for a ``horizon`` and without what the defaults say too."""
+    own, defaults = scene.planner.model_dump(exclude_unset=True), Planner().model_dump()
+    if "horizon" in own:
+        (dt,) = own["dt"]
+        own = {**own, "lookahead": round(own.pop("horizon") * dt, 6)}
+    noise = own.pop("noise", {})
+    out = {key: value for key, value in own.items() if value != defaults[key]}
+    return {**out, "noise": {key: value for key, value in noise.items() if value != defaults["noise"][key]}}
 
 
 def without(planner: dict, groups: list[str]) -> dict:

@@ -221,7 +221,7 @@ class IlqgRefiner(Refiner):
         super().__init__(*args)
         if self._strategy.mean.shape[1] != -(-self._request.grid.steps // self.hold):
             raise SceneError(
-                "iLQG solves for every control: planner.knots = \"steps\"",
+                'iLQG solves for every control: planner.knots = "steps"',
                 key="planner.knots",
                 file=self._request.scene.path,
                 found=self._planner.knots,
