@@ -11,7 +11,10 @@ from warpmpc import Controller, SceneError, array_cost, load_scene
 from warpmpc.derivatives.rollouts import Policy
 from warpmpc.scene.load import with_values
 
-SIZES = {"planner.horizon": 4, "planner.knots": 4, "planner.samples": 16, "engine.substeps": 1, "engine.threads": 1}
+SIZES = {
+    **{"planner.horizon": 4, "planner.knots": 4, "planner.dt": 0.01, "planner.samples": 16},
+    **{"engine.substeps": 1, "engine.threads": 1},
+}
 LIFTED = 1.0  # [m] above the ground: mjd_transitionFD and these have different step sizes, and contacts bend
 
 

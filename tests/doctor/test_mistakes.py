@@ -223,7 +223,7 @@ TABLE = [
     ),
     Mistake(
         "σ far too wide",
-        {"{ range = 0.2 }": "10.0"},
+        {"{ range = 0.2 }": "10.0\nspread = [1.0, 1.0]"},
         ("planner.noise.sigma", "lies at a limit", "a quarter of each control's range"),
     ),
     Mistake(
@@ -274,7 +274,7 @@ TABLE = [
     ),
     Mistake(
         "temperature far too high",
-        {"planner.temperature": "{ initial = 1e6 }", "timing.timeout": "0.4", "planner.samples": "32"},
+        {"planner.temperature": "{ initial = 1e6, eta = false }", "timing.timeout": "0.4", "planner.samples": "32"},
         ("all samples count alike", "lower temperature.initial"),
         base="quadrotor",
         where=VERDICT,

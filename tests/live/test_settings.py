@@ -66,14 +66,14 @@ def test_what_is_typed_is_what_the_scene_then_has(gui):
     typed(made["planner.samples"], 48)
     typed(made["planner.discount"], 0.5)
     typed(made["planner.randomize"], False)
-    typed(made["planner.noise.sigma"], "[0.1, 0.2, 0.3]")
-    typed(made["planner.knots"], " ")
+    typed(made["planner.noise.sigma.range"], "[0.1, 0.2, 0.3]")
+    typed(made["planner.knots"], 7)
     session.overrides = [f"{key}={value}" for key, value in session.asked]
     session.load()
     planner = session.scene.planner
     assert (planner.method.value, planner.samples, planner.discount, planner.randomize) == ("cem", 48, 0.5, False)
-    assert planner.noise.sigma == (0.1, 0.2, 0.3)
-    assert planner.knots is None
+    assert planner.noise.sigma.range == (0.1, 0.2, 0.3)
+    assert planner.knots == 7
 
 
 def test_inputs_show_what_became_of_a_change(gui, monkeypatch):

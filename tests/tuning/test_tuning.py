@@ -77,7 +77,7 @@ def test_the_start_is_what_the_scenes_say():
         "planner.temperature.eta=false|[2.5, 5.0]",
         "cost.yaw.weight=0.1..99.0",
     ]
-    space, start = bind_space(parse_space([*texts, "planner.noise.sigma=x0.1..2"]), scenes, [])
+    space, start = bind_space(parse_space([*texts, "planner.noise.sigma=x0.1..2"]), scenes, keys)
     scene = scenes["omni_push_box:A"]
     assert start["planner.noise.sigma.2"] == scene.planner.noise.sigma[2]
     assert start["planner.temperature.eta"] == "[2.5, 5.0]"
@@ -119,8 +119,8 @@ def test_a_key_holds_what_the_scene_says():
     ],
 )
 def test_a_start_outside_the_space_is_refused(text, says):
+    scene = warpmpc.load_scene("point_reach", overrides=["planner.noise.sigma=[0.8, 0.8, 0.2]"])
     with pytest.raises(ValueError, match=r"^--") as error:
-        scene = warpmpc.load_scene("point_reach", overrides=["planner.noise.sigma=[0.8, 0.8, 0.2]"])
         bind_space(parse_space([text]), {"point_reach": scene}, [])
     assert says in str(error.value)
 

@@ -49,7 +49,7 @@ def probes(controller: Controller) -> list[Rollout]:
 
 
 def approaches(rollouts: list[Rollout], monitor: Monitor) -> list[Approach]:
-    """What success, or the end of the first phase, waits for in rollouts; conditions on cost terms are left out."""
+    """Conditions of success, or of the end of the first phase, in rollouts; conditions on cost terms are left out."""
     found: dict[str, Approach] = {}
     for rollout in rollouts:
         for body_q, joint_q in zip(rollout.body_q, rollout.joint_q, strict=True):

@@ -161,7 +161,7 @@ def _joint_of(subject: Subject, dof: int) -> int:
 
 
 def _position(subject: Subject, frame: str) -> tuple[np.ndarray, int] | None:
-    """Where a frame is at the start ``[3]``, and its body."""
+    """Place of a frame at the start ``[3]``, and its body."""
     layout, data = subject.compiled.layout, subject.start
     index = layout.frame_name.index(frame) if frame in layout.frame_name else -1
     if index < 0 or layout.frame_body[index] < 0:

@@ -89,7 +89,7 @@ def fit_samples(
 
 
 def _kept(file: Path) -> dict[str, Any] | None:
-    """What an earlier time measured; None where it is not known."""
+    """Result of an earlier measurement; None where it is not known."""
     kept = read_kept(file)
     if not isinstance(kept, dict) or kept.keys() != {"samples", "plan_ms", "when", "waited"}:
         return None

@@ -94,7 +94,8 @@ class Temperature(Section):
     initial: Positive = 1.0
     """β of the first plan, in units of cost."""
     eta: tuple[Positive, Positive] | None = None
-    """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. False: β stays."""
+    """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. When
+    false, β stays."""
     ess: Positive | None = 4.0
     """Effective sample size (Σw)²/Σw² that β is solved for within each plan."""
 

@@ -215,8 +215,8 @@ class Planner(Section):
     """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
     [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
     knots: Knots = 5
-    """Spline control points P, at most one per step when left out; or ``steps``, one per step, as always for ``ilqg`` and
-    ``ilqs``."""
+    """Spline control points P, at most one per step when left out; or ``steps``, one per step, as always for ``ilqg``
+    and ``ilqs``."""
     spline: SplineKind = SplineKind.CUBIC
     """Splines by which knots become controls."""
     discount: Share = 1.0
