@@ -6,7 +6,8 @@
     python tools/study.py defaults --tasks push_t walker --set planner.knots=8
 
 Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them:
-metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). A task counts as solved
+``FILE.toml:advised`` is a task with what `check` and the verdict advised, its planner's keys among it. metaworld,
+gymnasium-robotics and others must be installed for some (pip install --no-deps). A task counts as solved
 when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at (tools/seeds.toml).
 """
 
@@ -43,15 +44,21 @@ SHIPPED = (
 
 
 def bare(task: str, settings: list[str]) -> Scene:
-    """The scene of a task with no planner's keys but those of ``settings``, on one thread."""
+    """The scene of a task with no planner's keys but those of ``settings``, or a variant of it, on one thread."""
+    if ".toml:" in task:
+        return warpmpc.load_scene(task, overrides=["engine.threads=1", *settings])
     scene = warpmpc.load_scene(task, overrides=["engine.threads=1"])
     planner = tomllib.loads("\n".join(text.removeprefix("planner.") for text in settings))
     return Scene.model_validate({**scene.model_dump(exclude_unset=True), "planner": planner, "path": scene.path})
 
 
+def _label(task: str) -> str:
+    return Path(task).name.replace(".toml", "")
+
+
 def play(task: str, settings: list[str], seed: int) -> dict:
     """One episode: what became of it."""
-    row = {"task": Path(task).stem, "seed": seed}
+    row = {"task": _label(task), "seed": seed}
     try:
         result = run_episode(bare(task, settings), seed=seed, engine="fused", device="cpu")
     except warpmpc.SceneError as error:
@@ -100,7 +107,7 @@ def main(arguments: list[str]) -> int:
         for future in as_completed([workers.submit(play, t, args.set, s) for t in args.tasks for s in seeds]):
             rows.append(future.result())
             bar.step(f"{rows[-1]['task']}, seed {rows[-1]['seed']}: {rows[-1]['reason']}")
-    order = [Path(task).stem for task in args.tasks]
+    order = [_label(task) for task in args.tasks]
     rows.sort(key=lambda row: (order.index(row["task"]), row["seed"]))
     if args.json:
         write_json(args.json, {"machine": machine(), "code": code_digest(), "set": args.set, "rows": rows})

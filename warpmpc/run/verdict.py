@@ -75,7 +75,8 @@ class Symptoms:
             ahead = float(self.controller.plan_step.grid.t[-1])
             yield (
                 f"{some([item.last.name for item in stuck])} came no nearer after {max(i.when for i in stuck):.2f} s: "
-                f"look further ahead (planner.lookahead, {ahead:.3g} s now), then raise planner.iterations"
+                f"look further ahead (planner.lookahead, {ahead:.3g} s now), let where plans end count more "
+                "(planner.terminal = 20), then raise planner.iterations"
             )
         nearer = [item.last.name for item in away if end <= item.when]
         if nearer:
