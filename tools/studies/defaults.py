@@ -6,8 +6,8 @@
     python tools/study.py defaults --tasks push_t walker --set planner.knots=8
 
 Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them:
-``FILE.toml:advised`` is a task with what `check` and the verdict advised, its planner's keys among it. metaworld,
-gymnasium-robotics and others must be installed for some (pip install --no-deps). A task counts as solved
+With ``--own-planner`` scenes keep their planners; ``FILE.toml:advised`` is a task of others with what `check` and the
+verdict advised. metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). A task counts as solved
 when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at (tools/seeds.toml).
 """
 
@@ -43,9 +43,9 @@ SHIPPED = (
 """Shipped scenes on which the defaults were chosen."""
 
 
-def bare(task: str, settings: list[str]) -> Scene:
-    """The scene of a task with no planner's keys but those of ``settings``, or a variant of it, on one thread."""
-    if ".toml:" in task:
+def bare(task: str, settings: list[str], *, own: bool) -> Scene:
+    """The scene of a task with no planner's keys but those of ``settings``, or with its own, too, on one thread."""
+    if own:
         return warpmpc.load_scene(task, overrides=["engine.threads=1", *settings])
     scene = warpmpc.load_scene(task, overrides=["engine.threads=1"])
     planner = tomllib.loads("\n".join(text.removeprefix("planner.") for text in settings))
@@ -56,11 +56,11 @@ def _label(task: str) -> str:
     return Path(task).name.replace(".toml", "")
 
 
-def play(task: str, settings: list[str], seed: int) -> dict:
+def play(task: str, settings: list[str], seed: int, own: bool) -> dict:
     """One episode: what became of it."""
     row = {"task": _label(task), "seed": seed}
     try:
-        result = run_episode(bare(task, settings), seed=seed, engine="fused", device="cpu")
+        result = run_episode(bare(task, settings, own=own), seed=seed, engine="fused", device="cpu")
     except warpmpc.SceneError as error:
         return {**row, "success": False, "reason": str(error)}
     out = {"success": result.success, "reason": result.reason, "seconds": result.sim_time}
@@ -91,6 +91,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--set", nargs="*", default=[], metavar="planner.KEY=VALUE", help="differences from the defaults"
     )
+    parser.add_argument("--own-planner", action="store_true", help="scenes keep their [planner]")
     parser.add_argument("--seeds", default="0:3", metavar="FIRST:LAST", help="tuning seeds (default 0:3)")
     parser.add_argument("--report", help="name of a report: draws its seeds, as many as --seeds has")
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
@@ -104,7 +105,9 @@ def main(arguments: list[str]) -> int:
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     rows = []
     with workers, Bar(len(args.tasks) * len(seeds)) as bar:
-        for future in as_completed([workers.submit(play, t, args.set, s) for t in args.tasks for s in seeds]):
+        for future in as_completed(
+            [workers.submit(play, t, args.set, s, args.own_planner) for t in args.tasks for s in seeds]
+        ):
             rows.append(future.result())
             bar.step(f"{rows[-1]['task']}, seed {rows[-1]['seed']}: {rows[-1]['reason']}")
     order = [_label(task) for task in args.tasks]
