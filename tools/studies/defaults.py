@@ -5,10 +5,11 @@
     python tools/study.py defaults --tasks tools/others/*.toml --report "defaults, other tasks" --json out.json
     python tools/study.py defaults --tasks push_t walker --set planner.knots=8
 
-Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them:
-With ``--own-planner`` scenes keep their planners; ``FILE.toml:advised`` is a task of others with what `check` and the
-verdict advised. metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). A task counts as solved
-when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at (tools/seeds.toml).
+Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them;
+metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). With ``--own-planner``
+scenes keep their planners; ``FILE.toml:advised`` is a task of others with what `check` and the verdict advised. A task
+counts as solved when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at
+(tools/seeds.toml).
 """
 
 from __future__ import annotations
