@@ -104,17 +104,16 @@ def main(arguments: list[str]) -> int:
     if args.report:
         seeds = draw(args.report, code_digest())[: len(seeds)]
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
-    rows = []
+    rows, order = [], [_label(task) for task in args.tasks]
     with workers, Bar(len(args.tasks) * len(seeds)) as bar:
-        for future in as_completed(
-            [workers.submit(play, t, args.set, s, args.own_planner) for t in args.tasks for s in seeds]
-        ):
-            rows.append(future.result())
-            bar.step(f"{rows[-1]['task']}, seed {rows[-1]['seed']}: {rows[-1]['reason']}")
-    order = [_label(task) for task in args.tasks]
-    rows.sort(key=lambda row: (order.index(row["task"]), row["seed"]))
-    if args.json:
-        write_json(args.json, {"machine": machine(), "code": code_digest(), "set": args.set, "rows": rows})
+        jobs = [workers.submit(play, task, args.set, seed, args.own_planner) for task in args.tasks for seed in seeds]
+        for future in as_completed(jobs):
+            row = future.result()
+            rows.append(row)
+            rows.sort(key=lambda row: (order.index(row["task"]), row["seed"]))
+            if args.json:  # what is done is kept, whatever happens
+                write_json(args.json, {"machine": machine(), "code": code_digest(), "set": args.set, "rows": rows})
+            bar.step(f"{row['task']}, seed {row['seed']}: {row['reason']}")
     shown = Table("task", "reached the goal", "time to goal [s]", "plan [ms]")
     for cells in table(rows):
         shown.add_row(*cells)
