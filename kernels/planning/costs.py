@@ -25,7 +25,7 @@ class CostWeights:
     """Factors by which terms n_i become the cost of a rollout, Σ_t γ_t ρ(Σ_i τ_it w_i n_i) (``cost.weights``)."""
 
     term: wp.array2d[float]  # [E, term] w, which the task changes between plans
-    terminal: wp.array2d[float]  # [T, term] τ: 1, and at the last step the term's terminal factor
+    terminal: wp.array2d[float]  # [T, term] τ: 1 or 0, and at the last step the term's terminal factor or 0
     discount: wp.array[float]  # [T] γ
 
 

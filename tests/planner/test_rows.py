@@ -81,6 +81,37 @@ def test_the_best_sample_is_carried_out(method, keep_best):
         assert not np.allclose(planning.strategy.distribution.mean.numpy(), best)
 
 
+@pytest.mark.parametrize("form", ["fixed", "knots", "full"])
+def test_a_sample_of_the_new_distribution_is_carried_out(form):
+    planner = {"method": "mppi", "execute": "sample", "iterations": 2, "covariance": {"form": form}}
+    planner |= {
+        "samples": 24,
+        "horizon": 6,
+        "knots": 6,
+        "spline": "zero",
+        "temperature": {"initial": 0.05, "eta": None},
+    }
+    planner["noise"] = {"sigma": 0.05, "shape": "identity"}
+    planning, again, other = (Planning(envs=300, seed=seed, planner=planner) for seed in (0, 0, 1))
+    commands = planning(2)
+    np.testing.assert_array_equal(commands, again(2))
+    assert not np.array_equal(commands, other(2))
+    np.testing.assert_array_equal(commands[-1], planning.mean[:, 0])
+    distribution = planning.strategy.distribution
+    deviation = planning.mean.astype(np.float64) - distribution.mean.numpy()
+    if form == "full":
+        factor = distribution.covariance.factor.numpy().astype(np.float64)[:, None]
+    else:
+        factor = planning.sigma.astype(np.float64)[..., None] * np.eye(3)
+    z = np.linalg.solve(np.broadcast_to(factor, (*deviation.shape, 3)), deviation[..., None])[..., 0]
+    free = np.all(np.abs(planning.mean) < 1.0, axis=-1)  # what is at a limit is not normal
+    assert free.mean() > 0.5
+    assert np.abs(np.cov(z[free].T) - np.eye(3)).max() < 0.25
+    assert np.abs(z[free].mean(axis=0)).max() < 0.2
+    planning.plan.reset()
+    np.testing.assert_array_equal(commands, planning(2))
+
+
 def test_a_plan_is_what_is_carried_out():
     scene = make_scene(planner={"samples": 16, "horizon": 5, "execute": "best"})
     controller = Controller(scene, seed=1)

@@ -113,11 +113,11 @@ def evaluation_code(terms: Sequence[tuple[int, CostTerm]]) -> EvaluationCode:
         if term.advance is not None:
             advances.append(f"    {called.setdefault(term.advance, f'advance{i}')}(s, p.p{i})")
         fields.append(f"    p{i}: Params{i}")
-        # a term without weight is off, whatever it says
+        # a term without weight, or at a step at which it does not count, is off, whatever it says
         calls.append(f"    cost[{i}, s.t - 1, s.w] = 0.0")
-        calls.append(f"    if weights.term[s.e, {i}] != 0.0:")
-        factor = f"stage_weight(weights, s.e, s.t - 1, {i})"
-        calls.append(f"        cost[{i}, s.t - 1, s.w] = {factor} * {function}(s, p.p{i})")
+        calls.append(f"    factor{i} = stage_weight(weights, s.e, s.t - 1, {i})")
+        calls.append(f"    if factor{i} != 0.0:")
+        calls.append(f"        cost[{i}, s.t - 1, s.w] = factor{i} * {function}(s, p.p{i})")
     names |= {name: function for function, name in called.items()}
     written = (fields, calls or ["    pass"], advances or ["    pass"])
     source = _SOURCE.format(**dict(zip(("fields", "calls", "advances"), map("\n".join, written), strict=True)))

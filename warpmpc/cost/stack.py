@@ -23,7 +23,7 @@ from .blame import complaint, raised
 from .deadline import deadline
 from .kernel import EvaluationCode, evaluation_code
 from .term import ArrayCost, CostTerm, UserTerm
-from .weights import cost_weights
+from .weights import cost_weights, term_factors
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -80,8 +80,8 @@ class CostStack:
             term = known[cost.term]
             bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
             self.terms.append((term, bound))
-        self.terminal = [cost.terminal for cost in costs]
-        """Factor on what each term costs at the last step."""
+        self.factors = term_factors(costs)
+        """Factors on what each term costs before the last step and at it ``[term, 2]``."""
         self.pairs = tuple(binding.pairs)
         self.sensors = tuple(dict.fromkeys(binding.sensors))
         self.resources, self._kept = binding.resources, binding.kept
@@ -205,7 +205,7 @@ class CostEvaluator:
         view.body_robot = wp.array([owner.get(body, -1) for body in range(layout.nb)], dtype=int, device=device)
         slices, worlds = trajectory.joint_q.shape[:2]
         view.memory = wp.zeros((slices, worlds, stack.memory), dtype=float, device=device)
-        self._weights = cost_weights(state.weight, stack.terminal, np.ones(shape.horizon))  # not discounted
+        self._weights = cost_weights(state.weight, stack.factors, np.ones(shape.horizon))  # not discounted
         self.view, self._trajectory, self._control, self._state = view, trajectory, control, state
 
     def launch(self, first: int = 0, count: int | None = None, code: tuple[EvaluationCode, Any] | None = None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from ..scene.schema import When
 from ..task.observed import ObservedState
 from .stack import CostEvaluator, CostStack
 
@@ -45,7 +46,7 @@ class TermValues:
         terms: Sequence[UserTerm] = (),
     ):
         costs = [
-            cost.model_copy(update={"terminal": 1.0})  # a condition is about the value itself
+            cost.model_copy(update={"terminal": 1.0, "when": When.STAGE})  # a condition is about the value itself
             for label, cost in zip(scene.cost_labels, scene.cost, strict=True)
             if label in labels
         ]

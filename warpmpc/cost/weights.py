@@ -1,30 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Factors by which cost terms become the cost of a rollout: weight, terminal factor and discount, as data.
 
-J = Σ_t γ_t ρ(Σ_i τ_it w_i n_i; R) with ρ the risk of ``planner.stage_risk``. Kernels, the source of launches and
-derivatives all read the same arrays.
+J = Σ_t γ_t ρ(Σ_i τ_it w_i n_i; R) with ρ the risk of ``planner.stage_risk``. τ is zero where a term does not count:
+terminal terms take the place of the last stage's cost (Bhardwaj et al. 2021, Eq. 2). Kernels, the source of launches
+and derivatives all read the same arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
 from ..kernels.planning.costs import CostWeights
+from ..scene.schema import When
+
+if TYPE_CHECKING:
+    from ..scene.schema import Cost
 
 
-def cost_weights(weight: wp.array, terminal: Sequence[float], discount: np.ndarray) -> CostWeights:
+def term_factors(costs: Sequence[Cost]) -> np.ndarray:
+    """Factors on what terms cost before the last step of a horizon, and at it ``[term, 2]``."""
+    ends = [cost.when is When.TERMINAL for cost in costs]
+    counted = [(not end, end or not any(ends)) for end in ends]
+    return np.array([(a, b * cost.terminal) for cost, (a, b) in zip(costs, counted, strict=True)]).reshape(-1, 2)
+
+
+def cost_weights(weight: wp.array, factors: np.ndarray, discount: np.ndarray) -> CostWeights:
     """Factors of terms at every step, on the device of their weights.
 
     Args:
         weight: Weights ``[E, term]``; the array itself is read, since the task may change them between plans.
-        terminal: Factor of each term at the last step ``[term]``.
+        factors: Factors of :func:`term_factors` ``[term, 2]``.
         discount: γ_t ``[T]``.
     """
-    each = np.ones((len(discount), len(terminal)))
-    each[-1] = terminal
+    each = np.tile(factors[:, 0], (len(discount), 1))
+    each[-1] = factors[:, 1]
     out = CostWeights()
     out.term = weight
     out.terminal = wp.array(each, dtype=float, device=weight.device)

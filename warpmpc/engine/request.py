@@ -48,7 +48,7 @@ class EngineRequest:
     @cached_property
     def weights(self) -> CostWeights:
         """Factors on what the terms cost at every step, on the device."""
-        return cost_weights(self.state.weight, self.costs.terminal, self.grid.discount)
+        return cost_weights(self.state.weight, self.costs.factors, self.grid.discount)
 
     def worlds(self, steps: PhysicsSteps) -> dict[str, Any]:
         """Arguments that all simulators share.

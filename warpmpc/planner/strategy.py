@@ -16,6 +16,7 @@ from ..kernels.planning.weights import forget_cost_kernel
 from ..launch import Launcher
 from ..scene.errors import SceneError
 from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
+from ..scene.schema import NoiseSource as NoiseKind
 from .covariance import Covariance, control_sigma, covariance_form, per_control
 from .distribution import Gaussian, RecedingPlan
 from .moments import SampleMoments
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..scene.schema import Planner, Scene
     from ..task.observed import ObservedState
+
+
+CARRIED_OUT = 0xAC7
+"""Separates the stream of samples that are carried out from those that are tried."""
 
 
 class Strategy:
@@ -160,7 +165,8 @@ class SamplingStrategy(Strategy):
         for proposer, end in zip(self.proposers, ends.tolist(), strict=True):
             proposer.bind(self._fixed_knots[end - proposer.count : end])
         self.population = _population(planner, samples, self._fixed)
-        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._best.knots[0]
+        self._drawn: NoiseSource | None = None
+        """Noise of the sample that is carried out, where it is drawn for that."""
         self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
         white = planner.noise.shape is NoiseShape.IDENTITY
         self.noise = NoiseSource(
@@ -177,6 +183,35 @@ class SamplingStrategy(Strategy):
             constant=planner.noise.constant,
             device=device,
         )
+        self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._carried_out()
+
+    def _carried_out(self) -> wp.array:
+        """Knots of the plan ``[E, P, nu]`` where it is not the mean: the best sample, or one that is drawn for it."""
+        planner, envs, (_, count, nu) = self._planner, len(self.knots), self.knots.shape[1:]
+        if planner.execute is Execute.BEST:
+            return self._best.knots[0]
+        shaping = None if planner.noise.shape is NoiseShape.IDENTITY else _shaping(self._scene, count)
+        self._drawn = NoiseSource(
+            source=NoiseKind.RANDOM,
+            redraw=True,
+            seed=self._seed ^ CARRIED_OUT,
+            envs=envs,
+            samples=1,
+            knots=count,
+            nu=nu,
+            shaping=shaping,
+            constant=planner.noise.constant,
+            device=self._cost.device,
+        )
+        return wp.zeros(self.distribution.dim, dtype=float, device=self._cost.device)
+
+    def _draw_plan(self, iteration: int) -> None:
+        """Draw the plan from the distribution as it is now; capture-safe."""
+        envs, knots = len(self.mean), self.mean.reshape((len(self.mean), 1, *self.mean.shape[1:]))
+        self._drawn.advance(self._state.observed)
+        self._drawn.draw(0, envs)
+        undrawn = self._fixed_knots, 0
+        self.distribution.perturb(self._drawn.noise, undrawn, iteration, mean=False, knots=knots, first=0, count=envs)
 
     def _undrawn(self) -> list[Proposer]:
         """The samples that a scene does not want drawn."""
@@ -200,6 +235,8 @@ class SamplingStrategy(Strategy):
         self.distribution.reset(knots)
         self.weights.reset()
         self.noise.reset()
+        if self._drawn:
+            self._drawn.reset()
         for proposer in self.proposers:
             proposer.reset()
 
@@ -236,6 +273,8 @@ class SamplingStrategy(Strategy):
         self.distribution.follow(self.moments, iteration, step_size=self._planner.step_size)
         if self._best:
             self.moments.keep_best(cost, self._best.knots)
+        if self._drawn and iteration == len(self.population) - 1:
+            self._draw_plan(iteration)
 
 
 class DerivativeStrategy(Strategy):

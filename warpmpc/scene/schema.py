@@ -6,6 +6,7 @@ Every type is frozen. Units are SI: metres, kilograms, seconds, radians, newtons
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,6 +85,7 @@ __all__ = [
     "Timing",
     "TryMean",
     "Uniform",
+    "When",
 ]
 
 
@@ -94,6 +96,15 @@ class Timing(Section):
     """Length of one planned control [s]."""
     timeout: Positive = 45.0
     """Simulated time after which a run counts as failed [s]."""
+
+
+class When(StrEnum):
+    """Steps of the horizon at which a cost term counts."""
+
+    STAGE = "stage"
+    """All, but the last one where a scene has terminal terms."""
+    TERMINAL = "terminal"
+    """The last one."""
 
 
 class Cost(Section):
@@ -111,6 +122,8 @@ class Cost(Section):
     """Factor on its value; 0 switches it off."""
     terminal: NonNegative = 1.0
     """Factor on what it costs at the last step of the horizon, besides ``planner.terminal``."""
+    when: When = When.STAGE
+    """Steps at which it counts: where any term is ``terminal``, such terms alone make the last step's cost [S2]."""
 
     @property
     def label(self) -> str:

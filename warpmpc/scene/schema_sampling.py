@@ -21,7 +21,7 @@ class CovarianceForm(StrEnum):
     DIAGONAL = "diagonal"
     """One σ for every control (STORM's code)."""
     KNOTS = "knots"
-    """One σ for every control at every knot."""
+    """One σ for every control at every knot; with ``knots = "steps"`` the diagonal of Σ_h."""
     FULL = "full"
     """One covariance of all controls, the same at every knot."""
 
@@ -65,6 +65,8 @@ class Execute(StrEnum):
 
     MEAN = "mean"
     BEST = "best"
+    SAMPLE = "sample"
+    """One drawn about the mean, with the covariance as the last samples have left it."""
 
 
 class TryMean(StrEnum):

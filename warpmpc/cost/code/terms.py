@@ -38,10 +38,11 @@ class TermSource:
 
     @property
     def step(self) -> str:
-        """Its statements of one step; without weight it is off."""
+        """Its statements of one step; without weight, or at a step at which it does not count, it is off."""
         body = "\n".join(self.lines.statements)
         total = f"total{self.index} += discount * terminal[{self.index}] * {text(self.value)};"
-        return f"if (live && weight[{self.index}] != 0.0f) {{\n{body}\n{total}\n}}"
+        counts = f"weight[{self.index}] != 0.0f && terminal[{self.index}] != 0.0f"
+        return f"if (live && {counts}) {{\n{body}\n{total}\n}}"
 
     def end(self, world: str, lane: str = "") -> str:
         """Its cost over the horizon in a world, after the last step."""
