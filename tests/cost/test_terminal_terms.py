@@ -30,7 +30,7 @@ def scene_of(engine: str = "mujoco", cost=COST, **planner):
         "samples": 13,
         "horizon": STEPS,
         "dt": 0.04,
-        "knots": STEPS,
+        "knots": "steps",
         "spline": "zero",
         "discount": GAMMA,
         "iterations": 1,

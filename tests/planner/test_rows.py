@@ -87,7 +87,7 @@ def test_a_sample_of_the_new_distribution_is_carried_out(form):
     planner |= {
         "samples": 24,
         "horizon": 6,
-        "knots": 6,
+        "knots": "steps",
         "spline": "zero",
         "temperature": {"initial": 0.05, "eta": None},
     }
