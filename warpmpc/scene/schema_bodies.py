@@ -240,6 +240,8 @@ class Object(_Shape):
 
     mass: Positive
     """Mass [kg]."""
+    inertia: tuple[Positive, Positive, Positive] | None = None
+    """Moments of inertia about the shape's axes through its centre [kg·m²]; those of a solid body when left out."""
 
     @field_validator("shape")
     @classmethod
