@@ -54,6 +54,17 @@ def test_what_the_variant_says_is_changed_in_the_variant(scene):
     assert load_scene(f"{path}:far").planner.noise.sigma == (0.4,)
 
 
+def test_of_several_variants_the_last_that_says_a_value_is_changed(scene):
+    path, text = scene
+    path.write_text(
+        text + "\n[variants.far]\ncost.reach.weight = 0.1\n\n[variants.coarse]\nplanner.noise.sigma = 0.2\n"
+    )
+    save(path, "far+coarse", ["cost.reach.weight=0.3", "planner.noise.sigma=0.4"], to=path)
+    assert {cost.label: cost.weight for cost in load_scene(f"{path}:far").cost}["reach"] == 0.3
+    assert load_scene(f"{path}:coarse").planner.noise.sigma == (0.4,)
+    assert load_scene(path).planner.noise.sigma == (1.0,)
+
+
 @pytest.mark.parametrize("source", ["omni_push_box:B", "panda_reach", "push_t"])
 def test_keys_that_a_file_does_not_have_are_added_where_they_belong(source, tmp_path):
     scene = load_scene(source)

@@ -145,6 +145,17 @@ def test_objects_and_obstacles_have_their_shape_place_mass_and_friction(kind):
     np.testing.assert_allclose(layout.joint_q[3:], [1.0, 2.0, 3.0, *TURN], atol=1e-6)
 
 
+def test_an_object_may_be_harder_to_turn_than_a_solid_one():
+    thing = {"name": "thing", "shape": "box", "size": SIZES["box"], "mass": 2.5, "rotation": tuple(TURN)}
+    scene = make_scene(object=[thing | {"inertia": (3.0, 1.0, 2.0)}])
+    body = model_of(scene).body(compiled(scene).body_name[compiled(scene).layout.entity("thing").bodies[0]])
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, body.iquat)
+    rotation = rotation.reshape(3, 3)
+    np.testing.assert_allclose(rotation @ np.diag(body.inertia) @ rotation.T, np.diag([3.0, 1.0, 2.0]), atol=1e-5)
+    assert body.mass[0] == pytest.approx(2.5, rel=1e-4)
+
+
 def test_a_mesh_collides_as_its_hull_with_its_mass_about_its_own_centre(files):
     item = {"name": "brick", "shape": "mesh", "mesh": str(files / "brick.stl"), "scale": 0.001, "mass": 3.0}
     scene = make_scene(object=[{**item, "position": (0.0, 3.0, 0.15)}])

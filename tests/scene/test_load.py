@@ -84,6 +84,16 @@ def test_a_variant_may_replace_a_whole_array(tmp_path):
     assert [obstacle.name for obstacle in scene.obstacle] == ["pole"]
 
 
+def test_variants_are_laid_one_over_the_other(tmp_path):
+    text = SMALL + "[variants.far]\ngoal.position = [8.0, 0.0]\nplanner.samples = 77\n"
+    scene = load_scene(f"{write(tmp_path, text)}:near+far")
+    assert (scene.goal.position, scene.planner.samples, scene.variant) == ((8.0, 0.0), 77, "near+far")
+    assert scene.planner.noise.sigma == (0.1, 0.2, 0.3)
+    assert load_scene(f"{write(tmp_path, text)}:far+near").goal.position == (1.0, 0.0)
+    with pytest.raises(SceneError, match="no such variant"):
+        load_scene(f"{write(tmp_path, text)}:near+fur")
+
+
 @pytest.mark.parametrize(
     ("override", "get", "value"),
     [

@@ -12,7 +12,7 @@ from shared.jobs import Job
 from studies.experiments.metrics import METRICS, estimate, shown
 from studies.experiments.report import Report, Row
 from studies.experiments.runs import Run, plan_runs, spread
-from studies.experiments.tables import TABLES, Cell, Table
+from studies.experiments.tables import GROUPS, TABLES, Cell, Table
 
 import warpmpc
 from warpmpc.cost.stack import CostStack
@@ -197,3 +197,22 @@ def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, monkeypa
     assert err.count("\n") == 1
     assert says in err
     assert not list(tmp_path.iterdir())
+
+
+def test_every_row_by_the_letter_is_the_scene_of_ours_with_the_papers_planner():
+    letters = [cell for name in GROUPS["papers"] for cell in TABLES[name].cells if cell.name.endswith("_paper")]
+    assert {scene.partition(":")[0] for cell in letters for scene in cell.scenes} == {
+        "point_reach", "panda_reach", "panda_push", "panda_push_objects", "omni_push_box", "omni_push_sphere",
+        "diff_push_box", "mobile_pick",
+    }  # fmt: skip
+    for source in (scene for cell in letters for scene in cell.scenes):
+        letter, name = warpmpc.load_scene(source), source.removesuffix("paper").rstrip(":+")
+        ours, planner = warpmpc.load_scene(name), letter.planner
+        assert (letter.goal, letter.success, letter.robot, letter.object) == (
+            ours.goal,
+            ours.success,
+            ours.robot,
+            ours.object,
+        )
+        assert (planner.method, planner.dt, planner.knots, planner.iterations) == ("mppi", (0.04,), "steps", 1)
+        assert planner.noise.sigma != ours.planner.noise.sigma

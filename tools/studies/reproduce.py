@@ -2,6 +2,7 @@
 """Repeat the experiments of the paper's tables and compare.
 
     python tools/study.py reproduce table4 --jobs 2               # all cells, as many runs as the paper
+    python tools/study.py reproduce papers --jobs 2               # tables 1 to 4 and the pick
     python tools/study.py reproduce table1/point --runs 20        # one cell
     python tools/study.py reproduce table4 --set planner.samples=300 --out build/samples300
     python tools/study.py reproduce table1 --jobs gpus            # a process for each GPU of this machine
@@ -22,7 +23,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.experiments.tables import TABLES, Cell
+from studies.experiments.tables import GROUPS, TABLES, Cell
 from warpmpc.run.workers import FORMS, check_jobs
 
 if TYPE_CHECKING:
@@ -30,21 +31,20 @@ if TYPE_CHECKING:
 
 
 def chosen(names: list[str]) -> dict[str, list[Cell]]:
-    """Tables and their cells from ``TABLE`` and ``TABLE/CELL``.
+    """Tables and their cells from ``TABLE``, ``TABLE/CELL`` and names of groups.
 
     Raises:
         ValueError: If there is no such table or cell.
     """
     out: dict[str, list[Cell]] = {}
-    for name in names:
-        table, _, cell = name.partition("/")
-        _known("table", table, list(TABLES))
+    for wanted in (name for given in names for name in GROUPS.get(given, (given,))):
+        table, _, cell = wanted.partition("/")
+        _known("table", table, [*TABLES, *GROUPS])
         cells = TABLES[table].cells
         if cell:
             _known(f"cell of {table}", cell, [c.name for c in cells])
-        wanted = [c for c in cells if cell in ("", c.name)]
         have = out.setdefault(table, [])
-        have += [c for c in wanted if c not in have]
+        have += [c for c in cells if cell in ("", c.name) and c not in have]
     return out
 
 
@@ -59,7 +59,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     tables = "\n".join(f"  {name:13} {', '.join(cell.name for cell in t.cells)}" for name, t in TABLES.items())
-    parser.epilog = f"tables and their cells:\n{tables}"
+    groups = "\n".join(f"  {name:13} {', '.join(tables)}" for name, tables in GROUPS.items())
+    parser.epilog = f"tables and their cells:\n{tables}\ntables together:\n{groups}"
     parser.add_argument("tables", nargs="+", metavar="TABLE[/CELL]")
     parser.add_argument("--runs", type=int, help="seeds per scene; as many as in the paper by default")
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..model.compiled import compile_scene
 from ..scene.errors import SceneError, entry_label, join_key
-from ..scene.load import load_scene, shipped_folder
+from ..scene.load import load_scene, shipped_folder, split_variant
 from ..scene.overrides import Key, expand, leaves, merge, nest, parse_override, select
 
 
@@ -77,12 +77,15 @@ def edited(path: Path, variant: str | None, texts: Sequence[str]) -> str:
 
     document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
     data = document.unwrap()
-    patch = data.pop("variants", {}).get(variant, {})
-    varied = {full for leaf in leaves(patch) for full in expand(data, leaf)}
-    data = merge(data, patch)
+    patches = data.pop("variants", {})
+    varied: dict[Key, str] = {}
+    for name in split_variant(variant):
+        patch = patches.get(name, {})
+        varied |= {full: name for leaf in leaves(patch) for full in expand(data, leaf)}
+        data = merge(data, patch)
     for key, value in _changes(data, texts):
-        inside = any(all(a == b for a, b in zip(key, other, strict=False)) for other in varied)
-        _put(document["variants"][variant] if inside else document, key, value)
+        inside = [name for other, name in varied.items() if all(a == b for a, b in zip(key, other, strict=False))]
+        _put(document["variants"][inside[-1]] if inside else document, key, value)
         data = merge(data, nest(key, value))
     return tomlkit.dumps(document)
 

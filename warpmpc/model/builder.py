@@ -203,7 +203,9 @@ def _root(part: newton.ModelBuilder) -> int:
 
 
 def _add_object(builder, item: Object, scene: Scene) -> Entity:
-    given = {"mass": item.mass, "inertia": wp.diag(wp.vec3(*item.inertia)), "lock_inertia": True} if item.inertia else {}
+    given = (
+        {"mass": item.mass, "inertia": wp.diag(wp.vec3(*item.inertia)), "lock_inertia": True} if item.inertia else {}
+    )
     body = builder.add_body(xform=transform(item.position, item.rotation), label=item.name, **given)
     shape = _add_shape(builder, body, item, scene, wp.transform_identity(), mass=item.mass)
     return Entity(item.name, "object", bodies=(body,), shapes=(shape,), joints=(builder.joint_count - 1,))

@@ -26,7 +26,8 @@ def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
     """Read, vary and validate a scene.
 
     Args:
-        source: Name of a shipped scene or path of a TOML file; ``:VARIANT`` at its end picks a variant.
+        source: Name of a shipped scene or path of a TOML file; ``:VARIANT`` at its end picks a variant, and
+            ``:VARIANT+VARIANT`` several, laid one over the other in that order.
         overrides: Changes ``KEY=VALUE`` with a TOML value, such as ``planner.samples=500`` or
             ``robot.base.joint_q=[0, 0, 0]``; laid over the variant, in order.
 
@@ -46,10 +47,12 @@ def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
 
 def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
     data = _read(path)
-    patch = _pick(data.pop("variants", {}), variant, path)
-    origin = f"{path} [variants.{variant}]"
-    data = _apply(data, patch, file=origin)
-    origins: list[tuple[Key, str]] = [(key, origin) for key in leaves(patch)]
+    patches = data.pop("variants", {})
+    origins: list[tuple[Key, str]] = []
+    for name in split_variant(variant) or (None,):
+        patch, origin = _pick(patches, name, path), f"{path} [variants.{name}]"
+        data = _apply(data, patch, file=origin)
+        origins += [(key, origin) for key in leaves(patch)]
     for text in overrides:
         key, value = parse_override(text)
         data = _apply(data, nest(key, value), file=f"--set {text}")
@@ -86,6 +89,11 @@ def variants(source: str | Path) -> tuple[str, ...]:
     path, _ = _find(source)
     found = _read(path).get("variants", {})
     return tuple(found) if isinstance(found, dict) else ()
+
+
+def split_variant(variant: str | None) -> tuple[str, ...]:
+    """Names of the variants that ``VARIANT+VARIANT`` lays one over the other."""
+    return tuple(variant.split("+")) if variant is not None else ()
 
 
 def _find(source: str | Path) -> tuple[Path, str | None]:

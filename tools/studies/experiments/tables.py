@@ -8,7 +8,7 @@ figures are (mean,) or (mean, standard deviation) in the metric's unit, rates as
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +43,16 @@ def _cell(name: str, title: str, scene: str, **more: object) -> Cell:
     return Cell(name=name, title=title, scenes=(scene,), **more)
 
 
+def _with_letter(*cells: Cell) -> tuple[Cell, ...]:
+    """Cells, each followed by the paper's own terms, weights and planner: the variant ``paper`` of its scenes."""
+    return tuple(twin for cell in cells for twin in (cell, _letter(cell)))
+
+
+def _letter(cell: Cell) -> Cell:
+    scenes = tuple(f"{scene}{'+' if ':' in scene else ':'}paper" for scene in cell.scenes)
+    return replace(cell, name=f"{cell.name}_paper", title=f"{cell.title}, by the letter", scenes=scenes)
+
+
 def _pushes() -> tuple[Cell, ...]:
     """The five objects of Table III, each pushed to three goals."""
     success = {"A": 1.0, "B": 0.933, "C": 0.967, "D": 1.0, "E": 0.667}
@@ -57,7 +67,7 @@ def _pushes() -> tuple[Cell, ...]:
     )
 
 
-PER_STEP = ("planner.knots=false", "planner.spline=linear", "planner.noise.shape=identity")
+PER_STEP = ("planner.knots=steps", "planner.spline=linear", "planner.noise.shape=identity")
 """A noise of its own for every step of the horizon."""
 
 
@@ -77,22 +87,6 @@ STRAIGHT = 'metric="straight"'
 GEODESIC = 'metric="geodesic", inflation=0.36'
 """Around the obstacles, grown for base and box alike."""
 
-PAPER_PLANNER = (
-    "planner.samples=300",
-    "planner.horizon=8",
-    "planner.dt=false",
-    "planner.knots=false",
-    "planner.spline=zero",
-    "planner.noise.source=halton",
-    "planner.noise.shape=bspline",
-    "planner.noise.sigma=[0.71, 0.71, 1.34]",
-    "planner.noise.spread=[1.0, 1.0]",
-    "planner.noise.constant=0.0",
-    "planner.noise.redraw=false",
-    "planner.temperature.eta=[5.0, 10.0]",
-)
-"""The paper's settings of the omnidirectional push: Σ = diag(.5, .5, 1.8), 300 samples, 8 steps of 0.04 s."""
-
 
 def _ablations() -> tuple[Cell, ...]:
     """The omnidirectional push with one thing less at a time, and with the paper's terms and planner."""
@@ -107,7 +101,6 @@ def _ablations() -> tuple[Cell, ...]:
         "redraw": ("the same samples at every plan", ("planner.noise.redraw=false",)),
         "geodesic": ("the paper's terms with geodesic distances", (_paper_terms(GEODESIC),)),
         "terms": ("the paper's terms", (_paper_terms(STRAIGHT),)),
-        "paper": ("the paper's terms and planner", (_paper_terms(STRAIGHT), *PAPER_PLANNER)),
     }
     return tuple(
         _cell(f"{variant}_{name}", f"start {variant}, {title}", f"omni_push_box:{variant}", overrides=overrides)
@@ -131,14 +124,27 @@ def _sampling() -> tuple[Cell, ...]:
     )
 
 
+ILQG = _cell(
+    "point_ilqg",
+    "point robot, iLQG: model, terms and horizon of the row of ours",
+    "point_reach",
+    overrides=("planner.method=ilqg",),
+    paper={"time": (6.1,), "solver": (2.5,)},
+)
+"""An optimization-based MPC with the same model: stands for the paper's ForcesPro, whose figures are beside it."""
+
+
 TABLES = {
     "table1": Table(
         title="Table I: motion planning among five random spheres",
         metrics=("success", "free", "time", "solver", "path", "clearance"),
         runs=100,
         cells=(
-            _cell("point", "point robot", "point_reach", paper={"time": (2.7,), "solver": (55.0,)}),
-            _cell("panda", "Panda", "panda_reach", paper={"time": (0.8,), "solver": (63.0,)}),
+            *_with_letter(
+                _cell("point", "point robot", "point_reach", paper={"time": (2.7,), "solver": (55.0,)}),
+                _cell("panda", "Panda", "panda_reach", paper={"time": (0.8,), "solver": (63.0,)}),
+            ),
+            ILQG,
         ),
         note="The paper's other methods, point robot and Panda: optimization fabrics 7.4 and 9.6 s to the goal, "
         "1.0 and 1.4 ms a plan; ForcesPro MPC 6.1 and 4.2 s, 2.5 and 51 ms.",
@@ -147,7 +153,7 @@ TABLES = {
         title="Table II: the Panda pushes a block to two poses",
         metrics=("success", "cost", "time", "solver"),
         runs=10,
-        cells=(
+        cells=_with_letter(
             _cell("pose_1", "pose 1", "panda_push:pose_1", paper={"cost": (0.029, 0.09), "time": (8.0,)}),
             _cell("pose_2", "pose 2", "panda_push:pose_2", paper={"cost": (0.03, 0.12), "time": (8.0,)}),
         ),
@@ -158,14 +164,14 @@ TABLES = {
         title="Table III: the Panda pushes five objects to three goals",
         metrics=("success", "time", "solver"),
         runs=10,
-        cells=_pushes(),
+        cells=_with_letter(*_pushes()),
         note="The paper's baseline over objects A to E: 93.5, 90.9, 93.9, 91.6 and 89.5 %, 24 s a push.",
     ),
     "table4": Table(
         title="Table IV: non-prehensile pushing by mobile bases",
         metrics=("success", "time", "solver"),
         runs=5,
-        cells=(
+        cells=_with_letter(
             _cell("box_A", "omnidirectional base, box, start A", "omni_push_box:A", paper={"time": (9.66, 0.84)}),
             _cell("box_B", "omnidirectional base, box, start B", "omni_push_box:B", paper={"time": (12.84, 0.56)}),
             _cell("sphere_A", "omnidirectional base, sphere, A", "omni_push_sphere:A", paper={"time": (8.76, 0.38)}),
@@ -178,7 +184,7 @@ TABLES = {
         metrics=("success", "time", "solver"),
         runs=10,
         cells=(
-            _cell("pick", "mobile manipulator", "mobile_pick", paper={"time": (15.67, 7.21)}),
+            *_with_letter(_cell("pick", "mobile manipulator", "mobile_pick", paper={"time": (15.67, 7.21)})),
             _cell("knocked", "the cube knocked away", "mobile_pick:knocked"),
         ),
     ),
@@ -207,3 +213,6 @@ TABLES = {
     ),
 }
 """Tables by name."""
+
+GROUPS = {"papers": ("table1", "table2", "table3", "table4", "pick")}
+"""Tables by the name of several."""
