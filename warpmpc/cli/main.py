@@ -31,7 +31,8 @@ app = typer.Typer(
 SceneArgument = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE", help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:VARIANT for a variant of it."
+        metavar="SCENE",
+        help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:VARIANT for a variant of it, A+B for two.",
     ),
 ]
 SetOption = Annotated[

@@ -74,7 +74,7 @@ def scene_json_schema(terms: Mapping[str, tuple[type[Section], str]]) -> dict[st
     scene = parts.pop(name_of[Scene])
     scene["properties"] = {key: scene["properties"][key] for key in keys(Scene)}
     scene["properties"]["variants"] = {
-        "description": "Named changes of the scene: `SCENE:VARIANT` is the scene with one of them laid over it.",
+        "description": "Named changes of the scene: `SCENE:VARIANT` has one of them laid over it, `SCENE:A+B` two.",
         "type": "object",
         "additionalProperties": {"type": "object"},
     }
