@@ -39,7 +39,7 @@ horizon = 50
 """
 
 
-def chosen(folder, *, stiffness: float = 1.0, integrator: str = "implicitfast", more: str = ""):
+def chosen(folder, *, stiffness: float = 1.0, integrator: str = "implicitfast", more: str = "dt = 0.02"):
     """Physics steps of the engine ``mujoco``."""
     (folder / "arm.xml").write_text(ARM % (integrator, stiffness))
     (folder / "arm.toml").write_text(SCENE % more)

@@ -17,7 +17,7 @@ def grid(**planner) -> TimeGrid:
 @pytest.mark.parametrize(
     ("dt", "expected"),
     [
-        (None, [0.04] * 5),
+        (None, [0.08] * 5),  # two controls
         ((0.1,), [0.1] * 5),
         ((0.01, 0.02, 0.02, 0.05, 0.1), [0.01, 0.02, 0.02, 0.05, 0.1]),
         ({"first": 0.02, "last": 0.1}, [0.02, 0.04, 0.06, 0.08, 0.1]),

@@ -39,6 +39,8 @@ between = ["base/tip", "box"]
 [planner]
 samples = 16
 horizon = 4
+dt = 0.04
+iterations = 1
 
 [success]
 position = 0.05
