@@ -56,7 +56,7 @@ SETTINGS = (
     ("planner.spline=bspline", "planner.noise.shape=coloured"),
     ("planner.temperature.eta=false", "planner.temperature.ess=8", "planner.noise.source=random"),
     ("planner.noise.shape=comb", "planner.noise.null_sample=false"),
-    ("planner.knots=false", "planner.spline=zero", "planner.dt=0.04", "planner.noise.shape=bspline"),
+    ("planner.knots=steps", "planner.spline=zero", "planner.dt=0.04", "planner.noise.shape=bspline"),
     ("planner.randomize=false", "planner.step_size=0.5", "engine.threads=1"),
     ("planner.horizon=5", "planner.dt=[0.04, 0.04, 0.08, 0.08, 0.16]"),
     ("planner.horizon=5", "planner.dt=0.04", "planner.ancillary=[{recall = 0.4}]"),

@@ -51,7 +51,7 @@ class Row:
 
 
 def _sizes(samples: int, horizon: int, substeps: int | None = None, dt: float | None = None) -> tuple[str, ...]:
-    out = [f"planner.samples={samples}", f"planner.horizon={horizon}"]
+    out = [f"planner.samples={samples}", f"planner.horizon={horizon}", "planner.iterations=1"]
     out += [] if substeps is None else [f"engine.substeps={substeps}"]
     return (*out, *([] if dt is None else [f"planner.dt={dt}"]))
 
@@ -67,9 +67,9 @@ PLANS = (
     ("panda_push_objects", _sizes(64, 12, 4), 1, None, {2: 4.0}),
     ("mobile_pick", _sizes(750, 8, 3), 1, 3.5, {2: 25.0}),
     ("mobile_pick", _sizes(128, 8, 3), 1, None, {2: 5.0}),
-    ("panda_reach", _sizes(500, 12, 2), 1, 2.0, {2: 8.0}),
+    ("panda_reach", _sizes(500, 12, 2, 0.06), 1, 2.0, {2: 8.0}),
     ("push_t", _sizes(2048, 50, 1, 0.01), 1, 4.0, {}),
-    ("cylinder_push", _sizes(256, 50), 1, None, {2: 4.0}),
+    ("cylinder_push", _sizes(256, 50, dt=0.02), 1, None, {2: 4.0}),
     ("humanoid_stand", _sizes(512, 40), 1, 4.0, {2: 26.0}),
     ("humanoid_stand", _sizes(16, 40), 1, None, {2: 1.2}),
 )
