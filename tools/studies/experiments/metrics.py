@@ -53,6 +53,7 @@ METRICS = {
     "jerk": Metric("squared jerk", "m²/s⁵", _when_reached(lambda run: run["measured"]["squared_jerk_m2_s5"]), 0),
     "rate": Metric("squared control rate", "", _when_reached(lambda run: run["measured"]["squared_control_rate"]), 0),
     "clearance": Metric("least clearance", "m", _when_reached(lambda run: run["measured"]["clearance_m"]), 3),
+    "error": Metric("left at the end", "m", lambda run: run["result"]["final"]["position_error_m"]),
     "solver": Metric("plan", "ms", lambda run: run["result"]["plan_ms"]["p50"], 1),
     "cost": Metric("final cost", "", _final_cost, 3),
 }
