@@ -206,7 +206,7 @@ def test_an_unknown_variant_lists_the_variants(tmp_path):
     with pytest.raises(SceneError, match=r"no such variant; found 'nera'; allowed: near\. Did you mean 'near'\?"):
         load_scene(f"{write(tmp_path)}:nera")
     with pytest.raises(SceneError, match="nothing, there is none"):
-        load_scene("point_reach:B")
+        load_scene("pendulum:B")
 
 
 def test_variants_that_are_no_tables_are_errors(tmp_path):
