@@ -9,6 +9,7 @@ from stepping import stepping
 
 import warpmpc
 from warpmpc import Controller, State
+from warpmpc.cost.weights import term_factors
 from warpmpc.derivatives.rollouts import Policy
 
 GAMMA, STEPS = 0.9, 5
@@ -98,3 +99,9 @@ def test_a_terminal_term_is_not_asked_before(engine):
     cost = [{"term": "only_late", "late": 0.05, "when": "terminal", "weight": 7.0}, COST[1]]
     mpc = planned(engine, cost=cost, terms=[only_late], discount=1.0)
     np.testing.assert_allclose(mpc.engine.total.numpy()[0], 7.0, rtol=1e-6)
+
+
+def test_a_terminal_term_that_is_switched_off_replaces_nothing():
+    off = [*COST[:2], {**COST[2], "weight": 0.0}]
+    np.testing.assert_array_equal(term_factors(scene_of(cost=COST).cost)[:2, 1], 0.0)
+    np.testing.assert_array_equal(term_factors(scene_of(cost=off).cost)[:2, 1], 1.0)

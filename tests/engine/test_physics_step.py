@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from warpmpc.engine.physics_step import _error
+from warpmpc.engine.physics_step import _error, _Rollouts
 from warpmpc.engine.registry import physics_steps
 from warpmpc.engine.timegrid import TimeGrid
 from warpmpc.model.compiled import compile_scene
@@ -84,3 +84,17 @@ def test_the_error_is_a_share_of_the_spread_of_bodies_that_controls_move():
     assert _error(ways, exact) == pytest.approx(0.03 * np.sqrt(3.0))
     ways[1, 0] = np.nan
     assert _error(ways, exact) == np.inf
+
+
+def test_a_servo_is_tried_about_its_posture(tmp_path):
+    (tmp_path / "arm.xml").write_text(
+        (ARM % ("implicitfast", 1.0)).replace(
+            '<motor name="hinge" joint="hinge" ctrlrange="-5 5"/>',
+            '<position name="hinge" joint="hinge" kp="20" ctrlrange="-3 3"/>',
+        )
+    )
+    start = 'name = "arm"\njoint_q = { hinge = 1.5 }'
+    (tmp_path / "arm.toml").write_text(SCENE.replace('name = "arm"', start) % "dt = 0.02")
+    scene = load_scene(str(tmp_path / "arm.toml"))
+    tried = _Rollouts(scene, compile_scene(scene), TimeGrid.of(scene))._control
+    np.testing.assert_allclose(np.median(tried[:, 0]), 1.5, atol=0.2)

@@ -279,3 +279,20 @@ def test_derivatives_keep_the_steps_of_controls(planner):
     data = load_scene("pendulum").model_dump(exclude_unset=True)
     found = Scene.model_validate({**data, "planner": planner}).planner
     assert (found.horizon, found.dt, found.spline, found.iterations) == (60, (0.02,), "zero", 1)
+
+
+@pytest.mark.parametrize("override", ["planner.horizon=1", "planner.lookahead=0.08"])
+def test_a_plan_of_one_step_has_one_knot(override):
+    planner = load_scene("pendulum", overrides=[override]).planner
+    assert (planner.horizon, planner.knot_count) == (1, None)
+
+
+def test_a_planner_without_derivatives_has_the_defaults():
+    planner = load_scene("pendulum", overrides=["planner.refine=false"]).planner
+    assert (planner.refine, planner.iterations, planner.knots, planner.spline) == (None, 2, 5, "cubic")
+
+
+def test_a_methods_own_settings_go_with_it():
+    scene = load_scene("pendulum", overrides=["planner.method=ilqg", "planner.noise.sigma=0.3"])
+    noise = with_values(scene, {"planner.method": "mppi"}).planner.noise
+    assert (noise.shape, noise.sigma) == ("identity", (0.3,))

@@ -102,6 +102,12 @@ def test_a_space_follows_from_every_scene_and_holds_what_the_scene_has(name):
             warpmpc.load_scene(name, overrides=[f"{parameter.key}={parameter.text(end)}"])
 
 
+def test_no_range_leaves_what_the_key_allows():
+    assert any(
+        text.startswith("planner.temperature.ess=1.0..") for text in derive_space(warpmpc.load_scene("quadrotor"))
+    )
+
+
 def test_a_key_holds_what_the_scene_says():
     scene = warpmpc.load_scene("omni_push_box")
     assert present(scene, "robot.base.joint_q.1") == {"robot.base.joint_q.1": 2.0}

@@ -7,8 +7,8 @@
 
 Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them;
 metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). With ``--own-planner``
-scenes keep their planners; ``FILE.toml:advised`` is a task of others with what `check` and the verdict advised. A task
-counts as solved when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at
+scenes keep their planners, as ``FILE.toml:advised`` does: a task of others with what `check` and the verdict advised.
+A task counts as solved when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at
 (tools/seeds.toml).
 """
 
@@ -46,7 +46,7 @@ SHIPPED = (
 
 def bare(task: str, settings: list[str], *, own: bool) -> Scene:
     """The scene of a task with no planner's keys but those of ``settings``, or with its own, too, on one thread."""
-    if own:
+    if own or ".toml:" in task:
         return warpmpc.load_scene(task, overrides=["engine.threads=1", *settings])
     scene = warpmpc.load_scene(task, overrides=["engine.threads=1"])
     planner = tomllib.loads("\n".join(text.removeprefix("planner.") for text in settings))
@@ -112,7 +112,8 @@ def main(arguments: list[str]) -> int:
             rows.append(row)
             rows.sort(key=lambda row: (order.index(row["task"]), row["seed"]))
             if args.json:  # what is done is kept, whatever happens
-                write_json(args.json, {"machine": machine(), "code": code_digest(), "set": args.set, "rows": rows})
+                made = {"machine": machine(), "code": code_digest(), "set": args.set, "own_planner": args.own_planner}
+                write_json(args.json, {**made, "rows": rows})
             bar.step(f"{row['task']}, seed {row['seed']}: {row['reason']}")
     shown = Table("task", "reached the goal", "time to goal [s]", "plan [ms]")
     for cells in table(rows):

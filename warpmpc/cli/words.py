@@ -93,8 +93,9 @@ def _temperature(planner: Planner) -> str:
     if planner.method is not Method.MPPI:
         return ""
     t = planner.temperature
-    aim = f" for an ESS of {t.ess:g}" if t.ess else f" for η in {number_words(t.eta)}" if t.eta else ", fixed"
-    return f", β {t.initial:g}{aim}"
+    if t.ess:
+        return f", β for an ESS of {t.ess:g}"
+    return f", β {t.initial:g}" + (f" for η in {number_words(t.eta)}" if t.eta else ", fixed")
 
 
 def number_words(value: Any) -> str:

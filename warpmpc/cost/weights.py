@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 def term_factors(costs: Sequence[Cost]) -> np.ndarray:
     """Factors on what terms cost before the last step of a horizon, and at it ``[term, 2]``."""
     ends = [cost.when is When.TERMINAL for cost in costs]
-    counted = [(not end, end or not any(ends)) for end in ends]
+    replaced = any(end and cost.weight for end, cost in zip(ends, costs, strict=True))
+    counted = [(not end, end or not replaced) for end in ends]
     return np.array([(a, b * cost.terminal) for cost, (a, b) in zip(costs, counted, strict=True)]).reshape(-1, 2)
 
 

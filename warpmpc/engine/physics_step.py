@@ -12,6 +12,7 @@ from ..launch import capturing
 from ..model.batch_size import BatchSize
 from ..model.layout import rotate
 from ..model.mujoco_model import Options
+from ..model.safe import safe_command
 from ..task.observed import ObservedState
 from ..task.task import Task, task_layout
 
@@ -57,8 +58,8 @@ def physics_step_count(scene: Scene, compiled: CompiledScene, grid: TimeGrid, co
     if key not in known:
         with capturing:  # nothing may be allocated while a controller records its plan
             rollouts = _Rollouts(scene, compiled, grid)
-            exact = rollouts.ways(count)
-            known[key] = next((n for n in fitting if _error(rollouts.ways(n), exact) <= SMALL), count)
+            exact = rollouts.centres(count)
+            known[key] = next((n for n in fitting if _error(rollouts.centres(n), exact) <= SMALL), count)
     return known[key]
 
 
@@ -76,7 +77,7 @@ class _Rollouts:
         self._layout = layout = task_layout(compiled.layout, scene)
         self._state = ObservedState.allocate(layout, Task(scene), "cpu")
         lower, upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
-        start = layout.control_start if len(layout.control_start) else np.zeros(layout.nu)
+        start = safe_command(layout, layout.joint_q[None], np.zeros((1, layout.nv)), float(grid.dt[0]))[0]
         amplitude = np.geomspace(0.1, 1.0, WORLDS)[:, None, None] * (upper - lower) / 2.0
         knots = amplitude * np.random.default_rng(0).uniform(-1.0, 1.0, (WORLDS, KNOTS, layout.nu))
         place = (KNOTS - 1) * grid.t[:-1] / max(grid.t[-2], 1e-9)
@@ -85,7 +86,7 @@ class _Rollouts:
         control = knots[:, first] * (1.0 - share) + knots[:, first + 1] * share
         self._control = np.clip(start + control, lower, upper).swapaxes(0, 1)
 
-    def ways(self, count: int) -> np.ndarray:
+    def centres(self, count: int) -> np.ndarray:
         """Centres of mass of all bodies ``[T+1, W, nb, 3]``, not finite in a world that diverges.
 
         Args:
@@ -107,19 +108,19 @@ class _Rollouts:
         simulator.clone(self._state)
         simulator.rollout(simulator.trajectory.control)
         poses = simulator.trajectory.body_q.numpy().astype(float)
-        ways = poses[..., :3] + rotate(poses[..., 3:], self._layout.body_com)
-        ways[:, simulator.trajectory.diverged.numpy().astype(bool)] = np.nan
+        centres = poses[..., :3] + rotate(poses[..., 3:], self._layout.body_com)
+        centres[:, simulator.trajectory.diverged.numpy().astype(bool)] = np.nan
         simulator.close()
-        return ways
+        return centres
 
 
-def _error(ways: np.ndarray, exact: np.ndarray) -> float:
+def _error(centres: np.ndarray, exact: np.ndarray) -> float:
     """Difference of rollouts ``[T+1, W, nb, 3]``, as a share of how far they are from one another.
 
     Root mean square over worlds and steps, of the body for which it is largest among those that the controls move;
     infinite where a world diverges.
     """
-    if not (np.isfinite(ways).all() and np.isfinite(exact).all()):
+    if not (np.isfinite(centres).all() and np.isfinite(exact).all()):
         return math.inf
 
     def size(apart: np.ndarray) -> np.ndarray:
@@ -127,4 +128,4 @@ def _error(ways: np.ndarray, exact: np.ndarray) -> float:
 
     spread = size(exact - exact.mean(axis=1, keepdims=True))
     moved = (spread > 0.0) & (spread >= MOVES * spread.max(initial=0.0))
-    return float((size(ways - exact)[moved] / spread[moved]).max(initial=0.0)) if moved.any() else math.inf
+    return float((size(centres - exact)[moved] / spread[moved]).max(initial=0.0)) if moved.any() else math.inf

@@ -136,7 +136,8 @@ class PlantSigns:
         found, holding = set(), set()
         for first, second in model.geom_bodyid[data.contact.geom[: data.ncon]].tolist():
             (one, a), (other, b) = (self._links.get(body, (None, "")) for body in (first, second))
-            if one is not None and one == other and a != b:
+            trees = set(model.body_treeid[[first, second]].tolist()) - {-1}
+            if one is not None and one == other and a != b and len(trees) == 1:  # a free body of the file is grasped
                 found.add((min(a, b), max(a, b)))
             elif one != other and min(model.body_treeid[[first, second]]) >= 0:
                 holding |= {self._fingers.get(int(model.body_weldid[body])) for body in (first, second)}
@@ -172,10 +173,14 @@ class PlantSigns:
         yield from self._stops()
         yield from self._contacts()
 
-    def _standstill(self) -> Iterator[str]:
+    def still(self) -> bool:
+        """Return whether nothing moved over the last third of the run, if that is long."""
         last = self._q[-(len(self._q) // 3) :]
-        dt = self._plant.scene.timing.control_dt
-        if len(last) * dt < STANDING or np.ptp(last, axis=0).max(initial=0.0) > STILL:
+        return len(last) * self._plant.scene.timing.control_dt >= STANDING and np.ptp(last, axis=0).max() <= STILL
+
+    def _standstill(self) -> Iterator[str]:
+        last, dt = self._q[-(len(self._q) // 3) :], self._plant.scene.timing.control_dt
+        if not self.still():
             return
         costs = np.abs(np.nanmean(self._terms[-len(last) :], axis=0))
         if not np.isfinite(costs).all() or not costs.sum() > 0.0:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ..plant.monitor import Progress
     from ..plant.plant import Plant
 
+ENDS = 20.0
+"""Factor on the last step that is advised: with it the end counts more than fifteen steps of the way."""
 SLACK = 1e-6
 """Tolerance of times [s]: they are sums of steps."""
 DIVERGED = 0.1
@@ -72,14 +74,15 @@ class Symptoms:
         away = [item for item in unmet if not item.best.holds]
         stuck = [item for item in away if item.when < SETTLED * end]
         if stuck:
-            ahead = float(self.controller.plan_step.grid.t[-1])
+            ahead, planner = float(self.controller.plan_step.grid.t[-1]), scene.planner
+            ends = "" if planner.terminal >= ENDS else f"let where plans end count more (planner.terminal = {ENDS:g}), "
             yield (
                 f"{some([item.last.name for item in stuck])} came no nearer after {max(i.when for i in stuck):.2f} s: "
-                f"look further ahead (planner.lookahead, {ahead:.3g} s now), let where plans end count more "
-                "(planner.terminal = 20), then raise planner.iterations"
+                f"look further ahead (planner.lookahead, {ahead:.3g} s now), {ends}then raise planner.iterations "
+                f"({planner.iterations} now)"
             )
         nearer = [item.last.name for item in away if end <= item.when]
-        if nearer:
+        if nearer and not self._of_plant.still():  # what creeps does not arrive
             yield f"{some(nearer)} was still coming nearer at the end: a longer timing.timeout, or faster drives"
         if monitor.progress and not unmet and scene.success is not None and not self.plant.success:
             yield (
@@ -109,18 +112,23 @@ class Symptoms:
         if controller.scene.planner.method is Method.MPPI:
             yield from self._weights()
 
+    def _steered(self) -> str:
+        """Key by which the temperature is found, or that is it."""
+        t = self.controller.scene.planner.temperature
+        return f"temperature.{'ess' if t.ess else 'eta' if t.eta else 'initial'}"
+
     def _weights(self) -> Iterator[str]:
         """Weights of MPPI that lie on one sample, or on all alike."""
         if self._lone > OFTEN * self._steps and self.controller.shape.samples > 2:
             yield (
                 f"one sample alone decides in {self._lone / self._steps:.0%} of the plans (η below {ONE}): raise "
-                "temperature.eta or temperature.initial, or give more samples"
+                f"{self._steered()}, or give more samples"
             )
         if self._even > OFTEN * self._steps:
             yield (
                 f"all samples count alike in {self._even / self._steps:.0%} of the plans (η above {ALL:.0%} of the "
                 "samples): their costs hardly differ; raise planner.noise.sigma, look further ahead, lower "
-                "temperature.initial, or add a term that leads to the goal"
+                f"{self._steered()}, or add a term that leads to the goal"
             )
 
 

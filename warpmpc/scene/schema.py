@@ -123,7 +123,8 @@ class Cost(Section):
     terminal: NonNegative = 1.0
     """Factor on what it costs at the last step of the horizon, besides ``planner.terminal``."""
     when: When = When.STAGE
-    """Steps at which it counts: where any term is ``terminal``, such terms alone make the last step's cost [S2]."""
+    """Steps at which it counts: where a term with a weight is ``terminal``, such terms alone make the last step's cost
+    [S2], and ``terminal`` of the others does nothing."""
 
     @property
     def label(self) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import Discriminator, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from .types import Channel, Count, Flag, Fraction, NonNegative, Positive, Positives, Section, Vec3
 
@@ -92,11 +92,11 @@ class Temperature(Section):
     """The inverse-exponential temperature β of MPPI."""
 
     initial: Positive = 1.0
-    """β of the first plan, in units of cost."""
+    """β of the first plan with ``eta``, of every plan with neither, in units of cost; ``ess`` finds its own."""
     eta: tuple[Positive, Positive] | None = None
     """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. When
     false, β stays."""
-    ess: Positive | None = 4.0
+    ess: Annotated[Positive, Field(ge=1.0)] | None = 4.0
     """Effective sample size (Σw)²/Σw² that β is solved for within each plan."""
 
     @model_validator(mode="before")

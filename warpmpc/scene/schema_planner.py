@@ -267,7 +267,7 @@ class Planner(Section):
             return handler(data)
         method = data.get("method")
         preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
-        base = DERIVATIVES if "refine" in {**preset, **data} else {}
+        base = DERIVATIVES if {**preset, **data}.get("refine") else {}
         out = {**base, **preset, **data}
         for key in ("noise", "temperature", "covariance", "refine"):
             tables = [part[key] for part in (base, preset, data) if key in part]
@@ -278,6 +278,10 @@ class Planner(Section):
             out |= {"knots": KnotCount.STEPS} | ({"spline": SplineKind.ZERO} if smooth else {})
         planner = handler(out)
         planner.__pydantic_fields_set__.intersection_update(data)
+        for key in ("noise", "temperature", "covariance", "refine"):
+            said = data.get(key)
+            if isinstance(said, dict):
+                getattr(planner, key).__pydantic_fields_set__.intersection_update(said)
         return planner
 
     @model_validator(mode="after")
@@ -314,7 +318,7 @@ class Planner(Section):
             steps = len(dt) if len(dt) > 1 else self._steps_ahead(dt[0])
         update = {"horizon": steps, "dt": dt}
         if "knots" not in self.model_fields_set and isinstance(self.knots, int):
-            update["knots"] = max(2, min(self.knots, steps))
+            update["knots"] = min(self.knots, steps) if steps > 1 else KnotCount.STEPS
         planner = self.model_copy(update=update)
         said = self.model_fields_set - ({"horizon"} if open_ended else set())  # worked out is not said
         planner.__pydantic_fields_set__.intersection_update(said)

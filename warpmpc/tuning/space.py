@@ -238,15 +238,17 @@ def derive_space(scene: Scene) -> list[str]:
         if t.eta is not None:
             texts.append(f"{steered}.eta=x0.3..4")
         else:
-            texts.append(_near(f"{steered}.{'initial' if t.ess is None else 'ess'}", t.ess or t.initial, 5.0))
+            least = 0.0 if t.ess is None else 1.0
+            key = f"{steered}.{'initial' if t.ess is None else 'ess'}"
+            texts.append(_near(key, t.ess or t.initial, 5.0, least=least))
     elif planner.method in BY_ELITES:
         texts.append(f"planner.elites={max(1, planner.elites // 2)}..{2 * planner.elites}")
     return texts
 
 
-def _near(key: str, value: float, factor: float) -> str:
+def _near(key: str, value: float, factor: float, *, least: float = 0.0) -> str:
     """The range of a value between its part and its multiple."""
-    return f"{key}={float(f'{value / factor:.6g}')}..{float(f'{value * factor:.6g}')}:log"
+    return f"{key}={max(least, float(f'{value / factor:.6g}'))}..{float(f'{value * factor:.6g}')}:log"
 
 
 def bind_space(
