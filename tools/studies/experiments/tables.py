@@ -171,7 +171,10 @@ ILQG = _cell(
     overrides=("planner.method=ilqg",),
     paper={"time": (6.1,), "solver": (2.5,)},
 )
-"""An optimization-based MPC with the same model: stands for the paper's ForcesPro, whose figures are beside it."""
+"""An optimization-based MPC with the same model: stands for the paper's ForcesPro, whose figures are beside it.
+
+ForcesPro is commercial, and takes spheres as constraints where iLQG has the scene's costs. Optimization fabrics are in
+the PyPI package ``fabrics``, with a model of its own; they are not run here."""
 
 
 TABLES = {
