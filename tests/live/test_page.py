@@ -273,6 +273,34 @@ def test_a_recording_is_started_and_stopped(page, session):
     page.get_by_role("button", name="Record", exact=True).wait_for(timeout=WAIT)
 
 
+def plans_a_control(page):
+    """Plans for each of the last controls, as the page reads them out."""
+    line = page.get_by_text("plans a control").first.text_content(timeout=WAIT)
+    return float(line.split(" plans a control")[0].split(" ")[-1])
+
+
+def test_the_slow_down_slider_buys_plans_which_lock_step_does_not(page, session):
+    session.set_key("agent.plans", '"fit"')
+    click(page, "Run", "tab")
+    until(lambda: session.scene.agent.plans == "fit" and session.snapshot.steps > 20)
+    speed = page.get_by_role("slider").first
+    press(speed, "End", until=lambda: session.pace == 4.0)
+    steps = session.snapshot.steps
+    until(lambda: session.snapshot.steps > steps + 40)
+    fast = session.snapshot.plans
+    press(speed, "Home", until=lambda: session.pace < 4.0)
+    press(speed, "ArrowRight", until=lambda: session.pace >= 0.1)
+    until(lambda: session.snapshot.plans > 3.0 * fast and session.snapshot.plans > 5.0)
+    until(lambda: plans_a_control(page) > 3.0 * fast)
+    click(page, "lock step", "checkbox")
+    press(speed, "End", until=lambda: session.pace == 4.0)
+    until(lambda: session.snapshot.lock_step and session.snapshot.plans == 1.0)
+    session.step_or_follow(False)
+    session.set_key("agent.plans", '"one"')
+    session.pace = 1.0
+    until(lambda: session.scene.agent.plans == "one" and not session.snapshot.lock_step)
+
+
 def test_tabs_come_and_go(served, page, browser, session):
     session.pause()  # what moves is drawn without a GPU, and a page that loads has to wait for it
     until(lambda: session.snapshot.paused)

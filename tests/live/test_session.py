@@ -269,3 +269,26 @@ def test_what_is_recorded_opens_and_a_reset_ends_it(session, tmp_path, monkeypat
         recorded = {chunk.entity_path for chunk in RrdReader(file).stream().to_chunks()}
         assert {"/cost/total", "/rollouts/best", "/scene/discs/cart"} <= recorded
     assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("plans", ["one", "fit"])
+def test_a_plant_that_is_slowed_down_waits_for_no_plan(plans):
+    session = started(overrides=[*FAST, f'agent.plans="{plans}"'])
+    session.pace = 0.2
+    steps_on(session, 25)
+    made, dt = session.snapshot.plans, session.scene.timing.control_dt
+    assert (made > 2.0) if plans == "fit" else (0.4 < made < 1.6)
+    slow = session.controller.plan
+    session.do(lambda: setattr(session.controller, "plan", lambda state: (time.sleep(0.25), slow(state))[1]))
+    session.pace = 1.0
+    steps_on(session)
+    begin, start = session.snapshot.time, time.monotonic()
+    steps_on(session, round(1.0 / dt))
+    passed = session.snapshot.time - begin
+    assert passed / (time.monotonic() - start) > 0.7, "the plant goes on while a plan takes a quarter of a second"
+    assert session.snapshot.plans < 0.5 * (0.25 / dt)
+    session.step_or_follow(True)
+    until(lambda: session.snapshot.lock_step and session.snapshot.plans > 0.9)
+    steps_on(session, 22)
+    assert session.snapshot.plans == 1.0
+    ended(session)

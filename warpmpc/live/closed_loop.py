@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,8 @@ import numpy as np
 
 from ..controller.controller import Controller
 from ..model.safe import safe_command
+from ..realtime.messages import TimedObservation, TimedPlan
+from ..realtime.planning import PlannerThread
 from ..record.switch import RecordingSwitch
 from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
@@ -29,10 +33,18 @@ PUBLISH = 0.05
 """Shortest wall time between two snapshots with rollouts [s]."""
 COMPARE = 0.3
 """Shortest wall time between two comparisons of what was foreseen with what came [s]."""
+FIRST_PLAN = 30.0
+"""Longest wait for the first plan from an observation [s]."""
+COUNTED = 20
+"""Newest controls over which plans are counted."""
 
 
 class ClosedLoop:
-    """Plans and applies one control after the other, and publishes what is seen; for one thread.
+    """Applies one control after the other, and publishes what is seen; for one thread.
+
+    Plans are made beside it, in a thread of their own (Alg. 1 of 2212.00541), and the newest one is followed: kernels
+    and MuJoCo leave Python's lock to others. In lock step, and while paused or recording, every control waits for its
+    own plan.
 
     What cannot be built or planned with raises and leaves everything as it was.
 
@@ -52,6 +64,10 @@ class ClosedLoop:
         terms: Sequence[UserTerm] = (),
     ):
         self.source, self.overrides, self.seed = source, tuple(overrides), seed
+        self.lock_step = False
+        """Whether every control waits for a plan of its own."""
+        self.speed = 1.0
+        """Simulated seconds in a second of wall time that the plant is held to."""
         self.watched = True
         """Whether anybody looks: else nothing is prepared to be seen of rollouts."""
         self.paused, self.planning, self.controlling = False, True, True
@@ -63,47 +79,110 @@ class ClosedLoop:
         """What became of the last change that could not be made; empty when all is well."""
         self._options = {"engine": engine, "device": device, "terms": tuple(terms)}
         self.build = self.episode = 0
+        self._planner: PlannerThread | None = None  # begun by the first control that needs it
         self._recording = RecordingSwitch()
         self._build(source, self.overrides, {}, seed)
 
+    @property
+    def asynchronous(self) -> bool:
+        """Return whether the newest plan is followed, instead of one made for this control."""
+        return self.planning and not (self.lock_step or self.paused or self._recording.path)
+
     def _step(self) -> None:
         observation = self.plant.observe()
+        if self.asynchronous:
+            timed = self._newest(observation)
+            usable, self._plan = timed.survived, timed.plan
+            self._counts.append(timed.number - self._number)
+            self._number = timed.number
+            self._advance(observation, usable, seen=observation)
+            return
+        with self._alone():
+            if self._planner is not None:
+                self._planner.forget()
+            if self.planning:
+                self._plan = self.controller.plan(observation)
+                self._counts.append(1)
+                self._look()
+            self._advance(observation, not (self.planning and self.controller.info.fallback))
+            if self.controller.info is not None:
+                self._recording.log(self._control)
+
+    def _newest(self, observation: State) -> TimedPlan:
+        """The newest plan, from an observation before this one, but for the first."""
+        if self._planner is None:
+            self._planner = PlannerThread(self.controller, on_plan=self._look)
+            self._planner.__enter__()
+            self._number = -1
+        planner = self._planner
+        planner.planning.speed = self.speed
+        planner.observe(TimedObservation(observation, self._control.copy(), self._following))
+        end = time.monotonic() + FIRST_PLAN
+        try:
+            while (timed := planner.newest()) is None:
+                if time.monotonic() > end:
+                    raise TimeoutError(f"no plan after {FIRST_PLAN:g} s")
+                time.sleep(1e-3)
+        except Exception:
+            self._end_planner()  # whoever goes on begins another
+            raise
+        return timed
+
+    def _advance(self, observation: State, usable: bool, *, seen: State | None = None) -> None:
+        """Apply a control of the plan, or the safe one where that is not usable, and publish."""
+        self._control = self._command(observation, usable)
         if self.planning:
-            self._plan = self.controller.plan(observation)
-        self._control = self._command(observation)
-        if self.planning:
-            self.foresight.note(self._control)
+            self.foresight.note(self._control, seen)
         else:
             self.foresight.forget()
         self.plant.apply(self._control)
-        if self.controller.info is not None:
-            self._recording.log(self._control)
-        now = time.perf_counter()
-        rollouts = self.watched and (now - self._published >= PUBLISH or self.paused)
-        if rollouts:
-            self._published = now
-            if now - self._compared >= COMPARE:
-                self._foreseen, self._compared = self.foresight.compare() or self._foreseen, now
-        self._publish(rollouts=rollouts)
+        self._publish()
 
-    def _command(self, observation: State) -> np.ndarray:
+    def _command(self, observation: State, usable: bool) -> np.ndarray:
         plan, layout = self._plan, self.plant.layout
-        usable = plan is not None and not (self.planning and self.controller.info.fallback)
-        ended = usable and not self.planning and observation.time > plan.times[-1]
+        usable = usable and plan is not None
+        ended = usable and not (self.planning and not self.asynchronous) and observation.time > plan.times[-1]
         self._status = "the plan has ended" if ended else "running"
-        if self.controlling and usable and not ended:
-            return plan.at(observation.time)
+        self._following = self.controlling and usable and not ended
+        if self._following:
+            return plan.at(observation.time, observation)
         dt = self.plant.scene.timing.control_dt
         safe = safe_command(layout, observation.joint_q[None], observation.joint_qd[None], dt)[0]
         return np.clip(safe, layout.control_lower, layout.control_upper)
+
+    def _look(self) -> None:
+        """See what the plan just made came to, if it is time to; in the thread that made it."""
+        now = time.perf_counter()
+        if not self.watched or (now - self._published < PUBLISH and not self.paused):
+            return
+        self._published = now
+        if self.controller.info.fallback:
+            self._rollouts.clear()
+        else:
+            self._rollouts.update()
+        if now - self._compared >= COMPARE:
+            self._foreseen, self._compared = self.foresight.compare() or self._foreseen, now
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """No plan is made meanwhile in the planner's thread."""
+        with nullcontext() if self._planner is None else self._planner.planning.held():
+            yield
+
+    def _end_planner(self) -> None:
+        planner, self._planner = self._planner, None
+        if planner is not None:
+            planner.__exit__()
 
     # ---- what is changed
 
     def _build(self, source: str, overrides: Sequence[str], keys: dict[str, str], seed: int) -> None:
         """Another scene, seed or plant; what there was stays if it cannot be built."""
         scene = load_scene(source, overrides=[*overrides, *_texts(keys)])
-        episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
-        shown = ShownRollouts(episode.controller), ForesightMeter(episode.controller, episode.plant)
+        with self._alone():
+            episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
+            shown = ShownRollouts(episode.controller), ForesightMeter(episode.controller, episode.plant)
+        self._end_planner()
         if source != self.source:
             self.tuned = {}
         self.source, self.overrides, self.keys, self.seed = source, tuple(overrides), keys, seed
@@ -113,6 +192,7 @@ class ClosedLoop:
         self._begin()
 
     def _start_recording(self) -> None:
+        self._end_planner()
         self._recording.stop()
         names = (f"{self.scene.name}{n or ''}.rrd" for n in [0, *range(2, 10000)])
         file = next(file for file in map(Path.cwd().joinpath, names) if not file.exists())
@@ -124,24 +204,35 @@ class ClosedLoop:
         for name, value in self.tuned.items():
             self.controller.task[name] = value
         self.episode += 1
+        self._number, self._following = -1, False
+        self._counts: deque[int] = deque(maxlen=COUNTED)
         self._control = np.zeros(self.plant.layout.nu, np.float32)
         self._plan: Plan | None = None
         self.foresight.clear()
         self._foreseen: Foreseen | None = None
         self._published, self._compared, self._status = 0.0, 0.0, "running"
-        self._publish(rollouts=False)
+        self._rollouts.clear()
+        self._publish()
 
     def _reset(self, seed: int | None) -> None:
         if seed is not None and seed != self.seed:
             self._build(self.source, self.overrides, self.keys, seed)
             return
-        self.plant.reset()
-        self.controller.reset()
-        self._begin()
+        with self._alone():
+            self.plant.reset()
+            self.controller.reset()
+            if self._planner is not None:
+                self._planner.forget()
+            self._begin()
 
     def _set_keys(self, changed: dict[str, str]) -> None:
         keys = {**self.keys, **changed}
-        if all(key.startswith("planner.") for key in changed):
+        if changed.keys() == {"agent.plans"}:
+            agent = load_scene(self.source, overrides=[*self.overrides, *_texts(keys)]).agent
+            self._end_planner()
+            self.scene = self.controller.scene = self.scene.model_copy(update={"agent": agent})
+            self.keys = keys
+        elif all(key.startswith("planner.") for key in changed):
             self._replan(keys)
         else:
             self._build(self.source, self.overrides, keys, self.seed)
@@ -152,29 +243,29 @@ class ClosedLoop:
         old, scene = self.controller, self.scene.model_copy(update={"planner": planner})
         if not isinstance(planner.samples, int):
             scene = with_samples(scene, old.shape.samples)  # measured at the start
-        controller = Controller(
-            scene,
-            engine=old.engine.name,
-            device=old.device,
-            seed=self.seed,
-            terms=self._options["terms"],
-            compiled=old.compiled,
-            task=old.task,
-        )
-        controller.step(self.plant.observe())  # what users' functions make of it shows now
-        controller.reset(self._plan)
-        shown = ShownRollouts(controller), ForesightMeter(controller, self.plant)
+        with self._alone():
+            controller = Controller(
+                scene,
+                engine=old.engine.name,
+                device=old.device,
+                seed=self.seed,
+                terms=self._options["terms"],
+                compiled=old.compiled,
+                task=old.task,
+            )
+            controller.step(self.plant.observe())  # what users' functions make of it shows now
+            controller.reset(self._plan)
+            shown = ShownRollouts(controller), ForesightMeter(controller, self.plant)
+        self._end_planner()
         self._recording.stop()
         self.scene, self.controller, self.keys = scene, controller, keys
         self._rollouts, self.foresight, self._foreseen = *shown, None
 
-    def _publish(self, *, rollouts: bool) -> None:
+    def _publish(self) -> None:
         plant, task = self.plant, self.controller.task
         info = self.controller.info if self.planning else None
-        if info is None or info.fallback:
+        if info is None:
             self._rollouts.clear()
-        elif rollouts:
-            self._rollouts.update()
         forces = np.array(plant.forces).copy() if plant.pairs and plant.steps else np.zeros((len(plant.pairs), 3))
         status = "paused" if self.paused and not plant.diverged else plant.reason if plant.done else self._status
         nothing = float("nan")
@@ -196,11 +287,13 @@ class ClosedLoop:
             eta=nothing if info is None else info.eta,
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
+            plans=float(np.mean(self._counts)) if self._counts and self.planning else nothing,
             foreseen=self._foreseen,
             status=status,
             paused=self.paused,
             planning=self.planning,
             controlling=self.controlling,
+            lock_step=self.lock_step,
             recording=str(self._recording.path or ""),
             message=self.message,
         )

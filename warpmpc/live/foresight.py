@@ -98,20 +98,24 @@ class ForesightMeter:
 
     def forget(self) -> None:
         """Drop the controls so far: those to come do not follow them."""
-        self._sent: deque[Sent] = deque(maxlen=self._count + 1 if self.known else 0)
+        self._sent: deque[Sent] = deque(maxlen=self._count + 2 if self.known else 0)
 
-    def note(self, control: np.ndarray) -> None:
-        """Keep the plan just made and its control ``[nu]``, before it is applied."""
+    def note(self, control: np.ndarray, seen: State | None = None) -> None:
+        """Keep a control ``[nu]``, before it is applied, and what was seen then; what was planned from if None."""
         if self.known:
-            self._sent.append(Sent(np.array(control), self._plant.state, self._controller.observed))
+            self._sent.append(Sent(np.array(control), self._plant.state, seen or self._controller.observed))
 
     def compare(self) -> Foreseen | None:
-        """Compare what was foreseen for the controls sent last with what came; None where there are too few."""
-        if not self.known or len(self._sent) <= self._count:
+        """Compare what was foreseen for the controls sent last with what came; None where there are too few.
+
+        Another thread than that of the plant may ask: what came is known to the newest control.
+        """
+        rows = list(self._sent)
+        if not self.known or len(rows) < self._count + 2:
             return None
-        before, *sent = self._sent
+        before, *sent, newest = rows
         controls = np.array([row.control for row in sent])
-        now = self._plant.state.joint_q[None]
+        now = newest.true.joint_q[None]
         held = controls.reshape(-1, self._hold, controls.shape[1]).mean(axis=1)
         planned = self._planned([sent[0].seen], held[:, None])
         came = self._came([row.true for row in sent], controls[None])

@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..scene.load import load_scene, shipped_scenes, variants
+from ..scene.schema_agent import Plans
 from .saving import place_of, save, values_of
 from .settings import Settings, on_change
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from .session import Session
     from .snapshot import Snapshot
 
-PACES = (400.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
-"""Speed of the plant's time [% of real time]."""
+PACES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
+"""Speeds of the plant's time, as shares of real time."""
+MARKED = (0.001, 0.01, 0.1, 1.0, 4.0)
+"""Those that the slider has a mark for."""
 KEEP = 0.5
 """Wall time for which a slider stays where the browser put it, until the session has the value, too [s]."""
 
@@ -53,20 +56,34 @@ class Panels:
         self._record.on_click(lambda _: session.record(not session.snapshot.recording))
         step.on_click(lambda _: session.single_step())
         reset.on_click(lambda _: session.reset(int(self._seed.value)))
-        paces = sorted({*PACES, 100.0 * session.pace}, reverse=True)
-        pace = gui.add_dropdown(
+        paces = sorted({*PACES, session.pace})
+        pace = gui.add_slider(
             "speed",
-            [f"{p:g} %" for p in paces],
-            initial_value=f"{100.0 * session.pace:g} %",
+            0,
+            len(paces) - 1,
+            1,
+            paces.index(session.pace),
+            marks=tuple((i, f"{100.0 * p:g} %") for i, p in enumerate(paces) if p in (*MARKED, session.pace)),
             hint="how fast the plant's time passes, at most",
         )
-        on_change(pace, lambda value: setattr(session, "pace", 0.01 * float(value.split()[0])))
+        on_change(pace, lambda i: setattr(session, "pace", paces[int(i)]), listed=range(len(paces)))
         self._planning = gui.add_checkbox("plan", True, hint="off: the last plan is followed to its end")
         on_change(self._planning, session.plan_or_not)
         self._controlling = gui.add_checkbox(
             "control", True, hint="off: the robot is sent the safe command of its drives, plans are made all the same"
         )
         on_change(self._controlling, session.control_or_not)
+        self._lock_step = gui.add_checkbox(
+            "lock step", session.lock_step, hint="every control waits for its own plan; off: the newest one is followed"
+        )
+        on_change(self._lock_step, session.step_or_follow)
+        plans = gui.add_dropdown(
+            "plans",
+            [kind.value for kind in Plans],
+            initial_value=session.scene.agent.plans.value,
+            hint="for every control, without lock step: one, or as many as fit: a slower clock gives more",
+        )
+        on_change(plans, lambda value: session.set_key("agent.plans", f'"{value}"'))
         gui.add_markdown("Drag a body to pull at it, with *shift* to turn it; drag the arrows to move what is wanted.")
 
     def _costs(self) -> None:
@@ -120,6 +137,8 @@ class Panels:
         text = f"**{snapshot.status}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
         if snapshot.plan_ms == snapshot.plan_ms:
             text += f" · plan {snapshot.plan_ms:.0f} ms"
+        if snapshot.plans == snapshot.plans:
+            text += f" · {snapshot.plans:.1f} plans a control"
         if snapshot.foreseen is not None:
             text += f" · foresight {snapshot.foreseen.error:.0%} off"
         if snapshot.recording:
@@ -131,6 +150,7 @@ class Panels:
         _show(self._record, "label", "Stop recording" if snapshot.recording else "Record")
         _show(self._planning, "value", snapshot.planning)
         _show(self._controlling, "value", snapshot.controlling)
+        _show(self._lock_step, "value", snapshot.lock_step)
         now = perf_counter()
         for name, slider in self._values.items():
             value = float(f"{snapshot.values[name]:.6g}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that owns controller and plant: takes what others want changed, steps, keeps the pace."""
+"""The thread that owns the plant: takes what others want changed, steps, keeps the pace."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ WAIT = 0.02
 
 
 class Session(ClosedLoop, threading.Thread):
-    """Runs controller and plant in lock step until it is stopped, at the goal and after the time-out, too.
+    """Runs controller and plant until it is stopped, at the goal and after the time-out, too.
 
-    Everything that touches either happens in this thread. Other threads hand in changes, which are taken between two
+    Everything that touches the plant happens in this thread. Other threads hand in changes, which are taken between two
     plans, and read :attr:`snapshot`. A change that cannot be made is told there and leaves everything as it was.
 
     Args:
         pace: Simulated seconds per second of wall time at most, as :attr:`pace`.
+        lock_step: Whether every control waits for a plan of its own, instead of following the newest one.
         options: As for :class:`~.closed_loop.ClosedLoop`.
 
     Raises:
@@ -39,9 +40,8 @@ class Session(ClosedLoop, threading.Thread):
         ValueError: If engine or device is unknown, or there is no such pace.
     """
 
-    def __init__(self, source: str, *, pace: float = 1.0, **options: object):
+    def __init__(self, source: str, *, pace: float = 1.0, lock_step: bool = False, **options: object):
         threading.Thread.__init__(self, name="warpmpc live", daemon=True)
-        self.pace = pace
         self.waiting: dict[str, str] = {}
         """Keys about to be changed."""
         self._changes: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -49,19 +49,20 @@ class Session(ClosedLoop, threading.Thread):
         self._settled = self._from = 0.0
         self._steps_wanted = 0
         ClosedLoop.__init__(self, source, **options)
+        self.pace, self.lock_step = pace, lock_step
 
     # ---- for other threads
 
     @property
     def pace(self) -> float:
         """Simulated seconds per second of wall time at most: finite, :data:`SLOWEST` or more, else ``ValueError``."""
-        return self._pace
+        return self.speed
 
     @pace.setter
     def pace(self, pace: float) -> None:
         if not SLOWEST <= pace < math.inf:
             raise ValueError(f"pace is a finite number of at least {SLOWEST:g}, not {pace}; pause holds the plant")
-        self._pace = pace
+        self.speed = pace
 
     def do(self, change: Callable[[], None]) -> None:
         """Hand in a change; it is made between two plans, in this object's thread."""
@@ -100,6 +101,10 @@ class Session(ClosedLoop, threading.Thread):
     def control_or_not(self, controlling: bool) -> None:
         """Send what is planned, or the safe command of the drives; plans are made all the same."""
         self.do(lambda: setattr(self, "controlling", controlling))
+
+    def step_or_follow(self, lock_step: bool) -> None:
+        """Let every control wait for a plan of its own, or follow the newest plan."""
+        self.do(lambda: setattr(self, "lock_step", lock_step))
 
     def single_step(self) -> None:
         """Make one step while paused."""
@@ -144,6 +149,7 @@ class Session(ClosedLoop, threading.Thread):
         try:
             self._go_on()
         finally:
+            self._end_planner()
             self._recording.stop()
 
     def _go_on(self) -> None:
@@ -156,7 +162,7 @@ class Session(ClosedLoop, threading.Thread):
             if held or (now < due and not self._steps_wanted):
                 if held:
                     self._from = now - control_dt / self.pace
-                self._publish(rollouts=False)
+                self._publish()
                 self._ending.wait(WAIT if held else min(WAIT, due - now))
                 continue
             self._from = min(now, max(due, now - 0.1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, get_args, get_origin
@@ -143,12 +143,12 @@ def _plain(text: str | None) -> str:
     return re.sub(r"``|\s*\n\s*", lambda m: " " if "\n" in m[0] else "", text or "")
 
 
-def on_change(made: Any, change: Callable[[Any], None]) -> None:
+def on_change(made: Any, change: Callable[[Any], None], *, listed: Sequence[Any] = ()) -> None:
     """Call a function with the new value when a browser changes an input, but not when the page shows one anew.
 
-    A browser may send anything: a value that is not in a dropdown's list is put back.
+    A browser may send anything: a value that is not in a dropdown's list, or in ``listed``, is put back.
     """
-    listed, held = tuple(getattr(made, "options", ())), made.value
+    listed, held = listed or tuple(getattr(made, "options", ())), made.value
 
     def changed(event: Any) -> None:
         nonlocal held

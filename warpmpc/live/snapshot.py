@@ -47,6 +47,8 @@ class Snapshot:
     eta: float
     beta: float
     plan_ms: float
+    plans: float
+    """Plans made for each of the last controls; NaN without."""
     foreseen: Foreseen | None
     """The newest prediction beside what came; None before the first."""
     status: str
@@ -54,6 +56,7 @@ class Snapshot:
     paused: bool
     planning: bool
     controlling: bool
+    lock_step: bool
     recording: str
     """File that is recorded to; empty without."""
     message: str

@@ -6,7 +6,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.state import State
+from ..scene.schema_agent import Plans
 from .messages import TimedObservation, TimedPlan
 from .plan_logger import PlanLogger
 from .predictor import Predictor
@@ -41,6 +43,11 @@ class Planning:
         logger: Takes note of every plan.
     """
 
+    speed: float
+    """The robot's seconds in a second of wall time; may change between two plans."""
+    plans: Plans
+    """How many plans are made, ``agent.plans``; may change likewise."""
+
     def __init__(
         self,
         controller: Controller,
@@ -52,15 +59,19 @@ class Planning:
     ):
         if controller.envs != 1:
             raise ValueError(f"plans for one robot are of one environment, not of {controller.envs}")
-        self.controller, self._speed, self._given = controller, speed, latency
+        self.controller, self.speed, self._given = controller, speed, latency
         scene = controller.scene
+        self.plans = scene.agent.plans
         self._longest = scene.planner.horizon * scene.timing.control_dt  # farther no plan reaches
         self._predict = None
         if scene.agent.compensate:
             self._predict = Predictor(scene, controller.compiled, controller.layout, controller.task)
         self._latencies: deque[float] = deque(maxlen=REMEMBERED)
         self._timed: TimedPlan | None = None  # the newest that is followed
+        self._last: TimedObservation | None = None  # what was planned from last
         self._number = number  # of the next plan
+        self._due = 0.0  # when the next plan may begin, on the monotonic clock [s]
+        self._turn, self._holds = threading.Lock(), 0
         self._logger = logger
         self._warm_up()
 
@@ -76,7 +87,7 @@ class Planning:
 
     @property
     def latency(self) -> float:
-        """Time from observation to plan that is expected next, on the robot's clock [s]."""
+        """Time that the next plan is expected to take, on the robot's clock [s]."""
         if self._given is not None:
             return self._given
         return float(np.median(self._latencies)) if self._latencies else 0.0
@@ -86,19 +97,23 @@ class Planning:
 
         Args:
             observation: The observation.
-            reach: How far to predict it forward [s]; by :attr:`latency` if None.
+            reach: How far to predict it forward [s]; by its age and :attr:`latency` if None.
         """
         controller, state = self.controller, observation.state
         if not all(np.isfinite(part).all() for part in (state.joint_q, state.joint_qd, state.time)):
             return None
         if observation.task is not None:
             controller.task.follow(observation.task)
-        reach = min(self.latency, self._longest) if reach is None else reach
+        begun = time.monotonic()
+        if reach is None:
+            age = self.speed * (begun - observation.stamp) if self._given is None else 0.0
+            reach = min(age + self.latency, self._longest)
         if self._predict is not None:
             state = self._predict(state, self._acting(observation), reach)
         plan = controller.plan(state)
-        latency = self._speed * (time.monotonic() - observation.stamp)
-        self._latencies.append(latency)
+        ended = time.monotonic()
+        latency = self.speed * (ended - observation.stamp)
+        self._latencies.append(self.speed * (ended - begun))
         info = controller.info
         timed = TimedPlan(plan, self._number, observation.state.time, latency, info.plan_ms, not info.fallback)
         self._number += 1
@@ -121,32 +136,66 @@ class Planning:
     ) -> None:
         """Plan until told to stop, once in every :attr:`period`.
 
+        With ``agent.plans = "fit"`` an observation is planned from again until there is a new one, or it is too old to
+        be believed.
+
         Args:
             newest: The newest observation, None where there is no new one.
             publish: Takes each plan.
             stopped: Whether to stop.
         """
-        due = time.monotonic()
+        self._due = time.monotonic()
         while not stopped():
-            early = due - time.monotonic()
-            observation = newest() if early <= 0.0 else None
+            if self._holds or not self._round(newest, publish):
+                time.sleep(min(max(self._due - time.monotonic(), PAUSE), LONGEST_PAUSE))
+
+    def _round(self, newest: Callable[[], TimedObservation | None], publish: Callable[[TimedPlan], None]) -> bool:
+        """Make a plan if one is due and there is something to make it from; returns whether there was."""
+        with self._turn:
+            if time.monotonic() < self._due:
+                return False
+            observation = newest()
+            if observation is None and self._may_plan_again(self._last):
+                observation = self._last
             if observation is None:
-                time.sleep(min(max(early, PAUSE), LONGEST_PAUSE))
-                continue
-            due = max(due + self.period, time.monotonic())
+                return False
+            self._due, self._last = max(self._due + self.period, time.monotonic()), observation
             if (timed := self.plan(observation)) is not None:
                 publish(timed)
+            return True
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep :meth:`run` in another thread from planning for a while; the plan being made is made first."""
+        self._holds += 1
+        try:
+            with self._turn:
+                yield
+        finally:
+            self._holds -= 1
+
+    def forget(self) -> None:
+        """Forget what was observed and planned before; while :meth:`held`."""
+        self._last = self._timed = None
+
+    def _may_plan_again(self, last: TimedObservation | None) -> bool:
+        if last is None or self.plans is not Plans.FIT:
+            return False
+        believed = self.controller.scene.agent.observation_timeout
+        return self.speed * (time.monotonic() - last.stamp) < believed
 
     @property
     def period(self) -> float:
-        """Wall time from plan to plan, at least [s]: a control's, as where the robot waits for plans.
+        """Wall time from plan to plan, at least [s]: none where as many are made as fit, else a control's.
 
         More rounds of sampling at what is nearly the same state carry a plan into the nearest minimum: at four plans a
         control five of twelve runs of ``omni_push_box`` were held up at a corner of the box. Two plans there are in the
         time that one is followed for, whatever a control's.
         """
         scene = self.controller.scene
-        return min(scene.timing.control_dt, 0.5 * scene.agent.plan_timeout) / self._speed
+        if self.plans is Plans.FIT:
+            return 0.0
+        return min(scene.timing.control_dt, 0.5 * scene.agent.plan_timeout) / self.speed
 
 
 class PlannerThread:
@@ -158,15 +207,25 @@ class PlannerThread:
         controller: Makes the plans.
         speed: The robot's seconds in a second of wall time.
         log: Run log beside which what every plan was made from is noted, for :func:`warpmpc.replay`; nowhere if None.
+        on_plan: Called in that thread after every plan, with the controller still as the plan left it.
     """
 
-    def __init__(self, controller: Controller, *, speed: float = 1.0, log: str | Path | None = None):
+    def __init__(
+        self,
+        controller: Controller,
+        *,
+        speed: float = 1.0,
+        log: str | Path | None = None,
+        on_plan: Callable[[], None] = lambda: None,
+    ):
         self._logger = None if log is None else PlanLogger(controller, Path(log))
-        self.controller, self._planning = controller, Planning(controller, speed=speed, logger=self._logger)
+        self.controller, self.planning = controller, Planning(controller, speed=speed, logger=self._logger)
+        self._on_plan = on_plan
         self._stop = threading.Event()
         self._observation: TimedObservation | None = None
         self._taken: TimedObservation | None = None
         self._timed: TimedPlan | None = None
+        self._failed: Exception | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     @property
@@ -189,11 +248,25 @@ class PlannerThread:
         self._observation = observation
 
     def newest(self) -> TimedPlan | None:
-        """The newest plan."""
+        """The newest plan.
+
+        Raises:
+            Exception: What kept a plan from being made; no other will come.
+        """
+        if self._failed is not None:
+            raise self._failed
         return self._timed
 
+    def forget(self) -> None:
+        """Forget observations and plans from before; while ``planning.held``."""
+        self.planning.forget()
+        self._observation = self._taken = self._timed = None
+
     def _run(self) -> None:
-        self._planning.run(self._take, self._publish, self._stop.is_set)
+        try:
+            self.planning.run(self._take, self._publish, self._stop.is_set)
+        except Exception as error:
+            self._failed = error
 
     def _take(self) -> TimedObservation | None:
         observation = self._observation
@@ -204,3 +277,4 @@ class PlannerThread:
 
     def _publish(self, timed: TimedPlan) -> None:
         self._timed = timed
+        self._on_plan()

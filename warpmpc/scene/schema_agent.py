@@ -15,6 +15,13 @@ class SafeCommand(StrEnum):
     GRAVITY = "gravity"
 
 
+class Plans(StrEnum):
+    """Plans for every control."""
+
+    ONE = "one"
+    FIT = "fit"
+
+
 class AgentSettings(Section):
     """The agent follows the newest plan in real time and sends the safe command where it cannot be trusted."""
 
@@ -26,6 +33,9 @@ class AgentSettings(Section):
     observation_timeout: Positive = 0.05
     """Age beyond which an observation is not believed any more, or time for which a moving robot may show the same
     joint positions [s]."""
+    plans: Plans = Plans.ONE
+    """Plans for every control where plant and planner go on at once: ``one``, or as many as ``fit``. Then a clock that
+    is slowed down buys plans [Alg. 1 of 2212.00541]."""
     slew: Positives | None = None
     """Largest change of the controls per second, one value or one per control [control unit/s]; any when left out.
     Holds whatever the planner says, for the safe command, too."""
