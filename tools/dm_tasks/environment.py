@@ -8,7 +8,6 @@ import os
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -61,41 +60,8 @@ def save_model(domain: str, task: str) -> Path:
             body.explicitinertial = True
             body.mass, body.ipos, body.iquat = own_body.mass[0], own_body.ipos, own_body.iquat
             body.inertia = own_body.inertia
-        root = ElementTree.fromstring(spec.to_xml())
-        _one_point_each(root)
-        ElementTree.ElementTree(root).write(path)
+        path.write_text(spec.to_xml(), encoding="utf-8")
         return path.replace(folder / f"{domain}_{task}.xml")
-
-
-def _one_point_each(root: ElementTree.Element) -> None:
-    """Give hinges of one body that turn about different points bodies of their own, of next to no mass.
-
-    MuJoCo has such bodies, Newton's joints do not; ankles of the humanoid and fins of the fish are some. The joints'
-    order, and so the state, stays the same, and so does what collides.
-    """
-    contact = ElementTree.SubElement(root, "contact")
-    parents = {child: parent for parent in root.iter("body") for child in parent.findall("body")}
-    for body, parent in parents.items():
-        joints = body.findall("joint")
-        if len({tuple(map(float, joint.get("pos", "0 0 0").split())) for joint in joints}) < 2:
-            continue
-        ElementTree.SubElement(contact, "exclude", body1=parent.get("name"), body2=body.get("name"))
-        for joint in joints[:-1]:
-            place = {key: body.attrib.pop(key) for key in ("pos", "quat") if key in body.attrib}
-            family = {"childclass": body.get("childclass")} if "childclass" in body.attrib else {}
-            own = ElementTree.Element("body", name=f"{body.get('name')}_{joint.get('name')}", **place, **family)
-            own.append(ElementTree.Element("inertial", _SPECK))
-            body.remove(joint)
-            own.append(joint)
-            at = list(parent).index(body)
-            parent.remove(body)
-            own.append(body)
-            parent.insert(at, own)
-            parent = own
-
-
-_SPECK = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "2e-15 2e-15 2e-15"}
-"""A mass [kg] and inertia [kg m²] that no joint notices, small enough in size for a medium not to, either."""
 
 
 class Eyes:

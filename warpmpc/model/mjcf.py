@@ -11,6 +11,7 @@ import numpy as np
 
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import Robot
+from .mjcf_hinges import split_hinges
 from .mjcf_keys import Key, take_keys
 from .mjcf_mocap import drive_mocap
 from .mjcf_physics import refusal, repair_spec
@@ -82,6 +83,7 @@ def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
         left_out = _drop_broken_sensors(spec)
         _name_everything(spec)
         repaired = repair_spec(spec)
+        spec, divided = split_hinges(spec)
         keys = take_keys(spec)
         _set_root(spec, robot, key, file)
         mocap, keys = drive_mocap(spec, robot, keys, file)
@@ -104,7 +106,7 @@ def read_mjcf(mjcf_robot: MjcfRobot, *, file: Path | None = None) -> Mjcf:
             spec.delete(actuator)
     for servo in mjcf_robot.servos:
         _add_servo(spec, servo)
-    return Mjcf(spec, keys, actuators, tuple(left_out), tuple(repaired), mocap)
+    return Mjcf(spec, keys, actuators, tuple(left_out), (*repaired, *divided), mocap)
 
 
 def origin_of(robot: Robot, model: mujoco.MjModel, key: Key | None, mocap: Collection[str]) -> tuple[float, ...]:
