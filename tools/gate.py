@@ -49,7 +49,10 @@ SETTINGS = (
     ("planner.method=icem",),
     ("planner.method=dial",),
     ("planner.method=tsallis", "planner.elites=16"),
-    ("planner.method=predictive_sampling", "planner.noise.redraw=true"),
+    (
+        *("planner.method=predictive_sampling", "planner.iterations=2", "planner.noise.source=halton"),
+        *("planner.noise.spread=[0.02, 1.0]", "planner.noise.constant=0.1", "planner.noise.null_sample=true"),
+    ),
     ("planner.samples=32", "planner.covariance.form=full", "planner.covariance.kappa=0.01"),
     ("planner.samples=16", "planner.stage_risk=0.2"),
     ("planner.spline=linear", "planner.noise.source=sobol"),

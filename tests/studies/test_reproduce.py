@@ -200,7 +200,7 @@ def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, monkeypa
 
 
 def test_every_row_by_the_letter_is_the_scene_of_ours_with_the_papers_planner():
-    letters = [cell for name in GROUPS["papers"] for cell in TABLES[name].cells if cell.name.endswith("_paper")]
+    letters = [cell for name in GROUPS["pezzato"] for cell in TABLES[name].cells if cell.name.endswith("_paper")]
     assert {scene.partition(":")[0] for cell in letters for scene in cell.scenes} == {
         "point_reach", "panda_reach", "panda_push", "panda_push_objects", "omni_push_box", "omni_push_sphere",
         "diff_push_box", "mobile_pick",
@@ -216,3 +216,15 @@ def test_every_row_by_the_letter_is_the_scene_of_ours_with_the_papers_planner():
         )
         assert (planner.method, planner.dt, planner.knots, planner.iterations) == ("mppi", (0.04,), "steps", 1)
         assert planner.noise.sigma != ours.planner.noise.sigma
+
+
+@pytest.mark.parametrize("cell", [cell for cell in TABLES["mjpc"].cells if cell.name.endswith("_paper")])
+def test_rows_of_mujoco_mpc_are_algorithm_4_at_its_rate_for_ours_success(cell):
+    (source,) = cell.scenes
+    letter, ours = warpmpc.load_scene(source), warpmpc.load_scene(source.removesuffix(":paper"))
+    planner, noise = letter.planner, letter.planner.noise
+    assert (planner.method, planner.samples, planner.iterations) == ("predictive_sampling", 10, 1)
+    assert (noise.source, noise.shape, noise.spread, noise.constant) == ("random", "identity", (1.0, 1.0), 0.0)
+    assert (noise.null_sample, planner.keep_best, planner.discount) == (False, 0, 1.0)
+    assert letter.timing.control_dt <= 0.002, "500 to 1000 plans in a second of simulated time"
+    assert (letter.success, letter.goal, letter.timing.timeout) == (ours.success, ours.goal, ours.timing.timeout)

@@ -16,10 +16,11 @@ from rich.text import Text
 
 from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
+from ..scene.schema_planner import PRESETS
 from ..scene.waypoints import runs_of
 from .joint_table import joint_table
 from .summary import summary
-from .words import failure_words, goal_words, number_words, phase_words, planner_words, shape_words
+from .words import failure_words, goal_words, number_words, phase_words, planner_words, preset_words, shape_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -160,6 +161,8 @@ def print_check(
         phase = next(phase for phase in scene.phase if phase.name == name)
         fact("phase", (name if last == name else f"{name} to {last}") + phase_words(phase))
     fact("planner", planner_words(scene))
+    if scene.planner.method in PRESETS:
+        fact("preset", f"{scene.planner.method} means {preset_words(scene.planner.method)}, unless the scene says else")
     shape = controller.shape
     substeps = physics_steps(controller.engine.name, scene, controller.compiled, controller.plan_step.grid).count
     steps = shape.worlds * sum(substeps)

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ..scene.describe import written
 from ..scene.schema import Method, ShareOfRange
+from ..scene.schema_planner import PRESETS
 
 if TYPE_CHECKING:
     from ..scene.schema import Condition, Failure, Object, Obstacle, Phase, Planner, Scene
@@ -81,6 +83,11 @@ def planner_words(scene: Scene) -> str:
         + _temperature(planner)
         + (f", {planner.iterations} iterations" if planner.iterations > 1 else "")
     )
+
+
+def preset_words(method: Method) -> str:
+    """Keys that a method means by itself."""
+    return ", ".join(f"{key} = {written(value)}" for key, value in PRESETS[method].items())
 
 
 def _sigma(sigma: ShareOfRange | tuple[float, ...]) -> str:

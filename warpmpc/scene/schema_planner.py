@@ -153,10 +153,15 @@ DIRECT = frozenset({Method.ILQG, Method.ILQS})
 """Methods whose plans are the controls themselves, whatever ``planner.knots`` says: iLQG solves for them. They are held
 where the scene's spline is a smooth one."""
 
+_ALGORITHM_4 = {
+    "iterations": 1,
+    "noise": {"source": "random", "shape": "identity", "spread": (1.0, 1.0), "constant": 0.0, "null_sample": False},
+}
 PRESETS = {
+    Method.PREDICTIVE_SAMPLING: _ALGORITHM_4,
     Method.GRADIENT_DESCENT: {"refine": {"method": "gradient"}},
     Method.ILQG: {"refine": {"method": "ilqg"}},
-    Method.ILQS: {"refine": {"method": "ilqg"}},
+    Method.ILQS: {**_ALGORITHM_4, "refine": {"method": "ilqg"}},
     Method.DIAL: {"iterations": 4, "noise": {"shape": "identity", "anneal": (0.5, 2.0)}},
     Method.ICEM: {
         "iterations": 3,
@@ -171,8 +176,8 @@ PRESETS = {
     },
 }
 """What methods mean where the scene does not say otherwise: ``dial`` is MPPI whose σ is annealed (2409.15610), ``icem``
-the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The last three are MuJoCo MPC's planners with
-derivatives (2212.00541)."""
+the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The others are MuJoCo MPC's planners
+(2212.00541), its Alg. 4 first: fresh white Gaussian knots at every plan, the nominal among the candidates."""
 
 
 DERIVATIVES = {"iterations": 1, "knots": KnotCount.STEPS, "spline": "zero", "noise": {"shape": "bspline"}}

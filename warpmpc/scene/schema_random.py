@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from .types import Flag, Floats, Fraction, NonNegative, Section, Vec3
 
@@ -65,6 +65,11 @@ class RandomizeTask(Section):
     """Goals, starts and obstacles drawn anew for every episode, from its seed."""
 
     draw: dict[str, Draw] = Field(default_factory=dict)
-    """Scene key (as in ``--set``, ``*`` for every name) → range."""
+    """Scene key (as in ``--set``, ``*`` for every name) → range; in a variant, false leaves one out."""
     reject: tuple[Rejection, ...] = ()
     """Which draws are drawn again."""
+
+    @field_validator("draw", mode="before")
+    @classmethod
+    def _left_out(cls, draw: object) -> object:
+        return {key: value for key, value in draw.items() if value is not False} if isinstance(draw, dict) else draw

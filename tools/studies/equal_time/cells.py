@@ -20,7 +20,10 @@ SINGLE = ("planner.iterations=1", "planner.execute=mean")
 STRATEGIES = {
     "shipped": (),
     "mppi": ("planner.method=mppi", *SINGLE),
-    "predictive_sampling": ("planner.method=predictive_sampling", *SINGLE),
+    "predictive_sampling": (
+        *("planner.method=predictive_sampling", "planner.noise.source=halton", "planner.noise.null_sample=true"),
+        *("planner.noise.spread=[0.02, 1.0]", "planner.noise.constant=0.1", *SINGLE),
+    ),
     "tsallis": ("planner.method=tsallis", "planner.elites=10", *SINGLE),
     "cem": (
         *("planner.method=cem", "planner.iterations=3", "planner.elites=10", "planner.execute=mean"),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of Pezzato et al., *Sampling-Based MPC Leveraging Parallelizable Physics Simulations* (RA-L 2025).
 
-Beside them stands what Bhardwaj et al., *STORM* (CoRL 2021), show in figures.
+Beside them stand what Bhardwaj et al., *STORM* (CoRL 2021), show in figures, and the tasks of Howell et al.,
+*Predictive Sampling* (2022).
 Each table is a list of cells: scenes, changes to them, what is measured and what the paper reports. The paper's
 figures are (mean,) or (mean, standard deviation) in the metric's unit, rates as fractions.
 """
@@ -177,6 +178,27 @@ ForcesPro is commercial, and takes spheres as constraints where iLQG has the sce
 the PyPI package ``fabrics``, with a model of its own; they are not run here."""
 
 
+def _slow_downs() -> tuple[Cell, ...]:
+    """Getting up with a planner that takes 10 ms for a plan, on a clock that is slowed down.
+
+    Plans are made in lock step, one for every 10 ms of wall time: k of them in 10 ms of simulated time stand for a
+    slow-down of 1/k, without the time that a plan is late. Physics steps of the plant are 1 ms in all.
+    """
+    return tuple(
+        _cell(
+            f"speed_{100 * speed:g}",
+            f"speed {speed:g}: a plan every {10 * speed:g} ms of simulated time",
+            "humanoid_get_up:paper",
+            overrides=(
+                "planner.samples=16",
+                f"timing.control_dt={0.01 * speed:g}",
+                f"plant.substeps={round(10 * speed)}",
+            ),
+        )
+        for speed in (1.0, 0.5, 0.3, 0.1)
+    )
+
+
 TABLES = {
     "table1": Table(
         title="Table I: motion planning among five random spheres",
@@ -261,8 +283,29 @@ TABLES = {
         cells=_sampling(),
         note="Bhardwaj et al. (CoRL 2021) show one run of each, without figures.",
     ),
+    "mjpc": Table(
+        title="MuJoCo MPC: humanoid, quadruped and hand",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=_with_letter(
+            _cell("stand", "a humanoid keeps standing", "humanoid_stand"),
+            _cell("get_up", "a humanoid gets up", "humanoid_get_up"),
+            _cell("quadruped", "a quadruped walks to waypoints", "quadruped_walk"),
+            _cell("hand", "a hand turns a cube", "hand_cube"),
+        ),
+        note="Howell et al. (2022) show these tasks without rates of success. Rows by the letter plan every 1 or 2 ms "
+        "of simulated time, as its planner does on a clock that is slowed down.",
+    ),
+    "slow_down": Table(
+        title="MuJoCo MPC: a humanoid gets up with 16 samples while the clock is slowed down",
+        metrics=("success", "time", "solver"),
+        runs=10,
+        cells=_slow_downs(),
+        note="Without plans that a slower clock buys (`agent.plans`), every speed is the first row.",
+    ),
 }
 """Tables by name."""
 
-GROUPS = {"papers": ("table1", "table2", "table3", "table4", "pick")}
+GROUPS = {"pezzato": ("table1", "table2", "table3", "table4", "pick")}
+GROUPS["papers"] = (*GROUPS["pezzato"], "mjpc", "slow_down")
 """Tables by the name of several."""
