@@ -121,6 +121,10 @@ def _letter_changes() -> tuple[Cell, ...]:
     box = {
         "letter": ("by the letter", ()),
         "contact": ("contact weight 0.01 in place of 10", contact),
+        "around": (
+            "alignment measured around the walls, all else straight",
+            ("cost.push_alignment.metric=geodesic", "cost.push_alignment.inflation=0.36"),
+        ),
         "horizon": ("32 steps in place of 8", ("planner.horizon=32",)),
         "samples": ("3000 samples in place of 300", ("planner.samples=3000",)),
         "nominal": ("every rollout in the nominal world", ("planner.randomize=false",)),
