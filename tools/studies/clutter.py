@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs storm_cloud in random clutters whose goals the arm can take up freely, and says what it touched.
 
+Three forms of the collision with the cloud stand side by side: ``distance`` as shipped, ``binary`` [S11] on geometry,
+and ``learned``, binary by networks (STORM's checker), variants of the scene.
+
 A seed draws clutter and goal. It counts if inverse kinematics finds a posture at the goal, within the joints' limits,
 whose links are so far from all obstacles (``--free``); what the planner sees plays no part in that.
 
     python tools/study.py clutter --seeds 0:40 --count 20
-    python tools/study.py clutter --seeds 0:40 --count 20 --set cloud.seen.behind=0.1 --json clutter.json
+    python tools/study.py clutter --form distance binary learned --seeds 0:60 --count 20 --jobs 16 --out build/clutter
+    python tools/study.py clutter --set cloud.seen.behind=0.1
+
+Finished runs are kept in OUT/clutter.jsonl and never repeated; the same command goes on after an interruption.
 """
 
 from __future__ import annotations
@@ -13,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,13 +28,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
-from shared.files import write_json
+from shared.intervals import rate
 from shared.measure import Clearance
 
 import warpmpc
 from warpmpc.model.link_pairs import self_pairs
 from warpmpc.model.spheres import fit_spheres
+from warpmpc.origin import code_digest
 from warpmpc.run.episode import Episode
+from warpmpc.run.records import Records
+from warpmpc.run.workers import FORMS, open_workers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,6 +50,8 @@ STEPS = 60
 """Steps of each search."""
 APART = 0.01
 """How far the links of a posture must be from one another [m]."""
+SCENES = {"distance": "storm_cloud", "binary": "storm_cloud:binary", "learned": "storm_cloud:learned"}
+"""Scene of each form of the cost."""
 LIMIT = 0.02
 """How far from the joints' limits a posture must stay [rad]."""
 
@@ -109,13 +121,13 @@ class Reach:
         return min(mujoco.mj_geomDistance(self.model, self.data, *pair, 1.0, None) for pair in pairs)
 
 
-def run(seed: int, overrides: list[str], least: float) -> dict:
+def run(seed: int, overrides: list[str], least: float, form: str = "distance") -> dict:
     """What became of a seed."""
-    scene = warpmpc.load_scene("storm_cloud", overrides=overrides)
+    scene = warpmpc.load_scene(SCENES[form], overrides=overrides)
     episode = Episode(scene, seed=seed)
     plant = episode.plant
     free = Reach(plant).best(seed, least)
-    out = {"seed": seed, "free_m": free, "counts": bool(free >= least)}
+    out = {"form": form, "seed": seed, "free_m": free, "counts": bool(free >= least)}
     if not out["counts"]:
         return out
     look, nearest = Clearance(plant.compiled), [np.inf]
@@ -140,32 +152,72 @@ def run(seed: int, overrides: list[str], least: float) -> dict:
     }
 
 
+def collected(args: argparse.Namespace) -> list[dict]:
+    """Results of all forms by seed, until enough seeds of each count; those that are kept are not run again."""
+    from warpmpc.cli.setup import start_warp
+
+    records, rows = Records(args.out / "clutter.jsonl"), []
+    seeds, overrides = range(*map(int, args.seeds.split(":"))), ["engine.threads=1", *args.set]
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    with workers:
+        for form in args.form:
+            keys = {seed: json.dumps([form, seed, overrides, args.free, code_digest()]) for seed in seeds}
+            jobs = {
+                seed: workers.submit(run, seed, overrides, args.free, form)
+                for seed in seeds
+                if keys[seed] not in records.by_key
+            }
+            counted = 0
+            for seed in seeds:
+                if counted == args.count:
+                    if seed in jobs:
+                        jobs[seed].cancel()
+                    continue
+                if seed in jobs:
+                    records.add(keys[seed], jobs[seed].result())
+                    print(json.dumps(records.by_key[keys[seed]]), flush=True)
+                rows.append(records.by_key[keys[seed]])
+                counted += rows[-1]["counts"]
+    return rows
+
+
 def main(arguments: list[str]) -> None:
     """Run, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--form", nargs="+", choices=SCENES, default=["distance"], help="of the cost (default distance)"
+    )
     parser.add_argument("--seeds", default="0:40", help="first:end of the seeds to look at")
     parser.add_argument("--count", type=int, default=20, help="clutters to run")
     parser.add_argument("--free", type=float, default=0.04, help="least distance of a posture at the goal [m]")
+    parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("build/clutter"), help="folder (default build/clutter)")
     args = parser.parse_args(arguments)
-    rows = []
-    for seed in range(*map(int, args.seeds.split(":"))):
-        rows.append(row := run(seed, args.set, args.free))
-        print(json.dumps(row), flush=True)
-        if args.json:
-            write_json(args.json, {"overrides": args.set, "free": args.free, "runs": rows})
-        if sum(r["counts"] for r in rows) == args.count:
-            break
+    rows = collected(args)
     ran = [row for row in rows if row["counts"]]
-    table = Table(box=None, title=f"{len(ran)} clutters of {len(rows)} seeds")
-    for head in ("seed", "free [mm]", "reached", "time [s]", "off [mm]", "off [rad]", "nearest [mm]", "touched [N]"):
+    table = Table(box=None, title=f"{len(ran)} runs of {len(rows)} seeds and forms")
+    heads = ("form", "seed", "free [mm]", "reached", "time [s]", "off [mm]", "off [rad]", "nearest [mm]", "touched [N]")
+    for head in heads:
         table.add_column(head, justify="right")
     for row in ran:
         touched = ", ".join(f"{pair} {force:.1f}" for pair, force in row["touched"].items())
         reached = "yes" if row["reached"] else "no"
         figures = (f"{row[k]:.{n}f}" for k, n in (("time_s", 2), ("position_mm", 1), ("rotation_rad", 3)))
-        near = f"{1e3 * row['nearest_m']:.0f}"
-        table.add_row(str(row["seed"]), f"{1e3 * row['free_m']:.0f}", reached, *figures, near, touched)
-    Console(width=140).print(table)
-    print(f"reached {sum(r['reached'] for r in ran)}, touched something {sum(bool(r['touched']) for r in ran)}")
+        near, own = f"{1e3 * row['nearest_m']:.0f}", (row["form"], str(row["seed"]))
+        table.add_row(*own, f"{1e3 * row['free_m']:.0f}", reached, *figures, near, touched)
+    Console(width=150).print(table)
+    for form in args.form:
+        own = [row for row in ran if row["form"] == form]
+        if own:
+            print(summary(form, own))
+
+
+def summary(form: str, rows: list[dict]) -> str:
+    """One line about the runs of a form: how many reach and touch, with 95 % intervals, and the median plan."""
+    parts = []
+    for name, key in (("reached", "reached"), ("touched something", "touched")):
+        count = sum(bool(row[key]) for row in rows)
+        _, low, high, _ = astuple(rate(count, len(rows)))
+        parts.append(f"{name} {count} of {len(rows)} ({low:.0%} to {high:.0%})")
+    return f"{form}: {', '.join(parts)}, plan {np.median([row['plan_ms'] for row in rows]):.2f} ms"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from .layout import Entity, Layout
+    from .layout import Entity, Layout, ShapeInfo
 
 _DIGITS = 5
 """Digits of lengths and angles that are compared."""
@@ -56,12 +57,7 @@ def self_fingerprint(layout: Layout, robot: Entity, dofs: Collection[int], given
         given: Spheres of the scene file, by link.
     """
     said = hashlib.sha256()
-
-    def say(*values: object) -> None:
-        for value in values:
-            if isinstance(value, np.ndarray):  # no minus zeros
-                value = (np.round(value.astype(np.float64), _DIGITS) + 0.0).tolist()
-            said.update(repr(value).encode())
+    say = partial(_say, said)
 
     def name(body: int) -> str:
         return layout.body_name[body].partition("/")[2] if body in robot.bodies else ""
@@ -83,9 +79,29 @@ def self_fingerprint(layout: Layout, robot: Entity, dofs: Collection[int], given
                 say("held", layout.joint_q[layout.dof_coord[dof]])
     for shape in layout.shapes:
         if shape.collides and shape.body in robot.bodies:
-            say(name(shape.body), shape.kind, np.array(shape.pose), np.array(shape.scale))
-            if shape.mesh is not None:
-                say(*layout.meshes[shape.mesh])
+            say(name(shape.body), *_shape(layout, shape))
     for link in sorted(given):
         say(link.removeprefix(robot.name + "/"), np.array(given[link]))
     return said.hexdigest()[:16]
+
+
+def link_fingerprint(layout: Layout, body: int) -> str:
+    """A number in hexadecimal that is another one where the shapes of a link that collide are others."""
+    said = hashlib.sha256()
+    for shape in layout.shapes:
+        if shape.collides and shape.body == body:
+            _say(said, *_shape(layout, shape))
+    return said.hexdigest()[:16]
+
+
+def _shape(layout: Layout, shape: ShapeInfo) -> tuple:
+    mesh = () if shape.mesh is None else layout.meshes[shape.mesh]
+    return shape.kind, np.array(shape.pose), np.array(shape.scale), *mesh
+
+
+def _say(said: hashlib._Hash, *values: object) -> None:
+    """Add values to a hash."""
+    for value in values:
+        if isinstance(value, np.ndarray):  # no minus zeros
+            value = (np.round(value.astype(np.float64), _DIGITS) + 0.0).tolist()
+        said.update(repr(value).encode())

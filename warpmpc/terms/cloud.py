@@ -24,6 +24,20 @@ class Lookup(StrEnum):
     LINEAR = "linear"
 
 
+def cloud_name(b: Binding, name: str | None) -> str:
+    """Name of the cloud that a key ``cloud`` means, the only one when it is None.
+
+    Raises:
+        SceneError: If there is no such cloud, or several are meant.
+    """
+    names = [c.name for c in b.scene.cloud]
+    name = name or (names[0] if len(names) == 1 else None)
+    if name not in names:
+        what = "no such cloud" if name else "give it a [[cloud]] of the scene" if not names else "which cloud?"
+        raise b.error(what, "cloud", found=name, allowed=names)
+    return name
+
+
 class CloudCollision(LinkKeys):
     """Least distance of a robot's links, as spheres, from a point cloud: max(0, margin - d) [m], or 1 if d < margin."""
 
@@ -38,11 +52,7 @@ class CloudCollision(LinkKeys):
 
     def bind(self, p: Any, b: Binding) -> None:
         """Find spheres of links, and the cloud's volume."""
-        names = [c.name for c in b.scene.cloud]
-        name = self.cloud or (names[0] if len(names) == 1 else None)
-        if name not in names:
-            what = "no such cloud" if name else "give it a [[cloud]] of the scene" if not names else "which cloud?"
-            raise b.error(what, "cloud", found=name, allowed=names)
+        name = cloud_name(b, self.cloud)
         super().bind(p, b)
         seen = b.resources.get(PointClouds).request(p, name)
         p.between = int(self.lookup is Lookup.LINEAR)

@@ -2,6 +2,7 @@
 """Learned collision terms: small networks in place of geometry."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,12 +58,21 @@ class Weights:
         return cls(joints, trained_for, weights, biases)
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parameters ``first``, ``second`` and ``last``, filled up with units that say nothing."""
-        (w1, w2, w3), (b1, b2, b3) = self.weights, self.biases
-        first = _filled(np.concatenate([w1, b1[None]]).T, source.FIRST, 0)
-        second = _filled(_filled(w2, source.FIRST, 0), source.SECOND, 1)
-        second = np.concatenate([second, _filled(b2[None], source.SECOND, 1)])
-        return first, second, np.concatenate([_filled(w3[:, 0], source.SECOND, 0), b3])
+        """Parameters ``first``, ``second`` and ``last``."""
+        return filled(self.weights, self.biases)
+
+
+def filled(weights: Sequence[np.ndarray], biases: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights and biases of three layers as terms take them, filled up with units that say nothing.
+
+    Returns:
+        ``[H, inputs + 1]``, the last column the biases; ``[H + 1, U]``, the last row the biases; ``[U + 1]``.
+    """
+    (w1, w2, w3), (b1, b2, b3) = weights, biases
+    first = _filled(np.concatenate([w1, b1[None]]).T, source.FIRST, 0)
+    second = _filled(_filled(w2, source.FIRST, 0), source.SECOND, 1)
+    second = np.concatenate([second, _filled(b2[None], source.SECOND, 1)])
+    return first, second, np.concatenate([_filled(w3[:, 0], source.SECOND, 0), b3])
 
 
 def _filled(values: np.ndarray, block: int, axis: int) -> np.ndarray:
