@@ -14,7 +14,7 @@ from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.self_shape import link_fingerprint
 from warpmpc.task.task import Task
 
-LINKS = ("panda_link5", "panda_hand")
+LINKS = ("panda_link5", "panda_link7")
 CLOUD = {"name": "seen", "low": (-0.9, -0.9, -0.2), "high": (1.1, 0.9, 1.2), "reach": 0.2}
 SHAPE = BatchSize(1, 16, 1, 4)
 GOAL = {"frame": "arm/panda_link7", "position": (0.5, 0.3, 0.4)}
