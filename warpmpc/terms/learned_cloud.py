@@ -174,11 +174,9 @@ def learned_cloud_collision(s: StepView, p: LearnedCloudCollision.Params) -> flo
 
     The binary environment collision of Bhardwaj et al. 2021, Eq. 11, with a learned checker as theirs.
     """
-    cost = 0.0
+    most = p.logit - 1.0
     for link in range(p.body.shape[0]):
         pose = s.body_q[s.t, s.w, p.body[link]]
-        if voxel_distance(p.volume, s.e, wp.transform_point(pose, p.middle[link])) >= p.near[link]:
-            continue
-        if link_logit(s, p, link, pose) > p.logit:
-            cost = 1.0
-    return cost
+        if voxel_distance(p.volume, s.e, wp.transform_point(pose, p.middle[link])) < p.near[link]:
+            most = wp.max(most, link_logit(s, p, link, pose))
+    return wp.where(most > p.logit, 1.0, 0.0)
