@@ -7,6 +7,7 @@ from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, rol
 
 from warpmpc import Plant, SceneError
 from warpmpc.model.pairs import Pair
+from warpmpc.scene.load import load_scene
 
 LEFT, RIGHT = ({**DISC, "name": name, "position": (x, 0.0, 0.0)} for name, x in (("left", -0.5), ("right", 0.5)))
 HEAD_ON = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
@@ -94,3 +95,10 @@ def test_a_millimetre_settles():
     for _ in range(10):
         plant.apply(np.zeros(3))
     assert plant.state.joint_q[5] == pytest.approx(0.1, abs=2e-3)
+
+
+def test_an_object_that_is_drawn_larger_may_stand_deeper_in_the_ground():
+    """At this seed the ball's radius is drawn 0.011 m larger."""
+    plant = Plant(load_scene("omni_push_sphere:A"), seed=100057)
+    assert plant.properties.size.max() > 0.01
+    assert not plant.done

@@ -50,7 +50,9 @@ def deepest_overlap(
     return first, second, depth, bodies
 
 
-def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel, state: np.ndarray) -> None:
+def refuse_overlap(
+    scene: Scene, compiled: CompiledScene, model: mujoco.MjModel, state: np.ndarray, *, grown: float = 0.0
+) -> None:
     """Refuse a start at which two things stand deep inside each other.
 
     Args:
@@ -58,6 +60,7 @@ def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel,
         compiled: The scene, compiled.
         model: A MuJoCo model of it.
         state: Full physics state of the start, in MuJoCo's order.
+        grown: Growth by drawn sizes [m], by which things may be deeper in what they stand on.
 
     Raises:
         SceneError: If they do: which ones and how deep.
@@ -67,7 +70,7 @@ def refuse_overlap(scene: Scene, compiled: CompiledScene, model: mujoco.MjModel,
         for entity in compiled.layout.entities
     }
     found = deepest_overlap(model, state, geoms)
-    if found is None or found[2] < DEEP:
+    if found is None or found[2] < DEEP + grown:
         return
     *both, depth, bodies = found
     keys = {item.name: kind for kind in ("obstacle", "object", "robot") for item in getattr(scene, kind)}

@@ -91,8 +91,9 @@ class Worlds:
             pushed=True,
         )
         self.engine.clone(ObservedState.allocate(self.layout, task, "cpu"))
-        for model, start in zip(self.engine.models, self.engine.initial, strict=True):
-            refuse_overlap(scene, compiled, model, start)
+        for e, (model, start) in enumerate(zip(self.engine.models, self.engine.initial, strict=True)):
+            grown = max(0.0, float(self.draws[e].size.max(initial=0.0))) if self.draws else 0.0
+            refuse_overlap(scene, compiled, model, start, grown=grown)
         self.control = self.engine.trajectory.control
         """Controls of all worlds ``[1, E, nu]``."""
         if self._values:
