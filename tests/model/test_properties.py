@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError
@@ -124,6 +125,14 @@ def test_unknown_entities_are_named():
     scene = make_scene(object=[BOX], randomize={"bx": {"mass": {"uniform": 0.1}}})
     with pytest.raises(SceneError, match=r"randomize.*Did you mean 'box'"):
         draw_properties(scene, compiled(scene).layout, 2, seed=0)
+
+
+def test_sizes_of_a_mesh_are_refused(tmp_path):
+    trimesh.creation.box((0.2, 0.2, 0.2)).export(tmp_path / "rock.stl")
+    rock = {"name": "rock", "shape": "mesh", "mesh": str(tmp_path / "rock.stl"), "position": (2.0, 0.0, 0.1)}
+    scene = make_scene(obstacle=[rock], randomize={"rock": {"size": {"normal": 0.01}}})
+    with pytest.raises(SceneError, match=r"randomize\.rock\.size: sizes of mesh cannot be drawn: leave it out"):
+        draw_properties(scene, compiled(scene).layout, 4, seed=0)
 
 
 def test_the_plant_is_another_world_than_the_planners():

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from .layout import Layout
 
 
+RESIZABLE = frozenset({"box", "sphere", "capsule", "cylinder", "ellipsoid"})
+"""Shapes whose size may vary; others keep theirs."""
+
+
 @dataclass(frozen=True)
 class Properties:
     """Factors and offsets of randomized entities, ``N`` draws of ``n`` entities."""
@@ -61,11 +65,20 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
         seed: Seed.
 
     Raises:
-        SceneError: If the table names an entity that does not exist.
+        SceneError: If the table names an entity that does not exist, or sizes of one that is all meshes.
     """
     names = tuple(scene.randomize)
     _require(names, "randomize", scene, layout)
     rules = [scene.randomize[name] for name in names]
+    for name, rule in zip(names, rules, strict=True):
+        kinds = {layout.shapes[shape].kind for shape in layout.entity(name).shapes}
+        if rule.size is not None and not kinds & RESIZABLE:
+            raise SceneError(
+                f"sizes of {' and '.join(sorted(kinds)) or 'nothing'} cannot be drawn: leave it out",
+                key=f"randomize.{name}.size",
+                file=scene.path,
+                allowed=sorted(RESIZABLE),
+            )
     mass = _uniform([r.mass for r in rules], draws, 3 * seed)
     friction = _uniform([r.friction for r in rules], draws, 3 * seed + 1)
     sigma = wp.array([r.size.normal if r.size else 0.0 for r in rules], dtype=float, device="cpu")

@@ -14,6 +14,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .properties import RESIZABLE
+
 if TYPE_CHECKING:
     import newton
 
@@ -29,8 +31,7 @@ _KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
-"""Geoms whose size may vary; others keep theirs."""
-_RESIZABLE = frozenset(_KINDS.values())
+"""Geoms whose size may vary, those of :data:`RESIZABLE`."""
 LEAST_SIZE = 0.1
 """No dimension shrinks below this share of its nominal value."""
 
@@ -220,7 +221,7 @@ def randomize_newton(model: newton.Model, layout: Layout, shape: BatchSize, prop
         for s in entity.shapes:
             info = layout.shapes[s]
             friction[:, s] *= properties.friction[draws, i]
-            if info.kind not in _RESIZABLE:
+            if info.kind not in RESIZABLE:
                 continue
             old = size[:, s].copy()
             size[:, s] = new = resized(info.kind, old, properties.size[draws, i])
