@@ -77,7 +77,7 @@ def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, wha
 
 
 def compile_time(source: str) -> float:
-    """About how long source takes to compile on a CPU [s]; tables take hardly any time."""
+    """Likely time to compile source on a CPU [s]; tables take hardly any time."""
     return RATE * sum(len(line) for line in source.splitlines() if not line.startswith("static const"))
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 BEYOND = 1.05
 """Share of its reach from which a place counts as out of it: the reach is that of a stretched arm without limits."""
-LURES = 1.25
+LED_TO = 1.25
 """The same of places that a term leads to: as far as a frame goes may be all that is meant."""
 GEOM = mujoco.mjtGeom
 
@@ -86,7 +86,7 @@ def _beyond(subject: Subject) -> Iterator[Finding]:
         if at is None or sphere is None or (frame, place) in seen:
             continue
         away = float(np.linalg.norm(at - sphere[0]))
-        if away - near > (LURES if key.startswith("cost.") else BEYOND) * sphere[1]:
+        if away - near > (LED_TO if key.startswith("cost.") else BEYOND) * sphere[1]:
             seen.add((frame, place))
             yield Finding(
                 key,

@@ -79,7 +79,7 @@ def step_error(controller: Controller) -> StepError | None:
     if finer < 2:
         return None
     control = controller.rollout(0).control
-    coarse, fine = (_ways(controller, control, steps.count, steps.length[0], n) for n in (1, finer))
+    coarse, fine = (_paths(controller, control, steps.count, steps.length[0], n) for n in (1, finer))
     if not np.isfinite(fine).all():
         return None
     apart = np.linalg.norm(coarse[-1] - fine[-1], axis=-1)
@@ -89,7 +89,9 @@ def step_error(controller: Controller) -> StepError | None:
     return StepError(steps.length[0], compiled.timestep, float(grid.t[-1]), name, float(apart[body]), float(moved))
 
 
-def _ways(controller: Controller, control: np.ndarray, count: tuple[int, ...], length: float, finer: int) -> np.ndarray:
+def _paths(
+    controller: Controller, control: np.ndarray, count: tuple[int, ...], length: float, finer: int
+) -> np.ndarray:
     """Centres of mass of all bodies over a rollout of controls ``[T, nu]`` from the start: ``[T+1, nb, 3]``."""
     shape, layout = BatchSize(1, 1, 1, len(control)), controller.layout
     with capturing:  # nothing may be allocated while a controller records its plan
@@ -106,8 +108,8 @@ def _ways(controller: Controller, control: np.ndarray, count: tuple[int, ...], l
         simulator.clone(ObservedState.allocate(layout, controller.task, "cpu"))
         simulator.rollout(simulator.trajectory.control)
         poses = simulator.trajectory.body_q.numpy()[:, 0].astype(float)
-        ways = poses[..., :3] + rotate(poses[..., 3:], layout.body_com)
+        paths = poses[..., :3] + rotate(poses[..., 3:], layout.body_com)
         if simulator.trajectory.diverged.numpy()[0]:
-            ways[-1] = np.inf
+            paths[-1] = np.inf
         simulator.close()
-    return ways
+    return paths

@@ -64,7 +64,7 @@ class ForesightMeter:
 
     def __init__(self, controller: Controller, plant: Plant):
         self.known = takes_mujoco_steps(controller.engine.name, controller.scene)
-        """Whether predictions can be made: the engine takes MuJoCo's steps."""
+        """True where predictions can be made: the engine takes MuJoCo's steps."""
         self._controller, self._plant = controller, plant
         if self.known:
             with capturing:  # nothing may be allocated while a controller records its plan

@@ -209,7 +209,7 @@ class PlantSigns:
             )
 
     def _grips(self, body: int) -> bool:
-        """True for a link of a gripper, and of a finger that mostly touches something."""
+        """Return whether a body is a link of a gripper, or of a finger that mostly touches something."""
         finger = self._fingers.get(body)
         return finger is not None and (finger == GRIPPER or self._holding[finger] > OFTEN * self._looks)
 
