@@ -223,7 +223,7 @@ TABLE = [
     ),
     Mistake(
         "σ far too wide",
-        {"{ range = 0.2 }": "10.0\nspread = [1.0, 1.0]"},
+        {"{ range = 0.2 }": "40.0"},
         ("planner.noise.sigma", "lies at a limit", "a quarter of each control's range"),
     ),
     Mistake(
@@ -250,6 +250,11 @@ TABLE = [
         "joints that are stuck",
         {'damping="1"': 'damping="1e6"'},
         ("cost.near", "no sample of a plan moves arm/fore", "check damping"),
+    ),
+    Mistake(
+        "gains that make the physics diverge",
+        {'kp="100"': 'kp="1e9"', 'kp="50"': 'kp="1e9"', ' forcerange="-40 40"': "", ' forcerange="-20 20"': ""},
+        ("engine.substeps", "all samples that were compared diverged", "lower gains"),
     ),
     Mistake("horizon too short", {"horizon = 20": "horizon = 2"}, ("plans look", "0.04 s ahead", "about 1 s suits")),
     Mistake(

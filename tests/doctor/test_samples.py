@@ -3,12 +3,14 @@
 
 import re
 
+import numpy as np
 import pytest
 from planted import ARM, LEGS, SCENE
 
 from warpmpc.controller.controller import Controller
 from warpmpc.doctor.approach import approaches, probes, still_findings
 from warpmpc.doctor.contact_time import contact_time
+from warpmpc.doctor.control import plan_findings, term_costs
 from warpmpc.doctor.subject import Subject
 from warpmpc.plant.plant import Plant
 from warpmpc.scene.load import load_scene
@@ -54,3 +56,22 @@ def test_samples_come_nearer_to_what_a_robot_does_and_not_to_what_it_has_not_tou
     assert not box.nearer
     assert box.best.value == pytest.approx(0.3, abs=1e-3)
     assert not list(still_findings(Subject(controller.scene, controller.compiled), probes(controller)))
+
+
+def test_each_of_two_bounds_of_one_number_has_its_own_nearest_sample(tmp_path):
+    success = '[success]\nconditions = { frame = "arm/fore", above = 9.0, below = -9.0 }\n\n[[cost]]'
+    controller, plant = planned(tmp_path, SCENE.replace("[[cost]]", success, 1), ARM)
+    rollouts = probes(controller)
+    heights = np.array([rollout.body_q[:, 1, 2] for rollout in rollouts])
+    highest, lowest = approaches(rollouts, plant.monitor)
+    assert (highest.best.above, lowest.best.above) == (True, False)
+    assert highest.best.value == pytest.approx(heights.max())
+    assert lowest.best.value == pytest.approx(heights.min())
+
+
+def test_samples_that_all_diverged_are_a_finding(tmp_path):
+    controller, _ = planned(tmp_path, SCENE, ARM)
+    controller.engine.cost.fill_(np.inf)
+    assert term_costs(controller).shape == (0, 2)
+    (finding,) = plan_findings(Subject(controller.scene, controller.compiled), controller)
+    assert "diverged" in str(finding)

@@ -88,6 +88,16 @@ def test_a_state_that_is_not_finite_holds_nothing():
     assert [monitor.update(at(x, 0.04 * i)) for i, x in enumerate(x)] == [False] * 5 + [True, False]
 
 
+def test_each_of_two_bounds_of_one_number_keeps_its_own_best():
+    scene = make_scene(goal=None, success={"conditions": {"joint": "x", "above": 1.0, "below": 2.0}}, cost=COST[2:])
+    monitor = Monitor(scene, task=Task(scene), compiled=compiled(scene))
+    for time, x in enumerate((3.0, 0.0, 2.5)):
+        monitor.update(at(x, float(time)))
+    above, below = monitor.progress
+    assert (above.best.value, above.when, above.last.value) == (3.0, 0.0, 2.5)
+    assert (below.best.value, below.when, below.last.value) == (0.0, 1.0, 2.5)
+
+
 def test_a_phase_of_fixed_length_begins_with_the_first_state():
     scene = make_scene(phase=[{"name": "wait", "after": 0.1}, {"name": "go"}])
     task = Task(scene)

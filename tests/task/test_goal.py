@@ -96,3 +96,10 @@ def test_a_pose_that_is_not_finite_is_never_within():
     error = goal_error(Goal(object="box", position=(0.0, 0.0), yaw=0.0), at, pose)
     for tolerance in ({"position": 1e9}, {"distance": 1e9}, {"yaw": 10.0}):
         assert not error.within(Success(**tolerance))
+
+
+def test_every_axis_is_compared_with_its_own_tolerance():
+    pose, at = np.array([0.1, -0.2, 5.0, 0, 0, 0, 1.0]), np.array([0.0, 0, 0, 0, 0, 0, 1.0])
+    error = goal_error(Goal(object="box", position=(0.0, 0.0)), at, pose)
+    rows = [(row.name, row.value, row.bound) for row in error.compared(Success(position=(0.05, 0.5)))]
+    assert rows == [("error along x [m]", 0.1, 0.05), ("error along y [m]", 0.2, 0.5)]

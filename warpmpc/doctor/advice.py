@@ -73,9 +73,10 @@ def _noise(scene: Scene, layout: Layout) -> Iterator[str]:
     lower, upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
     bounded = np.isfinite(upper - lower) & (upper > lower)
     share = control_sigma(scene, layout) / np.where(bounded, upper - lower, 1.0)
+    low, high = scene.planner.noise.spread
     for what, wrong, effect in (
-        ("wider than", bounded & (share * scene.planner.noise.spread[0] > WIDE), "nearly every sample lies at a limit"),
-        ("tiny beside", bounded & (share * scene.planner.noise.spread[1] < NARROW), "samples hardly differ"),
+        ("wider than", bounded & (share * np.sqrt(low * high) > WIDE), "nearly every sample lies at a limit"),
+        ("tiny beside", bounded & (share * high < NARROW), "samples hardly differ"),
     ):
         if np.any(wrong):
             names = [name for name, bad in zip(layout.control_name, wrong, strict=True) if bad]

@@ -50,14 +50,10 @@ def probes(controller: Controller) -> list[Rollout]:
 
 def approaches(rollouts: list[Rollout], monitor: Monitor) -> list[Approach]:
     """Conditions of success, or of the end of the first phase, in rollouts; conditions on cost terms are left out."""
-    found: dict[str, Approach] = {}
-    for rollout in rollouts:
-        for body_q, joint_q in zip(rollout.body_q, rollout.joint_q, strict=True):
-            for new in monitor.compared(StateSnapshot(body_q, joint_q, {})):
-                known = found.setdefault(new.name, Approach(new, new))
-                if new.excess < known.best.excess:
-                    found[new.name] = Approach(known.start, new)
-    return [approach for approach in found.values() if np.isfinite(approach.start.value)]
+    states = [state for rollout in rollouts for state in zip(rollout.body_q, rollout.joint_q, strict=True)]
+    compared = (monitor.compared(StateSnapshot(body_q, joint_q, {})) for body_q, joint_q in states)
+    found = [Approach(seen[0], min(seen, key=lambda new: new.excess)) for seen in zip(*compared, strict=True)]
+    return [approach for approach in found if np.isfinite(approach.start.value)]
 
 
 def still_findings(subject: Subject, rollouts: list[Rollout]) -> Iterator[Finding]:

@@ -186,6 +186,12 @@ def plan_findings(subject: Subject, controller: Controller) -> Iterator[Finding]
             "set planner.discount = 1",
         )
     costs = term_costs(controller)
+    if not len(costs):
+        yield Finding(
+            "engine.substeps",
+            "all samples that were compared diverged: plans have nothing to choose from",
+            "raise engine.substeps, lower gains, or give drives an effort_limit",
+        )
     if len(costs) < 2:
         return
     spread = np.ptp(costs, axis=0)
@@ -245,4 +251,4 @@ def term_costs(controller: Controller) -> np.ndarray:
     for k in chosen:
         engine.explain(wp.array(np.full(controller.envs, k), dtype=wp.int32, device=engine.device))
         rows.append(engine.term_cost.numpy()[0].copy())
-    return np.array(rows, dtype=float).reshape(len(rows), -1)
+    return np.array(rows, dtype=float).reshape(len(rows), len(controller.costs.labels))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,8 +61,8 @@ class Monitor:
     """Distance of the goal's object or frame from the goal; None for a scene without a goal, or before any state."""
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
-    progress: dict[str, Progress]
-    """Numbers that the success, or the end of the present phase, waits for, by name."""
+    progress: list[Progress]
+    """Numbers that the success, or the end of the present phase, waits for; empty before any state."""
     failure: str | None
     """Name of the failure that came first, None while there is none; what comes later is no success."""
 
@@ -97,7 +97,7 @@ class Monitor:
         self.phases = []
         self._reached = 0
         self.failure = None
-        self.progress = {}
+        self.progress = []
         self._now: float | None = None  # time of the last state
         self._within: float | None = None  # since when the success test holds
         self._held: float | None = None  # since when the phase's conditions hold
@@ -198,7 +198,7 @@ class Monitor:
         if over or come:
             self._reached += come
             task.enter_phase(int(task.phase[e]) + 1, e)
-            self._held, self._entered, self.progress = None, self._now, {}
+            self._held, self._entered, self.progress = None, self._now, []
             self.phases.append((task.phase_of(e).name, self._now))
 
     @property
@@ -214,11 +214,11 @@ class Monitor:
 
     def _progress(self, comparisons: list[Comparison]) -> bool:
         """Keep how near each number came to its bound; returns whether all are within."""
-        for new in comparisons:
-            best = self.progress[new.name].best if new.name in self.progress else None
-            nearer = best is None or np.isnan(best.excess) or new.excess < best.excess
-            when = self._now if nearer else self.progress[new.name].when
-            self.progress[new.name] = Progress(new, new if nearer else best, when)
+        known = self.progress or [Progress(new, new, self._now) for new in comparisons]
+        self.progress = []
+        for new, old in zip(comparisons, known, strict=True):
+            nearer = np.isnan(old.best.excess) or new.excess < old.best.excess
+            self.progress.append(Progress(new, new, self._now) if nearer else replace(old, last=new))
         return all(comparison.holds for comparison in comparisons)
 
     def _since(self, since: float | None, holds: bool) -> float | None:

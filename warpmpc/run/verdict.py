@@ -59,7 +59,7 @@ class Symptoms:
     def _unmet(self) -> Iterator[str]:
         monitor, scene = self.plant.monitor, self.controller.scene
         phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
-        unmet = [item for item in monitor.progress.values() if not item.last.holds]
+        unmet = [item for item in monitor.progress if not item.last.holds]
         for item in unmet:
             yield f"not met{phase}: {_shortfall(item)}"
         left = [item.last.name for item in unmet if item.best.holds]
@@ -92,7 +92,7 @@ class Symptoms:
 
     def _signs(self) -> Iterator[str]:
         controller, layout = self.controller, self.controller.layout
-        unmet = any(not item.last.holds for item in self.plant.monitor.progress.values())
+        unmet = any(not item.last.holds for item in self.plant.monitor.progress)
         yield from self._of_plant.signs(unmet=unmet)
         share = self._at_limit / self._steps
         stuck = [name for name, part in zip(layout.control_name, share, strict=True) if part > OFTEN]

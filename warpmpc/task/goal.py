@@ -97,10 +97,9 @@ class GoalError:
     def compared(self, success: Success) -> Iterator[Comparison]:
         """Compare every error that counts with its tolerance."""
         if success.position is not None:
-            error = np.abs(self.axes)
-            worst = int(np.argmax(error / success.position))
-            most = np.broadcast_to(success.position, error.shape)[worst]
-            yield Comparison(f"error along {'xyz'[worst]} [m]", float(error[worst]), float(most))
+            limits = np.broadcast_to(success.position, self.axes.shape)
+            for axis, error, most in zip("xyz", np.abs(self.axes), limits, strict=False):
+                yield Comparison(f"error along {axis} [m]", float(error), float(most))
         for name, value, most in (
             ("distance to the goal [m]", self.position, success.distance),
             ("heading error [rad]", self.yaw, success.yaw),
