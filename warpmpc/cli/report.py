@@ -188,7 +188,7 @@ def print_check(
     _show(console, joint_table(layout))
     _show(console, _controls(layout))
     _show(console, _costs(episode))
-    if episode.scene.success is not None or episode.scene.phase:
+    if rollouts and (episode.scene.success is not None or episode.scene.phase):
         _show(console, _conditions(episode, rollouts))
 
 
