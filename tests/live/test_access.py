@@ -13,6 +13,7 @@ from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 from warpmpc.live.access import Access, open_server  # noqa: E402
+from warpmpc.live.page import require_port  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +146,11 @@ def test_a_viser_that_serves_in_another_way_is_not_used(monkeypatch):
     with pytest.raises(ValueError, match="pip install"):
         open_server(Access("127.0.0.1", 8080), "a page")
     assert stopped
+
+
+def test_a_taken_port_is_refused():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(OSError, match="choose another with --port"):
+            require_port("127.0.0.1", taken.getsockname()[1])

@@ -23,7 +23,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason=reason("playwrigh
 
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.access import Access  # noqa: E402
-from warpmpc.live.page import require_port, serve  # noqa: E402
+from warpmpc.live.page import serve  # noqa: E402
 from warpmpc.live.plots import FORESIGHT  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
 from warpmpc.record.shapes import scene_bounds  # noqa: E402
@@ -441,11 +441,3 @@ def test_a_post_that_is_dragged_away_lets_the_robot_through(served, page, post):
     until(lambda: np.linalg.norm(place(session) - (1.0, 0.0)) < 0.1)
     assert session.plant.contact.max_force < 1.0
     np.testing.assert_allclose(session.plant.pose("post"), session.snapshot.poses["post"], atol=1e-6)
-
-
-def test_a_taken_port_is_refused():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        with pytest.raises(OSError, match="choose another with --port"):
-            require_port("127.0.0.1", taken.getsockname()[1])

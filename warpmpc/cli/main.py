@@ -32,7 +32,7 @@ SceneArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:VARIANT for a variant of it, A+B for two.",
+        help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:A or SCENE:A+B for variants of it.",
     ),
 ]
 SetOption = Annotated[
@@ -122,15 +122,12 @@ def check(
     seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of a scene that draws its tasks.")] = 0,
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
-    measure: Annotated[
-        bool, typer.Option("--measure", help="Time plans anew for what is auto: samples, and the device.")
-    ] = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Time plans anew for what is auto.")] = False,
 ) -> None:
     """Build everything a run would, make one plan, and show what was built."""
     from . import run as cli_run
 
-    arguments = _arguments(scene, overrides, terms, engine, device)
-    raise typer.Exit(cli_run.check(arguments, seed=seed, measure=measure))
+    raise typer.Exit(cli_run.check(_arguments(scene, overrides, terms, engine, device), seed=seed, measure=measure))
 
 
 @app.command()
