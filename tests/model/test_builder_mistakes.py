@@ -45,7 +45,7 @@ def test_mistakes_about_a_robot_name_the_key(keys, message):
 def test_an_asset_without_links_or_sense_is_refused(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(SceneError, match=r"asset|not valid XML"):
-        build_world(make_scene(robot=[{**DISC, "asset": str(tmp_path / name)}]))
+        build_world(scene_of(asset=str(tmp_path / name), frames={}, drive={"damping": 1.0, "limit": 1.0}))
 
 
 def test_a_mesh_that_cannot_be_read_is_refused(tmp_path):
