@@ -406,7 +406,7 @@ def post(served, page):
     until(lambda: session.snapshot.source == "post.toml")
     seen = session.snapshot
     open_costs(page, session)
-    session.pace = 4.0
+    session.pace, session.lock_step = 4.0, True  # plans are not late at four times real time
     session.pause(False)
     return session, 0.85 * 0.3 * scene_bounds(session.plant.layout, seen.body_q, seen.poses["goal"])[1]
 
