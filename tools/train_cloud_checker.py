@@ -46,7 +46,7 @@ REACH = 0.15
 LINKS = ("panda_link3", "panda_link4", "panda_link5", "panda_link6", "panda_link7", "panda_hand")
 LINKS += ("panda_leftfinger", "panda_rightfinger")
 OVERHANG = 0.015
-"""Of the spheres that are compared [m]."""
+"""Length by which the spheres that are compared may stick out of the links [m]."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Poses:
     features: np.ndarray
     """``[n, POINTS]`` [m]"""
     near: np.ndarray
-    """Whether the sphere around the link is near anything, ``[n]``; nothing is asked elsewhere."""
+    """True where the sphere around the link is near anything ``[n]``; nothing is asked elsewhere."""
     hit: np.ndarray
-    """Whether the link touches an obstacle ``[n]``."""
+    """True where the link touches an obstacle ``[n]``."""
     by_spheres: np.ndarray
-    """Whether ``cloud_collision`` says so ``[n]``."""
+    """True where ``cloud_collision`` says so ``[n]``."""
 
     @classmethod
     def drawn(cls, link: Link, clutter: Clutter, volume: SeenVolume, count: int, rng: np.random.Generator) -> Poses:

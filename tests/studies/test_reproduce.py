@@ -199,16 +199,16 @@ def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
-def test_every_row_by_the_letter_is_the_scene_of_ours_with_the_papers_planner():
-    letters = [cell for name in GROUPS["pezzato"] for cell in TABLES[name].cells if cell.name.endswith("_paper")]
-    assert {scene.partition(":")[0] for cell in letters for scene in cell.scenes} == {
+def test_every_row_as_in_the_paper_is_the_scene_of_ours_with_the_papers_planner():
+    papers = [cell for name in GROUPS["pezzato"] for cell in TABLES[name].cells if cell.name.endswith("_paper")]
+    assert {scene.partition(":")[0] for cell in papers for scene in cell.scenes} == {
         "point_reach", "panda_reach", "panda_push", "panda_push_objects", "omni_push_box", "omni_push_sphere",
         "diff_push_box", "mobile_pick",
     }  # fmt: skip
-    for source in (scene for cell in letters for scene in cell.scenes):
-        letter, name = warpmpc.load_scene(source), source.removesuffix("paper").rstrip(":+")
-        ours, planner = warpmpc.load_scene(name), letter.planner
-        assert (letter.goal, letter.success, letter.robot, letter.object) == (
+    for source in (scene for cell in papers for scene in cell.scenes):
+        paper, name = warpmpc.load_scene(source), source.removesuffix("paper").rstrip(":+")
+        ours, planner = warpmpc.load_scene(name), paper.planner
+        assert (paper.goal, paper.success, paper.robot, paper.object) == (
             ours.goal,
             ours.success,
             ours.robot,
@@ -221,10 +221,10 @@ def test_every_row_by_the_letter_is_the_scene_of_ours_with_the_papers_planner():
 @pytest.mark.parametrize("cell", [cell for cell in TABLES["mjpc"].cells if cell.name.endswith("_paper")])
 def test_rows_of_mujoco_mpc_are_algorithm_4_at_its_rate_for_ours_success(cell):
     (source,) = cell.scenes
-    letter, ours = warpmpc.load_scene(source), warpmpc.load_scene(source.removesuffix(":paper"))
-    planner, noise = letter.planner, letter.planner.noise
+    paper, ours = warpmpc.load_scene(source), warpmpc.load_scene(source.removesuffix(":paper"))
+    planner, noise = paper.planner, paper.planner.noise
     assert (planner.method, planner.samples, planner.iterations) == ("predictive_sampling", 10, 1)
     assert (noise.source, noise.shape, noise.spread, noise.constant) == ("random", "identity", (1.0, 1.0), 0.0)
     assert (noise.null_sample, planner.keep_best, planner.discount) == (False, 0, 1.0)
-    assert letter.timing.control_dt <= 0.002, "500 to 1000 plans in a second of simulated time"
-    assert (letter.success, letter.goal, letter.timing.timeout) == (ours.success, ours.goal, ours.timing.timeout)
+    assert paper.timing.control_dt <= 0.002, "500 to 1000 plans in a second of simulated time"
+    assert (paper.success, paper.goal, paper.timing.timeout) == (ours.success, ours.goal, ours.timing.timeout)

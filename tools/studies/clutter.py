@@ -122,7 +122,7 @@ class Reach:
 
 
 def run(seed: int, overrides: list[str], least: float, form: str = "distance") -> dict:
-    """What became of a seed."""
+    """Outcome of a seed."""
     scene = warpmpc.load_scene(SCENES[form], overrides=overrides)
     episode = Episode(scene, seed=seed)
     plant = episode.plant

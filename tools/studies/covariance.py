@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What adapting the samples' covariance saves: success of every form over the number of samples, STORM's claim.
+"""Success of every form of covariance over the number of samples: does adapting it save samples, as STORM says?
 
     python tools/study.py covariance --jobs 16                     # 2 scenes, 5 forms, 50 to 1000 samples, 20 seeds
     python tools/study.py covariance --scenes holonomic_2d --samples 50 500 --runs 1

@@ -54,15 +54,15 @@ TASKS = (
 )
 """Scenes whose planner is our own; those of STORM's tasks have the paper's."""
 LONGEST = 30.0
-"""Of an episode [s]: what has not arrived by then is not looked at any longer."""
+"""Longest episode [s]: what has not arrived by then counts as failed."""
 MORE = 1.1
-"""How much longer runs and plans may take."""
+"""Factor by which runs and plans may take longer."""
 CHEAP = 0.1
 """Share of a control [s] below which a longer plan does no harm."""
 
 
 def short(scene: Scene) -> dict:
-    """What a scene says of its planner, with ``lookahead`` for a ``horizon`` and without what the defaults say too."""
+    """Planner's keys of a scene, with ``lookahead`` for a ``horizon`` and without what the defaults say too."""
     own, defaults = scene.planner.model_dump(exclude_unset=True), Planner().model_dump()
     if "horizon" in own:
         (dt,) = own["dt"]
@@ -108,7 +108,7 @@ def numbers(rows: list[dict]) -> tuple[int, int, float, float]:
 
 
 def no_good(rows: list[dict], shipped: list[dict]) -> bool:
-    """Whether runs without a group are as good as those of the scene as shipped, over the seeds that both have."""
+    """Return whether runs without a group are as good as those of the scene as shipped, over the seeds of both."""
     seeds = {row["seed"] for row in rows} & {row["seed"] for row in shipped}
     (n, passed, taken, plan), (_, before, took, planned) = (
         numbers([row for row in part if row["seed"] in seeds]) for part in (rows, shipped)

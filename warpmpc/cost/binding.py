@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
 from ..kernels.terms.points import Wanted
+from ..model.assets import resolve_asset
 from ..model.pairs import Pair
 from ..scene.errors import SceneError
 from .resources.geodesic import obstacle_outlines, polygon_distance
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ..model.layout import Entity, Layout, ShapeInfo
     from ..scene.schema import Scene
 
+W = TypeVar("W")
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
 """Numbers of the shapes whose distance ``kernels.terms.shapes.shape_distance`` knows."""
 
@@ -149,6 +151,34 @@ class Binding:
         if of is not None and of not in robots:
             raise self.error("no such robot", "of", found=of, allowed=robots)
         return list(robots.values()) if of is None else [robots[of]]
+
+    def only_robot(self, of: str | None) -> Entity:
+        """The robot that a key ``of`` names, or the only one when it is None.
+
+        Raises:
+            SceneError: If there is no such robot, or several and none is named.
+        """
+        found = self.robots(of)
+        if len(found) != 1:
+            raise self.error("several robots: name one", "of", allowed=[robot.name for robot in found])
+        return found[0]
+
+    def weights(self, file: str, load: Callable[[Path], W]) -> W:
+        """Trained weights that the key ``weights`` names, beside the scene or in its assets.
+
+        Args:
+            file: Name of the file.
+            load: Reads it; raises OSError or ValueError where it is no such file.
+
+        Raises:
+            SceneError: If there is no such file or it holds something else.
+        """
+        base = None if self.file is None else self.file.parent
+        path = resolve_asset(file, base=base, key=f"{self.key}.weights", file=self.file)
+        try:
+            return load(path)
+        except (OSError, ValueError) as error:
+            raise self.error(f"cannot be read as weights: {error}", "weights", found=file) from error
 
     def owned(self, of: str | None, names: Sequence[str]) -> range:
         """Indices of the names that belong to a robot; of all when it is None.

@@ -40,9 +40,9 @@ class StepError:
     body: str
     """Body that ends farthest from where it ends with the file's timestep."""
     error: float
-    """How far [m]; infinite where the rollout with the planner's step diverges."""
+    """Distance between these ends [m]; infinite where the rollout with the planner's step diverges."""
     moved: float
-    """How far the body that moves most ends from its start [m]."""
+    """Distance of the body that moves most from its start [m]."""
 
     def __str__(self) -> str:
         effect = "makes it diverge" if np.isinf(self.error) else f"moves {self.body} by {self.error:.2g} m"

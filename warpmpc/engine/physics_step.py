@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 LONGEST = 0.01
 """Longest step that is chosen [s]: MuJoCo softens contacts whose time constant, 0.02 s by default, is less than two."""
 FACTORS = (4, 2)
-"""How many of the MJCF file's steps are put into one, the first that will do."""
+"""Numbers of the MJCF file's steps that are put into one: the first that will do is taken."""
 SMALL = 0.01
 """Error that is small, as a share of the spread of the rollouts: planning compares rollouts, and those that differ a
 hundred times as much as a longer step moves them keep their order. Robots with legs are at 0.15 and more, arms and

@@ -65,18 +65,18 @@ class ClosedLoop:
     ):
         self.source, self.overrides, self.seed = source, tuple(overrides), seed
         self.lock_step = False
-        """Whether every control waits for a plan of its own."""
+        """True where every control waits for a plan of its own."""
         self.speed = 1.0
         """Simulated seconds in a second of wall time that the plant is held to."""
         self.watched = True
-        """Whether anybody looks: else nothing is prepared to be seen of rollouts."""
+        """True while anybody looks: else nothing is prepared to be seen of rollouts."""
         self.paused, self.planning, self.controlling = False, True, True
         self.tuned: dict[str, float] = {}
         """Weights and scalars changed since the start, by name."""
         self.keys: dict[str, str] = {}
         """Keys of the scene changed since the start, ``planner.samples`` and so on, with TOML values."""
         self.message = ""
-        """What became of the last change that could not be made; empty when all is well."""
+        """Fate of the last change that could not be made; empty when all is well."""
         self._options = {"engine": engine, "device": device, "terms": tuple(terms)}
         self.build = self.episode = 0
         self._planner: PlannerThread | None = None  # begun by the first control that needs it

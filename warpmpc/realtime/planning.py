@@ -46,7 +46,7 @@ class Planning:
     speed: float
     """The robot's seconds in a second of wall time; may change between two plans."""
     plans: Plans
-    """How many plans are made, ``agent.plans``; may change likewise."""
+    """Number of plans, ``agent.plans``; may change likewise."""
 
     def __init__(
         self,

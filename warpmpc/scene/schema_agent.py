@@ -40,7 +40,7 @@ class AgentSettings(Section):
     """Largest change of the controls per second, one value or one per control [control unit/s]; any when left out.
     Holds whatever the planner says, for the safe command, too."""
     safe: SafeCommand = SafeCommand.REST
-    """What the safe command is for drives by effort: what held the start, none where nothing did (``rest``), or what
+    """Safe command of drives by effort: what held the start, none where nothing did (``rest``), or what
     holds the model against gravity where it was last seen (``gravity``)."""
     compensate: Flag = True
     """Whether observations are predicted forward by the time that a plan takes."""

@@ -252,7 +252,8 @@ class Planner(Section):
     """What derivatives make of the samples' plan. ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs``
     is ``predictive_sampling`` with ``ilqg``."""
     execute: Execute = Execute.MEAN
-    """What is carried out: the mean, the best of the last samples, or one drawn from the distribution they lead to."""
+    """Controls that are carried out: the mean, the best of the last samples, or a sample of the distribution they lead
+    to."""
     iterations: Count = 2
     """Sample-roll-out-update rounds per plan."""
     decay: Annotated[Positive, Field(ge=1.0)] = 1.0

@@ -13,7 +13,6 @@ import warp as wp
 from ..cost.binding import Binding
 from ..cost.keys import TermKeys, term
 from ..kernels.terms.view import StepView, joint_position
-from ..model.assets import resolve_asset
 from ..model.npz import read_npz
 from ..model.self_shape import self_fingerprint
 from ..scene.types import NonNegative
@@ -100,16 +99,7 @@ class LearnedSelfCollision(TermKeys):
 
     def bind(self, p: Any, b: Binding) -> None:
         """Read the network [sin q, cos q] → H → U → 1."""
-        robot, *more = b.robots(self.of)
-        if more:
-            names = [robot.name, *(other.name for other in more)]
-            raise b.error("several robots: name one", "of", allowed=names)
-        base = None if b.file is None else b.file.parent
-        path = resolve_asset(self.weights, base=base, key=f"{b.key}.weights", file=b.file)
-        try:
-            weights = Weights.load(path)
-        except (OSError, ValueError) as error:
-            raise b.error(f"cannot be read as weights: {error}", "weights", found=self.weights) from error
+        robot, weights = b.only_robot(self.of), b.weights(self.weights, Weights.load)
         own = {
             name.partition("/")[2]: dof
             for dof, name in enumerate(b.layout.dof_name)

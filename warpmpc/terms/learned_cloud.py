@@ -14,7 +14,6 @@ from ..cost.keys import TermKeys, term
 from ..cost.resources.cloud import PointClouds
 from ..kernels.geometry.volume import Volume, voxel_distance
 from ..kernels.terms.view import StepView
-from ..model.assets import resolve_asset
 from ..model.npz import read_npz
 from ..model.self_shape import link_fingerprint
 from ..scene.errors import SceneError
@@ -104,16 +103,7 @@ class LearnedCloudCollision(TermKeys):
 
     def bind(self, p: Any, b: Binding) -> None:
         """Read the networks, and find their links and the cloud's volume."""
-        robot, *more = b.robots(self.of)
-        if more:
-            names = [robot.name, *(other.name for other in more)]
-            raise b.error("several robots: name one", "of", allowed=names)
-        base = None if b.file is None else b.file.parent
-        path = resolve_asset(self.weights, base=base, key=f"{b.key}.weights", file=b.file)
-        try:
-            weights = CheckerWeights.load(path)
-        except (OSError, ValueError) as error:
-            raise b.error(f"cannot be read as weights: {error}", "weights", found=self.weights) from error
+        robot, weights = b.only_robot(self.of), b.weights(self.weights, CheckerWeights.load)
         bodies = [link_body(name, robot.bodies, b, f"{b.key}.weights") for name in weights.links]
         again = "train new ones with tools/train_cloud_checker.py"
         other = [
