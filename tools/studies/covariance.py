@@ -48,7 +48,7 @@ DRAWS = {
 """Goals of a scene that has but one, so that seeds differ by more than their noise."""
 SAMPLES = (50, 100, 200, 500, 1000)
 SHRINKING = "-shrinking"
-FORMS = (*CovarianceForm, f"{CovarianceForm.DIAGONAL}{SHRINKING}")
+VARIANTS = (*CovarianceForm, f"{CovarianceForm.DIAGONAL}{SHRINKING}")
 
 
 def cells(scenes: Sequence[str], forms: Sequence[str], samples: Sequence[int]) -> list[Cell]:
@@ -88,7 +88,8 @@ def picture(rows: list[dict], path: Path) -> None:
             column[0].errorbar(x, 100 * y, 100 * np.array([y - low, high - y]), capsize=2, **look)
             column[1].plot(x, np.array([row["time_s"] for row in some], dtype=float), **look)
         column[0].set(title=scene, xscale="log", ylim=(-3, 103))
-        column[1].set(xlabel="samples", ylim=(0, None))
+        column[1].set(xlabel="samples")
+        column[1].axhline(0.0, linewidth=0.0)  # times begin at zero
         column[1].set_xticks(sorted({row["samples"] for row in own}), sorted({row["samples"] for row in own}))
         for axes in column:
             axes.minorticks_off()
@@ -103,7 +104,7 @@ def main(arguments: list[str]) -> None:
     """Make the runs that are missing, tell, and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
-    parser.add_argument("--forms", nargs="+", default=FORMS, choices=FORMS, metavar="FORM")
+    parser.add_argument("--forms", nargs="+", default=VARIANTS, choices=VARIANTS, metavar="FORM")
     parser.add_argument("--samples", nargs="+", type=int, default=SAMPLES)
     parser.add_argument("--runs", type=int, default=5, help="seeds of a cell (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
