@@ -186,7 +186,8 @@ def _slow_downs() -> tuple[Cell, ...]:
     """Getting up with a planner that takes 10 ms for a plan, on a clock that is slowed down.
 
     Plans are made in lock step, one for every 10 ms of wall time: k of them in 10 ms of simulated time stand for a
-    slow-down of 1/k, without the time that a plan is late. Physics steps of the plant are 1 ms in all.
+    slow-down of 1/k, without the time that a plan is late. So many plans are made however busy the machine is.
+    Physics steps of the plant are 1 ms in all. ``tools/pages/slow_down.py`` draws the results.
     """
     return tuple(
         _cell(
