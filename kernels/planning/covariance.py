@@ -89,12 +89,13 @@ def grow_sigma_kernel(
 def factorize(
     covariance: wp.array3d[float],
     sigma_min: wp.array[float],
-    e: int,
+    i: int,
+    per_env: int,
     lane: int,
     factor: wp.array3d[float],
     bands: wp.array3d[float],
 ):
-    """Cholesky factor L of Σ and its bands, for all lanes of a warp; the rows below a pivot are shared among them.
+    """Cholesky factor L of Σ_i and its bands, for all lanes of a warp; the rows below a pivot are shared among them.
 
     A pivot is the variance that a control has left once those before it are known. It is kept at σ_min² or above, as
     in Σ plus something on its diagonal, which is what Σ becomes: few samples span fewer directions than there are
@@ -104,23 +105,25 @@ def factorize(
     for j in range(count):
         known = float(0.0)
         for k in range(j):
-            known += factor[e, j, k] * factor[e, j, k]
-        pivot = wp.max(covariance[e, j, j] - known, sigma_min[j] * sigma_min[j])
+            known += factor[i, j, k] * factor[i, j, k]
+        pivot = wp.max(covariance[i, j, j] - known, sigma_min[j] * sigma_min[j])
         root = wp.sqrt(pivot)
         wait_for_lanes()
         for v in range(j + 1 + lane, count, wp.block_dim()):
-            rest = float(covariance[e, v, j])
+            rest = float(covariance[i, v, j])
             for k in range(j):
-                rest -= factor[e, v, k] * factor[e, j, k]
-            factor[e, v, j] = wp.where(root > 0.0, rest / root, 0.0)
+                rest -= factor[i, v, k] * factor[i, j, k]
+            factor[i, v, j] = wp.where(root > 0.0, rest / root, 0.0)
         if lane == 0:
-            factor[e, j, j] = root
-            covariance[e, j, j] = known + pivot
+            factor[i, j, j] = root
+            covariance[i, j, j] = known + pivot
         wait_for_lanes()
-    for c in range(lane, bands.shape[2], wp.block_dim()):
+    columns = bands.shape[2] // per_env
+    first = (i % per_env) * columns
+    for c in range(first + lane, first + columns, wp.block_dim()):
         u = c % count
         for lag in range(u + 1):
-            bands[e, lag, c] = factor[e, u, u - lag]
+            bands[i // per_env, lag, c] = factor[i, u, u - lag]
 
 
 @wp.kernel
@@ -133,18 +136,22 @@ def adapt_covariance_kernel(
     alpha: float,
     sigma_min: wp.array[float],  # [nu]
     # outputs
-    covariance: wp.array3d[float],  # [E, nu, nu] updated in place
-    factor: wp.array3d[float],  # [E, nu, nu] lower triangular
+    covariance: wp.array3d[float],  # [E·n, nu, nu] updated in place
+    factor: wp.array3d[float],  # [E·n, nu, nu] lower triangular
     bands: wp.array3d[float],  # [E, nu, P·nu] its bands, L[u, u-lag] at column p·nu + u, zero where there is none
 ):
-    """One warp: Σ ← (1-α)Σ + α mean over knots of Σw(θ-μ)(θ-μ)ᵀ/Σw of one environment, and its Cholesky factor.
+    """One warp: Σ ← (1-α)Σ + α Σw(θ-μ)(θ-μ)ᵀ/Σw of one covariance, and its Cholesky factor.
 
-    The full form of Bhardwaj et al. 2021, Eq. 5, shared by all knots as in their code (``full_AxA``): the few samples
-    that carry weight span too few directions for a matrix at every knot. Launch it with ``LANES`` threads per block.
+    Bhardwaj et al. 2021, Eq. 5: of n = P covariances of an environment each has its own knot's spread, Σ_h of the
+    paper. The only one is shared by all knots, and has the mean over them, as in their code (``full_AxA``). Launch it
+    with ``LANES`` threads per block.
     """
-    e, lane = wp.tid()
+    i, lane = wp.tid()
     nu = covariance.shape[1]
-    knots = products.shape[2] // nu
+    per_env = covariance.shape[0] // total.shape[0]
+    knots = products.shape[2] // nu // per_env
+    first = (i % per_env) * knots
+    e = i // per_env
     if total[e] <= 0.0:
         return
 
@@ -153,13 +160,13 @@ def adapt_covariance_kernel(
         v = entry % nu
         if v <= u:
             shared = float(0.0)
-            for p in range(knots):
+            for p in range(first, first + knots):
                 shared += products[e, u - v, p * nu + v] / (schedule[iteration, p] * schedule[iteration, p])
             target = shared / float(knots) / total[e]
-            covariance[e, u, v] = (1.0 - alpha) * covariance[e, u, v] + alpha * target
-            covariance[e, v, u] = covariance[e, u, v]
+            covariance[i, u, v] = (1.0 - alpha) * covariance[i, u, v] + alpha * target
+            covariance[i, v, u] = covariance[i, u, v]
     wait_for_lanes()
-    factorize(covariance, sigma_min, e, lane, factor, bands)
+    factorize(covariance, sigma_min, i, per_env, lane, factor, bands)
 
 
 @wp.kernel
@@ -170,15 +177,17 @@ def grow_covariance_kernel(
     kappa: wp.array[float],  # [nu]
     sigma_min: wp.array[float],  # [nu]
     # outputs
-    covariance: wp.array3d[float],  # [E, nu, nu] updated in place
-    factor: wp.array3d[float],  # [E, nu, nu] lower triangular
+    covariance: wp.array3d[float],  # [E·n, nu, nu] updated in place
+    factor: wp.array3d[float],  # [E·n, nu, nu] lower triangular
     bands: wp.array3d[float],  # [E, nu, P·nu] its bands, L[u, u-lag] at column p·nu + u, zero where there is none
 ):
-    """One warp: Σ ← Σ + κI of one environment whose plan moves on (STORM's code), and its Cholesky factor."""
-    e, lane = wp.tid()
+    """One warp: Σ ← Σ + κI of one covariance whose plan moves on (STORM's code), and its Cholesky factor."""
+    i, lane = wp.tid()
+    per_env = covariance.shape[0] // fresh.shape[0]
+    e = i // per_env
     if observed[e] == 0 or fresh[e] != 0:
         return
     for u in range(lane, covariance.shape[1], wp.block_dim()):
-        covariance[e, u, u] = covariance[e, u, u] + kappa[u]
+        covariance[i, u, u] = covariance[i, u, u] + kappa[u]
     wait_for_lanes()
-    factorize(covariance, sigma_min, e, lane, factor, bands)
+    factorize(covariance, sigma_min, i, per_env, lane, factor, bands)

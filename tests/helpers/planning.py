@@ -62,6 +62,16 @@ class Planning:
         return self.strategy.knots.numpy().copy()
 
     @property
+    def noise(self) -> np.ndarray:
+        """Shaped noise of the samples ``[E, S, P, nu]``, of unit variance, a copy."""
+        return self.strategy.noise.noise.numpy().reshape(self.strategy.knots.shape).copy()
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Limits of the controls, ``[nu]`` each."""
+        return self.layout.control_lower, self.layout.control_upper
+
+    @property
     def sigma(self) -> np.ndarray:
         """Standard deviations ``[E, P, nu]``, a copy."""
         return self.strategy.distribution.sigma.numpy().copy()

@@ -8,7 +8,7 @@ from planning import Planning
 from warpmpc import SceneError
 from warpmpc.planner.strategy import proposal
 
-FORMS = ("sigma", "diagonal", "knots", "full")
+FORMS = ("sigma", "diagonal", "knots", "full", "full_knots")
 MPPI = {"method": "mppi", "samples": 24, "horizon": 6, "temperature": {"initial": 0.05, "eta": None}}
 ALPHA_MEAN, ALPHA_SIGMA, KAPPA, FLOOR = 0.9, 0.7, 0.004, 0.05
 
@@ -31,16 +31,17 @@ def drawn_with(planning: Planning) -> np.ndarray:
     """Covariance of every knot ``[E, P, nu, nu]``."""
     covariance = planning.strategy.distribution.covariance
     if covariance.full:
-        factor = covariance.factor.numpy().astype(np.float64)
-        return np.repeat((factor @ factor.swapaxes(1, 2))[:, None], planning.mean.shape[1], axis=1)
+        factor = covariance.factor.numpy().astype(np.float64).reshape(len(planning.mean), -1, 3, 3)
+        return np.broadcast_to(factor @ factor.swapaxes(2, 3), (*planning.mean.shape, 3))
     return planning.sigma.astype(np.float64)[..., None] ** 2 * np.eye(3)
 
 
 def adapted(form: str, before: np.ndarray, deviation: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Bhardwaj et al. 2021, Eq. 5, of deviations [E, S, P, nu] from the new mean."""
     target = np.einsum("es,espu,espv->epuv", weight, deviation, deviation)
-    if form == "full":
-        return (1.0 - ALPHA_SIGMA) * before + ALPHA_SIGMA * target.mean(axis=1, keepdims=True)
+    if form.startswith("full"):
+        target = target.mean(axis=1, keepdims=True) if form == "full" else target
+        return (1.0 - ALPHA_SIGMA) * before + ALPHA_SIGMA * target
     variance = np.einsum("epuu->epu", target)
     axes = {"sigma": (1, 2), "diagonal": (1,), "knots": ()}[form]
     shared = variance.mean(axis=axes, keepdims=True) if axes else variance
@@ -56,7 +57,7 @@ def test_plans_of_three_rounds_match_the_reference(form, seed, anneal):
         **MPPI,
         "iterations": 3,
         "step_size": ALPHA_MEAN,
-        "sigma_min": FLOOR if form != "full" else 1e-3,
+        "sigma_min": FLOOR if not form.startswith("full") else 1e-3,
         "covariance": {"form": form, "step_size": ALPHA_SIGMA, "kappa": KAPPA},
         "noise": {"sigma": 0.4, "shape": "identity", "anneal": anneal},
     }
@@ -67,11 +68,14 @@ def test_plans_of_three_rounds_match_the_reference(form, seed, anneal):
     for n in range(3):
         if n:  # a control later, the last one held
             mean = np.concatenate([mean[:, 1:], mean[:, -1:]], axis=1)
-            if form == "knots":
+            if form in ("knots", "full_knots"):
                 covariance = np.concatenate([covariance[:, 1:], covariance[:, -1:]], axis=1)
             covariance = covariance + KAPPA * np.eye(3)
         for i, (knots, cost) in enumerate(rounds(planning)):
             np.testing.assert_allclose(knots[:, 0], mean, atol=1e-5)
+            factor = schedule[i][:, None, None] * np.linalg.cholesky(covariance)
+            drawn = mean[:, None] + np.einsum("epuv,espv->espu", factor, planning.noise)
+            np.testing.assert_allclose(knots[:, 2:], drawn[:, 2:].clip(*planning.limits), atol=3e-4)  # 1 is null
             weight = np.exp(-(cost - cost.min(axis=1, keepdims=True)) / 0.05)
             weight /= weight.sum(axis=1, keepdims=True)
             mean = (1.0 - ALPHA_MEAN) * mean + ALPHA_MEAN * np.einsum("es,espu->epu", weight, knots)
@@ -119,13 +123,18 @@ def test_the_threads_of_the_engine_change_no_bit_of_a_covariance(form):
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_covariance_of_an_environment_where_every_sample_diverged_stays():
-    planning = Planning(envs=2, planner={**MPPI, "covariance": {"form": "full"}})
+@pytest.mark.parametrize("form", ["full", "full_knots"])
+def test_the_covariance_of_an_environment_where_every_sample_diverged_stays(form):
+    planning = Planning(envs=2, planner={**MPPI, "covariance": {"form": form}})
     planning(2)
     before = drawn_with(planning)
     planning.qd[1, 0] = np.nan
     planning()
-    np.testing.assert_array_equal(drawn_with(planning)[1], before[1])
+    if form == "full":
+        np.testing.assert_array_equal(drawn_with(planning)[1], before[1])
+    else:  # it moves on all the same
+        expected = np.concatenate([before[1, 1:], before[1, -1:]])
+        np.testing.assert_allclose(drawn_with(planning)[1], expected, rtol=1e-4, atol=1e-7)
     assert not np.allclose(drawn_with(planning)[0], before[0])
 
 

@@ -10,6 +10,7 @@ from warpmpc.planner.moments import SampleMoments
 from warpmpc.scene.schema import CovarianceForm
 
 ADAPTED = pytest.mark.parametrize("form", [form for form in CovarianceForm if form is not CovarianceForm.FIXED])
+FULL = (CovarianceForm.FULL, CovarianceForm.FULL_KNOTS)
 ENVS, KNOTS, NU = 2, 5, 3
 SIGMA = np.array([0.5, 1.0, 2.0])
 
@@ -37,8 +38,8 @@ def follow(covariance: Covariance, knots, weight, mean, *, iteration: int = 0) -
 def dense(covariance: Covariance) -> np.ndarray:
     """Covariance that samples are drawn with ``[E, P, nu, nu]``, in float64."""
     if covariance.full:
-        factor = covariance.factor.numpy().astype(np.float64)
-        return np.repeat((factor @ factor.swapaxes(1, 2))[:, None], KNOTS, axis=1)
+        factor = covariance.factor.numpy().astype(np.float64).reshape(ENVS, -1, NU, NU)
+        return np.broadcast_to(factor @ factor.swapaxes(2, 3), (ENVS, KNOTS, NU, NU))
     variance = covariance.sigma.numpy().astype(np.float64) ** 2
     return variance[..., None] * np.eye(NU)
 
@@ -47,8 +48,8 @@ def reference(form, before, knots, weight, mean, *, alpha, floor, schedule) -> n
     """Bhardwaj et al. 2021, Eq. 5, in float64: covariance [E, P, nu, nu] of all knots."""
     deviation = (knots - mean[:, None]) / schedule[:, None]
     target = np.einsum("es,espu,espv->epuv", weight / weight.sum(axis=1, keepdims=True), deviation, deviation)
-    if form is CovarianceForm.FULL:
-        target[:] = target.mean(axis=1, keepdims=True)
+    if form in FULL:
+        target = target.mean(axis=1, keepdims=True) if form is CovarianceForm.FULL else target
         return (1.0 - alpha) * before + alpha * target
     variance = np.einsum("epuu->epu", target)
     if form is CovarianceForm.DIAGONAL:
@@ -91,11 +92,12 @@ def test_the_floor_holds_where_the_samples_agree(form, device):
     np.testing.assert_allclose(found, np.broadcast_to(np.diag(floor**2), found.shape), rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.parametrize("form", FULL)
 @pytest.mark.parametrize("floor", [0.0, 0.01])
-def test_a_full_covariance_of_too_few_samples_has_a_factor(floor, device):
+def test_a_full_covariance_of_too_few_samples_has_a_factor(form, floor, device):
     """One direction for three controls: the pivots of the others are lifted to the floor, the direction stays."""
     direction = np.array([1.0, -2.0, 0.5])
-    covariance = make(CovarianceForm.FULL, device, sigma_min=np.full(NU, floor))
+    covariance = make(form, device, sigma_min=np.full(NU, floor))
     knots = np.tile(direction, (ENVS, 2, KNOTS, 1)) * np.array([1.0, -1.0])[None, :, None, None]
     found = follow(covariance, knots, np.ones((ENVS, 2)), np.zeros((ENVS, KNOTS, NU)))[0, 0]
     np.testing.assert_allclose(found, np.outer(direction, direction) + np.diag([0.0, floor**2, floor**2]), atol=1e-5)
@@ -134,22 +136,24 @@ def test_kappa_is_added_where_a_plan_moves_on(form, device):
     covariance.grow(on([1, 1], device, int), on([0, 0], device, int))
     covariance.reset()
     np.testing.assert_allclose(dense(covariance), before, rtol=1e-6)
-    if form is CovarianceForm.FULL:  # what samples are drawn by
+    if form in FULL:  # what samples are drawn by
         bands = covariance.bands.numpy().reshape(ENVS, NU, KNOTS, NU)
         np.testing.assert_array_equal(bands[:, 0], np.broadcast_to(SIGMA.astype(np.float32), (ENVS, KNOTS, NU)))
         assert not bands[:, 1:].any()
 
 
-def test_the_bands_are_those_of_the_factor(device):
-    covariance = make(CovarianceForm.FULL, device)
+@pytest.mark.parametrize("form", FULL)
+def test_the_bands_are_those_of_the_factor(form, device):
+    covariance = make(form, device)
     follow(covariance, *some_samples(2))
     factor, bands = covariance.factor.numpy(), covariance.bands.numpy().reshape(ENVS, NU, KNOTS, NU)
+    factor = np.broadcast_to(factor.reshape(ENVS, -1, NU, NU), (ENVS, KNOTS, NU, NU))
     for u in range(NU):
         for v in range(NU):
             if v <= u:
-                np.testing.assert_array_equal(bands[:, u - v, :, u], np.repeat(factor[:, u, v, None], KNOTS, axis=1))
+                np.testing.assert_array_equal(bands[:, u - v, :, u], factor[:, :, u, v])
             else:
-                assert not factor[:, u, v].any()
+                assert not factor[:, :, u, v].any()
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Success of every form of covariance over the number of samples, with and without contact.
 
-    python tools/study.py covariance --jobs 16                     # 4 scenes, 50 to 1000 samples, 5 seeds
+    python tools/study.py covariance --jobs 16                     # 4 scenes, 6 forms, 50 to 1000 samples, 5 seeds
     python tools/study.py covariance --scenes holonomic_2d --samples 50 500 --runs 1
     python tools/study.py covariance --draw docs/data/covariance.json --out docs    # docs/covariance.png, no runs
 
@@ -71,6 +71,18 @@ def cells(scenes: Sequence[str], forms: Sequence[str], samples: Sequence[int]) -
     return found
 
 
+def figures(points: list[dict], source: dict[str, str]) -> dict:
+    """Points of the picture as JSON that tools/pages/figures.py makes a table of: runs that reached, of how many."""
+    counts = sorted({point["samples"] for point in points})
+    rows: dict[tuple[str, str], dict[int, str]] = {}
+    for point in points:
+        reached = f"{round(point['rate'] * point['runs'])}/{point['runs']}"
+        rows.setdefault((point["scene"], point["form"]), {})[point["samples"]] = reached
+    table = [[f"`{scene}`", form, *(row.get(n, "–") for n in counts)] for (scene, form), row in rows.items()]
+    group = {"rows": table, **source}
+    return {"columns": ["scene", "form", *map(str, counts)], "groups": [group], "points": points}
+
+
 def picture(rows: list[dict], path: Path) -> None:
     """Success, and the median time of runs that reach the goal, over the number of samples: a panel for each scene."""
     from matplotlib.figure import Figure
@@ -114,7 +126,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--draw", type=Path, metavar="JSON", help="only draw the picture of an earlier covariance.json")
     args = parser.parse_args(arguments)
     if args.draw:
-        picture(json.loads(args.draw.read_text())["rows"], args.out / "covariance.png")
+        picture(json.loads(args.draw.read_text())["points"], args.out / "covariance.png")
         return
     seeds = range(args.seed, args.seed + args.runs)
     wanted = cells(args.scenes, args.forms, args.samples)
@@ -143,7 +155,6 @@ def main(arguments: list[str]) -> None:
         late = "-" if median is None else f"{median:.2f} s"
         print(f"{cell.name:32s} reached {found.value:4.0%} ({span}) of {found.count}, {late}")
     command = shlex.join(["python", "tools/study.py", "covariance", *arguments])
-    write_json(
-        args.out / "covariance.json", {"machine": here, "date": f"{date.today()}", "command": command, "rows": rows}
-    )
+    source = {"machine": f"{here['cores']} cores", "date": f"{date.today()}", "command": command}
+    write_json(args.out / "covariance.json", figures(rows, source) | {"on": here})
     picture(rows, args.out / "covariance.png")

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 class Covariance:
-    """σ of every knot and control, or one full covariance of the controls (Bhardwaj et al. 2021, Eq. 5).
+    """σ of every knot and control, or full covariances of the controls (Bhardwaj et al. 2021, Eq. 5).
 
-    All forms but ``full`` live in :attr:`sigma`, where knots and controls that share one σ hold the same number.
+    All forms but the full ones live in :attr:`sigma`, where knots and controls that share one σ hold the same number.
 
     Args:
         sigma: Standard deviation at the start ``[nu]``, in control units.
@@ -42,9 +42,9 @@ class Covariance:
     sigma: wp.array3d[float]
     """Standard deviation of the knots ``[E, P, nu]``; that of the start where the covariance is full."""
     covariance: wp.array3d[float]
-    """Full covariance of the controls at every knot ``[E, nu, nu]``; one zero for the other forms."""
+    """Full covariances of the controls ``[E·n, nu, nu]``, one for all knots or n = P; one zero for the other forms."""
     factor: wp.array3d[float]
-    """Its Cholesky factor L ``[E, nu, nu]``, lower triangular."""
+    """Their Cholesky factors L ``[E·n, nu, nu]``, lower triangular."""
     bands: wp.array3d[float]
     """Bands of the factor, L[u, u-lag] at every column p·nu + u, ``[E, nu, P·nu]``."""
 
@@ -61,10 +61,10 @@ class Covariance:
         device: wp.DeviceLike,
         restarts: bool = False,
     ):
-        self.form, self.full = form, form is CovarianceForm.FULL
+        self.form, self.full = form, form in (CovarianceForm.FULL, CovarianceForm.FULL_KNOTS)
         self.adapts = form is not CovarianceForm.FIXED
-        self.varies = form is CovarianceForm.KNOTS
-        """True where σ may differ along the horizon, and moves on with its knots."""
+        self.varies = form in (CovarianceForm.KNOTS, CovarianceForm.FULL_KNOTS)
+        """True where it may differ along the horizon, and moves on with its knots."""
         self._step_size, self._grows, self.device = step_size, bool(np.any(kappa)), wp.get_device(device)
         self._launch = Launcher(self.device)
         self._start = np.asarray(sigma, dtype=np.float32)
@@ -74,14 +74,20 @@ class Covariance:
 
         self._sigma_min, self._kappa, self.schedule = array(sigma_min), array(kappa), array(schedule)
         self.sigma = wp.zeros((envs, schedule.shape[1], len(sigma)), dtype=float, device=self.device)
-        nu, columns = len(sigma), schedule.shape[1] * len(sigma)
-        shapes = [(envs, nu, nu), (envs, nu, nu), (envs, nu, columns)] if self.full else [(1, 1, 1)] * 3
+        nu, knots = len(sigma), schedule.shape[1]
+        count = envs * knots if self.varies else envs
+        shapes = [(count, nu, nu), (count, nu, nu), (envs, nu, knots * nu)] if self.full else [(1, 1, 1)] * 3
         arrays = (wp.zeros(shape, dtype=float, device=self.device) for shape in shapes)
         self.covariance, self.factor, self.bands = arrays
         self.restarts = restarts
         self.reset()
         adapted = [self.covariance, self.factor, self.bands] if self.full else [self.sigma]
         self._anew = [(array, wp.clone(array)) for array in adapted] if restarts else []
+
+    @property
+    def moving(self) -> wp.array3d[float]:
+        """Numbers that move on with their knots where it varies, ``[E, P, nu]`` or ``[E, P, nu·nu]``."""
+        return self.covariance.reshape((*self.sigma.shape[:2], -1)) if self.full else self.sigma
 
     def reset(self) -> None:
         """Return to the covariance of the start."""
@@ -99,14 +105,17 @@ class Covariance:
             wp.copy(array, start)
 
     def grow(self, observed: wp.array, fresh: wp.array) -> None:
-        """Add κ to the variance of every environment that is observed and has a plan already; capture-safe."""
-        if not self._grows:
+        """Add κ to the variance of every environment that is observed and has a plan already; capture-safe.
+
+        What has moved on has its factors anew.
+        """
+        if not self._grows and not (self.full and self.varies):
             return
         envs, _, nu = self.sigma.shape
         inputs = [observed, fresh, self._kappa]
         if self.full:
             inputs, outputs = [*inputs, self._sigma_min], [self.covariance, self.factor, self.bands]
-            self._launch(grow_covariance_kernel, envs, inputs, outputs, block_dim=kernels.LANES)
+            self._launch(grow_covariance_kernel, len(self.covariance), inputs, outputs, block_dim=kernels.LANES)
         else:
             self._launch(grow_sigma_kernel, (envs, nu), inputs, [self.sigma])
 
@@ -119,7 +128,7 @@ class Covariance:
         inputs = [moments.products, moments.total, self.schedule, iteration]
         if self.full:
             inputs, outputs = [*inputs, self._step_size, self._sigma_min], [self.covariance, self.factor, self.bands]
-            self._launch(adapt_covariance_kernel, envs, inputs, outputs, block_dim=kernels.LANES)
+            self._launch(adapt_covariance_kernel, len(self.covariance), inputs, outputs, block_dim=kernels.LANES)
         else:
             inputs += [int(getattr(kernels, self.form.name)), self._step_size, self._sigma_min]
             self._launch(adapt_sigma_kernel, (envs, nu), inputs, [self.sigma])

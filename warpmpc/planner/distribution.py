@@ -88,10 +88,11 @@ class RecedingPlan:
         self._move_others()
         self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
 
-    def _move(self, knots: wp.array, kind: int) -> None:
-        """Move knots ``[E, P, nu]`` of a kind of spline."""
-        self._launch(shift_knots_kernel, self.dim, [knots, self._spline, kind, self._shift], [self._shifted])
-        wp.copy(knots, self._shifted)
+    def _move(self, knots: wp.array, kind: int, shifted: wp.array | None = None) -> None:
+        """Move knots ``[E, P, nu]`` of a kind of spline; those of another width need an array of their own for it."""
+        shifted = self._shifted if shifted is None else shifted
+        self._launch(shift_knots_kernel, knots.shape, [knots, self._spline, kind, self._shift], [shifted])
+        wp.copy(knots, shifted)
 
     def _move_others(self) -> None:
         """Move on what else belongs to the plans."""
@@ -108,6 +109,7 @@ class Gaussian(RecedingPlan):
     def __init__(self, *plan: Any, covariance: Covariance):
         self.covariance = covariance
         super().__init__(*plan)
+        self._moved = wp.zeros_like(covariance.moving) if covariance.varies else None
         knots, nu = self.dim[1:]
         self._columns = knots * nu
         self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
@@ -126,11 +128,11 @@ class Gaussian(RecedingPlan):
         self.covariance.reset()
 
     def _move_others(self) -> None:
-        """Move σ on where it varies along the horizon, or begin with it anew; capture-safe."""
+        """Move the covariance on where it varies along the horizon, or begin with it anew; capture-safe."""
         if self.covariance.restarts:
             self.covariance.restart()
         elif self.covariance.varies:
-            self._move(self.sigma, int(LINEAR))  # a cubic through σ would overshoot below zero
+            self._move(self.covariance.moving, int(LINEAR), self._moved)  # a cubic would overshoot below zero
         self.covariance.grow(self._state.observed, self._fresh)
 
     def perturb(

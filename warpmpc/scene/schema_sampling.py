@@ -24,6 +24,8 @@ class CovarianceForm(StrEnum):
     """One σ for every control at every knot; with ``knots = "steps"`` the diagonal of Σ_h."""
     FULL = "full"
     """One covariance of all controls, the same at every knot."""
+    FULL_KNOTS = "full_knots"
+    """A covariance of all controls at every knot; with ``knots = "steps"`` it is Σ_h itself."""
 
 
 class Covariance(Section):
