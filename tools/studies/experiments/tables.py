@@ -272,13 +272,15 @@ TABLES = {
         note="The paper: box 9.66 s from A, 12.84 s from B, ball 8.76 and 7.45 s.",
     ),
     "disturbances": Table(
-        title="Disturbances: the omnidirectional push, kicked, shoved and with noisy observations",
+        title="Disturbances: pushes by the base and by the arm, kicked, shoved and with noisy observations",
         metrics=("success", "time", "solver"),
         runs=10,
         cells=(
             _cell("kicked", "box kicked", "omni_push_box:kicked"),
             _cell("shoved", "base pushed away", "omni_push_box:shoved"),
             _cell("noisy", "noisy, late observations", "omni_push_box:noisy"),
+            _cell("arm_kicked", "the block kicked away from the arm", "panda_push:kicked"),
+            _cell("arm_shoved", "the arm shoved", "panda_push:shoved"),
         ),
     ),
     "sampling": Table(
