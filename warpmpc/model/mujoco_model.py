@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
 from .layout import accelerator
 from .movable import movable_body
@@ -41,6 +42,7 @@ class MujocoWorld:
     pair_sensor: np.ndarray  # [pairs + 1] first contact sensor of each pair, counted from the first of all
     bodies: dict[str, tuple[int, ...]]  # entity → body ids
     geoms: dict[str, tuple[int, ...]]  # entity → geom ids
+    averaged: np.ndarray  # [n] pairs of the model whose friction is the average of their geoms'
 
     @property
     def first_contact(self) -> int:
@@ -71,6 +73,8 @@ class Options:
     """``pyramidal``, the default, or ``elliptic``."""
     impratio: float | None = None
     """Ratio of friction to normal constraint impedance, else 1."""
+    friction_combine: str | None = None
+    """``average``, or ``priority``, the default."""
 
     @classmethod
     def of(cls, engine: EngineSettings, **changes: object) -> Options:
@@ -107,6 +111,8 @@ def make_world(
         _add_actuator(spec, compiled, row)
     counts = [_add_contact_sensors(spec, compiled, f"contact_{i}", pair) for i, pair in enumerate(pairs)]
     model = spec.compile()
+    if options is not None and options.friction_combine == "average":
+        model = _with_average_friction(spec, model, compiled)
     return MujocoWorld(
         model,
         *_actuators(model, compiled),
@@ -115,7 +121,43 @@ def make_world(
         _sensors(model, layout),
         np.cumsum([0, *counts], dtype=np.int32),
         *_entities(model, compiled),
+        np.flatnonzero([model.pair(p).name.startswith(_AVERAGED) for p in range(model.npair)]),
     )
+
+
+_AVERAGED = "average_friction_"
+"""Begin of the names of pairs whose friction is the average of their geoms'."""
+_PAIR_FRICTION = [0, 0, 1, 2, 2]
+"""A geom's coefficients of friction in the order of a pair's."""
+
+
+def _with_average_friction(spec: mujoco.MjSpec, model: mujoco.MjModel, compiled: CompiledScene) -> mujoco.MjModel:
+    """A model in which two geoms of different entities slide with the average of both frictions.
+
+    MuJoCo has no such rule: every two that may touch become an explicit pair, whose other parameters are those that
+    MuJoCo mixes from the geoms; a file's own pairs stay as they are.
+    """
+    owner = np.full(model.ngeom, -1)
+    for i, geoms in enumerate(_entities(model, compiled)[1].values()):
+        owner[list(geoms)] = i
+    told = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    for n, geom in enumerate(spec.geoms):
+        geom.name = geom.name or f"{_AVERAGED}{n}"
+    named = spec.compile()
+    for a, b in np.argwhere(np.triu(colliding_pairs(model), 1)).tolist():
+        if owner[a] != owner[b] and {a, b} not in told:
+            name = f"{_AVERAGED}{a}_{b}"
+            spec.add_pair(name=name, geomname1=named.geom(a).name, geomname2=named.geom(b).name)
+    model = spec.compile()
+    for p in range(model.npair):
+        if model.pair(p).name.startswith(_AVERAGED):
+            model.pair_friction[p] = average_friction(model.geom_friction, model.pair_geom1[p], model.pair_geom2[p])
+    return model
+
+
+def average_friction(friction: np.ndarray, first: int, second: int) -> np.ndarray:
+    """Friction of a pair ``[..., 5]``, the average of its geoms' ``[..., ngeom, 3]``."""
+    return 0.5 * (friction[..., first, :] + friction[..., second, :])[..., _PAIR_FRICTION]
 
 
 def _set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options, timestep: float) -> None:

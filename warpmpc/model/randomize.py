@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .mujoco_model import average_friction
 from .properties import RESIZABLE
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def randomized_arrays(world: MujocoWorld, properties: Properties, draws: np.ndar
         properties: Draws of physical properties.
         draws: Which of them ``[N]``.
     """
-    names = ("body_mass", "body_inertia", "geom_friction", "geom_size", "geom_aabb", "geom_rbound")
+    names = ("body_mass", "body_inertia", "geom_friction", "geom_size", "geom_aabb", "geom_rbound", "pair_friction")
     model = world.model
     out = {name: np.repeat(getattr(model, name)[None], len(draws), axis=0) for name in names}
     for i, name in enumerate(properties.names):
@@ -113,6 +114,9 @@ def randomized_arrays(world: MujocoWorld, properties: Properties, draws: np.ndar
         for geom in world.geoms[name]:
             out["geom_friction"][:, geom, 0] *= friction
             _resize(model, geom, properties.size[draws, i], out)
+    for pair in world.averaged:
+        geoms = model.pair_geom1[pair], model.pair_geom2[pair]
+        out["pair_friction"][:, pair] = average_friction(out["geom_friction"], *geoms)
     return out
 
 

@@ -180,7 +180,7 @@ class PhysicsModel(Structure):
         margin = float(m.geom_margin[a] + m.geom_margin[b]) if told is None else float(m.pair_margin[told])
         if told is not None:
             condim, solref, solimp = m.pair_dim[told], m.pair_solref[told], m.pair_solimp[told]
-            mu = m.pair_friction[None, told]
+            mu = self.array("pair_friction")[:, told]
         elif m.geom_priority[a] != m.geom_priority[b]:
             g = a if m.geom_priority[a] > m.geom_priority[b] else b
             condim, solref, solimp = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g]

@@ -16,7 +16,7 @@ from .schema_agent import AgentSettings, SafeCommand
 from .schema_ancillary import Ancillary
 from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_cloud import Camera, Cloud
-from .schema_engine import EngineName, EngineSettings, Solver
+from .schema_engine import EngineName, EngineSettings, FrictionCombine, Solver
 from .schema_goal import Goal, Phase, Pose, Target
 from .schema_motion import Motion, Seen
 from .schema_noise import Noise, NoiseShape, NoiseSource, Renewal, ShareOfRange, Temperature
@@ -168,14 +168,14 @@ class Scene(Section):
     """What the planner minimizes: the weighted sum of these terms over the steps of a rollout."""
     planner: Planner = Planner()
     """How plans are found."""
+    randomize: dict[str, Randomization] = Field(default_factory=dict)
+    """Entity name → its random properties."""
     engine: EngineSettings = EngineSettings()
     """The physics of the rollouts."""
     plant: PlantSettings = PlantSettings()
     """How the simulated plant differs from the planner's worlds."""
     agent: AgentSettings = AgentSettings()
     """How plans are followed in real time."""
-    randomize: dict[str, Randomization] = Field(default_factory=dict)
-    """Entity name → its random properties."""
     randomize_task: RandomizeTask = RandomizeTask()
     """What is drawn anew for every episode."""
     success: Success | None = None
@@ -191,6 +191,15 @@ class Scene(Section):
     @classmethod
     def _with_horizon(cls, planner: Planner, info: ValidationInfo) -> Planner:
         return planner.with_horizon(info.data["timing"].control_dt) if "timing" in info.data else planner
+
+    @field_validator("engine")
+    @classmethod
+    def _with_every_draw(cls, engine: EngineSettings, info: ValidationInfo) -> EngineSettings:
+        drawn = [name for name, random in info.data.get("randomize", {}).items() if random.friction is not None]
+        objects = [item.name for item in info.data.get("object", ())]
+        if engine.friction_combine is not None or not drawn or (drawn == objects[:1] and len(objects) == 1):
+            return engine
+        return engine.model_copy(update={"friction_combine": FrictionCombine.AVERAGE})
 
     @field_validator("phase")
     @classmethod

@@ -50,6 +50,13 @@ class Cone(StrEnum):
     ELLIPTIC = "elliptic"
 
 
+class FrictionCombine(StrEnum):
+    """Friction of two surfaces that touch."""
+
+    PRIORITY = "priority"
+    AVERAGE = "average"
+
+
 class EngineSettings(Section):
     """The physics of the rollouts.
 
@@ -73,6 +80,10 @@ class EngineSettings(Section):
     """Friction cone of the rollouts and of the plant; else the MJCF file's, or ``pyramidal``."""
     impratio: Positive | None = None
     """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
+    friction_combine: FrictionCombine | None = None
+    """Friction where two things touch, in rollouts and plant: ``average`` of both (PhysX), or ``priority``, an
+    object's own, else the larger (MuJoCo). Left out it is ``priority``, but ``average`` where ``randomize`` draws the
+    friction of anything but the only object: every draw counts. Newton's own solvers always take the average."""
     solver: Solver = Solver.MUJOCO
     """``newton``: MuJoCo Warp, which is called directly (``mujoco``), or another solver, of Newton's."""
     options: dict[str, Param] = Field(default_factory=dict)
