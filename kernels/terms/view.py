@@ -210,6 +210,22 @@ def rotation_angle(a: wp.quat, b: wp.quat) -> float:
 
 
 @wp.func
+def frame_acceleration(s: StepView, frame: int) -> wp.vec3:
+    """Mean acceleration of a frame's origin over the step that led here, in the world [m/s²]; zero for fixed frames.
+
+    J q̈ + J̇ q̇ of the middle of the step, to second order of its length (Bhardwaj et al. 2021, Eq. 8). The observed
+    state has none.
+    """
+    return (frame_velocity(s, frame) - frame_velocity(step_before(s), frame)) / step_length(s)
+
+
+@wp.func
+def frame_angular_acceleration(s: StepView, frame: int) -> wp.vec3:
+    """Mean angular acceleration of a frame over the step that led here, in the world [rad/s²]; zero for fixed ones."""
+    return (frame_angular_velocity(s, frame) - frame_angular_velocity(step_before(s), frame)) / step_length(s)
+
+
+@wp.func
 def joint_acceleration(s: StepView, joint: int, driven: int) -> float:
     """Mean acceleration of a joint velocity over the step that led here [m/s² or rad/s²].
 

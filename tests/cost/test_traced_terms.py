@@ -77,6 +77,13 @@ def jerky(s: warpmpc.StepView, p: FrameParams) -> float:
     return rate + wp.abs(warpmpc.control(s, 0) - s.controls[s.t - 1, s.w, 1]) + 0.1 * warpmpc.step_time(s)
 
 
+@warpmpc.cost_term("accelerating")
+def accelerating(s: warpmpc.StepView, p: FrameParams) -> float:
+    """Mean accelerations over the step."""
+    linear = wp.length(warpmpc.frame_acceleration(s, p.frame))
+    return wp.abs(linear - p.limit) + 0.2 * wp.length(warpmpc.frame_angular_acceleration(s, p.frame))
+
+
 @warpmpc.cost_term("long")
 def data_dependent(s: warpmpc.StepView, p: FrameParams) -> float:
     """A loop whose length depends on the state."""
@@ -86,7 +93,7 @@ def data_dependent(s: warpmpc.StepView, p: FrameParams) -> float:
     return total
 
 
-TRACED = (upright, branches, loops, quaternions, jerky)
+TRACED = (upright, branches, loops, quaternions, jerky, accelerating)
 
 
 def scene_of(*terms):

@@ -85,6 +85,12 @@ def low(s: warpmpc.StepView, p: LowParams) -> float:
     return warpmpc.frame_position(s, p.frame)[2] ** 2.0
 
 
+@warpmpc.cost_term("quick")
+def quick(s: warpmpc.StepView, p: LowParams) -> float:
+    angular = warpmpc.frame_angular_acceleration(s, p.frame)
+    return wp.length(warpmpc.frame_acceleration(s, p.frame)) + 0.1 * wp.length_sq(angular)
+
+
 def scene_of(robot: str, mode: str = "acceleration", cost: list = NATIVE, obstacles: list = (), **planner):
     asset, link, joints = ROBOTS[robot]
     drive = {"mode": mode, "damping": 100.0, "stiffness": 100.0 if mode == "position" else 0.0, "limit": 3.0}
@@ -246,6 +252,14 @@ def test_users_terms_of_both_kinds_are_judged():
     mpc, expected = planned(scene_of("panda", cost=cost), terms=(low, still))
     speed = mpc.engine.recorded.joint_qd.numpy()[1:] ** 2
     expected[-1] = (speed.sum(axis=-1) * mpc.plan_step.grid.discount[:, None]).sum(axis=0)
+    check(mpc, expected)
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity"])
+def test_accelerations_of_frames_are_part_of_the_launch(mode):
+    cost = [*NATIVE, {"term": "quick", "frame": "arm/tool"}]
+    mpc, expected = planned(scene_of("panda", mode, cost=cost), envs=2, terms=(quick,))
+    assert not mpc.engine.records
     check(mpc, expected)
 
 

@@ -8,6 +8,8 @@ import pytest
 import warp as wp
 from small_scenes import BOX, chain_scene, compiled, make_scene, random_state
 
+import warpmpc
+from warpmpc.kernels.terms.view import StepView, frame_acceleration, frame_angular_acceleration
 from warpmpc.kernels.worlds.clone import (
     clone_state_kernel,
     divergence_kernel,
@@ -20,10 +22,12 @@ from warpmpc.model.joints import joint_table
 from warpmpc.model.mujoco_model import make_world
 
 
-@pytest.fixture(scope="module", params=["chain", "disc and box"])
+@pytest.fixture(scope="module", params=["chain", "disc and box", "panda"])
 def scene(request, tmp_path_factory):
     if request.param == "chain":
         return chain_scene(tmp_path_factory.mktemp("chain"))
+    if request.param == "panda":
+        return warpmpc.load_scene("panda_reach")
     return make_scene(object=[{**BOX, "rotation": (0.1, 0.2, 0.3, 0.9)}])
 
 
@@ -98,6 +102,76 @@ def test_bodies_stand_and_move_in_mujoco_as_in_newton(scene, conversion):
             mujoco.mj_objectVelocity(conversion.model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
             np.testing.assert_allclose(velocity[3:], twist[i, :3], atol=1e-4)
             np.testing.assert_allclose(velocity[:3], twist[i, 3:], atol=1e-4)
+
+
+@wp.kernel
+def acceleration_kernel(
+    # inputs
+    view: StepView,
+    # outputs
+    linear: wp.array2d[wp.vec3],
+    angular: wp.array2d[wp.vec3],
+):
+    """Accelerations of one frame in one world."""
+    w, f = wp.tid()
+    s = view
+    s.t = 1
+    s.w = w
+    linear[w, f] = frame_acceleration(s, f)
+    angular[w, f] = frame_angular_acceleration(s, f)
+
+
+def accelerations(scene, poses: np.ndarray, twists: np.ndarray, frames: np.ndarray, dt: float) -> list[np.ndarray]:
+    """Linear and angular accelerations ``[W, nb, 3]`` of a frame ``[nb, 7]`` in every body, from two slices."""
+    layout, view = compiled(scene).layout, StepView()
+    view.body_q = wp.array(poses, dtype=wp.transform, device="cpu")
+    view.body_qd = wp.array(twists, dtype=wp.spatial_vector, device="cpu")
+    view.body_com = wp.array(layout.body_com, dtype=wp.vec3, device="cpu")
+    view.frame_body = wp.array(range(layout.nb), dtype=int, device="cpu")
+    view.frame_pose = wp.array(frames, dtype=wp.transform, device="cpu")
+    view.step_end = wp.array([0.0, dt], dtype=float, device="cpu")
+    out = [wp.zeros(poses.shape[1:3], dtype=wp.vec3, device="cpu") for _ in range(2)]
+    wp.launch(acceleration_kernel, dim=out[0].shape, inputs=[view], outputs=out, device="cpu")
+    return [array.numpy() for array in out]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_accelerate_over_a_short_step_as_mujoco_says_of_its_middle(scene, conversion, seed):
+    """To second order of the step, free, ball, hinge and slide joints alike."""
+    model, dt, worlds = conversion.model, 0.01, 4
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    rows = conversion.write(*states(conversion.layout, worlds + seed))[seed:]
+    frames = np.hstack(
+        [rng.normal(scale=0.3, size=(conversion.layout.nb, 3)), np.tile([0, 0, 0, 1.0], (conversion.layout.nb, 1))]
+    )
+    ends, expected = [], np.zeros((2, worlds, conversion.layout.nb, 3))
+    for w in range(worlds):
+        mujoco.mj_setState(model, data, rows[w], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_forward(model, data)
+        qpos, qvel = data.qpos.copy(), data.qvel.copy()
+        data.qacc[:] = rng.normal(scale=3.0, size=model.nv)
+        qacc = data.qacc.copy()
+        mujoco.mj_rnePostConstraint(model, data)
+        for i, name in enumerate(compiled(scene).body_name):
+            body, found = model.body(name).id, np.zeros((2, 6))
+            kind = mujoco.mjtObj.mjOBJ_XBODY
+            mujoco.mj_objectVelocity(model, data, kind, body, found[0], 0)
+            mujoco.mj_objectAcceleration(model, data, kind, body, found[1], 0)
+            omega, (alpha, linear) = found[0, :3], found[1].reshape(2, 3)
+            arm = data.xmat[body].reshape(3, 3) @ frames[i, :3]
+            if found[1].any():  # static bodies have zeros, all others what an accelerometer shows
+                linear = linear + model.opt.gravity
+            linear = linear + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
+            expected[:, w, i] = linear, alpha
+        for half in (-0.5 * dt, 0.5 * dt):
+            data.qpos[:], data.qvel[:] = qpos, qvel + half * qacc
+            mujoco.mj_integratePos(model, data.qpos, qvel + 0.5 * half * qacc, half)
+            row = np.zeros(conversion.size)
+            mujoco.mj_getState(model, data, row, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            ends.append(row)
+    _, _, poses, twists = conversion.record(np.array(ends).reshape(worlds, 2, -1), 1)
+    found = accelerations(scene, poses[1:], twists[1:], frames, dt)
+    np.testing.assert_allclose(found, expected, atol=3e-4 * np.abs(expected).max())
 
 
 def test_states_survive_the_way_to_mujoco_and_back(conversion):
