@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Path length and clearance in Table I (Pezzato et al. 2025, Figs. 3 and 4): ours, as in the paper, and baselines.
+
+    python tools/study.py paths --runs 20 --seed 100086 --jobs 16              # point robot and Panda, every method
+    python tools/study.py paths --runs 20 --seed 100086 --docs docs            # the page's table and picture, too
+
+Runs are those of ``tools/study.py reproduce table1``, kept in OUT/table1.jsonl: what is there is not run again. OUT
+then holds paths.json and paths.png. Paths are those of the disc's centre and of the Panda's last link; a detour is the
+path over the shortest way there is, straight to where the goal counts as reached. Clearances are between surfaces,
+after every control.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import time
+from pathlib import Path
+
+import numpy as np
+from shared.files import write_json
+from shared.intervals import mean
+from shared.machine import machine
+from shared.progress import Bar
+
+import warpmpc
+from studies.experiments.runs import make_runs, plan_runs
+from studies.experiments.tables import TABLES, Cell
+from warpmpc.origin import code_digest
+from warpmpc.run.records import Records
+from warpmpc.run.workers import FORMS
+
+ROBOTS = {"point": "point robot", "panda": "Panda"}
+METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG"}
+"""Second part of a cell's name → method."""
+QUANTITIES = {"path_m": "path length [m]", "detour": "detour", "clearance_m": "least clearance [m]"}
+
+
+def read(cell: Cell, records: list[dict]) -> dict:
+    """A cell's runs as lists: time to the goal, path, detour and clearance of those that reached it."""
+    robot, _, method = cell.name.partition("_")
+    reached = [record for record in records if record["result"]["success"]]
+    near = warpmpc.load_scene(cell.scenes[0]).success.distance
+    path = [record["measured"]["path_length_m"] for record in reached]
+    straight = [record["measured"]["start_position_error_m"] - near for record in reached]
+    return {
+        "robot": ROBOTS[robot],
+        "method": METHODS[method],
+        "runs": len(records),
+        "touched": sum(record["result"]["collisions"]["max_force_N"] > 0.0 for record in records),
+        "time_s": [record["result"]["time_to_goal_s"] for record in reached],
+        "path_m": path,
+        "detour": [p / s for p, s in zip(path, straight, strict=True)],
+        "clearance_m": [record["measured"]["clearance_m"] for record in reached],
+        "plan_ms": [record["result"]["plan_ms"]["p50"] for record in records],
+    }
+
+
+def figures(rows: list[dict], here: dict, command: str) -> dict:
+    """The table of the documentation."""
+    cells = [
+        [
+            row["robot"],
+            row["method"],
+            f"{len(row['path_m'])} of {row['runs']}" + (f" ({row['touched']} touched)" if row["touched"] else ""),
+            *(_mean(row[key]) for key in ("time_s", "path_m", "detour")),
+            f"{_mean(row['clearance_m'])}; {min(row['clearance_m']):.2g}" if row["clearance_m"] else "-",
+        ]
+        for row in rows
+    ]
+    columns = ["robot", "method", "reached", "time [s]", "path [m]", "detour", "clearance: mean; least [m]"]
+    where = f"{here['cores']} cores of {here['cpu']}"
+    made = {"machine": where, "date": time.strftime("%Y-%m-%d"), "command": command, "rows": cells}
+    return {"columns": columns, "groups": [made]}
+
+
+def _mean(values: list[float]) -> str:
+    if not values:
+        return "-"
+    found = mean(values)
+    return f"{found.value:.3g}" + ("" if found.low is None else f" ± {found.value - found.low:.2g}")
+
+
+def picture(rows: list[dict], path: Path) -> None:
+    """Every run as a dot, with a box for each method; a column for each robot."""
+    from matplotlib.figure import Figure
+
+    shown = ("path_m", "clearance_m")
+    robots = list(dict.fromkeys(row["robot"] for row in rows))
+    figure = Figure(figsize=(3.6 * len(robots), 5.0), layout="constrained")
+    panels = figure.subplots(len(shown), len(robots), squeeze=False)
+    rng = np.random.default_rng(0)
+    for column, robot in zip(panels.T, robots, strict=True):
+        own = [row for row in rows if row["robot"] == robot and row["path_m"]]
+        names = [f"{row['method']}\n{len(row['path_m'])} of {row['runs']}" for row in own]
+        for axes, key in zip(column, shown, strict=True):
+            axes.boxplot([row[key] for row in own], tick_labels=names, showfliers=False)
+            for i, row in enumerate(own):
+                x = i + 1 + rng.uniform(-0.12, 0.12, len(row[key]))
+                axes.plot(x, row[key], ".", markersize=4, alpha=0.5)
+            axes.set_ylabel(QUANTITIES[key])
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+            axes.tick_params(labelsize=8)
+            axes.grid(alpha=0.3, axis="y")
+        column[0].set_title(robot)
+    figure.savefig(path, dpi=110)
+
+
+def main(arguments: list[str]) -> None:
+    """Make the runs that are missing, tell, and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=10, help="seeds of a cell (default 10)")
+    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
+    parser.add_argument("--engine", default="fused", help="engine of the rollouts (default fused)")
+    parser.add_argument("--device", default="cpu", help="device of the rollouts (default cpu)")
+    parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
+    parser.add_argument("--docs", type=Path, help="folder of pages that get data/paths.json and paths.png, too")
+    args = parser.parse_args(arguments)
+    cells = sorted(TABLES["table1"].cells, key=lambda cell: list(ROBOTS).index(cell.name.partition("_")[0]))
+    seeds = range(args.seed, args.seed + args.runs)
+    runs = plan_runs("table1", cells, seeds=seeds, overrides=[], engine=args.engine, device=args.device)
+    records, here = Records(args.out / "table1.jsonl"), machine()
+    with Bar(sum(run.key not in records.by_key for run in runs)) as bar:
+        make_runs(
+            runs,
+            records,
+            jobs=args.jobs,
+            device=args.device,
+            circumstances={"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]},
+            on_done=lambda run, _: bar.step(f"{run.cell} seed {run.job.seed}"),
+        )
+    rows = [read(cell, [records.by_key[run.key] for run in runs if run.cell == cell.name]) for cell in cells]
+    table = figures(rows, here, shlex.join(["python", "tools/study.py", "paths", *arguments]))
+    for cells in (table["columns"], *table["groups"][0]["rows"]):
+        print(" | ".join(cells))
+    write_json(args.out / "paths.json", {"machine": here, "rows": rows})
+    picture(rows, args.out / "paths.png")
+    if args.docs:
+        write_json(args.docs / "data" / "paths.json", table)
+        picture(rows, args.docs / "paths.png")
