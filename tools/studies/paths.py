@@ -99,7 +99,8 @@ def picture(rows: list[dict], path: Path) -> None:
                 x = i + 1 + rng.uniform(-0.12, 0.12, len(row[key]))
                 axes.plot(x, row[key], ".", markersize=4, alpha=0.5)
             axes.set_ylabel(QUANTITIES[key])
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+            values = [value for row in own for value in row[key]]
+            axes.set_ylim(1.05 * min(0.0, *values), 1.08 * max(values))
             axes.tick_params(labelsize=8)
             axes.grid(alpha=0.3, axis="y")
         column[0].set_title(robot)
