@@ -1,11 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser, clicked and dragged with the mouse.
+"""The page in a real browser, clicked and dragged with the mouse."""
 
-Playwright's checks before a click wait for frames, of which a browser that draws without a GPU has few: ``force``
-leaves them out, the mouse is as real.
-"""
-
-import socket
 import threading
 import time
 from functools import partial
@@ -14,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from needs import CHROMIUM, needs, reason
+from needs import needs, reason
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 viser = pytest.importorskip("viser", reason=reason("viser"))
-playwright = pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
+pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
+
+from live_page import WAIT, click, launched, opened, press, serving, until, without_note  # noqa: E402
 
 from warpmpc.cli.main import app  # noqa: E402
-from warpmpc.live.access import Access  # noqa: E402
-from warpmpc.live.page import serve  # noqa: E402
 from warpmpc.live.plots import FORESIGHT  # noqa: E402
 from warpmpc.live.session import Session  # noqa: E402
 from warpmpc.record.shapes import scene_bounds  # noqa: E402
@@ -75,10 +70,6 @@ dt = 0.04
 distance = 0.05
 """
 """The goal is in the middle of a post that can be moved; touching it costs."""
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-WAIT = 60e3
-"""Longest wait for a part of the page [ms]; it is drawn without a GPU."""
-
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.filterwarnings("error::DeprecationWarning"),
@@ -86,55 +77,26 @@ pytestmark = [
 ]
 
 
-def until(condition, seconds=40.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
     """A session, its viser server and its URL; the working directory is a new one."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    servers = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("live"))
-        make = viser.ViserServer
-        patch.setattr(viser, "ViserServer", lambda **keys: servers.append(make(**keys)) or servers[0])
         session = Session("cylinder_push", overrides=FAST, device="cpu")
-        ending = threading.Event()
-        access = Access("127.0.0.1", port)
-        thread = threading.Thread(target=serve, args=(session, access), kwargs={"ending": ending})
-        thread.start()
-        until(lambda: session.is_alive() and servers)
-        yield session, servers[0], access.url
-        ending.set()
-        thread.join(30.0)
-    assert not thread.is_alive()
+        with serving(session) as (server, url):
+            yield session, server, url
 
 
 @pytest.fixture(scope="module")
 def browser():
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+    with launched() as browser:
         yield browser
-        browser.close()
-
-
-def opened(browser, url):
-    page = browser.new_page(viewport={"width": 900, "height": 420}, device_scale_factor=0.5)
-    page.goto(url)
-    page.get_by_role("button", name="Reset").wait_for(timeout=WAIT)
-    return page
 
 
 @pytest.fixture(scope="module")
 def page(served, browser):
     page = opened(browser, served[2])
-    page.locator(".mantine-Notification-closeButton").first.click(force=True, timeout=WAIT)  # that there is no GPU
+    without_note(page)
     yield page
     page.close()
 
@@ -149,21 +111,6 @@ def session(served, page):
     session.reset()
     until(lambda: session.snapshot.episode > episode and not session.snapshot.paused)
     return session
-
-
-def click(page, name, role="button"):
-    page.get_by_role(role, name=name, exact=True).click(force=True, timeout=WAIT)
-
-
-def press(slider, key, *, until):
-    """Press a key on a slider, again where the page did not take it: it may be drawn anew just then."""
-    end = time.monotonic() + 40.0
-    while not until():
-        assert time.monotonic() < end, "the slider does not move"
-        slider.press(key, timeout=WAIT)
-        pause = time.monotonic() + 1.0
-        while not until() and time.monotonic() < pause:
-            time.sleep(0.02)
 
 
 def pixel(served, page, point):
@@ -292,7 +239,7 @@ def test_the_slow_down_slider_buys_plans_which_lock_step_does_not(page, session)
     press(speed, "ArrowRight", until=lambda: session.pace >= 0.1)
     until(lambda: session.snapshot.plans > 3.0 * fast and session.snapshot.plans > 5.0)
     until(lambda: plans_a_control(page) > 3.0 * fast)
-    click(page, "lock step", "checkbox")
+    press(page.get_by_role("checkbox", name="lock step"), "Space", until=lambda: session.lock_step)
     press(speed, "End", until=lambda: session.pace == 4.0)
     until(lambda: session.snapshot.lock_step and session.snapshot.plans == 1.0)
     session.step_or_follow(False)

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +20,10 @@ from ..realtime.planning import PlannerThread
 from ..record.switch import RecordingSwitch
 from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
+from ..scene.errors import join_key
 from ..scene.load import load_scene
 from .foresight import Foreseen, ForesightMeter
+from .plan_rate import PlanCounter
 from .rollouts import ShownRollouts
 from .snapshot import Snapshot
 
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from ..cost.term import UserTerm
     from ..model.state import State
     from ..planner.plan import Plan
+    from ..scene.schema import Scene
 
 PUBLISH = 0.05
 """Shortest wall time between two snapshots with rollouts [s]."""
@@ -37,6 +41,20 @@ FIRST_PLAN = 30.0
 """Longest wait for the first plan from an observation [s]."""
 COUNTED = 20
 """Newest controls over which plans are counted."""
+_PLANNED = re.compile(r"planner\.|cost\..+\.norm\.")
+"""Keys that another controller of the same task takes."""
+
+
+def norm_values(scene: Scene) -> dict[str, float]:
+    """Parameters of the norms of a scene's cost terms, by key: ``cost.head.norm.p``."""
+    norms = {label: cost.params.get("norm") for label, cost in zip(scene.cost_labels, scene.cost, strict=True)}
+    return {
+        join_key(("cost", label, "norm", name)): float(norm[name])
+        for label, norm in norms.items()
+        if isinstance(norm, dict)
+        for name in "pq"
+        if isinstance(norm.get(name), int | float)
+    }
 
 
 class ClosedLoop:
@@ -80,7 +98,7 @@ class ClosedLoop:
         self._options = {"engine": engine, "device": device, "terms": tuple(terms)}
         self.build = self.episode = 0
         self._planner: PlannerThread | None = None  # begun by the first control that needs it
-        self._recording = RecordingSwitch()
+        self._recording, self._counter = RecordingSwitch(), PlanCounter()
         self._build(source, self.overrides, {}, seed)
 
     @property
@@ -92,7 +110,7 @@ class ClosedLoop:
         observation = self.plant.observe()
         if self.asynchronous:
             timed = self._newest(observation)
-            usable, self._plan = timed.survived, timed.plan
+            usable, self._plan, self._observed = timed.survived, timed.plan, timed.observed
             self._counts.append(timed.number - self._number)
             self._number = timed.number
             self._advance(observation, usable, seen=observation)
@@ -101,7 +119,7 @@ class ClosedLoop:
             if self._planner is not None:
                 self._planner.forget()
             if self.planning:
-                self._plan = self.controller.plan(observation)
+                self._plan, self._observed = self.controller.plan(observation), observation.time
                 self._counts.append(1)
                 self._look()
             self._advance(observation, not (self.planning and self.controller.info.fallback))
@@ -140,6 +158,7 @@ class ClosedLoop:
 
     def _command(self, observation: State, usable: bool) -> np.ndarray:
         plan, layout = self._plan, self.plant.layout
+        self._age = float("nan") if plan is None else observation.time - self._observed
         usable = usable and plan is not None
         ended = usable and not (self.planning and not self.asynchronous) and observation.time > plan.times[-1]
         self._status = "the plan has ended" if ended else "running"
@@ -151,7 +170,8 @@ class ClosedLoop:
         return np.clip(safe, layout.control_lower, layout.control_upper)
 
     def _look(self) -> None:
-        """See what the plan just made came to, if it is time to; in the thread that made it."""
+        """Count the plan just made and see what it came to, if it is time to; in the thread that made it."""
+        self._counter.note(self.controller.info.plan_ms)
         now = time.perf_counter()
         if not self.watched or (now - self._published < PUBLISH and not self.paused):
             return
@@ -205,6 +225,8 @@ class ClosedLoop:
             self.controller.task[name] = value
         self.episode += 1
         self._number, self._following = -1, False
+        self._observed, self._age = 0.0, float("nan")
+        self._counter.forget()
         self._counts: deque[int] = deque(maxlen=COUNTED)
         self._control = np.zeros(self.plant.layout.nu, np.float32)
         self._plan: Plan | None = None
@@ -232,16 +254,22 @@ class ClosedLoop:
             self._end_planner()
             self.scene = self.controller.scene = self.scene.model_copy(update={"agent": agent})
             self.keys = keys
-        elif all(key.startswith("planner.") for key in changed):
+        elif all(map(_PLANNED.match, changed)) and not self._conditioned(changed):
             self._replan(keys)
         else:
             self._build(self.source, self.overrides, keys, self.seed)
 
+    def _conditioned(self, changed: Iterable[str]) -> bool:
+        """Return whether the plant, too, evaluates a term that changes, for success or phases."""
+        return any(
+            key.startswith(f"{join_key(('cost', term))}.") for key in changed for term in self.scene.watched_terms
+        )
+
     def _replan(self, keys: dict[str, str]) -> None:
-        """A controller of the same task with another planner, once it has made a plan."""
-        planner = load_scene(self.source, overrides=[*self.overrides, *_texts(keys)]).planner
-        old, scene = self.controller, self.scene.model_copy(update={"planner": planner})
-        if not isinstance(planner.samples, int):
+        """A controller of the same task with another planner or other norms, once it has made a plan."""
+        loaded = load_scene(self.source, overrides=[*self.overrides, *_texts(keys)])
+        old, scene = self.controller, self.scene.model_copy(update={"planner": loaded.planner, "cost": loaded.cost})
+        if not isinstance(loaded.planner.samples, int):
             scene = with_samples(scene, old.shape.samples)  # measured at the start
         with self._alone():
             controller = Controller(
@@ -260,6 +288,7 @@ class ClosedLoop:
         self._recording.stop()
         self.scene, self.controller, self.keys = scene, controller, keys
         self._rollouts, self.foresight, self._foreseen = *shown, None
+        self._publish()
 
     def _publish(self) -> None:
         plant, task = self.plant, self.controller.task
@@ -276,8 +305,11 @@ class ClosedLoop:
             time=plant.time,
             steps=plant.steps,
             body_q=np.array(plant.body_q).copy(),
+            joint_q=plant.state.joint_q,
+            sensor=plant.sensors,
             poses={name: task.pose(name).copy() for name in task.pose_name},
-            values={name: float(task[name]) for name in (*task.weight_name, *task.scalar_name)},
+            values={name: float(task[name]) for name in (*task.weight_name, *task.scalar_name)}
+            | norm_values(self.scene),
             paths=self._rollouts.paths,
             forecast=self._rollouts.forecast,
             forces=forces,
@@ -288,6 +320,8 @@ class ClosedLoop:
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
             plans=float(np.mean(self._counts)) if self._counts and self.planning else nothing,
+            rate=self._counter.now(),
+            age=self._age,
             foreseen=self._foreseen,
             status=status,
             paused=self.paused,

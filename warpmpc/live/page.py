@@ -14,6 +14,7 @@ from .access import open_server
 from .drawing import Drawing
 from .panels import Panels
 from .plots import Plots
+from .readouts import Readouts
 
 if TYPE_CHECKING:
     import viser
@@ -85,6 +86,8 @@ def _show(server: viser.ViserServer, session: Session, ending: threading.Event) 
                 server.gui.reset()
                 server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
                 server.gui.set_panel_label(session.scene.title or session.scene.name)
-                parts = [Drawing(server, session, snapshot), Panels(server, session), Plots(server, session)]
+                plots = Plots(server, session)
+                parts = [Drawing(server, session, snapshot), Panels(server, session), plots]
+                parts.append(Readouts(plots.panel, server, session))
             for part in parts:
                 part.update(snapshot)

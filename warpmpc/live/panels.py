@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..scene.load import load_scene, shipped_scenes, variants
 from ..scene.schema_agent import Plans
+from .closed_loop import norm_values
 from .saving import place_of, save, values_of
 from .settings import Settings, on_change
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     import viser
 
     from .session import Session
@@ -94,18 +97,42 @@ class Panels:
             with self._gui.add_folder("scalars"):
                 for name in task.scalar_name:
                     self._value(name)
+        if norms := norm_values(self._session.scene):
+            with self._gui.add_folder("norms"):
+                for key, value in norms.items():
+                    self._norm(key, value)
 
     def _value(self, name: str) -> None:
         """A slider from zero to four times the value."""
-        session = self._session
-        value = float(f"{session.controller.task[name]:.6g}")  # of a float32
+        value = float(f"{self._session.controller.task[name]:.6g}")  # of a float32
         low, high = (0.0, 4.0 * value) if value > 0.0 else (4.0 * value, 1.0)
+        self._slider(name, name, (low, high, value), lambda value: self._session.set_value(name, value))
+
+    def _norm(self, key: str, value: float) -> None:
+        """A slider up to four times a parameter of a norm, from above zero or, where it may not be below one, from it.
+
+        Another controller takes it: the plan is followed meanwhile.
+        """
+        least = 1.0 if value >= 1.0 else 0.01 * value
+        label = key.removeprefix("cost.").replace(".norm.", " ")
+        self._slider(key, label, (least, 4.0 * value, value), lambda value: self._session.set_key(key, f"{value:.6g}"))
+
+    def _slider(self, name: str, label: str, numbers: Sequence[float], change: Callable[[float], None]) -> None:
+        """A slider of a value in the session's snapshot.
+
+        Args:
+            name: Name of the value there.
+            label: Its name on the page.
+            numbers: Least and largest value, and the present one.
+            change: Called with another value.
+        """
+        low, high, value = numbers
         step = float(f"{(high - low) / 400.0:.6g}")
-        slider = self._values[name] = self._gui.add_slider(name, low, high, step, value)
+        slider = self._values[name] = self._gui.add_slider(label, low, high, step, value)
 
         def move(value: float) -> None:
             self._moved[name] = perf_counter()
-            session.set_value(name, float(value))
+            change(float(value))
 
         on_change(slider, move)
 
@@ -135,12 +162,9 @@ class Panels:
     def update(self, snapshot: Snapshot) -> None:
         """Show how it goes."""
         text = f"**{snapshot.status}** · t = {snapshot.time:.2f} s · step {snapshot.steps}"
-        if snapshot.plan_ms == snapshot.plan_ms:
-            text += f" · plan {snapshot.plan_ms:.0f} ms"
-        if snapshot.plans == snapshot.plans:
-            text += f" · {snapshot.plans:.1f} plans a control"
         if snapshot.foreseen is not None:
             text += f" · foresight {snapshot.foreseen.error:.0%} off"
+        text += f"\n\n{_plan_words(snapshot)}"
         if snapshot.recording:
             text += f"\n\nrecording to `{snapshot.recording}`"
         if snapshot.message:
@@ -154,11 +178,24 @@ class Panels:
         now = perf_counter()
         for name, slider in self._values.items():
             value = float(f"{snapshot.values[name]:.6g}")
-            if now - self._moved.get(name, 0.0) > KEEP and slider.value != value:
+            still = now - self._moved.get(name, 0.0) > KEEP and name not in self._session.waiting
+            if still and slider.value != value:
                 slider.min, slider.max = min(slider.min, value), max(slider.max, value)
                 slider.value = value
         for settings in self._settings:
             settings.update()
+
+
+def _plan_words(snapshot: Snapshot) -> str:
+    """Rate, times and age of plans."""
+    rate = snapshot.rate
+    parts = [
+        (rate.p50, f"plan {rate.p50:.1f} ms, p99 {rate.p99:.1f} ms"),
+        (snapshot.age, f" · age {1e3 * snapshot.age:.0f} ms"),
+        (rate.rate, f"  \n{rate.rate:.1f} plans/s"),
+        (snapshot.plans, f" · {snapshot.plans:.1f} plans a control"),
+    ]
+    return "".join(text for number, text in parts if number == number)
 
 
 def _show(handle: Any, name: str, value: object) -> None:

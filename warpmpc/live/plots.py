@@ -42,10 +42,11 @@ class Plots:
         self._episode, self._steps, self._drawn = -1, -1, 0.0
         terms, nu = len(self._labels), len(controls)
         self._widths = (terms, nu, 1, 1, 2, 2)
-        panel = server.gui.add_panel()
-        panel.dock_left()
-        panel.set_width(WIDTH)
-        with panel.add_tab("Curves"):
+        self.panel = server.gui.add_panel()
+        """The panel, for further tabs."""
+        self.panel.dock_left()
+        self.panel.set_width(WIDTH)
+        with self.panel.add_tab("Curves"):
             self._plots = [
                 *self._split(server, "cost of a step", self._labels, 0, ahead=True),
                 *self._split(server, "control", controls, terms, ahead=True),

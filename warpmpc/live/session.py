@@ -177,8 +177,8 @@ class Session(ClosedLoop, threading.Thread):
                 break
             self._guarded(change)
         if self.waiting and time.perf_counter() >= self._settled:
-            keys, self.waiting = self.waiting, {}
-            self._guarded(lambda: self._set_keys(keys))
+            self._guarded(lambda: self._set_keys(self.waiting))
+            self.waiting = {}  # no sooner: what is shown is what was asked for
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do something; what goes wrong is told on the page and must not end the loop."""

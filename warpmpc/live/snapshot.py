@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from .forecast import Forecast
     from .foresight import Foreseen
+    from .plan_rate import PlanRate
     from .rollouts import RolloutPaths
 
 
@@ -29,10 +30,14 @@ class Snapshot:
     steps: int
     body_q: np.ndarray
     """Poses of the bodies ``[nb, 7]``."""
+    joint_q: np.ndarray
+    """Joint coordinates ``[nq]``."""
+    sensor: np.ndarray
+    """Numbers of all sensors ``[ns]``."""
     poses: dict[str, np.ndarray]
     """Goal, targets and movable obstacles ``[7]``."""
     values: dict[str, float]
-    """Weights and scalars of the task."""
+    """Weights and scalars of the task by name, parameters of norms by key (``cost.head.norm.p``)."""
     paths: RolloutPaths | None
     """Best rollout and fan; None without a plan."""
     forecast: Forecast | None
@@ -49,6 +54,10 @@ class Snapshot:
     plan_ms: float
     plans: float
     """Plans made for each of the last controls; NaN without."""
+    rate: PlanRate
+    """How many plans are made, and how long they take."""
+    age: float
+    """Age of the plan in use: time since the observation that it was made from [s]; NaN without."""
     foreseen: Foreseen | None
     """The newest prediction beside what came; None before the first."""
     status: str

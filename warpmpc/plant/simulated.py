@@ -135,6 +135,11 @@ class SimulatedPlant:
         """True poses of all bodies ``[nb, 7]``."""
         return self._engine.trajectory.body_q.numpy()[self._slice, self._index].copy()
 
+    @property
+    def sensors(self) -> np.ndarray:
+        """Numbers that the sensors of MJCF files show at the last physics step ``[ns]``; zero before one."""
+        return self._engine.trajectory.sensor.numpy()[0, self._index].copy()
+
     def observe(self) -> State:
         """The state as sensors show it: with noise, and ``delay`` old; motions and clouds are shown to the task."""
         self._observe_scene()

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session's page in a real browser.
+
+Playwright's checks before a click wait for frames, of which a browser that draws without a GPU has few: ``force``
+leaves them out, the mouse is as real.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+import viser
+from needs import CHROMIUM
+from playwright.sync_api import sync_playwright
+
+from warpmpc.live.access import Access
+from warpmpc.live.page import serve
+
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WAIT = 60e3
+"""Longest wait for a part of the page [ms]; it is drawn without a GPU."""
+
+
+def until(condition, seconds=40.0):
+    """Wait for a condition."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never came true"
+        time.sleep(0.02)
+
+
+@contextmanager
+def serving(session):
+    """Serve a session; yields its viser server and its URL."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    servers = []
+    with pytest.MonkeyPatch.context() as patch:
+        make = viser.ViserServer
+        patch.setattr(viser, "ViserServer", lambda **keys: servers.append(make(**keys)) or servers[0])
+        ending = threading.Event()
+        access = Access("127.0.0.1", port)
+        thread = threading.Thread(target=serve, args=(session, access), kwargs={"ending": ending})
+        thread.start()
+        until(lambda: session.is_alive() and servers)
+        yield servers[0], access.url
+        ending.set()
+        thread.join(30.0)
+    assert not thread.is_alive()
+
+
+@contextmanager
+def launched():
+    """A browser without a window."""
+    with sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def opened(browser, url, *, width=900, height=420, scale=0.5):
+    """A tab of a browser with the page in it."""
+    page = browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
+    page.goto(url)
+    page.get_by_role("button", name="Reset").wait_for(timeout=WAIT)
+    return page
+
+
+def without_note(page):
+    """Close the note that there is no GPU."""
+    page.locator(".mantine-Notification-closeButton").first.click(force=True, timeout=WAIT)
+
+
+def click(page, name, role="button"):
+    """Click at a button, a tab or another part of the page by its name."""
+    page.get_by_role(role, name=name, exact=True).click(force=True, timeout=WAIT)
+
+
+def press(slider, key, *, until):
+    """Press a key on a slider or a switch, again where the page did not take it: it may be drawn anew just then."""
+    end = time.monotonic() + 40.0
+    while not until():
+        assert time.monotonic() < end, "the page does not take it"
+        slider.press(key, timeout=WAIT)
+        pause = time.monotonic() + 1.0
+        while not until() and time.monotonic() < pause:
+            time.sleep(0.02)
