@@ -19,6 +19,8 @@ from ..scene.schema import Risk
 from .step_worlds import SimulatedWorlds
 
 if TYPE_CHECKING:
+    import mujoco
+
     from ..model.batch_size import BatchSize
     from ..model.trajectory import Trajectory
     from .protocol import Proposal, Simulator
@@ -53,6 +55,8 @@ class RolloutEngine(ABC):
     """
 
     name: str
+    mj_model: mujoco.MjModel | None = None
+    """MuJoCo model whose physics the rollouts have; None where they have that of none."""
     cost: wp.array2d[float]
     """Cost of every sample, +inf where it is not finite or the physics failed, ``[E, S]``."""
     term_cost: wp.array2d[float]
@@ -199,6 +203,7 @@ class SimulatorEngine(RolloutEngine):
         super().__init__(request)
         self.simulator = simulator = make(request, steps)
         self.name, self.step_worlds = simulator.name, step_worlds or partial(SimulatedWorlds, make)
+        self.mj_model = getattr(simulator, "mj_model", None)
         out = simulator.trajectory
         self.diverged, self.overflow = out.diverged, out.overflow
         self._place_terms(range(len(self.costs.terms)), out, self.shape, apart=True)

@@ -106,6 +106,7 @@ class FusedEngine(LaunchedEngine):
         self.physics = physics = FusedPhysics(
             request.scene, request.compiled, request.shape, device=request.device, **request.worlds(steps)
         )
+        self.mj_model = physics.world.model
         super().__init__(request, RolloutWork)
         work = self._work
         work.act, work.pose, work.domains = self.state.act, self.state.pose, self.shape.domains

@@ -145,6 +145,7 @@ class MujocoSimulator(MujocoModelSimulator):
         layout = compiled.layout
         world = make_world(compiled, timestep=timestep, pairs=pairs, options=options, sensors=sensors)
         self.world, self.model, self.joint_qd = world, world.model, world.joint_qd
+        self.mj_model = world.model
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
         self.models = self._randomized(world, properties)
         self.threads = thread_count(threads)

@@ -14,8 +14,7 @@ import numpy as np
 
 from ..engine.registry import ENGINES, physics_steps
 from ..engine.thread_pool import thread_count
-from ..model.mujoco_model import Options, set_options
-from ..scene.schema import EngineName, Solver
+from ..scene.schema import EngineName
 
 if TYPE_CHECKING:
     import viser
@@ -140,24 +139,17 @@ def model_facts(controller: Controller, plant: SimulatedPlant) -> list[tuple[str
     steps, control_dt = controller.plan_step.grid.dt, scene.timing.control_dt
     physics = physics_steps(controller.engine.name, scene, controller.compiled, controller.plan_step.grid)
     rows += [("control", "", _ms(control_dt)), ("lookahead", f"{steps.sum():.3g} s in {len(steps)} steps", "")]
-    own, name = {}, controller.engine.name
-    if ENGINES[name].physics:
-        own = _option_words(_rollout_option(controller, physics.length[0]))
-    if name == EngineName.NEWTON and scene.engine.solver is not Solver.MUJOCO:  # which has options of its own
-        own = {"timestep": own["timestep"], "solver": scene.engine.solver.value}
+    own = {"timestep": _ms(physics.length[0])} if ENGINES[controller.engine.name].physics else {}
+    if (stepped := getattr(controller.engine, "mj_model", None)) is not None:
+        own = _option_words(stepped.opt)
+    elif controller.engine.name == EngineName.NEWTON:
+        own["solver"] = scene.engine.solver.value
     rows += [(name, own.get(name, ""), value) for name, value in _option_words(model.opt).items()]
     shape = controller.shape
     rows += [("worlds", str(shape.worlds), "1")]
     sizes = {"nq": layout.nq, "nv": layout.nv, "nu": layout.nu, "bodies": layout.nb, "sensors": layout.ns}
     rows += [(name, str(size), "") for name, size in sizes.items()]
     return [*rows, ("mass", f"{layout.body_mass.sum():.4g} kg", f"{model.body_mass.sum():.4g} kg")]
-
-
-def _rollout_option(controller: Controller, timestep: float) -> mujoco.MjOption:
-    """MuJoCo's options of the rollouts."""
-    spec = controller.compiled.spec()
-    set_options(spec, controller.compiled, Options.of(controller.scene.engine), timestep)
-    return spec.option
 
 
 def _option_words(option: mujoco.MjOption) -> dict[str, str]:

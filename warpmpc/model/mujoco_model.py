@@ -101,7 +101,7 @@ def make_world(
     """
     layout = compiled.layout
     spec = compiled.spec()
-    set_options(spec, compiled, options or Options(), timestep)
+    _set_options(spec, compiled, options or Options(), timestep)
     known = set(layout.sensor_name) if sensors is None else set(sensors)
     for sensor in list(spec.sensors):
         if sensor.name not in known:
@@ -160,8 +160,7 @@ def average_friction(friction: np.ndarray, first: int, second: int) -> np.ndarra
     return 0.5 * (friction[..., first, :] + friction[..., second, :])[..., _PAIR_FRICTION]
 
 
-def set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options, timestep: float) -> None:
-    """Write a physics step [s] and what a scene says about the physics into its MuJoCo model."""
+def _set_options(spec: mujoco.MjSpec, compiled: CompiledScene, options: Options, timestep: float) -> None:
     option = spec.option
     option.timestep = timestep
     if options.iterations is not None or not compiled.mjcf_robots:
