@@ -3,16 +3,22 @@
 
     python tools/study.py paths --runs 20 --seed 100086 --jobs 16              # point robot and Panda, every method
     python tools/study.py paths --runs 20 --seed 100086 --docs docs            # the page's table and picture, too
+    python tools/study.py paths --fabrics ~/fabrics/bin/python                 # optimization fabrics beside them
 
 Runs are those of ``tools/study.py reproduce table1``, kept in OUT/table1.jsonl: what is there is not run again. OUT
 then holds paths.json and paths.png. Paths are those of the disc's centre and of the Panda's last link; a detour is the
 path over the shortest way there is, straight to where the goal counts as reached. Clearances are between surfaces,
 after every control.
+
+Fabrics are those of the PyPI package ``fabrics`` 0.10, with its own geometries and gains, on the same tasks and plants.
+It needs NumPy below 2, hence an environment of its own: ``python -m venv ~/fabrics; ~/fabrics/bin/pip install
+fabrics==0.10.0``. Its runs are kept in OUT/fabrics.jsonl.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import time
 from pathlib import Path
@@ -26,13 +32,19 @@ from shared.progress import Bar
 import warpmpc
 from studies.experiments.runs import make_runs, plan_runs
 from studies.experiments.tables import TABLES, Cell
+from studies.fabrics.episodes import episode
+from warpmpc.cli.setup import start_warp
 from warpmpc.origin import code_digest
+from warpmpc.run.code import scene_digest
 from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS
+from warpmpc.run.workers import FORMS, open_workers
 
 ROBOTS = {"point": "point robot", "panda": "Panda"}
-METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG"}
+METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG", "fabrics": "fabrics"}
 """Second part of a cell's name → method."""
+FABRICS = tuple(
+    Cell(name=f"{name}_fabrics", title=f"{robot}, fabrics", scenes=(f"{name}_reach",)) for name, robot in ROBOTS.items()
+)
 QUANTITIES = {"path_m": "path length [m]", "detour": "detour", "clearance_m": "least clearance [m]"}
 
 
@@ -56,6 +68,20 @@ def read(cell: Cell, records: list[dict]) -> dict:
     }
 
 
+def fabrics(cell: Cell, seeds: range, python: str, records: Records, jobs: str) -> list[dict]:
+    """Records of a cell's runs by a fabric, those that are missing made first."""
+    (scene,) = cell.scenes
+    digest = scene_digest(warpmpc.load_scene(scene))
+    keys = {seed: json.dumps((scene, seed, digest)) for seed in seeds}
+    workers, _ = open_workers(jobs, prepare=start_warp)
+    with workers:
+        missing = [seed for seed in seeds if keys[seed] not in records.by_key]
+        futures = {seed: workers.submit(episode, python, scene, seed) for seed in missing}
+        for seed, future in futures.items():
+            records.add(keys[seed], future.result())
+    return [records.by_key[key] for key in keys.values()]
+
+
 def figures(rows: list[dict], here: dict, command: str) -> dict:
     """The table of the documentation."""
     cells = [
@@ -65,10 +91,20 @@ def figures(rows: list[dict], here: dict, command: str) -> dict:
             f"{len(row['path_m'])} of {row['runs']}" + (f" ({row['touched']} touched)" if row["touched"] else ""),
             *(_mean(row[key]) for key in ("time_s", "path_m", "detour")),
             f"{_mean(row['clearance_m'])}; {min(row['clearance_m']):.2g}" if row["clearance_m"] else "-",
+            f"{np.median(row['plan_ms']):.3g}",
         ]
         for row in rows
     ]
-    columns = ["robot", "method", "reached", "time [s]", "path [m]", "detour", "clearance: mean; least [m]"]
+    columns = [
+        "robot",
+        "method",
+        "reached",
+        "time [s]",
+        "path [m]",
+        "detour",
+        "clearance: mean; least [m]",
+        "plan [ms]",
+    ]
     where = f"{here['cores']} cores of {here['cpu']}"
     made = {"machine": where, "date": time.strftime("%Y-%m-%d"), "command": command, "rows": cells}
     return {"columns": columns, "groups": [made]}
@@ -100,7 +136,7 @@ def picture(rows: list[dict], path: Path) -> None:
                 axes.plot(x, row[key], ".", markersize=4, alpha=0.5)
             axes.set_ylabel(QUANTITIES[key])
             values = [value for row in own for value in row[key]]
-            axes.set_ylim(1.05 * min(0.0, *values), 1.08 * max(values))
+            axes.set_ylim(1.05 * min(0.0, *values), 1.08 * max(0.1, *values))
             axes.tick_params(labelsize=8)
             axes.grid(alpha=0.3, axis="y")
         column[0].set_title(robot)
@@ -115,6 +151,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--engine", default="fused", help="engine of the rollouts (default fused)")
     parser.add_argument("--device", default="cpu", help="device of the rollouts (default cpu)")
+    parser.add_argument("--fabrics", metavar="PYTHON", help="Python that has the package fabrics: a row more each")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     parser.add_argument("--docs", type=Path, help="folder of pages that get data/paths.json and paths.png, too")
     args = parser.parse_args(arguments)
@@ -132,6 +169,10 @@ def main(arguments: list[str]) -> None:
             on_done=lambda run, _: bar.step(f"{run.cell} seed {run.job.seed}"),
         )
     rows = [read(cell, [records.by_key[run.key] for run in runs if run.cell == cell.name]) for cell in cells]
+    if args.fabrics:
+        kept = Records(args.out / "fabrics.jsonl")
+        rows += [read(cell, fabrics(cell, seeds, args.fabrics, kept, args.jobs)) for cell in FABRICS]
+        rows.sort(key=lambda row: [*ROBOTS.values()].index(row["robot"]))
     table = figures(rows, here, shlex.join(["python", "tools/study.py", "paths", *arguments]))
     for cells in (table["columns"], *table["groups"][0]["rows"]):
         print(" | ".join(cells))

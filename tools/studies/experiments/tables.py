@@ -181,8 +181,8 @@ ILQG = tuple(
 )
 """An optimization-based MPC with the same model: stands for the paper's ForcesPro, whose figures are beside it.
 
-ForcesPro is commercial, and takes spheres as constraints where iLQG has the scene's costs. Optimization fabrics are in
-the PyPI package ``fabrics``, with a model of its own; they are not run here."""
+ForcesPro is commercial, and takes spheres as constraints where iLQG has the scene's costs. Optimization fabrics
+play the same tasks in ``tools/study.py paths --fabrics``."""
 
 
 def _slow_downs() -> tuple[Cell, ...]:

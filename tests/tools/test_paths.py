@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths and clearances of Table I: what is read from runs, the table and the picture."""
 
+import sys
+
+import numpy as np
 import pytest
 from studies.experiments.tables import TABLES
-from studies.paths import METHODS, ROBOTS, figures, picture, read
+from studies.fabrics.episodes import Fabric, drive, task_of
+from studies.paths import FABRICS, METHODS, ROBOTS, figures, picture, read
 
-CELLS = {cell.name: cell for cell in TABLES["table1"].cells}
+from warpmpc import Plant, load_scene
+
+CELLS = {cell.name: cell for cell in (*TABLES["table1"].cells, *FABRICS)}
 
 
 def record(*, success=True, path=2.2, clearance=0.1, force=0.0):
@@ -35,7 +41,32 @@ def test_every_method_has_a_row_and_a_box_even_where_none_arrived(tmp_path):
     cells = table["groups"][0]["rows"]
     assert len(cells) == len(CELLS)
     assert all(len(line) == len(table["columns"]) for line in cells)
-    assert cells[0][2:] == ["2 of 2", "1 ± 0", "2.2 ± 0", "1.1 ± 0", "0.1 ± 0; 0.1"]
-    assert cells[list(CELLS).index("panda_ilqg")][2:] == ["0 of 2", "-", "-", "-", "-"]
+    assert cells[0][2:] == ["2 of 2", "1 ± 0", "2.2 ± 0", "1.1 ± 0", "0.1 ± 0; 0.1", "2"]
+    assert cells[list(CELLS).index("panda_ilqg")][2:] == ["0 of 2", "-", "-", "-", "-", "2"]
     picture(rows, tmp_path / "paths.png")
     assert (tmp_path / "paths.png").stat().st_size > 1000
+
+
+def test_a_fabric_gets_the_spheres_the_limits_and_a_model_without_capsules():
+    disc, arm = (task_of(load_scene(name)) for name in ("point_reach", "panda_reach"))
+    assert (len(disc["spheres"]), len(arm["spheres"])) == (5, 5)
+    assert (disc["speed"], arm["speed"]) == ([2.5] * 2, [1.5] * 7)
+    assert len(arm["limits"]) == 7
+    assert "panda_joint7" in arm["urdf"]
+    assert "<capsule" not in arm["urdf"]
+    with pytest.raises(ValueError, match="not 'omni_push_box'"):
+        task_of(load_scene("omni_push_box"))
+
+
+def test_a_python_without_fabrics_is_named():
+    with pytest.raises(ValueError, match="--fabrics /no/python"):
+        Fabric("/no/python", {"speed": [1.0]})
+    with pytest.raises(ValueError, match="pip install fabrics"):
+        Fabric(sys.executable, {"speed": [1.0]})
+
+
+def test_a_plant_is_driven_until_it_is_done():
+    scene = load_scene("point_reach", overrides=["goal.position=[1.0, 2.5]"])
+    record = drive(Plant(scene), lambda q, qd, nu: np.array([*(np.array([1.0, 2.5]) - q[:2]), 0.0], dtype=np.float32))
+    assert record["result"]["success"]
+    assert record["measured"]["path_length_m"] == pytest.approx(np.hypot(0.9, 2.5) - 0.15, abs=0.1)
