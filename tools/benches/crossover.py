@@ -211,11 +211,9 @@ def figures(report: dict) -> dict:
     machine, rows = report["machine"], []
     names = list(dict.fromkeys(n for found in report["scenes"].values() for n in found if n != "GPU"))
     for scene, found in report["scenes"].items():
-        own, crossed, gpu = load_scene(scene).planner.samples, crossings(found), found.get("GPU", {})
-        fast = " / ".join(f"{gpu[n]['p50']:.3g}" if n in gpu else "-" for n in ("16", "1024", "8192"))
-        rows.append([f"`{scene}`", str(own), *(shown(crossed.get(name)) for name in names), fast])
+        own, crossed = load_scene(scene).planner.samples, crossings(found)
+        rows.append([f"`{scene}`", str(own), *(shown(crossed.get(name)) for name in names)])
     columns = ["scene", "samples as shipped", *(f"GPU cheaper than {name} from" for name in names)]
-    columns.append("plan on the GPU: 16 / 1024 / 8192 samples [ms]")
     where = f"{machine['cores']} cores of {machine['cpu']}; {', '.join(machine['gpus']) or 'no GPU'}"
     made = {"machine": where, "date": report["date"], "command": report["command"], "rows": rows}
     return {"columns": columns, "groups": [made]}

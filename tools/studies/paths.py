@@ -21,11 +21,11 @@ import argparse
 import json
 import shlex
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from shared.files import write_json
-from shared.intervals import mean
 from shared.machine import machine
 from shared.progress import Bar
 
@@ -83,38 +83,38 @@ def fabrics(cell: Cell, seeds: range, python: str, records: Records, jobs: str) 
 
 
 def figures(rows: list[dict], here: dict, command: str) -> dict:
-    """The table of the documentation."""
-    cells = [
-        [
-            row["robot"],
-            row["method"],
-            f"{len(row['path_m'])} of {row['runs']}" + (f" ({row['touched']} touched)" if row["touched"] else ""),
-            *(_mean(row[key]) for key in ("time_s", "path_m", "detour")),
-            f"{_mean(row['clearance_m'])}; {min(row['clearance_m']):.2g}" if row["clearance_m"] else "-",
-            f"{np.median(row['plan_ms']):.3g}",
-        ]
-        for row in rows
-    ]
-    columns = [
-        "robot",
-        "method",
-        "reached",
-        "time [s]",
-        "path [m]",
-        "detour",
-        "clearance: mean; least [m]",
-        "plan [ms]",
+    """The table of the documentation: a column for each method, means of the runs that reached the goal."""
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    by = {(row["robot"], row["method"]): row for row in rows}
+    lines = [
+        [f"{robot}: {title}", *(told(by[robot, method]) if (robot, method) in by else "-" for method in methods)]
+        for robot in dict.fromkeys(row["robot"] for row in rows)
+        for title, told in LINES.items()
     ]
     where = f"{here['cores']} cores of {here['cpu']}"
-    made = {"machine": where, "date": time.strftime("%Y-%m-%d"), "command": command, "rows": cells}
-    return {"columns": columns, "groups": [made]}
+    made = {"machine": where, "date": time.strftime("%Y-%m-%d"), "command": command, "rows": lines}
+    return {"columns": ["", *methods], "groups": [made]}
 
 
-def _mean(values: list[float]) -> str:
-    if not values:
-        return "-"
-    found = mean(values)
-    return f"{found.value:.3g}" + ("" if found.low is None else f" ± {found.value - found.low:.2g}")
+def _mean(key: str) -> Callable[[dict], str]:
+    return lambda row: f"{np.mean(row[key]):.3g}" if row[key] else "-"
+
+
+def _reached(row: dict) -> str:
+    touched = f" ({row['touched']} touched)" if row["touched"] else ""
+    return f"{len(row['path_m'])}/{row['runs']}{touched}"
+
+
+LINES = {
+    "reached": _reached,
+    "time [s]": _mean("time_s"),
+    "path [m]": _mean("path_m"),
+    "detour": _mean("detour"),
+    "clearance [m]": _mean("clearance_m"),
+    "least": lambda row: f"{min(row['clearance_m']):.2g}" if row["clearance_m"] else "-",
+    "plan [ms]": lambda row: f"{np.median(row['plan_ms']):.3g}",
+}
+"""Lines of the table for each robot."""
 
 
 def picture(rows: list[dict], path: Path) -> None:
