@@ -2,6 +2,7 @@
 """Lets arms follow what moves, and says how closely they did, what they touched and how near they came to the rest.
 
     python tools/study.py track storm_track storm_track:walls storm_hold_orientation --seeds 100:110 --jobs 2
+    python tools/study.py track storm_track storm_hold_orientation --osc    # operational-space control instead
 
 OUT/track.jsonl has a line for every run, OUT/SCENE.npz what its first run did at every step. A motion
 that waits is asked how near the hand came in the second half of the wait, beside the nearest that any posture comes
@@ -28,6 +29,7 @@ from shared.measure import Clearance
 
 import warpmpc
 from studies.reach.arm import Arm
+from studies.reach.osc import follow, with_torques
 from warpmpc.model.compiled import compile_scene
 from warpmpc.run.episode import Episode
 
@@ -113,16 +115,18 @@ def _goal(scene: Scene) -> list[Motion]:
     return [motion for motion in scene.motion if motion.name == "goal"]
 
 
-def run(name: str, seed: int, overrides: tuple[str, ...], keep: Path | None) -> dict:
-    """One run."""
+def run(name: str, seed: int, overrides: tuple[str, ...], keep: Path | None, *, osc: bool = False) -> dict:
+    """One run, by the scene's planner or by operational-space control."""
     from warpmpc.cli.setup import start_warp
 
     start_warp()
-    scene = warpmpc.load_scene(name, overrides=overrides)
-    before = time.process_time()
-    episode = Episode(scene, seed=seed)
-    watch = Watch(episode.plant)
-    result = episode.run(on_step=watch)
+    before, dt = time.process_time(), warpmpc.load_scene(name, overrides=overrides).timing.control_dt
+    if osc:
+        plant, watch, plan_ms = follow(with_torques(name, overrides), seed, Watch)
+    else:
+        episode = Episode(warpmpc.load_scene(name, overrides=overrides), seed=seed)
+        plant, watch = episode.plant, Watch(episode.plant)
+        plan_ms = episode.run(on_step=watch).plan_ms["p50"]
     rows = watch.arrays()
     if keep:
         np.savez_compressed(keep, **rows)
@@ -131,29 +135,28 @@ def run(name: str, seed: int, overrides: tuple[str, ...], keep: Path | None) -> 
     dot = np.abs((rows["tool"][:, 3:] * rows["goal"][:, 3:]).sum(axis=1)).clip(max=1.0)
     turn = (Rotation.from_quat(rows["tool"][:, 3:]).inv() * Rotation.from_quat(rows["goal"][:, 3:])).magnitude()
     stops = []
-    for motion in _goal(episode.scene):
+    for motion in _goal(plant.scene):
         for (begin, end, _), limit in zip(waits(motion), nearest_of(name, overrides), strict=True):
             after = np.flatnonzero((at > end) & (miss < NEAR))
             still = miss[(at > 0.5 * (begin + end)) & (at <= end)]
             back = float(at[after[0]] - end) if len(after) else None
             stops.append({"came_m": float(np.median(still)), "nearest_m": limit, "back_s": back})
-    dt = scene.timing.control_dt
     jerk = np.diff(rows["qd"], 2, axis=0) / dt**2
     return {
-        "scene": name,
+        "scene": f"{name}, OSC" if osc else name,
         "seed": seed,
         "overrides": overrides,
         "error_m": [float(np.median(miss[count])), float(np.percentile(miss[count], 95)), float(miss[count].max())],
         "rotation_percent": [float(f(100.0 * (1.0 - dot[count]))) for f in (np.median, np.max)],
         "rotation_rad": [float(f(turn[count])) for f in (np.median, np.max)],
-        "oriented": episode.scene.goal.rotation is not None,
-        "force_N": result.max_force,
-        "contact_s": result.time_in_contact,
+        "oriented": plant.scene.goal.rotation is not None,
+        "force_N": plant.contact.max_force,
+        "contact_s": plant.contact.time,
         "own_links": sorted(watch.own),
         "clearance_m": float(rows["clearance"].min()),
         "jerk_rms": float(np.sqrt((jerk**2).mean())),
         "stops": stops,
-        "plan_ms": result.plan_ms["p50"],
+        "plan_ms": plan_ms,
         "cpu_s": time.process_time() - before,
     }
 
@@ -220,6 +223,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("scenes", nargs="+", metavar="SCENE")
     parser.add_argument("--seeds", default="0:10", help="first:end (default 0:10)")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--osc", action="store_true", help="operational-space control in place of the planner")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time, on one thread each")
     parser.add_argument("--out", type=Path, default=Path("build/track"))
     args = parser.parse_args(arguments)
@@ -229,7 +233,12 @@ def main(arguments: list[str]) -> None:
     with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         jobs = [
             pool.submit(
-                run, name, seed, overrides, args.out / f"{name.replace(':', '_')}.npz" if seed == seeds[0] else None
+                run,
+                name,
+                seed,
+                overrides,
+                args.out / f"{name.replace(':', '_')}{'_osc' * args.osc}.npz" if seed == seeds[0] else None,
+                osc=args.osc,
             )
             for name in args.scenes
             for seed in seeds
