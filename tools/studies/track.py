@@ -3,6 +3,7 @@
 
     python tools/study.py track storm_track storm_track:walls storm_hold_orientation --seeds 100:110 --jobs 2
     python tools/study.py track storm_track storm_hold_orientation --osc    # operational-space control instead
+    python tools/study.py track storm_track storm_track:walls --draw docs/storm_track.png    # of earlier runs' npz
 
 OUT/track.jsonl has a line for every run, OUT/SCENE.npz what its first run did at every step. A motion
 that waits is asked how near the hand came in the second half of the wait, beside the nearest that any posture comes
@@ -30,6 +31,7 @@ from shared.measure import Clearance
 import warpmpc
 from studies.reach.arm import Arm
 from studies.reach.osc import follow, with_torques
+from studies.reach.picture import draw
 from warpmpc.model.compiled import compile_scene
 from warpmpc.run.episode import Episode
 
@@ -226,7 +228,11 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--osc", action="store_true", help="operational-space control in place of the planner")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time, on one thread each")
     parser.add_argument("--out", type=Path, default=Path("build/track"))
+    parser.add_argument("--draw", type=Path, metavar="PNG", help="draw earlier runs in OUT, both ways, and run nothing")
     args = parser.parse_args(arguments)
+    if args.draw:
+        draw(args.out, args.scenes, args.draw)
+        return
     args.out.mkdir(parents=True, exist_ok=True)
     overrides, seeds = ("engine.threads=1", *args.overrides), range(*map(int, args.seeds.split(":")))
     rows = []
