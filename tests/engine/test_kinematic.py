@@ -257,8 +257,7 @@ def test_users_terms_of_both_kinds_are_judged():
 
 @pytest.mark.parametrize("mode", ["acceleration", "velocity"])
 def test_accelerations_of_frames_are_part_of_the_launch(mode):
-    cost = [*NATIVE, {"term": "quick", "frame": "arm/tool"}]
-    mpc, expected = planned(scene_of("panda", mode, cost=cost), envs=2, terms=(quick,))
+    mpc, expected = planned(scene_of("panda", mode, cost=QUICK), envs=2, terms=(quick,))
     assert not mpc.engine.records
     check(mpc, expected)
 
@@ -305,7 +304,8 @@ def test_what_needs_physics_is_refused(changes, said):
         Controller(type(scene).model_validate(data), engine="kinematic", device="cpu")
 
 
-GPU_COSTS = {"in launch": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision": COLLISION}
+QUICK = [*NATIVE, {"term": "quick", "frame": "arm/tool"}]
+GPU_COSTS = {"in launch": NATIVE, "recorded": NATIVE + WARP, "arm": ARM, "collision": COLLISION, "quick": QUICK}
 
 
 @pytest.mark.gpu
@@ -316,9 +316,9 @@ def test_gpu_rollouts_cost_what_the_plain_kernels_say(robot, cost):
     modes = ("acceleration", "velocity", "position") if cost in ("in launch", "recorded") else ("acceleration",)
     for mode in modes:
         scene = scene_of(robot, mode, GPU_COSTS[cost], OBSTACLES, horizon=40)
-        mpc, expected = planned(scene, envs=2, terms=[low], device="cuda")
+        mpc, expected = planned(scene, envs=2, terms=[low, quick], device="cuda")
         assert mpc.graph.captured is not None
-        check(mpc, expected, 2e-4 if cost == "arm" else 2e-5)
+        check(mpc, expected, 2e-4 if cost in ("arm", "quick") else 2e-5)
 
 
 @pytest.mark.gpu

@@ -25,6 +25,7 @@ METHODS = {
         "keep_best": True,
     },
     "one sigma, best": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}, "execute": "best"},
+    "full at every knot": {"method": "mppi", "iterations": 2, "covariance": {"form": "full_knots", "kappa": 0.005}},
     "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}, "keep_best": True},
 }
 
