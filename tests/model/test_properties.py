@@ -14,7 +14,7 @@ from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.mujoco_model import make_world
 from warpmpc.model.newton_model import build_model
 from warpmpc.model.properties import Properties, draw_properties
-from warpmpc.model.randomize import randomize_model, randomize_newton, randomized_arrays
+from warpmpc.model.randomize import randomize_newton, randomized_arrays, randomized_models
 
 SHAPES = {
     "box": (0.3, 0.5, 0.2),
@@ -53,7 +53,7 @@ def test_a_changed_object_is_what_the_compiler_makes_of_it(shape, offset):
     item = {**BOX, "shape": shape, "size": SHAPES[shape], "friction": 0.4, "mass": 2.0}
     scene = make_scene(object=[item], obstacle=[WALL])
     world = make_world(compiled(scene), timestep=0.01)
-    drawn = randomize_model(world, one("box", mass=1.3, friction=0.8, size=offset), 0)
+    drawn = randomized_models(world, one("box", mass=1.3, friction=0.8, size=offset))[0]
 
     size = np.array(SHAPES[shape]) + np.array(offset)[: len(SHAPES[shape])]
     half = size / 2 if shape == "box" else size * [1.0, 0.5][: len(size)]
@@ -74,7 +74,7 @@ def test_a_changed_object_is_what_the_compiler_makes_of_it(shape, offset):
 def test_an_obstacle_can_change_its_size_and_friction():
     scene = make_scene(obstacle=[WALL, {**WALL, "name": "other", "position": (-2.0, 0.0, 0.2)}])
     world = make_world(compiled(scene), timestep=0.01)
-    drawn = randomize_model(world, one("other", friction=0.5, size=(0.1, 0.2, -0.1)), 0)
+    drawn = randomized_models(world, one("other", friction=0.5, size=(0.1, 0.2, -0.1)))[0]
     spec = settings(mujoco.MjSpec.from_string(compiled(scene).mjcf))
     geom = next(g for g in spec.worldbody.geoms if g.name.startswith("other"))
     geom.size, geom.friction[0] = [0.15, 1.1, 0.15], 0.5
@@ -85,7 +85,7 @@ def test_an_obstacle_can_change_its_size_and_friction():
 def test_a_robots_mass_and_friction_change_on_all_its_links():
     scene = make_scene(obstacle=[WALL])
     world = make_world(compiled(scene), timestep=0.01)
-    drawn = randomize_model(world, one("base", mass=1.5, friction=0.5), 0)
+    drawn = randomized_models(world, one("base", mass=1.5, friction=0.5))[0]
     ratio = floats(drawn)["body_mass"][1:] / np.maximum(floats(world.model)["body_mass"][1:], 1e-9)
     moving = world.model.body_mass[1:] > 0
     assert moving.sum() == 3
@@ -98,7 +98,7 @@ def test_a_robots_mass_and_friction_change_on_all_its_links():
 
 def test_a_shape_never_shrinks_to_nothing():
     scene = make_scene(object=[BOX])
-    drawn = randomize_model(make_world(compiled(scene), timestep=0.01), one("box", size=(-1.0, -1.0, -1.0)), 0)
+    drawn = randomized_models(make_world(compiled(scene), timestep=0.01), one("box", size=(-1.0, -1.0, -1.0)))[0]
     np.testing.assert_allclose(drawn.geom("box_2").size, [0.015, 0.025, 0.01], rtol=1e-6)
 
 
@@ -166,9 +166,9 @@ def test_newtons_model_is_drawn_like_mujocos(kind):
     layout, shape = compiled(scene).layout, BatchSize(1, 3, 1, 1)
     properties = draw_properties(scene, layout, 3, seed=5)
     world = make_world(compiled(scene), timestep=0.01)
-    expected = randomized_arrays(world, properties, np.arange(3))
+    expected = randomized_arrays(world, properties)
     model = build_model(scene, 3, "cpu")
-    assert randomize_newton(model, layout, shape, properties)
+    assert randomize_newton(model, layout, shape, properties, world)
     body, geom = world.bodies["thing"][0], world.geoms["thing"][0]
     own, mine = layout.entity("thing").bodies[0], layout.entity("thing").shapes[0]
     mass = model.body_mass.numpy().reshape(3, -1)[:, own]

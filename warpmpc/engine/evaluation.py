@@ -73,6 +73,8 @@ class RolloutEngine(ABC):
     """The record; of one world where there is none."""
     evaluator: CostEvaluator
     """Evaluates terms on the record."""
+    redraw: Callable[[], None] | None = None
+    """Draws the physical properties of the worlds anew before a plan, None where they stay; capture-safe."""
 
     def __init__(self, request: EngineRequest):
         self.request, self.device = request, request.device
@@ -202,6 +204,7 @@ class SimulatorEngine(RolloutEngine):
     ):
         super().__init__(request)
         self.simulator = simulator = make(request, steps)
+        self.redraw = getattr(simulator, "redraw", None)
         self.name, self.step_worlds = simulator.name, step_worlds or partial(SimulatedWorlds, make)
         self.mj_model = getattr(simulator, "mj_model", None)
         out = simulator.trajectory

@@ -108,6 +108,7 @@ class FusedEngine(LaunchedEngine):
         )
         self.mj_model = physics.world.model
         super().__init__(request, RolloutWork)
+        self.redraw = physics.redraw
         work = self._work
         work.act, work.pose, work.domains = self.state.act, self.state.pose, self.shape.domains
         work.diverged, work.overflow = self.diverged, self.overflow

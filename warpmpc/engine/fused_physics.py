@@ -27,6 +27,7 @@ from ..physics.source import RolloutSource
 from ..scene.errors import SceneError
 from .fused_map import state_map
 from .fused_precision import refusal
+from .redraw import RedrawnColumns
 
 if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
@@ -89,7 +90,14 @@ class FusedPhysics:
         self.lanes = 1 if on_gpu else native_lanes()
         """Worlds that a thread takes at once."""
         self._launch = Launcher(device)
-        arrays = batched_arrays(world, properties, shape) if properties is not None and properties.names else {}
+        self.redraw: RedrawnColumns | None = None
+        """Draws the worlds' properties anew, None where they stay; capture-safe after :meth:`fill`."""
+        arrays = {}
+        if properties is not None and properties.redrawn:
+            self.redraw = RedrawnColumns(world, properties, shape, device)
+            arrays = self.redraw.arrays
+        elif properties is not None and properties.names:
+            arrays = batched_arrays(world, properties, shape)
         self.model = PhysicsModel(world.model, arrays)
         self.map = state_map(compiled, world, self.model, own_start=own_start)
         self._substeps, self._scene = list(substeps), scene
@@ -114,11 +122,14 @@ class FusedPhysics:
         """Set what the physics reads that no plan changes; after :meth:`source`."""
         columns, device = self.model.columns.values, self.device
         par = np.zeros((max(1, len(columns)), self.shape.worlds), dtype=np.float32)
-        for row, values in zip(par, columns, strict=False):
-            row[:] = values
+        if self.redraw is None:
+            for row, values in zip(par, columns, strict=False):
+                row[:] = values
         work.substeps = wp.array(self._substeps, dtype=int, device=device)
         work.given = wp.array(self.model.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)
+        if self.redraw is not None:
+            self.redraw.bind(self.model, work.par)
 
     @cached_property
     def trajectory(self) -> Trajectory:

@@ -19,9 +19,10 @@ from ..launch import Replay
 from ..model.batch_size import BatchSize
 from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair
-from ..model.randomize import randomize_model
+from ..model.randomize import randomized_models
 from ..model.trajectory import Trajectory
 from .mujoco_states import MujocoModelSimulator
+from .redraw import RedrawnModels
 from .step_worlds import StepWorlds
 from .thread_pool import PARTS, ThreadPool, thread_count
 
@@ -147,6 +148,8 @@ class MujocoSimulator(MujocoModelSimulator):
         self.world, self.model, self.joint_qd = world, world.model, world.joint_qd
         self.mj_model = world.model
         self._pair_sensor = world.first_contact + 3 * world.pair_sensor
+        self.redraw: RedrawnModels | None = None
+        """Draws the properties of the models anew, None where they stay."""
         self.models = self._randomized(world, properties)
         self.threads = thread_count(threads)
         self.parts = _split(shape.worlds, shape.domains, self.threads)
@@ -193,7 +196,9 @@ class MujocoSimulator(MujocoModelSimulator):
         if properties is None or not properties.names:
             return [world.model] * self.shape.worlds
         draws = properties.of_worlds(self.shape)
-        models = {draw: randomize_model(world, properties, draw) for draw in np.unique(draws)}
+        models = randomized_models(world, properties)
+        if properties.redrawn:
+            self.redraw = RedrawnModels(world, properties, models)
         return [models[draw] for draw in draws]
 
     def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:

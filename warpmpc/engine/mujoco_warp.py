@@ -33,6 +33,7 @@ from ..physics.collisions import colliding_pairs
 from ..scene.errors import SceneError
 from .mujoco_states import MujocoModelSimulator
 from .protocol import LARGEST_SPEED, OnePart
+from .redraw import RedrawnArrays
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
@@ -119,6 +120,8 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
         layout, options = compiled.layout, _checked(scene)
         world = make_world(compiled, timestep=timestep, options=Options.of(scene.engine), sensors=sensors)
         self.mj_model = world.model
+        self.redraw: RedrawnArrays | None = None
+        """Draws the properties of the worlds anew, None where they stay; capture-safe."""
         try:
             with default_device(self.device):
                 _set_options(world.model, options)
@@ -137,8 +140,14 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
     def _put(self, world: MujocoWorld, layout: Layout, options: dict, properties: Properties | None) -> None:
         """Put the model and its worlds on the device."""
         shape, model = self.shape, world.model
-        varied = batched_arrays(world, properties, shape) if properties and properties.names else {}
-        self.model = mujoco_warp.put_model(model, batch_sizes=dict.fromkeys(varied, shape.worlds))
+        drawn = properties is not None and bool(properties.names)
+        if drawn and properties.redrawn:
+            self.redraw = RedrawnArrays(world, properties, shape, self.device)
+        varied = batched_arrays(world, properties, shape) if drawn and self.redraw is None else {}
+        names = self.redraw.names if self.redraw else varied
+        self.model = mujoco_warp.put_model(model, batch_sizes=dict.fromkeys(names, shape.worlds))
+        if self.redraw:
+            self.redraw.bind(self.model)
         for name, values in varied.items():
             array = getattr(self.model, name)
             array.assign(values.astype(np.float32).reshape(array.numpy().shape))

@@ -15,6 +15,7 @@ from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newt
 from ..launch import Launcher, default_device
 from ..model.batch_size import BatchSize
 from ..model.joints import joint_table
+from ..model.mujoco_model import make_world
 from ..model.newton_model import build_model
 from ..model.randomize import randomize_newton
 from ..model.trajectory import Trajectory
@@ -74,10 +75,18 @@ class NewtonSimulator(OnePart):
         self._launch = Launcher(self.device)
         self.dt, layout = timestep, compiled.layout
         _refuse_mujocos_own(scene, compiled)
+        if properties and properties.redrawn:
+            raise SceneError(
+                "this solver's worlds keep what was drawn first: leave out redraw, or take the solver mujoco",
+                key="randomize",
+                file=scene.path,
+            )
         with default_device(self.device):
             self.model = build_model(scene, shape.worlds, self.device)
             self.solver = make_solver(self.model, scene, layout, shape, pairs)
-            if properties and (changed := randomize_newton(self.model, layout, shape, properties)):
+            if properties and properties.names:
+                world = make_world(compiled, timestep=timestep)
+                changed = randomize_newton(self.model, layout, shape, properties, world)
                 self.solver.solver.notify_model_changed(changed)
             self._table = joint_table(layout, self.device)
             self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)

@@ -9,19 +9,42 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.randomize import normal_offset_kernel, uniform_scale_kernel
+from ..kernels.worlds.randomize import DrawRules, Draws, draw_kernel
 from ..scene.errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..scene.schema import Scene, Uniform
+    from ..scene.schema import Randomization, Scene
     from .batch_size import BatchSize
     from .layout import Layout
 
 
 RESIZABLE = frozenset({"box", "sphere", "capsule", "cylinder", "ellipsoid"})
 """Shapes whose size may vary; others keep theirs."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How properties of entities are drawn."""
+
+    entities: tuple[Randomization, ...]
+    seed: int
+
+    def on(self, device: str) -> DrawRules:
+        """The same for kernels."""
+
+        def array(values: list, dtype: type = float) -> wp.array:
+            return wp.array(values, dtype=dtype, device=device)
+
+        out, rules = DrawRules(), self.entities
+        for name in ("mass", "friction"):
+            told = [getattr(rule, name) for rule in rules]
+            setattr(out, name, array([rule.uniform if rule else 0.0 for rule in told]))
+            setattr(out, f"{name}_ends", array([bool(rule and rule.ends) for rule in told], int))
+        out.size = array([rule.size.normal if rule.size else 0.0 for rule in rules])
+        out.redraw, out.seed = array([rule.redraw for rule in rules], int), self.seed
+        return out
 
 
 @dataclass(frozen=True)
@@ -32,6 +55,18 @@ class Properties:
     mass: np.ndarray  # [N, n] factor
     friction: np.ndarray  # [N, n] factor
     size: np.ndarray  # [N, n, 3] added to each dimension [m]
+    rules: Rules | None = None  # by which they were drawn, and may be again
+
+    @property
+    def redrawn(self) -> bool:
+        """Return whether any are drawn anew in every plan."""
+        return self.rules is not None and any(rule.redraw for rule in self.rules.entities)
+
+    @property
+    def sized(self) -> np.ndarray:
+        """Entities whose size is drawn ``[n]``."""
+        drawn = [bool(rule.size and rule.size.normal) for rule in self.rules.entities] if self.rules else False
+        return self.size.any(axis=(0, 2)) | drawn
 
     @property
     def draws(self) -> int:
@@ -79,14 +114,36 @@ def draw_properties(scene: Scene, layout: Layout, draws: int, seed: int) -> Prop
                 file=scene.path,
                 allowed=sorted(RESIZABLE),
             )
-    mass = _uniform([r.mass for r in rules], draws, 3 * seed)
-    friction = _uniform([r.friction for r in rules], draws, 3 * seed + 1)
-    sigma = wp.array([r.size.normal if r.size else 0.0 for r in rules], dtype=float, device="cpu")
-    size = wp.zeros((draws, len(names), 3), dtype=float, device="cpu")
+    out, own = Draws(), Rules(tuple(rules), 3 * seed)
+    shape = (draws, len(names))
+    out.mass, out.friction = (wp.zeros(shape, dtype=wp.float64, device="cpu") for _ in range(2))
+    out.size = wp.zeros((*shape, 3), dtype=wp.float64, device="cpu")
     if names:
-        inputs = [sigma, 3 * seed + 2, 0, 0]
-        wp.launch(normal_offset_kernel, dim=(draws, len(names)), inputs=inputs, outputs=[size], device="cpu")
-    return Properties(names, mass, friction, size.numpy().astype(np.float64))
+        inputs = [own.on("cpu"), wp.zeros(1, dtype=int, device="cpu")]
+        wp.launch(draw_kernel, dim=shape, inputs=inputs, outputs=[out], device="cpu")
+    return Properties(names, *(getattr(out, name).numpy() for name in ("mass", "friction", "size")), own)
+
+
+def extremes(properties: Properties) -> Properties:
+    """Draws at the ends of what may be drawn, by which one sees what follows from them.
+
+    The first is nominal; then comes each kind by itself, frictions one against all others, and everything at once, each
+    entity by another share.
+    """
+    rules = properties.rules.entities
+    kinds = [r.mass for r in rules], [r.friction for r in rules]
+    spread = [np.array([told.uniform if told else 0.0 for told in kind]) for kind in kinds]
+    n, none = len(rules), np.zeros((len(rules), 3))
+    end = 3.001 * np.array([rule.size.normal if rule.size else 0.0 for rule in rules])[:, None]
+    rows = [(np.zeros(n), np.zeros(n), none)]
+    for sign in (-1.0, 1.0):
+        rows += [(sign * spread[0], np.zeros(n), none), (np.zeros(n), sign * spread[1], none)]
+        rows += [(np.zeros(n), sign * np.where(np.arange(n) == i, -1.0, 1.0) * spread[1], none) for i in range(n)]
+        rows += [(np.zeros(n), np.zeros(n), sign * end * np.ones(3))]
+        share = sign * (1.0 + np.arange(n)) / n
+        rows += [(share * spread[0], -0.7 * share * spread[1], share[:, None] * end * np.array([0.3, -0.9, 0.5]))]
+    mass, friction, size = (np.array(column) for column in zip(*rows, strict=True))
+    return Properties(properties.names, 1.0 + mass, 1.0 + friction, size, properties.rules)
 
 
 def with_factors(drawn: Properties | None, scene: Scene, layout: Layout) -> Properties | None:
@@ -135,14 +192,3 @@ def _require(names: Iterable[str], key: str, scene: Scene, layout: Layout) -> No
     for name in names:
         if name not in allowed:
             raise SceneError("no such robot, object or obstacle", key=key, file=scene.path, found=name, allowed=allowed)
-
-
-def _uniform(rules: list[Uniform | None], draws: int, seed: int) -> np.ndarray:
-    spread = np.array([rule.uniform if rule else 0.0 for rule in rules], dtype=np.float32)
-    scale = wp.zeros((draws, len(rules)), dtype=float, device="cpu")
-    if rules:
-        inputs = [wp.array(spread, dtype=float, device="cpu"), seed, 0, 0]
-        wp.launch(uniform_scale_kernel, dim=scale.shape, inputs=inputs, outputs=[scale], device="cpu")
-    factor = scale.numpy().astype(np.float64)
-    ends = [rule is not None and rule.ends for rule in rules]
-    return np.where(ends, 1.0 + np.copysign(spread, factor - 1.0), factor)

@@ -158,6 +158,8 @@ class PlanStep:
     def _begin(self) -> None:
         """Let resources and plans follow the observed state."""
         wp.copy(self.state.last_control, self.command)
+        if redraw := getattr(self.engine, "redraw", None):
+            redraw()
         self.costs.before_plan(self.state)
         self.strategy.shift()
 

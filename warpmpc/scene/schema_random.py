@@ -33,6 +33,8 @@ class Randomization(Section):
     """Factor on every coefficient of friction."""
     size: Normal | None = None
     """Added to each dimension [m]."""
+    redraw: Flag = False
+    """Whether rollouts draw it anew in every plan."""
 
 
 class Draw(Section):

@@ -6,30 +6,32 @@ import pytest
 import scipy.stats
 import warp as wp
 
-from warpmpc.kernels.worlds.randomize import normal_offset_kernel, uniform_scale_kernel
+from warpmpc.kernels.worlds.randomize import DrawRules, Draws, count_kernel, draw_kernel
+
+FIELDS = ("mass", "friction", "size")
 
 
-def draw(kernel, width, *, draws: int, seed: int, first_item: int = 0, nominal_first: bool = False, device: str):
-    """Run a kernel on widths [items]; returns scales [N, items] or offsets [N, items, 3]."""
-    tail = () if kernel is uniform_scale_kernel else (3,)
-    out = wp.empty((draws, len(width), *tail), dtype=float, device=device)
-    wp.launch(
-        kernel,
-        dim=(draws, len(width)),
-        inputs=[wp.array(width, dtype=float, device=device), seed, first_item, int(nominal_first)],
-        outputs=[out],
-        device=device,
-    )
-    return out.numpy().astype(np.float64)
+def draw(width, *, draws: int, seed: int, ends: bool = False, plans: int = 1, redraw: bool = True, device: str):
+    """Draw every property with widths [items] in some plans; returns that of the last: field → [N, items, ...]."""
+    rules, out, shape = DrawRules(), Draws(), (draws, len(width))
+    for name in FIELDS:
+        setattr(rules, name, wp.array(width, dtype=float, device=device))
+    rules.mass_ends = rules.friction_ends = wp.full(len(width), int(ends), dtype=int, device=device)
+    rules.redraw, rules.seed = wp.full(len(width), int(redraw), dtype=int, device=device), seed
+    out.mass, out.friction = (wp.empty(shape, dtype=wp.float64, device=device) for _ in range(2))
+    out.size = wp.empty((*shape, 3), dtype=wp.float64, device=device)
+    first = wp.zeros(1, dtype=int, device=device)
+    for _ in range(plans):
+        wp.launch(draw_kernel, dim=shape, inputs=[rules, first], outputs=[out], device=device)
+        wp.launch(count_kernel, dim=1, inputs=[draws], outputs=[first], device=device)
+    return {name: getattr(out, name).numpy() for name in FIELDS}
 
 
-KERNELS = pytest.mark.parametrize("kernel", [uniform_scale_kernel, normal_offset_kernel])
-
-
+@pytest.mark.parametrize("field", ["mass", "friction"])
 @pytest.mark.parametrize("seed", [0, 1, -7])
-def test_scales_are_uniform_around_one(seed, device):
+def test_scales_are_uniform_around_one(seed, field, device):
     spread = np.array([0.3, 0.05])
-    scale = draw(uniform_scale_kernel, spread, draws=4096, seed=seed, device=device)
+    scale = draw(spread, draws=4096, seed=seed, device=device)[field]
     for i, p in enumerate(spread):
         assert scipy.stats.kstest(scale[:, i], "uniform", args=(1.0 - p, 2.0 * p)).pvalue > 1e-3
     assert abs(np.corrcoef(scale.T)[0, 1]) < 5.0 / np.sqrt(4096)
@@ -37,8 +39,8 @@ def test_scales_are_uniform_around_one(seed, device):
 
 @pytest.mark.parametrize("seed", [0, 1, -7])
 def test_offsets_are_truncated_normals(seed, device):
-    sigma = np.array([0.005, 2.0])
-    offset = draw(normal_offset_kernel, sigma, draws=4096, seed=seed, device=device)
+    sigma = np.array([0.005, 0.9])
+    offset = draw(sigma, draws=4096, seed=seed, device=device)["size"]
     assert np.all(np.abs(offset) <= 3.0 * sigma[None, :, None] * (1.0 + 1e-4))
     assert np.abs(offset / sigma[None, :, None]).max() > 2.7
     for i, s in enumerate(sigma):
@@ -47,39 +49,41 @@ def test_offsets_are_truncated_normals(seed, device):
     np.testing.assert_allclose(correlation, np.eye(6), atol=5.0 / np.sqrt(4096))
 
 
-@pytest.mark.parametrize(("kernel", "nominal"), [(uniform_scale_kernel, 1.0), (normal_offset_kernel, 0.0)])
-def test_the_first_draw_can_be_nominal_and_the_others_do_not_care(kernel, nominal, device):
-    plain = draw(kernel, [0.2, 0.3], draws=8, seed=4, device=device)
-    with_nominal = draw(kernel, [0.2, 0.3], draws=8, seed=4, nominal_first=True, device=device)
-    assert np.all(with_nominal[0] == nominal)
-    assert np.all(plain[0] != nominal)
-    np.testing.assert_array_equal(with_nominal[1:], plain[1:])
+def test_mass_and_friction_may_be_off_by_all_of_it(device):
+    inner, ends = (draw([0.2, 0.3], draws=64, seed=4, ends=e, device=device) for e in (False, True))
+    for field in ("mass", "friction"):
+        np.testing.assert_allclose(np.abs(ends[field] - 1.0), np.tile(np.float32([0.2, 0.3]), (64, 1)))
+        np.testing.assert_array_equal(ends[field] > 1.0, inner[field] > 1.0)
+    np.testing.assert_array_equal(ends["size"], inner["size"])
 
 
-@KERNELS
-def test_more_draws_and_more_items_leave_the_first_as_they_were(kernel, device):
-    few = draw(kernel, [0.1, 0.2], draws=5, seed=9, device=device)
-    many = draw(kernel, [0.1, 0.2, 0.4], draws=50, seed=9, device=device)
-    np.testing.assert_array_equal(many[:5, :2], few)
+def test_more_draws_and_more_items_leave_the_first_as_they_were(device):
+    few = draw([0.1, 0.2], draws=5, seed=9, device=device)
+    many = draw([0.1, 0.2, 0.4], draws=50, seed=9, device=device)
+    for field in FIELDS:
+        np.testing.assert_array_equal(many[field][:5, :2], few[field])
 
 
-@KERNELS
-def test_first_item_names_the_column_a_draw_belongs_to(kernel, device):
-    whole = draw(kernel, [0.1, 0.1, 0.1], draws=6, seed=2, device=device)
-    rest = draw(kernel, [0.1, 0.1], draws=6, seed=2, first_item=1, device=device)
-    np.testing.assert_array_equal(rest, whole[:, 1:])
+def test_plans_go_on_counting_draws_where_they_are_drawn_anew(device):
+    all_at_once = draw([0.1, 0.2], draws=12, seed=9, device=device)
+    for plans in (1, 2, 3):
+        found = draw([0.1, 0.2], draws=4, seed=9, plans=plans, device=device)
+        again = draw([0.1, 0.2], draws=4, seed=9, plans=plans, redraw=False, device=device)
+        for field in FIELDS:
+            np.testing.assert_array_equal(found[field], all_at_once[field][4 * (plans - 1) : 4 * plans])
+            np.testing.assert_array_equal(again[field], all_at_once[field][:4])
 
 
-@KERNELS
-def test_draws_differ_between_rows_items_and_seeds(kernel, device):
-    a, b = (draw(kernel, [0.1] * 8, draws=64, seed=seed, device=device) for seed in (0, 1))
-    values = np.concatenate([a.ravel(), b.ravel()])
+def test_draws_differ_between_rows_items_seeds_and_properties(device):
+    a, b = (draw([0.1] * 8, draws=64, seed=seed, device=device) for seed in (0, 30))
+    values = np.concatenate([found[field].ravel() for found in (a, b) for field in FIELDS])
     assert len(np.unique(values)) > 0.99 * len(values)
-    assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 5.0 / np.sqrt(a.size)
+    for first, second in ((a["mass"], b["mass"]), (a["mass"], a["friction"]), (a["mass"], a["size"][:, :, 0])):
+        assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 5.0 / np.sqrt(first.size)
 
 
-@KERNELS
-def test_no_width_is_no_randomization(kernel, device):
-    np.testing.assert_array_equal(
-        draw(kernel, [0.0], draws=4, seed=1, device=device), float(kernel is uniform_scale_kernel)
-    )
+def test_no_width_is_no_randomization(device):
+    found = draw([0.0], draws=4, seed=1, device=device)
+    assert np.all(found["mass"] == 1.0)
+    assert np.all(found["friction"] == 1.0)
+    assert np.all(found["size"] == 0.0)

@@ -110,6 +110,31 @@ def _ablations() -> tuple[Cell, ...]:
     )
 
 
+REDRAW = "randomize.*.redraw=true"
+TWO_FRICTIONS = (
+    *("object.block.friction=0.2", "randomize.block.friction.uniform=0.3"),
+    "randomize.table={friction={uniform=0.9}, redraw=false}",
+)
+"""The paper's block and table, each with its own draw; they slide with the average."""
+
+
+def _randomizations() -> tuple[Cell, ...]:
+    """Pushes whose rollouts keep their worlds, and such that draw them anew in every plan."""
+    scenes = {
+        "A": ("omni_push_box:A", ()),
+        "B": ("omni_push_box:B", ()),
+        "arm": ("panda_push:pose_1", ()),
+        "arm_two": ("panda_push:pose_1", TWO_FRICTIONS),
+    }
+    titles = {"A": "base, start A", "B": "base, start B", "arm": "arm", "arm_two": "arm, frictions of block and table"}
+    changes = {"once": ("drawn once", ()), "redraw": ("drawn in every plan", (REDRAW,))}
+    return tuple(
+        _cell(f"{name}_{change}", f"{titles[name]}: {title}", scene, overrides=(*own, *more))
+        for name, (scene, own) in scenes.items()
+        for change, (title, more) in changes.items()
+    )
+
+
 SIMULATOR = ("engine.substeps=1", "plant.substeps=1")
 """One step of 0.04 s for a control, in rollouts and plant."""
 
@@ -266,6 +291,12 @@ TABLES = {
         metrics=("success", "time", "solver"),
         runs=10,
         cells=_ablations(),
+    ),
+    "randomization": Table(
+        title="Rollouts' worlds: drawn once, or anew in every plan",
+        metrics=("success", "error", "time", "solver"),
+        runs=20,
+        cells=_randomizations(),
     ),
     "changes": Table(
         title="Table IV as in the paper: what stops it, one change at a time",

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a MuJoCo model that draws of physical properties change, made by kernels on the device of the worlds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from ..kernels.worlds import randomize as kernels
+from ..kernels.worlds.randomize import (
+    Draws,
+    ModelTables,
+    WeightTables,
+    apply_kernel,
+    count_kernel,
+    draw_kernel,
+    weigh_kernel,
+)
+from ..launch import Launcher, capturing
+
+if TYPE_CHECKING:
+    from .mujoco_model import MujocoWorld
+    from .properties import Properties
+
+ARRAYS = (
+    *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0"),
+    *("actuator_acc0", "geom_friction", "geom_size", "geom_aabb", "geom_rbound", "pair_friction"),
+)
+"""Arrays of a model that draws change."""
+_KINDS = {
+    mujoco.mjtGeom.mjGEOM_BOX: kernels.BOX,
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: kernels.ELLIPSOID,
+    mujoco.mjtGeom.mjGEOM_SPHERE: kernels.SPHERE,
+    mujoco.mjtGeom.mjGEOM_CAPSULE: kernels.CAPSULE,
+    mujoco.mjtGeom.mjGEOM_CYLINDER: kernels.CYLINDER,
+}
+"""Geoms whose size may vary, those of ``properties.RESIZABLE``."""
+
+_MUSCLE = mujoco.mjtGain.mjGAIN_MUSCLE
+
+
+class DrawnModel:
+    """Numbers of a model, one row per draw ``[N, numbers]``: its arrays one after the other, flat.
+
+    Args:
+        world: The nominal model.
+        properties: Draws of physical properties.
+        device: Warp device.
+    """
+
+    values: wp.array2d
+    """The numbers."""
+    place: dict[str, slice]
+    """Numbers of each of :data:`ARRAYS` in a row."""
+
+    def __init__(self, world: MujocoWorld, properties: Properties, device: str = "cpu"):
+        self.model, self.device, self.draws = world.model, device, properties.draws
+        self._launch, self._properties = Launcher(device), properties
+        sizes = [getattr(world.model, name).size for name in ARRAYS]
+        ends = np.cumsum([0, *sizes]).tolist()
+        self.place = {name: slice(*ends[i : i + 2]) for i, name in enumerate(ARRAYS)}
+        self.nominal = np.concatenate([np.ravel(getattr(world.model, name)) for name in ARRAYS])
+        with capturing:
+            self._tables = self._model_tables(world, properties)
+            self._weights = self._weight_tables([int(row[0]) for row in self._tables.bodies.numpy()])
+            self.values = self._array(np.tile(self.nominal, (self.draws, 1)), wp.float64)
+            self._out = Draws()
+            for name in ("mass", "friction", "size"):
+                setattr(self._out, name, self._array(getattr(properties, name), wp.float64))
+            n = self._weights.matrix.shape[0]
+            self._factor = wp.zeros((self.draws, n, n), dtype=wp.float64, device=device)
+            self._solution = wp.zeros((self.draws, n), dtype=wp.float64, device=device)
+            if properties.redrawn:
+                self._rules = properties.rules.on(device)
+                self._first = wp.zeros(1, dtype=int, device=device)
+        self.apply()
+
+    def redraw(self) -> None:
+        """Draw anew what is drawn in every plan, and put it into :attr:`values`; capture-safe."""
+        self._launch(draw_kernel, self._properties.mass.shape, [self._rules, self._first], [self._out])
+        self._launch(count_kernel, 1, [self.draws], [self._first])
+        self.apply()
+
+    def apply(self) -> None:
+        """Put the draws into :attr:`values`; capture-safe."""
+        self._launch(apply_kernel, self.draws, [self._tables, self._out], [self.values])
+        if self._weights.matrix.size:
+            outputs = [self._factor, self._solution, self.values]
+            self._launch(weigh_kernel, self.draws, [self._tables.nominal, self._weights], outputs)
+
+    def arrays(self, values: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Arrays of rows of numbers, by default :attr:`values`, ``[N, ...]`` each, in float64."""
+        rows = self.values.numpy() if values is None else values
+        return {
+            name: rows[:, at].reshape(len(rows), *getattr(self.model, name).shape) for name, at in self.place.items()
+        }
+
+    def _array(self, values: object, dtype: type = int) -> wp.array:
+        return wp.array(values, dtype=dtype, device=self.device)
+
+    def _table(self, rows: list[tuple[int, ...]], width: int) -> wp.array:
+        return self._array(np.array(rows, dtype=np.int32).reshape(-1, width))
+
+    def _model_tables(self, world: MujocoWorld, properties: Properties) -> ModelTables:
+        m, out = self.model, ModelTables()
+        for name in ("body_mass", "body_inertia", "body_subtreemass"):
+            setattr(out, name, self.place[name].start)
+        for name in ("geom_friction", "geom_size", "geom_aabb", "geom_rbound", "pair_friction"):
+            setattr(out, name, self.place[name].start)
+        out.nominal, out.body_parent = self._array(self.nominal, wp.float64), self._array(m.body_parentid)
+        bodies, geoms = [], []
+        sized = properties.sized
+        for i, name in enumerate(properties.names):
+            bodies += [(body, i) for body in world.bodies[name]]
+            for geom in world.geoms[name]:
+                # numpy integers do not hash like the enum
+                kind = _KINDS.get(mujoco.mjtGeom(int(m.geom_type[geom])), 0) if sized[i] else 0
+                geoms.append((geom, i, int(kind), int(m.geom_bodyid[geom])))
+        out.bodies, out.geoms = self._table(bodies, 2), self._table(geoms, 4)
+        out.axes = self._table([_axis_order(m, body) for body in range(m.nbody)], 3)
+        pairs = [(int(p), int(m.pair_geom1[p]), int(m.pair_geom2[p])) for p in world.averaged]
+        out.pairs = self._table(pairs, 3)
+        return out
+
+    def _weight_tables(self, bodies: list[int]) -> WeightTables:
+        """Tables of the trees that some bodies belong to, with everything that MuJoCo weighs there."""
+        m, out = self.model, WeightTables()
+        data = mujoco.MjData(m)
+        mujoco.mj_resetData(m, data)
+        mujoco.mj_fwdPosition(m, data)
+        full = np.zeros((m.nv, m.nv))
+        mujoco.mj_fullM(m, data, full)
+        turned = {body: _jacobian(m, data, body) for body in range(1, m.nbody)}
+        dofs = np.zeros(m.nv, dtype=bool)
+        for body in bodies:
+            dofs |= turned[body].any(axis=0) if body else False
+        while (more := dofs | (full[dofs] != 0.0).any(axis=0)).sum() > dofs.sum():
+            dofs = more
+        own = np.flatnonzero(dofs)
+        numbers, parts = [], []
+        for body in [body for body in bodies if body and turned[body].any()]:
+            linear, angular = turned[body][:3, own], data.ximat[body].reshape(3, 3).T @ turned[body][3:, own]
+            numbers.append(self.place["body_mass"].start + body)
+            parts.append(linear.T @ linear)
+            for k in range(3):
+                numbers.append(self.place["body_inertia"].start + 3 * body + k)
+                parts.append(np.outer(angular[k], angular[k]))
+        rows, lengths, targets = self._weighed(data, turned, own)
+        out.matrix, out.numbers = self._array(full[np.ix_(own, own)], wp.float64), self._array(np.array(numbers, int))
+        out.parts = self._array(np.array(parts).reshape(len(parts), len(own), len(own)), wp.float64)
+        out.rows, out.lengths = (
+            self._array(np.array(rows).reshape(len(rows), len(own)), wp.float64),
+            self._array(lengths),
+        )
+        out.entry = self._array(np.cumsum([0, *(len(row) for row in targets)]))
+        flat = [entry for row in targets for entry in row]
+        out.target = self._array(np.array([place for place, _ in flat], dtype=int))
+        out.share = self._array(np.array([share for _, share in flat]), wp.float64)
+        return out
+
+    def _weighed(
+        self, data: mujoco.MjData, turned: dict[int, np.ndarray], own: np.ndarray
+    ) -> tuple[list[np.ndarray], list[int], list[list[tuple[int, float]]]]:
+        """Directions whose inverse weights MuJoCo keeps, which of them by length, and where each goes, in shares."""
+        m, place = self.model, self.place
+        rows, lengths, targets = [], [], []
+
+        def add(row: np.ndarray, *entries: tuple[int, float], length: bool = False) -> None:
+            if row.any():
+                rows.append(row)
+                lengths.append(int(length))
+                targets.append(list(entries))
+
+        for i, dof in enumerate(own):
+            joint = int(m.dof_jntid[dof])
+            first, kind = int(m.jnt_dofadr[joint]), int(m.jnt_type[joint])
+            # the three that turn or move a body freely share their mean
+            group = [dof]
+            if kind == mujoco.mjtJoint.mjJNT_FREE:
+                group = range(first, first + 3) if dof < first + 3 else range(first + 3, first + 6)
+            elif kind == mujoco.mjtJoint.mjJNT_BALL:
+                group = range(first, first + 3)
+            add(np.eye(len(own))[i], *((place["dof_invweight0"].start + d, 1.0 / len(group)) for d in group))
+        for body, jacobian in turned.items():
+            for k, row in enumerate(jacobian[:, own]):
+                add(row, (place["body_invweight0"].start + 2 * body + k // 3, 1.0 / 3.0))
+        lengths_of = np.zeros((m.ntendon, m.nv))
+        if m.ntendon:
+            mujoco.mju_sparse2dense(lengths_of, data.ten_J.ravel(), *_sparse(m, data))
+        for n, row in enumerate(lengths_of[:, own]):
+            add(row, (place["tendon_invweight0"].start + n, 1.0))
+        muscles = (m.actuator_gaintype == _MUSCLE) | (m.actuator_biastype == mujoco.mjtBias.mjBIAS_MUSCLE)
+        if not muscles.any():  # no others are scaled by their acceleration
+            return rows, lengths, targets
+        moments = np.zeros((m.nu, m.nv))
+        mujoco.mju_sparse2dense(
+            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel()
+        )
+        for n, row in enumerate(moments[:, own]):
+            add(row, (place["actuator_acc0"].start + n, 1.0), length=True)
+        return rows, lengths, targets
+
+
+def _sparse(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row sizes, row starts and columns of the tendons' Jacobian, which newer versions keep in the model."""
+    owner = model if hasattr(model, "ten_J_rownnz") else data
+    return owner.ten_J_rownnz, owner.ten_J_rowadr, owner.ten_J_colind.ravel()
+
+
+def _jacobian(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> np.ndarray:
+    """Velocity of a body's centre of mass and its turning by the joints' ``[6, nv]``."""
+    out = np.zeros((6, model.nv))
+    mujoco.mj_jacBodyCom(model, data, out[:3], out[3:], body)
+    return out
+
+
+def _axis_order(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """Geometry axis that each principal axis of a body's inertia lies along."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    return np.argmax(np.abs(rotation.reshape(3, 3)), axis=0)
