@@ -8,11 +8,12 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_engine, make_scene
 
 from warpmpc import Controller, SceneError, run_episode
 from warpmpc.engine.fused_physics import FusedPhysics
+from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.drawn_model import ARRAYS, DrawnModel
 from warpmpc.model.mujoco_model import Options, make_world
 from warpmpc.model.properties import Properties, draw_properties
-from warpmpc.model.randomize import randomized_models
+from warpmpc.model.randomize import randomized_arrays, randomized_models
 from warpmpc.model.state import State
 from warpmpc.physics.kernel import RolloutWork
 
@@ -134,6 +135,25 @@ def test_models_of_the_c_engine_are_what_mujoco_makes_of_the_same_draws():
     for model, expected in zip(engine.models, randomized_models(engine.world, every)[SAMPLES:], strict=True):
         for name in set(ARRAYS) - {"actuator_acc0"}:  # which nothing but muscles reads
             np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-12, err_msg=name)
+
+
+def test_arrays_of_mujoco_warp_are_those_of_the_same_draws(device):
+    scene = pushing()
+    layout, shape = layout_of(scene), BatchSize(1, SAMPLES, 1, 2)
+    given = {"substeps": [2, 2], "timestep": 0.02, "device": device}
+    properties = draw_properties(scene, layout, SAMPLES, seed=2)
+    simulator = MujocoWarpSimulator(scene, compiled(scene), shape, properties=properties, **given)
+    world = make_world(compiled(scene), timestep=0.02, options=Options.of(scene.engine))
+    for plan in range(2):
+        every = draw_properties(scene, layout, (plan + 1) * SAMPLES, seed=2)
+        expected = randomized_arrays(world, every)
+        assert len(simulator.redraw.names) == 10
+        for name in simulator.redraw.names:
+            found, own = getattr(simulator.model, name).numpy(), expected[name][plan * SAMPLES :]
+            np.testing.assert_allclose(found.reshape(SAMPLES, -1), own.reshape(SAMPLES, -1), rtol=1e-6, err_msg=name)
+            assert found.reshape(SAMPLES, -1).std(axis=0).max() > 0.0
+        for _ in range(1 if plan else 2):  # the first plan's draws are those that were made once and for all
+            simulator.redraw()
 
 
 def test_over_many_plans_draws_have_the_distribution_that_is_said(device):
