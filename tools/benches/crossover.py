@@ -37,7 +37,7 @@ SCENES = (
 SAMPLES = (16, 256, 4096, 64, 1024, 8192, 512, 128, 2048, 32)
 """Numbers of samples, those first that tell most."""
 GPU = "cuda:0"
-PLANS, SECONDS, LONGEST = 40, 0.2, 0.25
+PLANS, SECONDS, LONGEST = 40, 0.12, 0.1
 """Most plans of a time, how long they may take together [s], and the longest plan that is timed on the CPU [s]."""
 PREPARING = 0.5
 """Share of the time that kernels may take to compile."""
