@@ -150,6 +150,13 @@ def test_the_stick_pushes_the_block_to_a_pose(variant):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("variant", ["kicked", "shoved"])
+def test_the_arm_pushes_on_when_it_is_disturbed(variant):
+    results = episodes(f"panda_push:{variant}", (10, 11, 12))
+    assert sum(r.success for r in results) >= 2, results
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("variant", "least"), [("B_right", 2), ("C_right", 2), ("D_centre", 2), ("E_centre", 1)])
 def test_the_stick_pushes_objects_of_all_sorts(variant, least):
     # the scene's 512 samples are for a GPU; with 128 the longest object does not always arrive
