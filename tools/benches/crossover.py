@@ -284,7 +284,8 @@ def main(arguments: list[str]) -> None:
     out = args.out / "crossover.json"
     if args.limit > 0.0:
         here = machine()
-        report = opened(out, here, " ".join(["python tools/bench.py crossover", *arguments]))
+        limited = [f"--limit {args.limit:g}", *([f"--device {args.device}"] if args.device != "all" else [])]
+        report = opened(out, here, " ".join(["python tools/bench.py crossover", *limited]))
         where = places(here, args.device)
         ready = compiled_all(args.scenes, where, here["cores"], PREPARING * args.limit)
         print(f"compiled in {time.perf_counter() - began:.0f} s", flush=True)

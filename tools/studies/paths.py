@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -172,7 +171,8 @@ def main(arguments: list[str]) -> None:
         kept = Records(args.out / "fabrics.jsonl")
         rows += [read(cell, fabrics(cell, seeds, args.fabrics, kept, args.jobs)) for cell in FABRICS]
         rows.sort(key=lambda row: [*ROBOTS.values()].index(row["robot"]))
-    table = figures(rows, here, shlex.join(["python", "tools/study.py", "paths", *arguments]))
+    command = f"python tools/study.py paths --runs {args.runs} --seed {args.seed} --jobs {args.jobs}"
+    table = figures(rows, here, command + " --fabrics PYTHON" * bool(args.fabrics))
     for cells in (table["columns"], *table["groups"][0]["rows"]):
         print(" | ".join(cells))
     write_json(args.out / "paths.json", {"machine": here, "rows": rows})
