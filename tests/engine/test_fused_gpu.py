@@ -7,7 +7,7 @@ import pytest
 from needs import CUDA, need
 
 import warpmpc
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 pytestmark = pytest.mark.gpu
 

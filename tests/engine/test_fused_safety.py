@@ -21,7 +21,7 @@ from warpmpc.model.properties import draw_properties
 from warpmpc.physics import missing as fused_missing
 from warpmpc.physics import source
 from warpmpc.physics.model import FIELD
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"))
 NAMES = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force", "diverged", "overflow")

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from warpmpc.engine.mujoco import silence_mujoco
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

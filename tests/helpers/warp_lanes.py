@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpmpc.physics.kernel import RolloutWork
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 COMPILER = shutil.which("g++")
 _TYPES = {wp.float32: "float", wp.float64: "double", wp.int32: "int", float: "float", int: "int"}

@@ -15,7 +15,7 @@ from warp_lanes import LaneRollout
 
 from warpmpc.physics.missing import missing
 from warpmpc.physics.model import PhysicsModel
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmers": SWIMMERS}
 

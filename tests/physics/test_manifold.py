@@ -13,8 +13,8 @@ from fused_steps import turned
 
 from warpmpc.bake.simd import native_lanes
 from warpmpc.physics.model import PhysicsModel
+from warpmpc.physics.plain import PlainRollout
 from warpmpc.physics.rings import MOST_CORNERS, RIM, faces, ring_size, ring_tables
-from warpmpc.physics.rollout import PlainRollout
 
 CALLS = (
     "capsule_cylinder",

@@ -15,7 +15,7 @@ from fused_scenes import Comparison
 from fused_steps import step_differences, visit
 from shared.models import OWN, spread
 
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 JUMPS = 1e-4
 """States where MuJoCo C's own step changes so much by rounding are left out [m/s, rad/s]."""

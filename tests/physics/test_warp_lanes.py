@@ -18,7 +18,7 @@ from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 from warpmpc.model.properties import draw_properties
-from warpmpc.physics.rollout import PlainRollout
+from warpmpc.physics.plain import PlainRollout
 
 pytestmark = needs("g++")
 WORLDS, STEPS = 4, 12

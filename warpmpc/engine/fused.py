@@ -17,13 +17,13 @@ from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
 from ..physics.kernel import WARP, RolloutWork, options
 from ..scene.errors import SceneError
+from ..thread_pool import PARTS, ThreadPool, thread_count
 from .fused_physics import FusedPhysics
 from .fused_state import PhysicsState, cost_code
 from .launch_kernel import RECORDS_ALONE
 from .launch_terms import launch_terms
 from .launched import LaunchedEngine
 from .step_worlds import LEAD, StepWorlds
-from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..physics.source import AddedCode

@@ -20,6 +20,7 @@ from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import batched_arrays
 from ..model.trajectory import Trajectory
+from ..physics.batch import shares
 from ..physics.kernel import WARP, RolloutWork, make_kernel
 from ..physics.missing import missing
 from ..physics.model import PhysicsModel
@@ -36,16 +37,6 @@ if TYPE_CHECKING:
     from ..physics.source import AddedCode
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
-
-SHARED_PER_DOF = 180
-"""Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
-one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240 (docs/benchmarks.md)."""
-
-
-def shares(model: mujoco.MjModel, worlds: int) -> bool:
-    """Tell if on a GPU a warp shares a world, rather than each thread having one."""
-    return worlds <= SHARED_PER_DOF * model.nv
-
 
 class FusedPhysics:
     """The worlds of a scene.

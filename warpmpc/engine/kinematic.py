@@ -31,12 +31,12 @@ from ..model.joints import joint_table
 from ..model.trajectory import Trajectory
 from ..scene.errors import SceneError
 from ..scene.schema_bodies import DriveMode
+from ..thread_pool import thread_count
 from .kinematic_motion import WARP
 from .kinematic_source import RolloutSource
 from .launch_terms import launch_terms
 from .launched import LaunchedEngine
 from .step_worlds import ConvertedWorlds
-from .thread_pool import thread_count
 
 if TYPE_CHECKING:
     from ..model.layout import Layout

@@ -16,9 +16,9 @@ from ..kernels.planning.splines import ZERO
 from ..kernels.worlds.launch import TAPS, TermSums, taps_kernel
 from ..model.batch_size import BatchSize
 from ..model.trajectory import Trajectory
+from ..thread_pool import PARTS, ThreadPool, thread_count
 from .evaluation import Part, RolloutEngine
 from .launch_kernel import RECORDS_ALONE, make_kernel
-from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..launch import Replay

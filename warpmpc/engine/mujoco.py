@@ -21,10 +21,10 @@ from ..model.mujoco_model import Options, make_world
 from ..model.pairs import Pair
 from ..model.randomize import randomized_models
 from ..model.trajectory import Trajectory
+from ..thread_pool import PARTS, ThreadPool, thread_count
 from .mujoco_states import MujocoModelSimulator
 from .redraw import RedrawnModels
 from .step_worlds import StepWorlds
-from .thread_pool import PARTS, ThreadPool, thread_count
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene

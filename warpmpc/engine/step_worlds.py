@@ -19,8 +19,8 @@ from ..model.batch_size import BatchSize
 from ..model.mujoco_model import Options, make_world
 from ..model.state_rows import StateRows
 from ..model.trajectory import Trajectory
+from ..thread_pool import PARTS, ThreadPool
 from .mujoco_states import MujocoModelSimulator
-from .thread_pool import PARTS, ThreadPool
 
 if TYPE_CHECKING:
     from ..kernels.terms.view import StepView

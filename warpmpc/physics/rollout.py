@@ -1,117 +1,254 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts of a MuJoCo model without a scene: what tests and measurements compare with ``mujoco.rollout``."""
+"""``mujoco.rollout`` with worlds in the lanes of a register: the same functions, arguments and arrays.
+
+    from warpmpc.physics import rollout  # in place of: from mujoco import rollout
+
+    state, sensordata = rollout.rollout(model, data, initial_state, control)
+
+What a model has that this physics lacks is rolled out by MuJoCo, with one line in the log. Rollouts are in single
+precision; states and sensor readings are handed out as doubles.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import atexit
+import copy
+import logging
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
 
 import mujoco
+import mujoco.rollout
 import numpy as np
 import warp as wp
 
-from ..bake.simd import native_lanes
-from ..kernels.worlds.launch import TAPS
-from ..launch import Launcher
-from .kernel import WARP, RolloutWork, make_kernel
+from .batch import BatchRollout
 from .missing import missing
-from .model import PhysicsModel
-from .source import RolloutSource
-from .state_map import StateMap
+from .model_numbers import ModelNumbers
+from .sensors import unread_sensors
+
+logger = logging.getLogger("warpmpc")
+MODELS = 4
+"""Models that are kept ready, and numbers of worlds and steps of each."""
+_CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 
 
-class PlainRollout:
-    """Rolls controls of many worlds out in the engine's kernel.
+def lacking(model: mujoco.MjModel) -> str | None:
+    """Return what a model has and these rollouts lack, in a few words; None if there is nothing."""
+    if lack := missing(model):
+        return lack
+    unread = [] if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR) else unread_sensors(model)
+    if unread:
+        return f"sensors of the kinds {', '.join(unread)}"
+    return "history in its state" if model.nhistory else None
+
+
+class Rollout(mujoco.rollout.Rollout):
+    """Rolls controls out, as :class:`mujoco.rollout.Rollout`.
 
     Args:
-        model: The model.
-        worlds: Number of worlds W.
-        steps: Controls T of every world.
-        substeps: Physics steps per control.
-        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
-        device: Warp device.
-        lanes: Worlds in a vector on a CPU; as many as a register holds if None.
-        share: Whether on a GPU a warp shares a world.
-
-    Raises:
-        ValueError: If the model has what the engine lacks.
+        nthread: Threads; 0 or None for the calling one alone. More than the cores of this process are not used.
+        device: Warp device of the rollouts.
+        fall_back: Whether MuJoCo rolls out what this physics lacks. If not, that is an error.
     """
 
-    def __init__(
+    def __init__(self, *, nthread: int | None = None, device: wp.DeviceLike = "cpu", fall_back: bool = True):
+        super().__init__(nthread=nthread)
+        self.rollout_ = _Native(self.rollout_, self.nthread, device, fall_back=fall_back)
+
+
+class _Native:
+    """What MuJoCo's class hands checked arrays to.
+
+    Args:
+        mujoco_rollout: MuJoCo's own.
+        nthread: Threads.
+        device: Warp device.
+        fall_back: Whether MuJoCo rolls out what this physics lacks.
+    """
+
+    def __init__(self, mujoco_rollout: object, nthread: int, device: wp.DeviceLike, *, fall_back: bool):
+        self._mujoco, self._fall_back, self._device = mujoco_rollout, fall_back, device
+        self._threads = max(1, min(nthread, len(os.sched_getaffinity(0))))
+        self._numbers = ModelNumbers()
+        self._ready: OrderedDict[bytes, _Ready] = OrderedDict()
+        self._lack: dict[bytes, str | None] = {}
+
+    def rollout(
         self,
+        model: mujoco.MjModel | Sequence[mujoco.MjModel],
+        data: object,
+        nstep: int,
+        control_spec: int,
+        initial_state: np.ndarray,
+        initial_warmstart: np.ndarray | None = None,
+        control: np.ndarray | None = None,
+        state: np.ndarray | None = None,
+        sensordata: np.ndarray | None = None,
+        chunk_size: int | None = None,
+    ) -> None:
+        """Roll out; the arguments are those of MuJoCo's native function.
+
+        Raises:
+            ValueError: If this physics lacks what is asked for, and MuJoCo is not to step in.
+        """
+        models = [model] if isinstance(model, mujoco.MjModel) else list(model)
+        key, arrays = self._numbers.of(models)
+        lack = self._lacks(key, models[0], control_spec, control, arrays)
+        if lack is None:
+            self._ready_for(key, models[0]).run(
+                len(initial_state), nstep, initial_state, initial_warmstart, control, state, sensordata, arrays
+            )
+            return
+        if not self._fall_back:
+            raise ValueError(f"the physics of warpmpc has no {lack}")
+        self._mujoco.rollout(
+            model, data, nstep, control_spec, initial_state, initial_warmstart, control, state, sensordata, chunk_size
+        )
+
+    def _lacks(
+        self,
+        key: bytes,
         model: mujoco.MjModel,
+        control_spec: int,
+        control: np.ndarray | None,
+        arrays: dict[str, np.ndarray] | str,
+    ) -> str | None:
+        """What these rollouts lack; said once in the log for each model."""
+        if key not in self._lack:
+            self._lack[key] = lack = lacking(model)
+            if lack and self._fall_back:
+                logger.info("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
+        if self._lack[key]:
+            return self._lack[key]
+        if control is not None and control_spec != _CONTROL:
+            return "controls other than ctrl (control_spec)"
+        return f"worlds that differ in {arrays}" if isinstance(arrays, str) else None
+
+    def _ready_for(self, key: bytes, model: mujoco.MjModel) -> _Ready:
+        if key not in self._ready:
+            self._ready[key] = _Ready(copy.copy(model), self._threads, self._device)
+        self._ready.move_to_end(key)
+        while len(self._ready) > MODELS:
+            self._ready.popitem(last=False)
+        return self._ready[key]
+
+
+class _Ready:
+    """Batches of a model, by their numbers of worlds and steps."""
+
+    def __init__(self, model: mujoco.MjModel, threads: int, device: wp.DeviceLike):
+        self._model, self._threads, self._device = model, threads, device
+        self._batches: OrderedDict[tuple, tuple[BatchRollout, dict[str, np.ndarray]]] = OrderedDict()
+
+    def run(
+        self,
         worlds: int,
         steps: int,
-        *,
-        substeps: int = 1,
-        arrays: Mapping[str, np.ndarray] | None = None,
-        device: str = "cpu",
-        lanes: int | None = None,
-        share: bool = True,
-    ):
-        lack = missing(model)
-        if lack:
-            raise ValueError(f"the engine fused has no {lack}")
-        self.mj, self.worlds, self.device = model, worlds, device
-        physics = self.physics = PhysicsModel(model, arrays)
-        width = lanes or native_lanes()
-        sharing = WARP if wp.get_device(device).is_cuda and share else 1
-        self._sharing = sharing
-        self.kernel = make_kernel(self.source(lanes=width, shared=sharing > 1), width, sharing)
-        self._lanes = 1 if wp.get_device(device).is_cuda else width
-        self._launch = Launcher(device)
-        columns = physics.columns.values
-        work = RolloutWork()
+        initial_state: np.ndarray,
+        warmstart: np.ndarray | None,
+        control: np.ndarray | None,
+        state: np.ndarray | None,
+        sensordata: np.ndarray | None,
+        arrays: dict[str, np.ndarray],
+    ) -> None:
+        """Roll out into arrays of the caller."""
+        batch = self._batch(worlds, steps, arrays)
+        work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
+        _put(work.initial, initial_state)
+        _put(work.knots, np.zeros(work.knots.shape[1:]) if control is None else control)
+        _put(out.warmstart, np.zeros(out.warmstart.shape) if warmstart is None else warmstart)
+        direct = [_direct(x) and on_cpu for x in (state, sensordata)]
+        own = batch.state, batch.sensordata
+        given = state, sensordata
+        batch.hand_to(*(x if d else y for x, y, d in zip(given, own, direct, strict=True)))
+        batch.run()
+        for x, y, d in zip(given, own, direct, strict=True):
+            if x is not None and not d:
+                x[...] = y.numpy()
+        if lost := int(np.count_nonzero(work.overflow.numpy())):
+            logger.warning("%d of %d worlds had more contacts at once than there is room for", lost, worlds)
 
-        def zeros(*dims: int, dtype: type = float) -> wp.array:
-            return wp.zeros(dims, dtype=dtype, device=device)
+    def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray]) -> BatchRollout:
+        key = worlds, steps, tuple(sorted(arrays))
+        if key not in self._batches:
+            made = BatchRollout(
+                self._model, worlds, steps, arrays=arrays, device=self._device, threads=self._threads
+            )
+            self._batches[key] = made, arrays
+        batch, known = self._batches[key]
+        if any(not np.array_equal(known[name], arrays[name]) for name in arrays):
+            try:
+                batch.set_arrays(arrays)
+            except ValueError:  # other numbers are alike now: another source
+                del self._batches[key]
+                return self._batch(worlds, steps, arrays)
+            self._batches[key] = batch, arrays
+        self._batches.move_to_end(key)
+        while len(self._batches) > MODELS:
+            self._batches.popitem(last=False)
+        return batch
 
-        work.initial = zeros(worlds, 1 + model.nq + model.nv + model.na, dtype=wp.float64)
-        work.knots, work.domains, work.records = zeros(1, worlds, steps, model.nu), 1, 1
-        tap = np.zeros((1, steps, int(TAPS)), dtype=np.int32)
-        tap[0, :, 0] = np.arange(steps)  # a control is its own knot
-        work.tap, work.share = wp.array(tap, device=device), wp.full(tap.shape, 1.0, dtype=float, device=device)
-        work.lower, work.upper = (wp.full(model.nu, x, dtype=float, device=device) for x in (-np.inf, np.inf))
-        work.substeps = wp.array([substeps] * steps, dtype=int, device=device)
-        par = np.zeros((max(1, len(columns)), worlds), dtype=np.float32)
-        for row, values in zip(par, columns, strict=False):
-            row[:] = values
-        work.given = wp.array(physics.given, dtype=float, device=device)
-        work.par = wp.array(par, dtype=float, device=device)
-        work.record_q, work.record_qd = zeros(steps + 1, worlds, model.nq), zeros(steps + 1, worlds, model.nv)
-        work.record_act = zeros(steps + 1, worlds, model.na)
-        work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
-        self.work = work
 
-    def source(self, *, lanes: int, shared: bool) -> str:
-        """Source of a rollout.
+def _direct(array: np.ndarray | None) -> bool:
+    """Return whether rollouts can write into an array as it is."""
+    return isinstance(array, np.ndarray) and array.dtype == np.float64 and array.flags.c_contiguous
 
-        Args:
-            lanes: Worlds in a vector on a CPU.
-            shared: Whether on a GPU a warp shares a world.
-        """
-        plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu))
-        return RolloutSource(self.physics, plain, lanes, shared).write()
 
-    def __call__(
-        self, q: np.ndarray, v: np.ndarray, control: np.ndarray, act: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates ``[T, W, nq]`` and velocities ``[T, W, nv]`` after every control.
+def _put(to: wp.array, values: np.ndarray) -> None:
+    """Copy into an array of a device, rounding where that has single precision."""
+    if to.device.is_cpu:
+        to.numpy()[...] = np.reshape(values, to.shape)
+    else:
+        to.assign(np.ascontiguousarray(np.reshape(values, to.shape), dtype=wp.dtype_to_numpy(to.dtype)))
 
-        Args:
-            q: Coordinates at the start ``[W, nq]``.
-            v: Velocities at the start ``[W, nv]``.
-            control: ``[T, W, nu]``.
-            act: Activations at the start ``[W, na]``, zero if None.
-        """
-        work = self.work
-        start = np.zeros((len(q), self.mj.na)) if act is None else act
-        work.initial.assign(np.hstack([np.zeros((len(q), 1)), q, v, start]))
-        if control.size:
-            work.knots.assign(control.astype(np.float32).swapaxes(0, 1)[None])
-        self.launch()
-        return work.record_q.numpy()[1:], work.record_qd.numpy()[1:]
 
-    def launch(self) -> None:
-        """Roll out what was given last."""
-        groups = -(-self.worlds // self._lanes)
-        self._launch(self.kernel, groups * self._sharing, [0], [self.work], threads=WARP)
+_persistent: Rollout | None = None
+
+
+def shutdown_persistent_pool() -> None:
+    """End the threads that ``rollout(..., persistent_pool=True)`` keeps."""
+    global _persistent
+    if _persistent is not None:
+        _persistent.close()
+    _persistent = None
+
+
+atexit.register(shutdown_persistent_pool)
+
+
+def rollout(
+    model: mujoco.MjModel | Sequence[mujoco.MjModel],
+    data: mujoco.MjData | Sequence[mujoco.MjData],
+    initial_state: np.ndarray,
+    control: np.ndarray | None = None,
+    *,
+    persistent_pool: bool = False,
+    **options: object,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Roll out open-loop trajectories, as :func:`mujoco.rollout.rollout`.
+
+    Models and kernels stay ready between calls, whether the pool of threads is persistent or not.
+
+    Args:
+        model: The model, or one for each of W rollouts; these may differ in masses, inertias, friction and sizes.
+        data: As many as there are threads, one for the calling thread alone.
+        initial_state: ``[W, 1+nq+nv+na]`` or ``[1, ...]``: time, coordinates, velocities, activations.
+        control: ``[W, T, nu]``, or 1 for W or T.
+        persistent_pool: Accepted as MuJoCo's.
+        **options: Those of :meth:`mujoco.rollout.Rollout.rollout`.
+
+    Returns:
+        States ``[W, T, 1+nq+nv+na]`` after each control, and sensor readings ``[W, T, nsensordata]``.
+
+    Raises:
+        ValueError: If shapes or sizes are wrong.
+    """
+    global _persistent
+    datas = list(data) if isinstance(data, Sequence) else [data]
+    nthread = len(datas) if len(datas) > 1 else 0
+    if _persistent is None or _persistent.nthread != nthread:
+        shutdown_persistent_pool()
+        _persistent = Rollout(nthread=nthread)
+    return _persistent.rollout(model, datas, initial_state, control, **options)

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.thread_pool import BOARD, take_parts_kernel
-from ..launch import Replay, capturing, replay_address
+from .kernels.worlds.thread_pool import BOARD, take_parts_kernel
+from .launch import Replay, capturing, replay_address
 
 PARTS = 4
 """Parts of the worlds per thread: worlds with much contact take longer, and equal shares would leave threads idle."""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.engine.thread_pool import ThreadPool
 from warpmpc.launch import Launcher, Replay
+from warpmpc.thread_pool import ThreadPool
 
 launch = Launcher("cpu")
 

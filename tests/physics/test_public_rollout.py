@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``warpmpc.physics.rollout`` against ``mujoco.rollout``: arrays, sensors, worlds that differ, what it lacks."""
+
+import copy
+import logging
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import pytest
+
+from warpmpc.physics import rollout
+from warpmpc.physics.sensors import unread_sensors
+
+SEEN = """
+<mujoco>
+  <option timestep="0.004"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="4 4 .1" contype="0" conaffinity="0"/>
+    <camera name="fixed" pos="0 -1 1" euler="60 0 0"/>
+    <body name="marker" mocap="true" pos=".3 .2 .5" quat=".8 0 .6 0"><site name="mark" pos=".1 0 0" euler="10 20 30"/></body>
+    <body name="torso" pos="0 0 1" quat=".9 .1 .3 .2">
+      <freejoint/>
+      <geom name="trunk" type="box" size=".1 .06 .04" pos=".01 .02 .03" euler="0 30 0" mass="2"/>
+      <site name="imu" pos=".05 .01 .02" euler="20 40 10"/>
+      <body name="upper" pos=".1 0 0" euler="5 10 15">
+        <joint name="hip" axis="0 1 .2" ref=".3" damping=".3"/>
+        <joint name="lift" type="slide" axis="0 0 1" damping="2"/>
+        <geom type="capsule" size=".03" fromto="0 0 0 .2 0 .05" mass=".5"/>
+        <camera name="eye" pos=".1 0 0" euler="0 90 0"/>
+        <body name="lower" pos=".2 0 .05">
+          <joint name="ball" type="ball" damping=".1"/>
+          <geom name="tip" type="sphere" size=".04" pos=".1 0 0" mass=".3"/>
+          <body name="welded" pos=".1 .1 0" euler="30 0 0"><geom type="sphere" size=".02" mass=".1"/><site name="end"/></body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hip" gear="2"/><position joint="lift" kp="20"/></actuator>
+  <sensor>
+    <jointpos joint="hip"/><jointvel joint="lift" cutoff=".05"/><ballquat joint="ball"/><ballangvel joint="ball"/>
+    <clock/>
+    <framepos objtype="site" objname="imu"/><framepos objtype="body" objname="torso" cutoff=".8"/>
+    <framepos objtype="site" objname="end" reftype="xbody" refname="torso"/>
+    <framepos objtype="geom" objname="tip" reftype="site" refname="mark"/>
+    <framequat objtype="body" objname="torso"/><framequat objtype="xbody" objname="lower"/>
+    <framequat objtype="site" objname="end" reftype="geom" refname="trunk"/>
+    <framequat objtype="camera" objname="eye" reftype="camera" refname="fixed"/>
+    <framexaxis objtype="site" objname="imu"/><frameyaxis objtype="geom" objname="trunk"/>
+    <framezaxis objtype="camera" objname="eye" reftype="site" refname="imu"/>
+    <framelinvel objtype="site" objname="end"/><framelinvel objtype="body" objname="torso"/>
+    <framelinvel objtype="geom" objname="tip" reftype="site" refname="imu"/>
+    <frameangvel objtype="body" objname="lower"/><frameangvel objtype="site" objname="end" reftype="xbody" refname="upper"/>
+    <velocimeter site="imu"/><gyro site="end"/>
+    <subtreecom body="torso"/><subtreecom body="upper"/><subtreelinvel body="torso"/>
+    <framepos objtype="xbody" objname="marker"/><framequat objtype="site" objname="mark"/>
+  </sensor>
+</mujoco>
+"""
+PUSHED = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="4 4 .1"/>
+    <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+    <body pos="-.5 0 .1"><joint name="x" type="slide" axis="1 0 0"/><geom type="sphere" size=".08" mass="1"/></body>
+  </worldbody>
+  <actuator><motor joint="x"/></actuator>
+  <sensor>SENSORS<framepos objtype="geom" objname="g"/></sensor>
+</mujoco>
+""".replace('mass="1"/></body>\n    <body pos="-.5', 'mass="1" name="g"/></body>\n    <body pos="-.5')
+WORLDS, STEPS = 21, 12
+CLOSE = {"rtol": 5e-5, "atol": 5e-5}
+"""Single precision, after as many steps."""
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """A model with every kind of sensor that is read, and states and controls for it."""
+    model = mujoco.MjModel.from_xml_string(SEEN)
+    return model, *drawn(model, 3)
+
+
+def drawn(model, seed, worlds=WORLDS, steps=STEPS):
+    """States ``[W, nstate]`` around the model's, and controls ``[W, T, nu]``."""
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    rows = []
+    for _ in range(worlds):
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 0.3)
+        rows.append([rng.uniform(0, 5), *data.qpos, *rng.normal(size=model.nv), *rng.uniform(-1, 1, model.na)])
+    return np.array(rows), rng.uniform(-1, 1, (worlds, steps, model.nu))
+
+
+def both(model, *args, threads=2, **kwargs):
+    """States and readings of MuJoCo, and ours, which must not fall back."""
+    datas = [mujoco.MjData(model if isinstance(model, mujoco.MjModel) else model[0]) for _ in range(threads)]
+    with mujoco.rollout.Rollout(nthread=threads) as theirs, rollout.Rollout(nthread=threads, fall_back=False) as ours:
+        return theirs.rollout(model, datas, *args, **kwargs), ours.rollout(model, datas, *args, **kwargs)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_states_and_all_sensors_are_those_of_mujoco(seen, seed):
+    model, (start, control) = seen[0], drawn(seen[0], seed)
+    (state, sensed), (own_state, own_sensed) = both(model, start, control)
+    assert not unread_sensors(model)
+    np.testing.assert_allclose(own_state, state, **CLOSE)
+    np.testing.assert_allclose(own_sensed, sensed, **CLOSE)
+
+
+def test_time_is_as_precise_as_a_double(seen):
+    model, start, control = seen
+    start = start.copy()
+    start[:, 0] = 1.7e9 + np.arange(WORLDS)
+    (state, _), (own, _) = both(model, start, control)
+    np.testing.assert_allclose(own[..., 0], state[..., 0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("start", "control", "more"),
+    [
+        (slice(0, 1), np.s_[:], {}),  # one state for all
+        (slice(None), np.s_[:1, :1], {"nstep": 4}),  # one control for all worlds and steps
+        (0, np.s_[0], {}),  # fewer dimensions
+    ],
+)
+def test_arrays_are_repeated_as_mujoco_does(seen, start, control, more):
+    model = seen[0]
+    (state, sensed), (own_state, own_sensed) = both(model, seen[1][start], seen[2][control], **more)
+    assert own_state.shape == state.shape and own_sensed.shape == sensed.shape
+    np.testing.assert_allclose(own_state, state, **CLOSE)
+
+
+def test_no_control_is_zero_control(seen):
+    (state, _), (own, _) = both(seen[0], seen[1], nstep=3)
+    np.testing.assert_allclose(own, state, **CLOSE)
+
+
+def test_results_are_written_into_given_arrays(seen):
+    model, start, control = seen
+    nstate = start.shape[1]
+    state, sensed = np.full((WORLDS, STEPS, nstate), 7.0), np.full((WORLDS, STEPS, model.nsensordata), 7.0)
+    datas = [mujoco.MjData(model)]
+    found = rollout.rollout(model, datas, start, control, state=state, sensordata=sensed)
+    assert found[0] is state and found[1] is sensed
+    expected = mujoco.rollout.rollout(model, datas, start, control)
+    np.testing.assert_allclose(state, expected[0], **CLOSE)
+    loose = np.full((WORLDS, STEPS, 2 * nstate), 7.0)[..., ::2]
+    with rollout.Rollout() as ours:  # arrays that no row of a rollout fills as they are
+        ours.rollout(model, datas, start, control, nstep=STEPS, state=loose, sensordata=sensed, skip_checks=True)
+    np.testing.assert_array_equal(loose, state)
+
+
+def test_a_second_rollout_does_not_write_into_results_of_the_first(seen):
+    model, start, control = seen
+    with rollout.Rollout(nthread=2) as ours:
+        first, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+        kept = first.copy()
+        for _ in range(3):
+            ours.rollout(model, mujoco.MjData(model), start, -control)
+        np.testing.assert_array_equal(first, kept)
+        again, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+    np.testing.assert_array_equal(again, first)
+
+
+def test_a_changed_model_is_seen(seen):
+    model, start, control = copy.copy(seen[0]), *seen[1:]
+    with rollout.Rollout(fall_back=False) as ours:
+        before, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+        for change in ("body_mass", "dof_damping", "actuator_gainprm"):
+            getattr(model, change)[...] *= 1.5
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+            after, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+            expected, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, control)
+            assert abs(after - before).max() > 1e-3
+            np.testing.assert_allclose(after, expected, **CLOSE)
+            before = after
+        model.opt.gravity[2] = 0.0
+        after, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+        expected, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, control)
+    np.testing.assert_allclose(after, expected, **CLOSE)
+
+
+def pushed(sensors=""):
+    """A model with contact, and states that a box lies in and a ball flies at it."""
+    model = mujoco.MjModel.from_xml_string(PUSHED.replace("SENSORS", sensors))
+    start, control = drawn(model, 0)
+    start[:, 1:] = mujoco.MjData(model).qpos.tolist() + [0.0] * model.nv
+    start[:, 8] = np.linspace(-0.05, 0.3, WORLDS)
+    start[:, -1] = 1.5
+    return model, start, control
+
+
+def test_worlds_may_differ_in_mass_friction_and_size():
+    model, start, control = pushed()
+    rng, models = np.random.default_rng(0), []
+    for _ in range(WORLDS):
+        one = copy.copy(model)
+        one.body_mass[1] *= (scale := rng.uniform(0.5, 2.0))
+        one.body_inertia[1] *= scale
+        one.geom_friction[:2, 0] = rng.uniform(0.2, 1.0)
+        one.geom_size[1] *= (size := rng.uniform(0.9, 1.0))
+        one.geom_aabb[1, 3:] *= size
+        one.geom_rbound[1] *= size
+        mujoco.mj_setConst(one, mujoco.MjData(one))
+        models.append(one)
+    (state, _), (own, _) = both(models, start, np.repeat(control, 6, axis=1))
+    assert np.ptp(state[:, -1, 1]) > 0.05
+    apart = abs(own - state)[:, -1].max(axis=1)
+    assert np.median(apart) < 1e-4 and apart.max() < 0.05, apart  # contacts that begin a step apart
+    again = [copy.copy(m) for m in models]
+    for one in again:
+        one.body_mass[1] *= 2.0
+        mujoco.mj_setConst(one, mujoco.MjData(one))
+    with rollout.Rollout(fall_back=False) as ours:  # other numbers, the same source
+        ours.rollout(models, mujoco.MjData(model), start, control)
+        heavier, _ = ours.rollout(again, mujoco.MjData(model), start, control)
+    expected, _ = mujoco.rollout.rollout(again, mujoco.MjData(model), start, control)
+    assert np.median(abs(heavier - expected)[:, -1].max(axis=1)) < 1e-4
+
+
+def test_a_warm_start_changes_no_result():
+    model, start, control = pushed()
+    (plain, _), (own, _) = both(model, start, control)
+    (_, _), (warm, _) = both(model, start, control, initial_warmstart=np.full((WORLDS, model.nv), 3.0))
+    np.testing.assert_allclose(warm, own, atol=1e-4)
+    np.testing.assert_allclose(own, plain, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "named"),
+    [('<touch name="t" site="s"/>', "touch"), ('<accelerometer site="s"/>', "accelerometer")],
+)
+def test_what_it_lacks_is_rolled_out_by_mujoco_with_one_line(caplog, sensors, named):
+    model, start, control = pushed()
+    text = PUSHED.replace("SENSORS", sensors).replace("<freejoint/>", '<freejoint/><site name="s"/>')
+    model = mujoco.MjModel.from_xml_string(text)
+    with caplog.at_level(logging.INFO, "warpmpc"), rollout.Rollout() as ours:
+        for _ in range(2):
+            found, sensed = ours.rollout(model, mujoco.MjData(model), start, control)
+    expected = mujoco.rollout.rollout(model, mujoco.MjData(model), start, control)
+    np.testing.assert_array_equal(found, expected[0])
+    np.testing.assert_array_equal(sensed, expected[1])
+    lines = [r.getMessage() for r in caplog.records if "MuJoCo's own" in r.getMessage()]
+    assert len(lines) == 1 and named in lines[0]
+    with rollout.Rollout(fall_back=False) as strict, pytest.raises(ValueError, match=named):
+        strict.rollout(model, mujoco.MjData(model), start, control)
+
+
+def test_other_controls_than_ctrl_are_rolled_out_by_mujoco():
+    model, start, control = pushed()
+    spec = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    force = np.concatenate([control, np.ones((*control.shape[:2], model.nv))], axis=-1)
+    expected = mujoco.rollout.rollout(model, mujoco.MjData(model), start, force, control_spec=spec)
+    found = rollout.rollout(model, mujoco.MjData(model), start, force, control_spec=spec)
+    np.testing.assert_array_equal(found[0], expected[0])
+
+
+def test_bad_shapes_are_mujocos_errors(seen):
+    model, start, control = seen
+    with pytest.raises(ValueError, match="trailing dimension of initial_state"):
+        rollout.rollout(model, mujoco.MjData(model), start[:, 1:], control)
+    pool = rollout.Rollout(nthread=2)
+    pool.close()
+    with pytest.raises(RuntimeError, match="shutdown"):
+        pool.rollout(model, mujoco.MjData(model), start, control)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of MuJoCo models: which model it is, and what differs between models of one structure."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import operator
+import weakref
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+VARYING = (
+    "body_mass",
+    "body_inertia",
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "tendon_invweight0",
+    "geom_friction",
+    "geom_size",
+    "geom_aabb",
+    "geom_rbound",
+    "actuator_acc0",
+)
+"""Arrays in which the worlds of a batch may differ; those that MuJoCo derives from the others among them."""
+_UNREAD = ("mesh_", "tex_", "skin_", "flex", "bvh_", "oct_", "mat_", "light_", "name", "paths", "text_",
+           "dof_M0", "dof_length")  # fmt: skip
+"""Beginnings of the names of arrays that are not compared: large ones, and those that the physics does not read."""
+_OPTIONS = operator.attrgetter(
+    "timestep", "density", "viscosity", "integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance",
+    "ls_tolerance", "impratio", "disableflags", "enableflags", "disableactuator", "noslip_iterations",
+)  # fmt: skip
+_NEAR = 64
+"""Bytes between arrays of one piece of memory at most, by which MuJoCo aligns them."""
+
+
+class _Views:
+    """The memory of a model's arrays: those that may differ between worlds, and pieces with all others.
+
+    Args:
+        model: The model, which must live as long as the views are read.
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        self.model = weakref.ref(model)
+        self.varying = [getattr(model, name) for name in VARYING]
+        self._opt, self._vectors = model.opt, (model.opt.gravity, model.opt.wind)
+        spans = sorted(
+            (value.__array_interface__["data"][0], value.nbytes)
+            for name in dir(model)
+            if not name.startswith(("_", *_UNREAD)) and name not in VARYING
+            if isinstance(value := getattr(model, name), np.ndarray) and value.nbytes
+        )
+        pieces: list[list[int]] = []
+        for at, size in spans:
+            if pieces and 0 <= at - pieces[-1][1] < _NEAR:
+                pieces[-1][1] = at + size
+            else:
+                pieces.append([at, at + size])
+        self._pieces = [
+            np.frombuffer((ctypes.c_uint8 * (end - start)).from_address(start), np.uint8) for start, end in pieces
+        ]
+
+    def fixed(self) -> tuple[list[np.ndarray], tuple]:
+        """What may not differ between worlds: pieces of memory, and options."""
+        return [*self._vectors, *self._pieces], _OPTIONS(self._opt)
+
+
+class _Known:
+    """A copy of a model's numbers, and its key."""
+
+    def __init__(self, views: _Views):
+        pieces, self.options = views.fixed()
+        self.pieces = [piece.copy() for piece in pieces]
+        out = hashlib.blake2b(repr(self.options).encode(), digest_size=16)
+        for piece in self.pieces:
+            out.update(piece.tobytes())
+        self.key = out.digest()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Views):
+            return NotImplemented
+        pieces, options = other.fixed()
+        same = options == self.options and len(pieces) == len(self.pieces)
+        return same and all(np.array_equal(a, b) for a, b in zip(pieces, self.pieces, strict=True))
+
+    __hash__ = None
+
+
+class ModelNumbers:
+    """Tells models apart, at each look: their numbers may have been changed since the last."""
+
+    def __init__(self) -> None:
+        self._views: dict[int, _Views] = {}
+        self._known: _Known | None = None
+
+    def of(self, models: Sequence[mujoco.MjModel]) -> tuple[bytes, dict[str, np.ndarray] | str]:
+        """Return a key of the first model, and what differs between all.
+
+        Args:
+            models: One for all worlds, or one for each.
+
+        Returns:
+            A key that other models share which can roll out in one batch, and the arrays that differ, ``[W, ...]``
+            each; or in their place the word for what may not differ and does.
+        """
+        several = len({id(model) for model in models}) > 1
+        views = [self._view(model) for model in (models if several else models[:1])]
+        if self._known is None or self._known != views[0]:
+            self._known = _Known(views[0])
+        arrays: dict[str, np.ndarray] | str = {}
+        if several:
+            if any(self._known != view for view in views[1:]):
+                arrays = f"more than {', '.join(VARYING[:2])}, geom_friction and geom_size"
+            else:
+                stacked = ((n, np.stack([v.varying[i] for v in views])) for i, n in enumerate(VARYING))
+                arrays = {name: values for name, values in stacked if (values != values[:1]).any()}
+        out = hashlib.blake2b(self._known.key, digest_size=16)
+        for name, values in zip(VARYING, views[0].varying, strict=True):
+            out.update(b"" if name in arrays else values.tobytes())
+        return out.digest(), arrays
+
+    def _view(self, model: mujoco.MjModel) -> _Views:
+        found = self._views.get(id(model))
+        if found is None or found.model() is not model:
+            self._views = {key: view for key, view in self._views.items() if view.model() is not None}
+            found = self._views[id(model)] = _Views(model)
+        return found

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of what rollouts hand out: MuJoCo's state after every control, sensors, poses of bodies, contact forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..bake.lines import Lines, text
+from .frames import Frame, Frames
+from .sensors import Sensors
+from .source import AddedCode
+from .state_map import StateMap, Watch
+
+if TYPE_CHECKING:
+    from .model import PhysicsModel
+
+
+@wp.struct
+class Outputs:
+    """Where rollouts write, and what their solver begins with."""
+
+    address: wp.array[wp.uint64]  # [2] of states [W, T, 1+nq+nv+na] and of sensor readings [W, T, nsensordata], doubles
+    before: int  # whether sensors are read before each control, as in MuJoCo's step, rather than after it
+    warmstart: wp.array2d[float]  # [W, nv] accelerations that the solver begins with, then those it ends with; or empty
+    poses: wp.array3d[float]  # [W, bodies, 7] positions and quaternions (w, x, y, z) at the end
+    force: wp.array3d[float]  # [W, pairs, 3] mean forces of watched pairs over the last control [N]
+
+
+def write_outputs(
+    model: PhysicsModel, *, bodies: Sequence[int] = (), pairs: Sequence[tuple[int, int]] = ()
+) -> tuple[StateMap, AddedCode]:
+    """Write the statements that hand results out; the function they are part of takes ``o: Outputs`` first.
+
+    Args:
+        model: The model.
+        bodies: Bodies whose poses are handed out.
+        pairs: Pairs of bodies whose contact forces are.
+
+    Returns:
+        What the rollout keeps, and the statements.
+    """
+    m, sensors = model.mj, Sensors(model)
+    kept = sorted((sensors.bodies | set(bodies)) - {0})
+    rows = {body: row for row, body in enumerate(kept)}
+    readings = _read(sensors, rows) if m.nsensordata else ""
+    code = AddedCode(
+        start=_START.replace("TIMESTEP", repr(float(m.opt.timestep))),
+        before=f"if (live && o.before) {{\n{readings}\n}}",
+        step=f"{_STATE}\nif (!o.before) {{\n{readings}\n}}",
+        end="\n".join((_END, *_poses(m, bodies, rows))),
+        first=0,
+    )
+    watched = _watched(model, pairs)
+    plain = StateMap(
+        plain=True, matrix=np.eye(m.nu), offset=np.zeros(m.nu), bodies=kept, watched=watched, pairs=len(pairs)
+    )
+    return plain, code
+
+
+def _read(sensors: Sensors, rows: dict[int, int]) -> str:
+    """Statements that write what all sensors read."""
+    m, lines = sensors.mj, Lines("o")
+    values = sensors.write(Frames(m, lines, rows))
+    count = m.nsensordata
+    to = f"double* const to = (double*)(size_t)o.address.data[1] + ((size_t)row * steps + at) * {count};"
+    times = f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + NUMBER] = now(l, o.before ? at : at + 1);"
+    puts = (
+        times.replace("NUMBER", str(n)) if value is None else f"PUT(to, steps * {count}, {n}, {value})"
+        for n, value in enumerate(values)
+    )
+    return "\n".join((to, *lines.statements, *puts))
+
+
+def _poses(m: object, bodies: Sequence[int], rows: dict[int, int]) -> Iterable[str]:
+    """Statements that write poses of bodies."""
+    if not bodies:
+        return
+    yield f"{{ float* const to = (float*)o.poses.data + (size_t)row * {7 * len(bodies)};"
+    lines = Lines("b")
+    frames = Frames(m, lines, rows)
+    values = []
+    for body in bodies:
+        frame = Frame(int(body), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        values += [*frames.position(frame), *frames.quaternion(frame)]
+    yield from lines.statements
+    yield from (f"PUT(to, {len(values)}, {n}, (T)({text(value)}))" for n, value in enumerate(values))
+    yield "}"
+
+
+def _watched(model: PhysicsModel, pairs: Sequence[tuple[int, int]]) -> list[Watch]:
+    """Pairs of geoms that belong to pairs of bodies; forces are those on the first body."""
+    of, out = model.mj.geom_bodyid, []
+    for n, pair in enumerate(model.pairs):
+        touching = tuple(int(of[g]) for g in pair.geoms)
+        for index, (first, second) in enumerate(pairs):
+            if {first, second} == set(touching):
+                out.append(Watch(n, index, 1.0 if touching[1] == first else -1.0))
+    return out
+
+
+_START = """
+double begun[lanes];  // where worlds go on in place their start is written over
+for (int l = 0; l < lanes; ++l) begun[l] = ((const double*)k.initial.data)[(size_t)world[l] * k.initial.shape[1]];
+const auto now = [&](int l, int n) { return begun[l] + TIMESTEP * n * k.substeps.data[0]; };  // after n controls
+if (o.warmstart.shape[0]) {
+    for (int l = 0; l < lanes; ++l)
+        EACH(i, NV) LANE(w.x[i], l) = ((const float*)o.warmstart.data)[(size_t)world[l] * NV + i];
+    SYNC
+}
+"""
+_STATE = """
+{
+    const int width = 1 + NQ + NV + ACTS;
+    double* const to = (double*)(size_t)o.address.data[0] + ((size_t)row * steps + at) * width;
+    for (int l = 0; l < count; ++l) to[(size_t)l * steps * width] = now(l, at + 1);
+    EACH(i, NQ) PUT(to, steps * width, 1 + i, w.q[i])
+    EACH(i, NV) PUT(to, steps * width, 1 + NQ + i, w.v[i])
+#if ACTS
+    EACH(i, ACTS) PUT(to, steps * width, 1 + NQ + NV + i, w.act[i])
+#endif
+}
+"""
+_END = """
+if (o.warmstart.shape[0]) {
+    float* const to = (float*)o.warmstart.data + (size_t)row * NV;
+    EACH(i, NV) PUT(to, NV, i, w.x[i])
+}
+#if WATCHED
+{
+    float* const to = (float*)o.force.data + (size_t)row * 3 * WATCHED;
+    EACH(i, 3 * WATCHED) PUT(to, 3 * WATCHED, i, w.pushed[i])
+}
+#endif
+"""
