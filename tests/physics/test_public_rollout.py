@@ -18,7 +18,9 @@ SEEN = """
   <worldbody>
     <geom name="floor" type="plane" size="4 4 .1" contype="0" conaffinity="0"/>
     <camera name="fixed" pos="0 -1 1" euler="60 0 0"/>
-    <body name="marker" mocap="true" pos=".3 .2 .5" quat=".8 0 .6 0"><site name="mark" pos=".1 0 0" euler="10 20 30"/></body>
+    <body name="marker" mocap="true" pos=".3 .2 .5" quat=".8 0 .6 0">
+      <site name="mark" pos=".1 0 0" euler="10 20 30"/>
+    </body>
     <body name="torso" pos="0 0 1" quat=".9 .1 .3 .2">
       <freejoint/>
       <geom name="trunk" type="box" size=".1 .06 .04" pos=".01 .02 .03" euler="0 30 0" mass="2"/>
@@ -31,7 +33,9 @@ SEEN = """
         <body name="lower" pos=".2 0 .05">
           <joint name="ball" type="ball" damping=".1"/>
           <geom name="tip" type="sphere" size=".04" pos=".1 0 0" mass=".3"/>
-          <body name="welded" pos=".1 .1 0" euler="30 0 0"><geom type="sphere" size=".02" mass=".1"/><site name="end"/></body>
+          <body name="welded" pos=".1 .1 0" euler="30 0 0">
+            <geom type="sphere" size=".02" mass=".1"/><site name="end"/>
+          </body>
         </body>
       </body>
     </body>
@@ -50,7 +54,8 @@ SEEN = """
     <framezaxis objtype="camera" objname="eye" reftype="site" refname="imu"/>
     <framelinvel objtype="site" objname="end"/><framelinvel objtype="body" objname="torso"/>
     <framelinvel objtype="geom" objname="tip" reftype="site" refname="imu"/>
-    <frameangvel objtype="body" objname="lower"/><frameangvel objtype="site" objname="end" reftype="xbody" refname="upper"/>
+    <frameangvel objtype="body" objname="lower"/>
+    <frameangvel objtype="site" objname="end" reftype="xbody" refname="upper"/>
     <velocimeter site="imu"/><gyro site="end"/>
     <subtreecom body="torso"/><subtreecom body="upper"/><subtreelinvel body="torso"/>
     <framepos objtype="xbody" objname="marker"/><framequat objtype="site" objname="mark"/>
@@ -127,7 +132,7 @@ def test_time_is_as_precise_as_a_double(seen):
 def test_arrays_are_repeated_as_mujoco_does(seen, start, control, more):
     model = seen[0]
     (state, sensed), (own_state, own_sensed) = both(model, seen[1][start], seen[2][control], **more)
-    assert own_state.shape == state.shape and own_sensed.shape == sensed.shape
+    assert (own_state.shape, own_sensed.shape) == (state.shape, sensed.shape)
     np.testing.assert_allclose(own_state, state, **CLOSE)
 
 
@@ -142,7 +147,7 @@ def test_results_are_written_into_given_arrays(seen):
     state, sensed = np.full((WORLDS, STEPS, nstate), 7.0), np.full((WORLDS, STEPS, model.nsensordata), 7.0)
     datas = [mujoco.MjData(model)]
     found = rollout.rollout(model, datas, start, control, state=state, sensordata=sensed)
-    assert found[0] is state and found[1] is sensed
+    assert [a is b for a, b in zip(found, (state, sensed), strict=True)] == [True, True]
     expected = mujoco.rollout.rollout(model, datas, start, control)
     np.testing.assert_allclose(state, expected[0], **CLOSE)
     loose = np.full((WORLDS, STEPS, 2 * nstate), 7.0)[..., ::2]
@@ -207,7 +212,8 @@ def test_worlds_may_differ_in_mass_friction_and_size():
     (state, _), (own, _) = both(models, start, np.repeat(control, 6, axis=1))
     assert np.ptp(state[:, -1, 1]) > 0.05
     apart = abs(own - state)[:, -1].max(axis=1)
-    assert np.median(apart) < 1e-4 and apart.max() < 0.05, apart  # contacts that begin a step apart
+    assert np.median(apart) < 1e-4, apart
+    assert apart.max() < 0.05, apart  # contacts that begin a step apart
     again = [copy.copy(m) for m in models]
     for one in again:
         one.body_mass[1] *= 2.0
@@ -242,7 +248,7 @@ def test_what_it_lacks_is_rolled_out_by_mujoco_with_one_line(caplog, sensors, na
     np.testing.assert_array_equal(found, expected[0])
     np.testing.assert_array_equal(sensed, expected[1])
     lines = [r.getMessage() for r in caplog.records if "MuJoCo's own" in r.getMessage()]
-    assert len(lines) == 1 and named in lines[0]
+    assert [named in line for line in lines] == [True]
     with rollout.Rollout(fall_back=False) as strict, pytest.raises(ValueError, match=named):
         strict.rollout(model, mujoco.MjData(model), start, control)
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 import warp as wp
 
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from ..physics.source import AddedCode
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
+
 
 class FusedPhysics:
     """The worlds of a scene.

@@ -5,3 +5,7 @@
 holds what loops over tables (collisions, constraint rows, the solver), ``source`` puts them together, ``kernel``
 compiles them, ``rollout`` runs them. Nothing here knows of scenes, costs or layouts.
 """
+
+from .simulator import BatchSimulator
+
+__all__ = ["BatchSimulator"]

@@ -51,22 +51,31 @@ class Columns:
 
     Args:
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
+        settable: Whether their numbers have columns even where all worlds are alike, unless all are zero.
     """
 
-    def __init__(self, arrays: Mapping[str, np.ndarray]):
-        self.arrays = dict(arrays)
+    def __init__(self, arrays: Mapping[str, np.ndarray], *, settable: bool = False):
+        self.arrays, self._settable = dict(arrays), settable
         self.values: list[np.ndarray] = []
         """What the columns hold, ``[W]`` each."""
 
+    def differ(self, values: np.ndarray) -> bool:
+        """Return whether some values ``[W]`` have a column."""
+        return bool((self._settable and len(values) > 1 and np.any(values)) or np.ptp(values) > 0.0)
+
     def index(self, values: np.ndarray) -> int:
         """Column of some values ``[W]``, -1 where all are alike."""
-        if np.ptp(values) == 0.0:
+        if not self.differ(values):
             return -1
-        for i, column in enumerate(self.values):
+        for i, column in enumerate(() if self._settable else self.values):
             if np.array_equal(column, values):
                 return i
         self.values.append(values)
         return len(self.values) - 1
+
+    def constant(self, values: np.ndarray) -> float:
+        """The number that the source has for values ``[W]``: the first, or zero where it must not depend on them."""
+        return 0.0 if self._settable and self.differ(values) else float(values[0])
 
     def operand(self, values: np.ndarray) -> Operand:
         """Values of all worlds ``[W]``, or of one ``[1]``, as an operand of baked source."""
@@ -79,21 +88,26 @@ class Structure:
 
     Args:
         model: The model.
-        arrays: Its arrays that differ between worlds, ``[W, ...]`` each.
+        arrays: Its arrays that differ between worlds, ``[W, ...]`` each; ``gravity`` is among them.
+        settable: Whether all numbers of these arrays may be set anew without other source.
     """
 
-    def __init__(self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None):
-        self.mj, self.columns = model, Columns(arrays or {})
+    def __init__(
+        self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None, *, settable: bool = False
+    ):
+        self.mj, self.columns = model, Columns(arrays or {}, settable=settable)
 
     def off(self, part: str) -> bool:
         """Return whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
         flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
         return bool(self.mj.opt.disableflags & flag)
 
-    @property
-    def gravity(self) -> list[float]:
+    @cached_property
+    def gravity(self) -> Vector:
         """Acceleration of gravity [m/s²], zero where the options disable it."""
-        return NOTHING[:] if self.off("GRAVITY") else self.mj.opt.gravity.tolist()
+        if self.off("GRAVITY"):
+            return NOTHING[:]
+        return [self.columns.operand(self.array("gravity")[:, k]) for k in range(3)]
 
     @property
     def passive(self) -> bool:
@@ -107,7 +121,9 @@ class Structure:
     def array(self, name: str) -> np.ndarray:
         """An array of the model with a first axis for worlds, of length 1 where all are alike."""
         found = self.columns.arrays.get(name)
-        return getattr(self.mj, name)[None] if found is None else found
+        if found is not None:
+            return found
+        return (self.mj.opt.gravity if name == "gravity" else getattr(self.mj, name))[None]
 
     @cached_property
     def ancestors(self) -> list[list[int]]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -76,7 +77,8 @@ class BatchRollout:
         worlds: Number of worlds W.
         steps: Controls T of every world.
         substeps: Physics steps per control.
-        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
+        arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each; ``gravity`` may be among them.
+        settable: Whether :meth:`set_arrays` takes any numbers, even where all worlds begin alike.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
         device: Warp device.
@@ -96,6 +98,7 @@ class BatchRollout:
         *,
         substeps: int = 1,
         arrays: Mapping[str, np.ndarray] | None = None,
+        settable: bool = False,
         bodies: Sequence[int] = (),
         pairs: Sequence[tuple[int, int]] = (),
         device: wp.DeviceLike = "cpu",
@@ -106,11 +109,12 @@ class BatchRollout:
         if lack := missing(model):
             raise ValueError(f"the physics of warpmpc has no {lack}")
         self.mj, self.worlds, self.steps = model, worlds, steps
-        self._bodies, self._pairs = tuple(bodies), tuple(pairs)
+        self._bodies, self._pairs, self._settable = tuple(bodies), tuple(pairs), settable
         self.device = wp.get_device(device)
         on_gpu = self.device.is_cuda
         self._lanes = 1 if on_gpu else native_lanes()
-        self._sharing = WARP if on_gpu and shares(model, worlds) else 1
+        shared = on_gpu and shares(model, worlds) and "gravity" not in (arrays or {})  # links.h has it as a constant
+        self._sharing = WARP if shared else 1
         text, physics = self._write(arrays)
         self._text, self._launch = text, Launcher(self.device)
         self._kernel = _kernel(text, native_lanes(), self._sharing)
@@ -120,15 +124,14 @@ class BatchRollout:
         groups = -(-worlds // self._lanes)
         parts = 1 if on_gpu else min(groups, threads * PARTS if threads > 1 else 1)
         edges = np.linspace(0, groups, parts + 1).astype(int).tolist()
-        self._replays = [
-            Replay(lambda a=a, b=b: self._roll(a, b - a), device=self.device)
-            for a, b in zip(edges, edges[1:], strict=False)
-        ]
+        self._replays = [Replay(lambda a=a, b=b: self._roll(a, b - a), device=self.device) for a, b in pairwise(edges)]
         self._pool = ThreadPool(threads, parts) if parts > 1 else None
 
     def _write(self, arrays: Mapping[str, np.ndarray] | None) -> tuple[_Text, PhysicsModel]:
         """The source, and the model, whose columns are known then."""
-        physics = PhysicsModel(self.mj, arrays)
+        if self._settable and self.worlds == 1:  # one row would be that of all worlds
+            arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
+        physics = PhysicsModel(self.mj, arrays, settable=self._settable)
         state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs)
         return _Text(RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()), physics
 
@@ -161,7 +164,7 @@ class BatchRollout:
 
     def _put_columns(self, physics: PhysicsModel) -> None:
         if columns := physics.columns.values:
-            self.work.par.assign(np.stack([np.broadcast_to(c, self.worlds) for c in columns]).astype(np.float32))
+            self.work.par.assign(np.stack([c[: self.worlds] for c in columns]).astype(np.float32))
 
     def set_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Give worlds other numbers, without compiling.
@@ -174,7 +177,7 @@ class BatchRollout:
         """
         text, physics = self._write(arrays)
         if text != self._text:
-            raise ValueError("other numbers differ between worlds than at the start; make a new batch")
+            raise ValueError("numbers that were zero or alike in all worlds at the start are not now: make a new one")
         self.work.given.assign(physics.given.astype(np.float32))
         self._put_columns(physics)
 

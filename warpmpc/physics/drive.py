@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from ..bake.lines import Lines, Operand, function, literal, text
+from ..bake.lines import Lines, Operand, Vector, function, literal, text
 from .base import BALL, FREE, packed, rotation
 from .constraint_rows import small_rotation
 from .limits import bounds, within
@@ -171,21 +171,21 @@ class Drive:
     def _actuator(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
         """Force of an actuator, and its derivative by its speed."""
         m = self.mj
-        gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
+        gain, bias = self._numbers("actuator_gainprm", a), self._numbers("actuator_biasprm", a)
         control: Operand = f"w.ctrl[{a}]"
         if m.actuator_ctrllimited[a] and not self.model.off("CLAMPCTRL"):
             control = clamp(lines, control, m.actuator_ctrlrange[a])
         if m.actuator_actnum[a]:
             control = self._activation(lines, a, control)
         affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
-        factor: Operand = float(gain[0])
+        factor = gain[0]
         if affine:
-            factor = lines.sum(float(gain[0]), times(lines, gain[1], reach.length), times(lines, gain[2], reach.speed))
+            factor = lines.sum(gain[0], times(lines, gain[1], reach.length), times(lines, gain[2], reach.speed))
         terms: list = [(factor, control)]
-        rate: list = [(float(gain[2]), control)] if affine and gain[2] else []
+        rate: list = [(gain[2], control)] if affine and gain[2] != 0.0 else []
         if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            terms += [float(bias[0]), times(lines, bias[1], reach.length), times(lines, bias[2], reach.speed)]
-            rate.append(float(bias[2]))
+            terms += [bias[0], times(lines, bias[1], reach.length), times(lines, bias[2], reach.speed)]
+            rate.append(bias[2])
         force, slope = lines.sum(*terms), lines.sum(*rate)
         if m.actuator_forcelimited[a] and bounds(m.actuator_forcerange[a]) and isinstance(force, str):
             low, high = (literal(x) for x in within(m.actuator_forcerange[a]))
@@ -193,6 +193,10 @@ class Drive:
                 slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
             force = clamp(lines, force, m.actuator_forcerange[a])
         return force, slope
+
+    def _numbers(self, name: str, a: int) -> Vector:
+        """First parameters of an actuator's gain or bias."""
+        return [self.model.columns.operand(self.model.array(name)[:, a, k]) for k in range(3)]
 
     def _activation(self, lines: Lines, a: int, control: Operand) -> Operand:
         """Input of an actuator with a state of its own, whose next value is kept for the end of the step."""
@@ -210,12 +214,12 @@ class Drive:
         return after if m.actuator_actearly[a] else before
 
 
-def times(lines: Lines, factor: float, value: tuple[Operand, Operand]) -> tuple[Operand, Operand]:
-    """A known factor times a product of two."""
+def times(lines: Lines, factor: Operand, value: tuple[Operand, Operand]) -> tuple[Operand, Operand]:
+    """A factor times a product of two."""
     a, b = value
-    if isinstance(a, float):
-        return float(factor) * a, b
-    return float(factor), lines.sum((a, b))
+    if isinstance(a, float) and isinstance(factor, float):
+        return factor * a, b
+    return factor, lines.sum((a, b))
 
 
 def clamp(lines: Lines, value: Operand, limits: np.ndarray) -> Operand:

@@ -47,7 +47,7 @@ class Fluid:
             floats("wind", m.opt.wind),
             floats("fluid", [m.opt.density, m.opt.viscosity]),
             ints("fluid_site", self._sites),
-            floats("fluid_box", [box[0] for box in boxes]),
+            floats("fluid_box", [[model.columns.constant(box[:, k]) for k in range(3)] for box in boxes]),
             ints("fluid_box_at", [[model.columns.index(box[:, k]) for k in range(3)] for box in boxes]),
             ints("fluid_first", np.cumsum([0, *(len(row) for row in immersed)])),
             ints("fluid_body", [n for row in immersed for n in row]),

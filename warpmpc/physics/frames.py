@@ -22,7 +22,7 @@ _OBJECTS = {
     mujoco.mjtObj.mjOBJ_SITE: ("site", "pos", "quat"),
     mujoco.mjtObj.mjOBJ_CAMERA: ("cam", "pos", "quat"),
 }
-"""Objects with a frame of their own on a body, and the model's arrays that say where; that of a body is its inertia's."""
+"""Objects with a frame on a body, and the model's arrays that say where; that of a body is its inertia's."""
 OBJECTS = frozenset({int(kind) for kind in _OBJECTS} | {int(mujoco.mjtObj.mjOBJ_XBODY)})
 """Types of objects that have a frame."""
 

@@ -80,7 +80,7 @@ class Links:
             floats("moving_lift", [model.lift(b) for b in self.bodies]),
             floats("moving_mass", self._mass),
             ints("moving_mass_at", self._mass_at),
-            floats("gravity", model.gravity),
+            floats("gravity", [x if isinstance(x, float) else 0.0 for x in model.gravity]),
             ints("joint_kind", [m.jnt_type[j] for j in joints]),
             ints("joint_q", [m.jnt_qposadr[j] for j in joints]),
             ints("joint_dof", [m.jnt_dofadr[j] for j in joints]),
@@ -205,7 +205,7 @@ class Links:
 
     @property
     def _mass(self) -> list[list[float]]:
-        return [[float(values[0]) for values in row] for row in self._constants]
+        return [[self.model.columns.constant(values) for values in row] for row in self._constants]
 
     @property
     def _mass_at(self) -> np.ndarray:

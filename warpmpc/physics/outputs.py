@@ -67,7 +67,9 @@ def _read(sensors: Sensors, rows: dict[int, int]) -> str:
     values = sensors.write(Frames(m, lines, rows))
     count = m.nsensordata
     to = f"double* const to = (double*)(size_t)o.address.data[1] + ((size_t)row * steps + at) * {count};"
-    times = f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + NUMBER] = now(l, o.before ? at : at + 1);"
+    times = (
+        f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + NUMBER] = now(l, o.before ? at : at + 1);"
+    )
     puts = (
         times.replace("NUMBER", str(n)) if value is None else f"PUT(to, steps * {count}, {n}, {value})"
         for n, value in enumerate(values)
@@ -132,7 +134,7 @@ if (o.warmstart.shape[0]) {
 #if WATCHED
 {
     float* const to = (float*)o.force.data + (size_t)row * 3 * WATCHED;
-    EACH(i, 3 * WATCHED) PUT(to, 3 * WATCHED, i, w.pushed[i])
+    EACH(i, 3 * WATCHED) PUT(to, 3 * WATCHED, i, k.substeps.data[0] ? w.pushed[i] : (T)0.0f)
 }
 #endif
 """

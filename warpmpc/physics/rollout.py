@@ -173,9 +173,7 @@ class _Ready:
     def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray]) -> BatchRollout:
         key = worlds, steps, tuple(sorted(arrays))
         if key not in self._batches:
-            made = BatchRollout(
-                self._model, worlds, steps, arrays=arrays, device=self._device, threads=self._threads
-            )
+            made = BatchRollout(self._model, worlds, steps, arrays=arrays, device=self._device, threads=self._threads)
             self._batches[key] = made, arrays
         batch, known = self._batches[key]
         if any(not np.array_equal(known[name], arrays[name]) for name in arrays):

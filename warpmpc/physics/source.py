@@ -161,7 +161,8 @@ class RolloutSource:
 
     @cached_property
     def _sizes_vary(self) -> bool:
-        return any(np.ptp(self.model.array("geom_size"), axis=0).ravel() > 0.0)
+        sizes = self.model.array("geom_size")
+        return any(self.model.columns.differ(size) for size in sizes.reshape(len(sizes), -1).T)
 
     @cached_property
     def _sizes(self) -> dict[str, object]:

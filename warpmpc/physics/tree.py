@@ -49,7 +49,9 @@ class Tree:
         if parent:
             columns, position = self._fixed(parent)
         self.gravity = gravity = self.model.gravity
-        self._visit(self.root, position, columns, (NOTHING, NOTHING, NOTHING, [-x for x in gravity]))
+        self._visit(
+            self.root, position, columns, (NOTHING, NOTHING, NOTHING, [self.lines.sum((-1.0, x)) for x in gravity])
+        )
 
     def _fixed(self, body: int) -> tuple[Matrix, Vector]:
         """Pose of a body that nothing moves."""
@@ -87,7 +89,7 @@ class Tree:
         self._site_of(b, position, columns, motion)
         inertia = self._inertia(b, position, columns)
         share = self.model.lift(b)
-        felt = [self.lines.sum(x, share * g) for x, g in zip(falling, self.gravity, strict=True)] if share else falling
+        felt = [self.lines.sum(x, (share, g)) for x, g in zip(falling, self.gravity, strict=True)] if share else falling
         moment, mass = inertia[6:9], inertia[9]
         spin = self._sum(self._times(inertia, angular), lines.cross(moment, linear))
         push = lines.difference(self._scaled(linear, mass), lines.cross(moment, angular))
