@@ -14,8 +14,7 @@ import numpy as np
 from ..bake.knots import CONTROL
 from ..bake.lines import literal
 from ..bake.simd import header, sincos
-from . import base as kinds
-from .base import packed
+from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
 from .factor import couple, write_products, write_solve
@@ -32,9 +31,9 @@ if TYPE_CHECKING:
     from .model import PairRow, PhysicsModel
     from .state_map import StateMap
 
-POINTS = {(kinds.PLANE, kinds.CAPSULE): 2, (kinds.PLANE, kinds.BOX): 8, (kinds.CAPSULE, kinds.BOX): 2,
-          (kinds.CAPSULE, kinds.CAPSULE): 2, (kinds.BOX, kinds.BOX): 8, (kinds.PLANE, kinds.CYLINDER): 4,
-          (kinds.PLANE, kinds.MESH): 4}  # fmt: skip
+POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
+          (CAPSULE, CAPSULE): 2, (BOX, BOX): 8, (PLANE, CYLINDER): 4,
+          (PLANE, MESH): 4}  # fmt: skip
 """Most contacts of two geoms; one where nothing is said."""
 FACES = 4
 """The same of two flat shapes, by their faces."""
@@ -169,7 +168,7 @@ class RolloutSource:
         m, model = self.model.mj, self.model
         longest = max([1, *(len(dofs) for _, dofs in self._groups)])
         bound = sum(self._points(pair) for pair in model.pairs)
-        turning = int(np.isin(m.jnt_type, (kinds.FREE, kinds.BALL)).sum())
+        turning = int(np.isin(m.jnt_type, (FREE, BALL)).sum())
         return {
             "NQ": m.nq,
             "NV": m.nv,
@@ -188,9 +187,9 @@ class RolloutSource:
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
-            "FREE_JOINT": kinds.FREE,
-            "BALL_JOINT": kinds.BALL,
-            "SLIDE_JOINT": kinds.SLIDE,
+            "FREE_JOINT": FREE,
+            "BALL_JOINT": BALL,
+            "SLIDE_JOINT": SLIDE,
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
@@ -205,7 +204,7 @@ class RolloutSource:
         if set(pair.geoms) <= self._flat:
             return POINTS.get(self._kind(pair), FACES)
         kind = self._kind(pair)
-        return MOST_CONTACTS if kind[0] == kinds.HFIELD else POINTS.get(kind, 1)
+        return MOST_CONTACTS if kind[0] == HFIELD else POINTS.get(kind, 1)
 
     def _kind(self, pair: PairRow) -> tuple[int, int]:
         return tuple(int(self.model.mj.geom_type[g]) for g in pair.geoms)
@@ -253,8 +252,8 @@ class RolloutSource:
         inverse = model.array("dof_invweight0")
         sizes = model.array("geom_size")
         size_at = [index(sizes[:, g, k]) for g in range(m.ngeom) for k in range(3)]
-        scalar = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.SLIDE, kinds.HINGE)]
-        turning = [j for j in range(m.njnt) if m.jnt_type[j] in (kinds.FREE, kinds.BALL)]
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] in (SLIDE, HINGE)]
+        turning = [j for j in range(m.njnt) if m.jnt_type[j] in (FREE, BALL)]
         return [
             ints("pair_group", groups),
             floats("pair_sign", signs),
@@ -285,7 +284,7 @@ class RolloutSource:
             ints("scalar_dof", m.jnt_dofadr[scalar]),
             ints("turning_q", m.jnt_qposadr[turning]),
             ints("turning_dof", m.jnt_dofadr[turning]),
-            ints("turning_free", m.jnt_type[turning] == kinds.FREE),
+            ints("turning_free", m.jnt_type[turning] == FREE),
             floats("mocap_rest", _mocap_rest(m)),
             *self.state_map.tables(len(pairs), groups),
             *self._mesh_tables(),
@@ -327,7 +326,7 @@ class RolloutSource:
     def _meshes(self) -> set[int]:
         """Meshes that may touch something."""
         used = {g for pair in self.model.pairs for g in pair.geoms}
-        return {g for g in used if self.model.mj.geom_type[g] == kinds.MESH}
+        return {g for g in used if self.model.mj.geom_type[g] == MESH}
 
     def _blocks(self) -> str:
         return " ".join(f"BLOCK({n})" for n in sorted({len(dofs) for _, dofs in self._groups}))
@@ -360,16 +359,16 @@ class RolloutSource:
 
 _HALF = ("half_sine", "half_cosine")
 _NAMES = {
-    kinds.PLANE: "plane",
-    kinds.SPHERE: "sphere",
-    kinds.CAPSULE: "capsule",
-    kinds.CYLINDER: "cylinder",
-    kinds.BOX: "box",
-    kinds.ELLIPSOID: "ellipsoid",
-    kinds.MESH: "mesh",
-    kinds.HFIELD: "hfield",
+    PLANE: "plane",
+    SPHERE: "sphere",
+    CAPSULE: "capsule",
+    CYLINDER: "cylinder",
+    BOX: "box",
+    ELLIPSOID: "ellipsoid",
+    MESH: "mesh",
+    HFIELD: "hfield",
 }
-_BOXES = frozenset({(kinds.BOX, kinds.BOX)})
+_BOXES = frozenset({(BOX, BOX)})
 _SOURCES = {
     "collide_primitive": COLLIDES - CONVEX - _BOXES,
     "collide_box": _BOXES,
@@ -386,10 +385,10 @@ def _mocap_rest(m: mujoco.MjModel) -> np.ndarray:
 
 def _near(kind: tuple[int, int]) -> str:
     """The bounding test of a kind of pairs."""
-    if kind[0] == kinds.PLANE:
+    if kind[0] == PLANE:
         return "near = near_plane(w, pair, a, b);"
-    if kind == (kinds.BOX, kinds.BOX):  # both ways: one box may be large
+    if kind == (BOX, BOX):  # both ways: one box may be large
         return "near = near_box(w, pair, a, b); if (VANY(near)) near &= near_box(w, pair, b, a);"
-    if kind[1] == kinds.BOX:
+    if kind[1] == BOX:
         return "near = near_box(w, pair, a, b);"
     return "near = near_spheres(w, pair, a, b);"
