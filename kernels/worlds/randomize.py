@@ -90,7 +90,7 @@ def count_kernel(
 
 @wp.struct
 class ModelTables:
-    """Where numbers of a MuJoCo model stand in its row, and what is drawn of it."""
+    """Places of a MuJoCo model's numbers in its row, and what is drawn of it."""
 
     nominal: wp.array[wp.float64]  # [numbers]
     body_mass: int  # place of the first number of each array
@@ -326,7 +326,7 @@ def put_numbers_kernel(
 
 @wp.struct
 class ColumnTables:
-    """How columns of the engine ``fused`` follow from the numbers of a model."""
+    """Recipes by which columns of the engine ``fused`` follow from the numbers of a model."""
 
     constant: wp.array[wp.float64]  # [columns]
     entry: wp.array[int]  # [columns + 1] first entry of each column

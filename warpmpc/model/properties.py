@@ -26,7 +26,7 @@ RESIZABLE = frozenset({"box", "sphere", "capsule", "cylinder", "ellipsoid"})
 
 @dataclass(frozen=True)
 class Rules:
-    """How properties of entities are drawn."""
+    """Distributions that properties of entities are drawn from."""
 
     entities: tuple[Randomization, ...]
     seed: int
