@@ -18,6 +18,7 @@ from warpmpc.model.state import State
 from warpmpc.physics.kernel import RolloutWork
 
 SAMPLES, PLANS = 24, 3
+SHAPE = BatchSize(1, SAMPLES, 1, 4)
 TABLE = {"name": "table", "shape": "box", "size": (6.0, 6.0, 0.1), "position": (0.0, 0.0, -0.05), "friction": 0.25}
 RULES = {
     "box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}, "redraw": True},
@@ -65,15 +66,24 @@ def plans(scene, engine: str, device: str, count: int = PLANS, seed: int = 1) ->
     return out
 
 
-def columns(properties, scene, plans: int = 0, device: str = "cpu") -> np.ndarray:
+def columns(properties, scene, plans: int = 0, device: str = "cpu", shape=SHAPE) -> np.ndarray:
     """Columns of the engine ``fused`` after some plans ``[columns, W]``."""
     steps = {"substeps": [2] * 4, "timestep": 0.01, "device": device}
-    physics = FusedPhysics(scene, compiled(scene), BatchSize(1, SAMPLES, 1, 4), properties=properties, **steps)
+    physics = FusedPhysics(scene, compiled(scene), shape, properties=properties, **steps)
     physics.source()
     physics.fill(work := RolloutWork())
     for _ in range(plans):
         physics.redraw()
     return work.par.numpy()
+
+
+def model_masses(properties, scene, plans: int, shape: BatchSize) -> np.ndarray:
+    """Mass of the box in the models of the engine ``mujoco`` after some plans ``[1, W]``."""
+    sizes = {"samples": shape.samples, "domains": shape.domains, "substeps": 2}
+    engine = make_engine(scene, properties=properties, **sizes)
+    for _ in range(plans):
+        engine.redraw()
+    return np.array([[model.body("box").mass[0] for model in engine.models]])
 
 
 @pytest.mark.parametrize("combine", ["average", "priority"])
@@ -108,6 +118,29 @@ def test_plans_meet_worlds_of_their_own(engine, device):
         np.testing.assert_allclose(a, b, **tolerance)
     np.testing.assert_allclose(fixed[0], first, rtol=0.0, atol=1e-5)
     assert not np.array_equal(other[0], first)
+
+
+@ENGINES
+def test_a_reset_controller_draws_what_a_new_one_draws(engine, device):
+    scene, out = pushing(), []
+    controller = Controller(scene, engine=engine, device=device, seed=1, compiled=compiled(scene))
+    start = State(time=0.0, joint_q=controller.layout.joint_q, joint_qd=controller.layout.joint_qd)
+    for _ in range(2):
+        for _ in range(PLANS):
+            controller.plan(start)
+        out.append(controller.engine.record(range(SAMPLES)).joint_q[-1].copy())
+        controller.reset()
+    np.testing.assert_allclose(out[1], out[0], rtol=0.0, atol=0.0 if device == "cpu" else 1e-5)
+
+
+@pytest.mark.parametrize("make", [columns, model_masses], ids=["fused", "mujoco"])
+def test_domains_are_drawn_anew_and_shared_by_all_samples(make):
+    scene = pushing()
+    properties = draw_properties(scene, layout_of(scene), 4, seed=2)
+    found = make(properties, scene, 2, shape=BatchSize(1, 6, 4, 4))
+    np.testing.assert_array_equal(found, np.tile(found[:, :4], (1, 6)))
+    assert np.ptp(found[:, :4], axis=1).all()
+    assert not np.any(found == make(properties, scene, 1, shape=BatchSize(1, 6, 4, 4)))
 
 
 @ENGINES

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
     from ..model.trajectory import Trajectory
     from .protocol import Proposal, Simulator
+    from .redraw import Redraw
     from .request import EngineRequest, PhysicsSteps
     from .step_worlds import StepWorlds
 
@@ -73,7 +74,7 @@ class RolloutEngine(ABC):
     """The record; of one world where there is none."""
     evaluator: CostEvaluator
     """Evaluates terms on the record."""
-    redraw: Callable[[], None] | None = None
+    redraw: Redraw | None = None
     """Draws the physical properties of the worlds anew before a plan, None where they stay; capture-safe."""
 
     def __init__(self, request: EngineRequest):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -41,7 +42,31 @@ def drawn_rows(world: MujocoWorld, properties: Properties) -> np.ndarray:
     return DrawnModel(world, extremes(properties)).values.numpy()
 
 
-class RedrawnModels:
+class Redraw(ABC):
+    """Draws anew and puts the numbers where they are read.
+
+    Args:
+        drawn: The numbers.
+    """
+
+    def __init__(self, drawn: DrawnModel):
+        self._drawn, self._launch = drawn, Launcher(drawn.device)
+
+    def __call__(self) -> None:
+        """Draw anew; capture-safe."""
+        self._drawn.redraw()
+        self._put()
+
+    def reset(self) -> None:
+        """Forget every earlier plan: the next one draws what the first one drew."""
+        self._drawn.reset()
+
+    @abstractmethod
+    def _put(self) -> None:
+        """Put the numbers where they are read."""
+
+
+class RedrawnModels(Redraw):
     """Models of MuJoCo's C engine, one for each draw.
 
     Args:
@@ -51,7 +76,8 @@ class RedrawnModels:
     """
 
     def __init__(self, world: MujocoWorld, properties: Properties, models: Sequence[mujoco.MjModel]):
-        self._models, self._drawn, self._launch = models, DrawnModel(world, properties), Launcher("cpu")
+        super().__init__(DrawnModel(world, properties))
+        self._models = models
         place, address = [], []
         vary = np.ptp(drawn_rows(world, properties), axis=0) > 0.0
         for name, numbers in self._drawn.place.items():
@@ -62,14 +88,12 @@ class RedrawnModels:
         self._place = wp.array(place, dtype=int, device="cpu")
         self._address = wp.array(np.hstack(address), dtype=wp.uint64, device="cpu")
 
-    def __call__(self) -> None:
-        """Draw anew."""
-        self._drawn.redraw()
+    def _put(self) -> None:
         inputs = [self._drawn.values, self._place, self._address]
         self._launch(put_numbers_kernel, len(self._models), inputs, [])
 
 
-class RedrawnArrays:
+class RedrawnArrays(Redraw):
     """Arrays of a model of MuJoCo Warp.
 
     Args:
@@ -80,7 +104,7 @@ class RedrawnArrays:
     """
 
     def __init__(self, world: MujocoWorld, properties: Properties, shape: BatchSize, device: str):
-        self._drawn, self._launch = DrawnModel(world, properties, device), Launcher(device)
+        super().__init__(DrawnModel(world, properties, device))
         self._draw = wp.array(properties.of_worlds(shape), dtype=int, device=device)
         vary = np.ptp(drawn_rows(world, properties), axis=0) > 0.0
         self.names = tuple(name for name, numbers in self._drawn.place.items() if vary[numbers].any())
@@ -98,17 +122,12 @@ class RedrawnArrays:
         self._model = model
         self._put()
 
-    def __call__(self) -> None:
-        """Draw anew."""
-        self._drawn.redraw()
-        self._put()
-
     def _put(self) -> None:
         for first, array in self._arrays:
             self._launch(copy_numbers_kernel, array.shape, [self._drawn.values, self._draw, first], [array])
 
 
-class RedrawnColumns:
+class RedrawnColumns(Redraw):
     """Columns of the engine ``fused``.
 
     How a column follows from the numbers of a model is found by changing one number after the other: it is their sum,
@@ -122,7 +141,7 @@ class RedrawnColumns:
     """
 
     def __init__(self, world: MujocoWorld, properties: Properties, shape: BatchSize, device: str):
-        self._drawn, self._launch = DrawnModel(world, properties, device), Launcher(device)
+        super().__init__(DrawnModel(world, properties, device))
         self._draw = wp.array(properties.of_worlds(shape), dtype=int, device=device)
         ends = drawn_rows(world, properties)
         vary = np.flatnonzero(np.ptp(ends, axis=0) > 0.0)
@@ -159,11 +178,6 @@ class RedrawnColumns:
             kind.append(of)
             friction.append(places)
         self._tables = self._upload(constant, shares, kind, friction, float(model.mj.opt.impratio))
-        self._put()
-
-    def __call__(self) -> None:
-        """Draw anew."""
-        self._drawn.redraw()
         self._put()
 
     def _put(self) -> None:

@@ -84,6 +84,10 @@ class DrawnModel:
         self._launch(count_kernel, 1, [self.draws], [self._first])
         self.apply()
 
+    def reset(self) -> None:
+        """Begin with the first draws again."""
+        self._first.zero_()
+
     def apply(self) -> None:
         """Put the draws into :attr:`values`; capture-safe."""
         self._launch(apply_kernel, self.draws, [self._tables, self._out], [self.values])

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..cost.stack import CostStack
+    from ..engine.redraw import Redraw
     from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
@@ -95,6 +96,7 @@ class PlanStep:
             properties=properties,
         )
         entry, self.engine = make_engine(engine, request)
+        self._redraw: Redraw | None = getattr(self.engine, "redraw", None)
         on_gpu = wp.get_device(self.device).is_cuda
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
         if hasattr(self.strategy, "propose"):
@@ -121,6 +123,8 @@ class PlanStep:
             self.refiner.reset()
         self.ancillaries.reset()
         self.costs.reset()
+        if self._redraw:
+            self._redraw.reset()
 
     def __call__(self) -> None:
         """Plan from :attr:`state`; the result is in :attr:`command`. Capture-safe where the engine is."""
@@ -158,8 +162,8 @@ class PlanStep:
     def _begin(self) -> None:
         """Let resources and plans follow the observed state."""
         wp.copy(self.state.last_control, self.command)
-        if redraw := getattr(self.engine, "redraw", None):
-            redraw()
+        if self._redraw:
+            self._redraw()
         self.costs.before_plan(self.state)
         self.strategy.shift()
 
