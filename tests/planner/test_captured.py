@@ -66,3 +66,27 @@ def test_a_captured_plan_is_the_plan_launched_piece_by_piece(name, envs):
             assert a.beta == pytest.approx(b.beta, rel=1e-3)
     assert captured.graph.captured is not None
     assert plain.graph.captured is None
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize(
+    "planner", [{"method": "ilqs"}, {"method": "ilqg"}, {"refine": {"method": "gradient"}}], ids=str
+)
+def test_with_derivatives_the_samples_are_one_graph_and_commands_the_same(planner):
+    need(CUDA)
+    cost = [
+        {"term": "position_residual", "of": "base/centre", "target": [1.0, 0.5], "axes": "xy"},
+        {"term": "control_effort", "weight": 0.01},
+    ]
+    scene = make_scene(cost=cost, planner={"samples": 24, "horizon": 8, "randomize": False, **planner})
+    captured, plain = (
+        Controller(scene, engine="fused", device="cuda:0", compiled=compiled(scene), seed=4) for _ in range(2)
+    )
+    plain.plan_step._sequence = plain.plan_step.sequence()
+    layout = captured.layout
+    for step in range(6):
+        q = layout.joint_q + np.float32([0.05 * step, 0.0, 0.0])
+        state = State(q, layout.joint_qd, 0.04 * step)
+        np.testing.assert_allclose(captured.step(state), plain.step(state), atol=1e-4)
+    assert captured.plan_step._sequence[0][1]._graph is not None
+    assert captured.graph.captured is None

@@ -25,7 +25,8 @@ class PlanGraph:
 
     On a CUDA device the first plan runs launch by launch, which loads the kernels; then the same sequence is captured
     and later plans replay it. Terms that are plain functions over arrays cannot be captured: with one of them every
-    plan runs launch by launch.
+    plan runs launch by launch. With derivatives all before them is one graph, rollouts under feedback and differences
+    one each, and the host works between them.
     """
 
     def __init__(self, plan: PlanStep):

@@ -104,10 +104,13 @@ class PlanStep:
             raise ValueError(f"strategy {kind}: rename its method propose to advance, and sample to sample_knots")
         self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
         """Improves the samples' plan by derivatives, None without."""
-        self.capturable = entry.capturable and costs.capturable and on_gpu and self.refiner is None
+        kernels_alone = entry.capturable and costs.capturable and on_gpu
+        self.capturable = kernels_alone and self.refiner is None
         """True where a CUDA graph can hold a plan."""
         self.spline, self._launch = spline, Launcher(self.device)
         self._sequence = self.sequence()
+        if kernels_alone and self.refiner:
+            self._sequence = self._sampling_captured(self._sequence)
         self.command = wp.zeros((shape.envs, layout.nu), dtype=float, device=self.device)
         self.stages = dict.fromkeys(STAGES, 0.0)
         """Wall time of each stage of the last plan [s]."""
@@ -154,6 +157,16 @@ class PlanStep:
         if self.refiner:
             pieces.append(("update", self.refiner))
         return [*pieces, ("update", self._replayed(self._finish))]
+
+    def _sampling_captured(self, pieces: list[tuple[str, Callable[[], None]]]) -> list[tuple[str, Callable[[], None]]]:
+        """The plan step with all before the refiner, which works on the host, too, as one CUDA graph."""
+        sampling, rest = pieces[:-2], pieces[-2:]
+
+        def sample() -> None:
+            for _, piece in sampling:
+                piece()
+
+        return [("evaluate", Replay(sample, blocks=True, device=self.device)), *rest]
 
     def _replayed(self, piece: Callable[[], None]) -> Callable[[], None]:
         """A piece that is launches alone; on CUDA the graph of the whole plan replays it."""
