@@ -65,7 +65,7 @@ class _Views:
         ]
 
     def fixed(self) -> tuple[list[np.ndarray], tuple]:
-        """What may not differ between worlds: pieces of memory, and options."""
+        """Pieces of memory and options that may not differ between worlds."""
         return [*self._vectors, *self._pieces], _OPTIONS(self._opt)
 
 

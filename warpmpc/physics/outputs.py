@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @wp.struct
 class Outputs:
-    """Where rollouts write, and what their solver begins with."""
+    """Places that rollouts write to, and accelerations that their solver begins with."""
 
     address: wp.array[wp.uint64]  # [2] of states [W, T, 1+nq+nv+na] and of sensor readings [W, T, nsensordata], doubles
     before: int  # whether sensors are read before each control, as in MuJoCo's step, rather than after it

@@ -59,7 +59,7 @@ class Rollout(mujoco.rollout.Rollout):
 
 
 class _Native:
-    """What MuJoCo's class hands checked arrays to.
+    """Receiver of the arrays that MuJoCo's class has checked.
 
     Args:
         mujoco_rollout: MuJoCo's own.
@@ -115,7 +115,7 @@ class _Native:
         control: np.ndarray | None,
         arrays: dict[str, np.ndarray] | str,
     ) -> str | None:
-        """What these rollouts lack; said once in the log for each model."""
+        """Return the part that these rollouts lack; the log says it once for each model."""
         if key not in self._lack:
             self._lack[key] = lack = lacking(model)
             if lack and self._fall_back:
