@@ -47,9 +47,10 @@ class _Views:
     def __init__(self, model: mujoco.MjModel):
         self.model = weakref.ref(model)
         self.varying = [getattr(model, name) for name in VARYING]
+        self._varying = [_span(values) for values in self.varying]
         self._opt, self._vectors = model.opt, (model.opt.gravity, model.opt.wind)
         spans = sorted(
-            (value.__array_interface__["data"][0], value.nbytes)
+            _span(value)
             for name in dir(model)
             if not name.startswith(("_", *_UNREAD)) and name not in VARYING
             if isinstance(value := getattr(model, name), np.ndarray) and value.nbytes
@@ -60,32 +61,38 @@ class _Views:
                 pieces[-1][1] = at + size
             else:
                 pieces.append([at, at + size])
-        self._pieces = [
-            np.frombuffer((ctypes.c_uint8 * (end - start)).from_address(start), np.uint8) for start, end in pieces
-        ]
+        self._pieces = [(start, end - start) for start, end in pieces]
 
-    def fixed(self) -> tuple[list[np.ndarray], tuple]:
+    def fixed(self) -> tuple[list[bytes], tuple]:
         """Pieces of memory and options that may not differ between worlds."""
-        return [*self._vectors, *self._pieces], _OPTIONS(self._opt)
+        vectors = [vector.tobytes() for vector in self._vectors]
+        return [*vectors, *(ctypes.string_at(*piece) for piece in self._pieces)], _OPTIONS(self._opt)
+
+    def differing(self, others: Sequence[_Views]) -> list[int]:
+        """Indices of the arrays that may differ between worlds and are others in some of these models."""
+        own = [ctypes.string_at(*span) for span in self._varying]
+        return [n for n, one in enumerate(own) if any(ctypes.string_at(*o._varying[n]) != one for o in others)]
+
+
+def _span(values: np.ndarray) -> tuple[int, int]:
+    """Address and size of an array [bytes]."""
+    return values.__array_interface__["data"][0], values.nbytes
 
 
 class _Known:
     """A copy of a model's numbers, and its key."""
 
     def __init__(self, views: _Views):
-        pieces, self.options = views.fixed()
-        self.pieces = [piece.copy() for piece in pieces]
+        self.pieces, self.options = views.fixed()
         out = hashlib.blake2b(repr(self.options).encode(), digest_size=16)
         for piece in self.pieces:
-            out.update(piece.tobytes())
+            out.update(piece)
         self.key = out.digest()
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, _Views):
             return NotImplemented
-        pieces, options = other.fixed()
-        same = options == self.options and len(pieces) == len(self.pieces)
-        return same and all(np.array_equal(a, b) for a, b in zip(pieces, self.pieces, strict=True))
+        return other.fixed() == (self.pieces, self.options)
 
     __hash__ = None
 
@@ -116,8 +123,8 @@ class ModelNumbers:
             if any(self._known != view for view in views[1:]):
                 arrays = f"more than {', '.join(VARYING[:2])}, geom_friction and geom_size"
             else:
-                stacked = ((n, np.stack([v.varying[i] for v in views])) for i, n in enumerate(VARYING))
-                arrays = {name: values for name, values in stacked if (values != values[:1]).any()}
+                stacked = ((i, np.stack([v.varying[i] for v in views])) for i in views[0].differing(views[1:]))
+                arrays = {VARYING[i]: values for i, values in stacked if (values != values[:1]).any()}
         out = hashlib.blake2b(self._known.key, digest_size=16)
         for name, values in zip(VARYING, views[0].varying, strict=True):
             out.update(b"" if name in arrays else values.tobytes())
