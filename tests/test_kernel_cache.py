@@ -4,6 +4,7 @@
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -126,3 +127,23 @@ def test_a_command_names_a_folder_that_cannot_be_made(tmp_path):
     assert done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
     assert re.fullmatch(rf"error: compiled kernels cannot be kept in {place}\S*: Not a directory; .*", line)
+
+
+def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_damaged(run, tmp_path):
+    def compiled() -> list[tuple[Path, int, int]]:
+        for kernel in tmp_path.glob("wp_*"):
+            shutil.rmtree(kernel)
+        done = run(tmp_path)
+        assert ANSWER in done.stdout, done.stderr
+        assert "(compiled)" in done.stdout
+        return [(file, file.stat().st_mtime_ns, file.stat().st_size) for file in (tmp_path / "headers").iterdir()]
+
+    (first,) = compiled()
+    assert compiled() == [first]
+    headers, made, size = first
+    headers.write_bytes(headers.read_bytes()[: size // 2])
+    assert compiled() == []  # without them
+    (again,) = compiled()
+    assert again[0] == headers
+    assert again[1] > made
+    assert again[2] == size

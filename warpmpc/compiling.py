@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from typing import TextIO
 
@@ -34,6 +34,8 @@ WORKERS = 3
 
 logger = logging.getLogger("warpmpc")
 _keeping_back = threading.RLock()
+_headers: threading.Thread | None = None
+"""Thread of :func:`prepare_headers`."""
 
 
 class KernelError(RuntimeError):
@@ -61,6 +63,8 @@ def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, wha
     if Cached.of(kernel.module, device, threads).intact():
         wp.load_module(kernel.module, device=device, block_dim=threads)
         return
+    if _headers is not None and not device.is_cuda:
+        _headers.join()
     said: list[str] = []
     with shown(f"compiling {what} for {device}, once", 0.0 if device.is_cuda else compile_time(source)):
         try:
@@ -129,6 +133,31 @@ def compile_beside() -> float:
     for _ in range(threads):
         threading.Thread(target=work, name="warpmpc compiling").start()
     return sum(missing.values()) / max(1, threads)
+
+
+def prepare_headers(options: Mapping[str, object]) -> None:
+    """Begin to compile the headers of a source on the CPU in another thread, unless that was done on this machine.
+
+    :func:`compile_kernel` waits for it: together they take longer than one after the other.
+
+    Args:
+        options: Options of the modules that the headers are for.
+    """
+    global _headers
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=dict(options))
+    def empty_kernel(nothing: int): ...
+
+    module, cpu = empty_kernel.module, wp.get_device("cpu")
+    if Cached.of(module, cpu, 1).intact():
+        return
+
+    def work() -> None:
+        with suppress(Exception):  # whoever compiles hears of it
+            wp.load_module(module, device=cpu, block_dim=1)
+
+    _headers = threading.Thread(target=work, name="warpmpc compiling")
+    _headers.start()
 
 
 @contextmanager

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import warp as wp
+from warp._src.context import Runtime
 
 _ROOM = 1 << 20
 """Bytes that a folder must take before a compiler writes there, which may end the process where it cannot."""
 _ELF = b"\x7fELF"
 _load = wp.Module.load
+_own_headers = Runtime.get_clang_pch_dir
 """Warp's own."""
 _loading: dict[str, threading.RLock] = {}
 """Held by module while it is loaded: whoever wants it meanwhile waits, and does not compile it a second time."""
@@ -85,8 +87,25 @@ def refusal(error: OSError) -> OSError:
 
 
 def watch() -> None:
-    """Look at what is loaded from Warp's folder from now on, by any library of this process."""
+    """Look at what is loaded from Warp's folder from now on, by any library of this process; keep headers there."""
     wp.Module.load = _checked
+    Runtime.get_clang_pch_dir = _headers
+
+
+def _headers(runtime: Runtime) -> str | None:
+    """Folder of the headers that every source begins with, compiled, which takes longer than most kernels.
+
+    Warp makes them anew in every thread of every process. It writes them under another name first, and makes those
+    that are damaged or out of date again.
+    """
+    if runtime.llvm is None or not wp.config.cache_kernels:
+        return _own_headers(runtime)
+    folder = Path(wp.config.kernel_cache_dir) / "headers"
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError:  # whoever compiles hears of it
+        return _own_headers(runtime)
+    return str(folder)
 
 
 def _checked(

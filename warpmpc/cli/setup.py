@@ -102,9 +102,14 @@ def begin(scene: Scene, device: str, *, say: Callable[[str], None] = logger.info
     say = say if sys.stderr.isatty() else logger.debug
     say(f"{scene.name}: {scene.title}" if scene.title else scene.name)
     start_warp()
-    from ..compiling import LONG, compile_beside
+    from ..bake.simd import native_lanes
+    from ..compiling import LONG, compile_beside, prepare_headers
+    from ..physics.kernel import options
 
-    seconds = 0.0 if device.startswith("cuda") else compile_beside()
+    seconds = 0.0
+    if not device.startswith("cuda"):
+        prepare_headers(options(native_lanes()))
+        seconds = compile_beside()
     if seconds >= LONG:
         say(f"compiling the kernels that all scenes share, once on this machine, about {seconds:.0f} s")
 
