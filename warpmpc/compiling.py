@@ -16,7 +16,7 @@ from typing import TextIO
 
 import warp as wp
 
-from .kernel_cache import Cached
+from .kernel_cache import ready
 
 PLANNING = {
     **{"worlds.clone": 3.0, "planning.splines": 1.4, "planning.weights": 0.4, "planning.proposals": 0.4},
@@ -60,7 +60,7 @@ def compile_kernel(kernel: wp.Kernel, device: wp.DeviceLike, block_dim: int, wha
     """
     device = wp.get_device(device)
     threads = block_dim if device.is_cuda else 1  # a CPU's launches have one thread in a block
-    if Cached.of(kernel.module, device, threads).intact():
+    if ready(kernel.module, device, threads):
         wp.load_module(kernel.module, device=device, block_dim=threads)
         return
     if _headers is not None and not device.is_cuda:
@@ -117,7 +117,7 @@ def compile_beside() -> float:
     """
     cpu = wp.get_device("cpu")
     modules = {importlib.import_module(f"warpmpc.kernels.{name}").__name__: each for name, each in PLANNING.items()}
-    missing = {name: each for name, each in modules.items() if not Cached.of(wp.get_module(name), cpu, 1).intact()}
+    missing = {name: each for name, each in modules.items() if not ready(wp.get_module(name), cpu, 1)}
     threads = min(len(missing), WORKERS, max(1, (os.cpu_count() or 1) - 1))
     waiting, taking = iter(missing), threading.Lock()
 
@@ -149,7 +149,7 @@ def prepare_headers(options: Mapping[str, object]) -> None:
     def empty_kernel(nothing: int): ...
 
     module, cpu = empty_kernel.module, wp.get_device("cpu")
-    if Cached.of(module, cpu, 1).intact():
+    if ready(module, cpu, 1):
         return
 
     def work() -> None:

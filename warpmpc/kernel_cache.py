@@ -15,6 +15,8 @@ from pathlib import Path
 import warp as wp
 from warp._src.context import Runtime
 
+from .shipped_kernels import shipped
+
 _ROOM = 1 << 20
 """Bytes that a folder must take before a compiler writes there, which may end the process where it cannot."""
 _ELF = b"\x7fELF"
@@ -80,6 +82,11 @@ class Cached:
             raise refusal(error) from error
 
 
+def ready(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
+    """Return whether a module need not be compiled."""
+    return bool(device.is_cpu and shipped(module, block_dim)) or Cached.of(module, device, block_dim).intact()
+
+
 def refusal(error: OSError) -> OSError:
     """The error for a folder of kernels that cannot be made or written."""
     folder, why = wp.config.kernel_cache_dir, error.strerror or error
@@ -134,6 +141,9 @@ def _load_checked(module: wp.Module, device: wp.Device, block_dim: int | None, t
     Raises:
         OSError: As :func:`_checked`.
     """
+    if device.is_cpu and (files := shipped(module, threads)):
+        with suppress(Exception):  # it is damaged
+            return _load(module, device, block_dim, files[0], meta_path=files[1])
     cached = Cached.of(module, device, threads)
     kept = cached.intact()
     if not kept:
