@@ -6,6 +6,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
+from needs import CUDA, needs
 
 from warpmpc.physics import BatchSimulator
 
@@ -237,6 +238,7 @@ def test_what_it_lacks_is_an_error():
 
 
 @pytest.mark.gpu
+@needs(CUDA)
 def test_worlds_on_a_gpu_are_those_on_a_cpu(model):
     qpos, qvel, ctrl = starts(model)
     found = []
@@ -252,6 +254,7 @@ def test_worlds_on_a_gpu_are_those_on_a_cpu(model):
 
 
 @pytest.mark.gpu
+@needs(CUDA)
 def test_torch_sees_the_memory_of_a_gpu(model):
     torch = pytest.importorskip("torch")
     sim = BatchSimulator(model, 64, device="cuda:0", vary=("body_mass", "gravity"))

@@ -108,7 +108,7 @@ class BatchRollout:
     ):
         if lack := missing(model):
             raise ValueError(f"the physics of warpmpc has no {lack}")
-        self.mj, self.worlds, self.steps = model, worlds, steps
+        self.mj, self.worlds, self.steps, self.threads = model, worlds, steps, threads
         self._bodies, self._pairs, self._settable = tuple(bodies), tuple(pairs), settable
         self.device = wp.get_device(device)
         on_gpu = self.device.is_cuda

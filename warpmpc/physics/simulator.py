@@ -92,6 +92,11 @@ class BatchSimulator:
         return self._rows[:, first : first + count]
 
     @property
+    def batch(self) -> BatchRollout:
+        """Arrays of all worlds, and what runs on them."""
+        return self._batch
+
+    @property
     def time(self) -> np.ndarray | wp.array:
         """Time of each world ``[W]`` [s]."""
         return self._rows[:, 0]
