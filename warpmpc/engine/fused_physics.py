@@ -24,6 +24,7 @@ from ..physics.kernel import WARP, RolloutWork, make_kernel
 from ..physics.missing import missing
 from ..physics.model import PhysicsModel
 from ..physics.source import RolloutSource
+from ..physics.tables import packed
 from ..scene.errors import SceneError
 from .fused_map import state_map
 from .fused_precision import refusal
@@ -105,7 +106,8 @@ class FusedPhysics:
         """
         shared = self.sharing > 1
         try:
-            return RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).write()
+            text = RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).write()
+            return text if wp.get_device(self.device).is_cuda else packed(text)
         except OutOfRange as error:
             raise refusal(error, self._scene, self.world, self.layout) from error
 

@@ -22,6 +22,7 @@ from .missing import missing
 from .model import PhysicsModel
 from .outputs import Outputs, write_outputs
 from .source import RolloutSource
+from .tables import packed
 
 SHARED_PER_DOF = 180
 """Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
@@ -133,7 +134,8 @@ class BatchRollout:
             arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
         physics = PhysicsModel(self.mj, arrays, settable=self._settable)
         state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs)
-        return _Text(RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()), physics
+        text = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()
+        return _Text(text if self.device.is_cuda else packed(text)), physics
 
     def _fill(self, physics: PhysicsModel, substeps: int, *, sensors_before: bool, in_place: bool) -> None:
         m, work, out, worlds, steps = self.mj, self.work, self.outputs, self.worlds, self.steps

@@ -25,3 +25,28 @@ def ints(name: str, values: object, kind: str = "int") -> str:
     """The same of integers."""
     row = np.ravel(np.asarray(values, dtype=np.int64))
     return f"static const {kind} {name}[{max(1, row.size)}] = {{{', '.join(map(str, row)) or '0'}}};"
+
+
+LONG = 20_000
+"""Characters of a table from which it is packed."""
+_KINDS = {"float": np.float32, "int": np.int32, "short": np.int16}
+_BYTES = [f"\\{byte:03o}" for byte in range(256)]
+
+
+def packed(source: str) -> str:
+    """Source for a CPU whose long tables are bytes of a text, which compilers read ten times as fast as numbers."""
+    return "\n".join(_packed(line) if len(line) > LONG else line for line in source.split("\n"))
+
+
+def _packed(line: str) -> str:
+    head, _, numbers = line.removesuffix("};").partition(" = {")
+    *_, kind, name = head.split(" ")
+    if not head.startswith("static const ") or kind not in _KINDS or ";" in numbers:
+        return line
+    name = name.partition("[")[0]
+    row = np.fromstring(numbers.replace("f", ""), dtype=np.float64, sep=",").astype(_KINDS[kind])
+    text = "".join(map(_BYTES.__getitem__, row.tobytes()))
+    return (
+        f'static const char {name}_bytes[] __attribute__((aligned(64))) = "{text}";\n'
+        f"static const {kind}* const {name} = (const {kind}*){name}_bytes;"
+    )
