@@ -194,6 +194,16 @@ def test_worlds_have_numbers_of_their_own(model, worlds_alike):
     assert abs(expected - [d.qpos for d in plain]).max() > 0.01
 
 
+def test_numbers_may_become_zero_and_back(model):
+    sim = BatchSimulator(model, 3, vary=("gravity", "actuator_gainprm"))
+    sim.set_numbers(gravity=np.zeros(3), actuator_gainprm=np.zeros_like(model.actuator_gainprm))
+    sim.step(np.ones(model.nu), n=20)
+    assert abs(sim.qvel[:, 4]).max() < 1e-4  # nothing falls or is driven
+    sim.set_numbers(gravity=[0.0, 0.0, 3.0])
+    sim.step(n=20)
+    assert (sim.qvel[:, 4] > 0.2).all()
+
+
 def test_one_world_has_numbers_of_its_own(model):
     sim = BatchSimulator(model, 1, vary=("gravity",))
     sim.set_numbers(gravity=[0.0, 0.0, 3.0])

@@ -13,7 +13,7 @@ from ..bake.lines import Matrix, Operand, Vector
 from .rows import Rows
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
@@ -52,16 +52,26 @@ class Columns:
     Args:
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each.
         settable: Whether their numbers have columns even where all worlds are alike, unless all are zero.
+        decided: :attr:`decisions` of the model whose source is to be written again with other numbers.
     """
 
-    def __init__(self, arrays: Mapping[str, np.ndarray], *, settable: bool = False):
+    def __init__(
+        self, arrays: Mapping[str, np.ndarray], *, settable: bool = False, decided: Sequence[bool] | None = None
+    ):
         self.arrays, self._settable = dict(arrays), settable
+        self._decided = None if decided is None else iter(decided)
+        self.decisions: list[bool] = []
+        """Which of all numbers have a column, in the order in which they were asked for."""
         self.values: list[np.ndarray] = []
         """What the columns hold, ``[W]`` each."""
 
     def differ(self, values: np.ndarray) -> bool:
         """Return whether some values ``[W]`` have a column."""
-        return bool((self._settable and len(values) > 1 and np.any(values)) or np.ptp(values) > 0.0)
+        out = bool((self._settable and len(values) > 1 and np.any(values)) or np.ptp(values) > 0.0)
+        if self._decided is not None:
+            out = next(self._decided)
+        self.decisions.append(out)
+        return out
 
     def index(self, values: np.ndarray) -> int:
         """Column of some values ``[W]``, -1 where all are alike."""
@@ -90,12 +100,18 @@ class Structure:
         model: The model.
         arrays: Its arrays that differ between worlds, ``[W, ...]`` each; ``gravity`` is among them.
         settable: Whether all numbers of these arrays may be set anew without other source.
+        decided: Which numbers have columns, from a model whose source is to be written again.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, arrays: Mapping[str, np.ndarray] | None = None, *, settable: bool = False
+        self,
+        model: mujoco.MjModel,
+        arrays: Mapping[str, np.ndarray] | None = None,
+        *,
+        settable: bool = False,
+        decided: Sequence[bool] | None = None,
     ):
-        self.mj, self.columns = model, Columns(arrays or {}, settable=settable)
+        self.mj, self.columns = model, Columns(arrays or {}, settable=settable, decided=decided)
 
     def off(self, part: str) -> bool:
         """Return whether a flag of the options disables a part of the physics, ``SPRING`` for example."""

@@ -116,6 +116,7 @@ class BatchRollout:
         self._lanes = 1 if on_gpu else native_lanes()
         shared = on_gpu and shares(model, worlds) and "gravity" not in (arrays or {})  # links.h has it as a constant
         self._sharing = WARP if shared else 1
+        self._decided: list[bool] | None = None
         text, physics = self._write(arrays)
         self._text, self._launch = text, Launcher(self.device)
         self._kernel = _kernel(text, native_lanes(), self._sharing)
@@ -132,9 +133,10 @@ class BatchRollout:
         """The source, and the model, whose columns are known then."""
         if self._settable and self.worlds == 1:  # one row would be that of all worlds
             arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
-        physics = PhysicsModel(self.mj, arrays, settable=self._settable)
+        physics = PhysicsModel(self.mj, arrays, settable=self._settable, decided=self._decided)
         state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs)
         text = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()
+        self._decided = physics.columns.decisions if self._settable else None
         return _Text(text if self.device.is_cuda else packed(text)), physics
 
     def _fill(self, physics: PhysicsModel, substeps: int, *, sensors_before: bool, in_place: bool) -> None:
