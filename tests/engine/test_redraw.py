@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import scipy.stats
+from needs import CUDA, needs
 from small_scenes import BOX, WALL, compiled, layout_of, make_engine, make_scene
 
 from warpmpc import Controller, SceneError, run_episode
@@ -26,7 +27,7 @@ RULES = {
     "table": {"friction": {"uniform": 0.9}, "redraw": True},
 }
 FIXED = {name: {**rule, "redraw": False} for name, rule in RULES.items()}
-GPU = pytest.mark.gpu
+GPU = (pytest.mark.gpu, needs(CUDA))
 ENGINES = pytest.mark.parametrize(
     ("engine", "device"),
     [

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from needs import CUDA, needs
 from small_scenes import BOX, compiled, layout_of, make_scene
 
 from warpmpc import Controller
@@ -15,7 +16,7 @@ BLOCK = {**BOX, "size": (0.5, 0.5, 0.1), "position": (0.0, 4.0, 0.05), "friction
 DRAWN = {"box": {"friction": {"uniform": 0.3}}, "table": {"friction": {"uniform": 0.9}}}
 SPEED, WORLDS = 4.0, 12
 
-GPU = pytest.mark.gpu
+GPU = (pytest.mark.gpu, needs(CUDA))
 ENGINES = pytest.mark.parametrize(
     ("engine", "device"),
     [

@@ -247,6 +247,7 @@ def test_what_it_lacks_is_an_error():
         BatchSimulator(own, 3)
 
 
+@needs(CUDA)
 @pytest.mark.gpu
 @needs(CUDA)
 def test_worlds_on_a_gpu_are_those_on_a_cpu(model):
@@ -263,6 +264,7 @@ def test_worlds_on_a_gpu_are_those_on_a_cpu(model):
         np.testing.assert_allclose(b, a, atol=5e-3)
 
 
+@needs(CUDA)
 @pytest.mark.gpu
 @needs(CUDA)
 def test_torch_sees_the_memory_of_a_gpu(model):
