@@ -2,7 +2,7 @@
 """Repeat the experiments of the paper's tables and compare.
 
     python tools/study.py reproduce table4 --jobs 2               # all cells, as many runs as the paper
-    python tools/study.py reproduce papers --jobs 2               # tables 1 to 4, the pick, mjpc
+    python tools/study.py reproduce papers --jobs 2               # every row of the three papers
     python tools/study.py reproduce table1/point --runs 20        # one cell
     python tools/study.py reproduce table4 --set planner.samples=300 --out build/samples300
     python tools/study.py reproduce table1 --jobs gpus            # a process for each GPU of this machine

@@ -348,5 +348,5 @@ TABLES = {
 """Tables by name."""
 
 GROUPS = {"pezzato": ("table1", "table2", "table3", "table4", "pick")}
-GROUPS["papers"] = (*GROUPS["pezzato"], "mjpc", "slow_down")
+GROUPS["papers"] = (*GROUPS["pezzato"], "disturbances", "sampling", "mjpc", "slow_down")
 """Tables by the name of several."""
