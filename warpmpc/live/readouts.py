@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from ..engine.registry import ENGINES, physics_steps
-from ..engine.thread_pool import thread_count
 from ..scene.schema import EngineName
+from ..thread_pool import thread_count
 
 if TYPE_CHECKING:
     import viser
