@@ -2,15 +2,18 @@
 """The cache of compiled scenes: what comes back, what it depends on, and what a damaged entry does."""
 
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
 from small_scenes import BOX, CHAIN, WALL, chain_scene, make_scene
 
 from warpmpc.model.compiled import _cache_key, compile_scene
+from warpmpc.scene.load import load_scene
 
 
 @pytest.fixture
@@ -140,3 +143,25 @@ def test_names_lead_to_the_bodies_joints_and_geoms_they_stand_for(cache, tmp_pat
     for shape, name in zip(layout.shapes, compiled.geom_name, strict=True):
         owner = model.geom(name).bodyid[0]
         assert model.body(owner).name == compiled.body_name[shape.body]
+
+
+@pytest.mark.parametrize("name", ["pendulum", "point_reach"])
+def test_a_shipped_scene_that_comes_compiled_is_not_built_wherever_it_is_installed(name, cache, tmp_path, monkeypatch):
+    from warpmpc.model import compiled
+    from warpmpc.scene import load
+
+    here = load_scene(name)
+    reference = compile_scene(here, cache=False)
+    monkeypatch.setenv("WARPMPC_KERNELS", str(tmp_path / "objects"))
+    compiled.compile_shipped(tmp_path / "objects" / "scenes", [here])
+    elsewhere = tmp_path / "installed"
+    shutil.copytree(load.shipped_folder(), elsewhere)
+    for module in (load, compiled):
+        monkeypatch.setattr(module, "shipped_folder", lambda: elsewhere)
+    there = load_scene(name)
+    assert there.path.is_relative_to(elsewhere)
+    monkeypatch.setattr(compiled, "_compile", lambda scene: pytest.fail("it was built"))
+    found = compile_scene(there)
+    assert found.mjcf == reference.mjcf
+    assert all(Path(robot.path).is_relative_to(elsewhere) for robot in found.mjcf_robots)
+    assert not cache.exists()

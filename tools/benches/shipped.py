@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile the kernels that all scenes share, for the wheel; ``tools/bench.py start`` times them.
+"""Compile the kernels that all scenes share, and the shipped scenes, for the wheel.
 
 python tools/bench.py shipped                # into warpmpc/objects, from where a wheel takes them
 python tools/bench.py shipped --to FOLDER    # to be used with WARPMPC_KERNELS=FOLDER
@@ -23,10 +23,15 @@ from warp._src import build
 import warpmpc
 from warpmpc import kernel_cache, kernels, shipped_kernels
 from warpmpc.cli.setup import start_warp
-from warpmpc.model.compiled import compile_scene
+from warpmpc.model.compiled import compile_scene, compile_shipped
+from warpmpc.scene.load import shipped_scenes
 
+PACKAGE = "package://"
+"""Beginning of names of assets in other packages, which may not be there."""
 SCENES = ("panda_reach", "quadruped_walk", "omni_push_box", "point_reach")
 """Scenes whose worlds Newton builds and translates with all of its kernels that any needs."""
+NEWTONS = ("newton._src.geometry.inertia", "newton._src.utils.mesh")
+"""Modules of Newton's that worlds with meshes need besides."""
 _build = build.build_cpu
 
 
@@ -55,7 +60,7 @@ def compile_shared(target: Path, modules: Sequence[str], scenes: Sequence[str]) 
 
 def _compile(folder: Path, modules: Sequence[str], scenes: Sequence[str]) -> None:
     """Compile into a folder of Warp's."""
-    wp.config.kernel_cache_dir = str(folder)
+    before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(folder)
     kernel_cache.watch()
     build.build_cpu = _portable
     try:
@@ -65,7 +70,7 @@ def _compile(folder: Path, modules: Sequence[str], scenes: Sequence[str]) -> Non
         for scene in scenes:
             compile_scene(warpmpc.load_scene(scene), cache=False)
     finally:
-        build.build_cpu = _build
+        build.build_cpu, wp.config.kernel_cache_dir = _build, before
 
 
 def main(arguments: list[str]) -> None:
@@ -76,6 +81,9 @@ def main(arguments: list[str]) -> None:
     os.environ["WARPMPC_KERNELS"] = os.devnull  # those that were compiled before count for nothing
     start_warp()
     target, begin = given.to / shipped_kernels.target(), time.perf_counter()
-    compile_shared(target, shared_modules(), SCENES)
-    size, seconds = sum(file.stat().st_size for file in target.iterdir()), time.perf_counter() - begin
-    print(f"{target}: {len(list(target.glob('*.o')))} modules, {size / 1e6:.1f} MB, {seconds:.0f} s")
+    compile_shared(target, [*shared_modules(), *NEWTONS], SCENES)
+    own = [scene for scene in map(warpmpc.load_scene, shipped_scenes()) if PACKAGE not in scene.model_dump_json()]
+    shutil.rmtree(given.to / "scenes", ignore_errors=True)
+    compile_shipped(given.to / "scenes", own)
+    size, seconds = sum(file.stat().st_size for file in given.to.rglob("*.*")), time.perf_counter() - begin
+    print(f"{target}: {len(list(target.glob('*.o')))} modules, {len(own)} scenes, {size / 1e6:.1f} MB, {seconds:.0f} s")

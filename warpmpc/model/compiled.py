@@ -28,8 +28,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import platformdirs
 
+from .. import shipped_kernels
 from ..compiling import shown
 from ..scene.errors import SceneError
+from ..scene.load import shipped_folder
 from .asset_files import asset_files
 from .assets import AssetKind, asset_kind, resolve_asset
 from .compiled_scene import CompiledScene
@@ -71,9 +73,9 @@ def _warning(repaired: Sequence[str]) -> str:
 def _compiled(scene: Scene, key: str | None) -> CompiledScene:
     """The scene of a cache entry, which is made if there is none."""
     folder = cache_folder()
-    if key:
+    for place in (folder, shipped_kernels.home() / "scenes") if key else ():
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-            return _fetch(folder, key)
+            return _fetch(place, key)
     try:
         with shown(f"building {scene.name}" + (", once" if key else "")):
             compiled = with_equilibrium(_compile(scene))
@@ -281,7 +283,10 @@ def _mjcf_robots(entries: list[dict]) -> tuple[MjcfRobot, ...]:
 
     return tuple(
         MjcfRobot(
-            e["path"], Robot.model_validate(e["robot"]), tuple(Servo(**s) for s in e["servos"]), tuple(e["place"])
+            str(shipped_folder() / e["path"]),
+            Robot.model_validate(e["robot"]),
+            tuple(Servo(**s) for s in e["servos"]),
+            tuple(e["place"]),
         )
         for e in entries
     )
@@ -315,7 +320,7 @@ def _store(compiled: CompiledScene, folder: Path, key: str) -> None:
 def _entry(mjcf_robot: MjcfRobot) -> dict:
     servos = [asdict(servo) for servo in mjcf_robot.servos]
     robot = mjcf_robot.robot.model_dump(mode="json")
-    return {"path": mjcf_robot.path, "robot": robot, "servos": servos, "place": mjcf_robot.place}
+    return {"path": _kept_path(mjcf_robot.path), "robot": robot, "servos": servos, "place": mjcf_robot.place}
 
 
 def _cache_key(scene: Scene) -> str | None:
@@ -334,8 +339,25 @@ def _cache_key(scene: Scene) -> str | None:
         if asset_kind(path, key=key, file=scene.path) is AssetKind.USD:
             return None
     for file in files_of(scene):
-        digest.update(str(file).encode() + file.read_bytes())
+        digest.update(_kept_path(file).encode() + file.read_bytes())
     return digest.hexdigest()[:32]
+
+
+def _kept_path(file: str | Path) -> str:
+    """A path as entries have it: below the shipped scenes it is relative to them, wherever they are installed."""
+    folder = shipped_folder().resolve()
+    path = Path(file).resolve()
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(file)
+
+
+def compile_shipped(folder: Path, scenes: Sequence[Scene]) -> None:
+    """Compile scenes for the wheel, into a folder from which :func:`compile_scene` takes them.
+
+    Raises:
+        SceneError: As :func:`compile_scene`.
+    """
+    for scene in scenes:
+        _store(with_equilibrium(_compile(scene)), folder, _cache_key(scene))
 
 
 def files_of(scene: Scene) -> list[Path]:
