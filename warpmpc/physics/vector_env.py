@@ -195,12 +195,15 @@ class BatchVectorEnv(VectorEnv):
 
         parts = 1 if device.is_cuda else max(1, min(batch.threads, worlds // 64))
         self._replays = [part(a, b) for a, b in pairwise(np.linspace(0, worlds, parts + 1).astype(int).tolist())]
-        self._pool = ThreadPool(parts, parts)
+        self._pool = ThreadPool(parts, parts) if parts > 1 else None
 
     def _evaluate(self, mask: np.ndarray, task: int) -> None:
         """Evaluate some worlds ``[W]``; what was written for the others stays."""
         self._task.assign(np.where(mask, task, LEAVE).astype(np.int32))
-        self._pool.run(self._replays)
+        if self._pool is None:
+            self._replays[0]()
+        else:
+            self._pool.run(self._replays)
 
     def set_weights(self, **weights: float) -> None:
         """Change weights of rewards by the names of their functions; nothing is compiled.
