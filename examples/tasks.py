@@ -40,7 +40,7 @@ G1 = {
 """The same of the humanoid."""
 ROBOTS = {
     "go1": (GO1, 0.29, {"FR_calf": 0.0, "RL_calf": 0.0, "FL_calf": 0.5, "RR_calf": 0.5}, 0.5, 0.8, 0.5),
-    "g1": (G1, 0.77, {"left_ankle_roll_link": 0.0, "right_ankle_roll_link": 0.5}, 0.8, 0.5, 0.25),
+    "g1": (G1, 0.77, {"left_ankle_roll_link": 0.0, "right_ankle_roll_link": 0.5}, 0.8, 0.7, 0.25),
 }
 """Joints, height at home [m], feet and phases of their steps, period of the gait [s], wanted speed [m/s], and how far
 targets go from home, as a share of what the motor can hold."""
@@ -149,7 +149,7 @@ def walking(name: str, worlds: int, threads: int) -> BatchVectorEnv:
 
     return BatchVectorEnv(
         BatchSimulator(model, worlds, threads=threads, contact_pairs=[(foot, "world") for foot in feet]),
-        observe=observe, size=14 + 3 * n, rewards={on_course: 1.0, gait: 0.5, unsteady: -0.5, effort: -0.1},
+        observe=observe, size=14 + 3 * n, rewards={on_course: 1.0, gait: 1.0, unsteady: -0.5, effort: -0.1},
         terminations=[fallen], start=start, actions=(home, scale), substeps=4, max_episode_steps=500,
         autoreset_mode="SameStep",
     )  # fmt: skip
