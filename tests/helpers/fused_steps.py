@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from warpmpc.engine.mujoco import silence_mujoco
+from warpmpc.physics import rollout
 from warpmpc.physics.plain import PlainRollout
 
 if TYPE_CHECKING:
@@ -159,3 +160,15 @@ def step_differences(
     assert not engine.work.overflow.numpy().any()
     np.testing.assert_allclose(engine.work.record_act.numpy()[1], visited.next_act, atol=2e-6)
     return Differences(np.abs(v[0] - visited.next_v), turned(model, q[0], visited.next_q), visited)
+
+
+def public_differences(model: mujoco.MjModel, visited: Visited) -> Differences:
+    """Take single steps with the public rollouts from all visited states."""
+    q, v = visited.q, visited.v
+    states = np.hstack([np.zeros((len(q), 1)), q, v, visited.act])
+    with rollout.Rollout(fall_back=False) as pool:
+        ends, _ = pool.rollout(model, mujoco.MjData(model), states, visited.control[:, None], nstep=1)
+    ends = ends[:, 0, 1:]
+    own_q, own_v, own_act = np.split(ends, [model.nq, model.nq + model.nv], axis=1)
+    np.testing.assert_allclose(own_act, visited.next_act, atol=2e-6)
+    return Differences(np.abs(own_v - visited.next_v), turned(model, own_q, visited.next_q), visited)

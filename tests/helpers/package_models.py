@@ -6,8 +6,9 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
+from shared.packages import LEGGED, robot_data
+
 from warpmpc import Scene
-from warpmpc.model.assets import package_dirs
 
 ARMS = (
     "panda_description/urdf/panda.urdf",
@@ -30,23 +31,6 @@ ARMS = (
     "alex_description/urdf/alex_nub_hands.urdf",
 )
 """Robots of ``example-robot-data`` with a fixed root."""
-LEGGED = {
-    "laikago_description/urdf/laikago.urdf": 0.5,
-    "g1_description/urdf/g1_29dof_rev_1_0.urdf": 0.8,
-    "go1_description/urdf/go1.urdf": 0.5,
-    "go2_description/urdf/go2.urdf": 0.5,
-    "a1_description/urdf/a1.urdf": 0.5,
-    "b1_description/urdf/b1.urdf": 0.75,
-    "anymal_c_simple_description/urdf/anymal.urdf": 0.75,
-    "hyq_description/robots/hyq_no_sensors.urdf": 0.8,
-    "solo_description/robots/solo12.urdf": 0.4,
-    "bolt_description/robots/bolt.urdf": 0.6,
-    "talos_data/robots/talos_reduced.urdf": 1.2,
-    "icub_description/robots/icub_reduced.urdf": 0.8,
-    "simple_humanoid_description/urdf/simple_humanoid.urdf": 0.65,
-    "centauro_description/urdf/centauro.urdf": 1.0,
-}
-"""Robots of ``example-robot-data`` that walk, and the height of their root [m]."""
 MJCF = {
     "dm_control": [
         f"suite/{name}.xml"
@@ -115,7 +99,7 @@ DRIVEN = (
 def package_models() -> dict[str, Scene]:
     """A scene for each model that is installed, by package and file."""
     scenes = {}
-    data = next((d / "example-robot-data/robots" for d in package_dirs() if (d / "example-robot-data").is_dir()), None)
+    data = robot_data()
     drive = {"mode": "velocity", "damping": 10.0, "limit": 1.0}
     for name in (*ARMS, *LEGGED) if data else ():
         keys = {"floating": True, "position": (0.0, 0.0, LEGGED[name])} if name in LEGGED else {}

@@ -253,6 +253,50 @@ def test_what_it_lacks_is_rolled_out_by_mujoco_with_one_line(caplog, sensors, na
         strict.rollout(model, mujoco.MjData(model), start, control)
 
 
+CARRIED = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="4 4 .1"/>
+    <body name="other" mocap="true" pos="1 0 1" quat="1 1 0 0"><site name="mark"/></body>
+    <body name="hand" mocap="true" pos="0 0 .6"><geom type="box" size=".1 .1 .02"/>
+      <body pos="0 .3 0">
+        <joint name="swing" axis="1 0 0" damping=".1"/><geom type="sphere" size=".03" mass=".2"/>
+      </body>
+    </body>
+    <body name="load" pos="0 0 .4"><freejoint/><geom type="box" size=".05 .04 .03" mass=".3" friction=".6"/></body>
+    <body pos="0 0 .7"><joint name="ball" type="free"/><geom type="sphere" size=".04" mass=".1"/></body>
+  </worldbody>
+  <equality><weld body1="hand" body2="load"/></equality>
+  <actuator><motor joint="swing" gear=".05"/></actuator>
+  <sensor><framepos objtype="site" objname="mark"/><framequat objtype="body" objname="hand"/></sensor>
+</mujoco>
+"""
+STATE = mujoco.mjtState
+POSES = int(STATE.mjSTATE_MOCAP_POS | STATE.mjSTATE_MOCAP_QUAT)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [int(STATE.mjSTATE_CTRL) | POSES, POSES, int(STATE.mjSTATE_CTRL | STATE.mjSTATE_MOCAP_POS)],
+    ids=["all", "poses", "positions"],
+)
+def test_mocap_bodies_move_along_with_the_controls(spec):
+    model = mujoco.MjModel.from_xml_string(CARRIED)
+    start, ctrl = drawn(model, 4)
+    start[:, 1:] = [*model.qpos0, *np.zeros(model.nv)]
+    rng = np.random.default_rng(5)
+    place = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.6]) + 0.01 * rng.normal(size=(WORLDS, STEPS, 6)).cumsum(axis=1)
+    turn = np.array([1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) + 0.02 * rng.normal(size=(WORLDS, STEPS, 8)).cumsum(
+        axis=1
+    )
+    given = {STATE.mjSTATE_CTRL: ctrl, STATE.mjSTATE_MOCAP_POS: place, STATE.mjSTATE_MOCAP_QUAT: 2.0 * turn}
+    control = np.concatenate([values for bit, values in given.items() if spec & int(bit)], axis=-1)
+    (state, sensed), (own, read) = both(model, start, control, control_spec=spec)
+    assert abs(state[:, -1, 1:] - start[:, 1:]).max() > 0.01
+    np.testing.assert_allclose(own, state, rtol=2e-4, atol=2e-4)
+    np.testing.assert_allclose(read, sensed, **CLOSE)
+
+
 def test_other_controls_than_ctrl_are_rolled_out_by_mujoco():
     model, start, control = pushed()
     spec = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)

@@ -26,7 +26,7 @@ _LEG = """
     </body></body></body>"""
 
 
-def quadruped() -> mujoco.MjModel:
+def quadruped_spec() -> mujoco.MjSpec:
     """Twelve joints like those of a Go1, trunk and legs of simple shapes, servos with limits."""
     legs = "".join(
         _LEG.format(n=name, x=x, y=y, s=0.04 * np.sign(y), s2=0.08 * np.sign(y))
@@ -35,13 +35,18 @@ def quadruped() -> mujoco.MjModel:
     joints = [f"{leg}_{part}" for leg in ("fr", "fl", "rr", "rl") for part in ("hip", "thigh", "calf")]
     servos = "".join(f'<position joint="{j}" kp="30" kv="1" forcerange="-24 24"/>' for j in joints)
     pose = " ".join(["0 0.9 -1.8"] * 4)
-    return mujoco.MjModel.from_xml_string(f"""
+    return mujoco.MjSpec.from_string(f"""
 <mujoco><compiler angle="radian" autolimits="true"/>{OPTION}
 <default><joint armature="0.01" damping="0.3"/><geom condim="3"/></default>
 <worldbody><geom type="plane" size="9 9 .1"/>
 <body name="trunk" pos="0 0 0.3"><freejoint/><geom type="box" size=".19 .05 .06" mass="5"/>{legs}</body></worldbody>
 <actuator>{servos}</actuator>
 <keyframe><key qpos="0 0 0.3 1 0 0 0 {pose}" ctrl="{pose}"/></keyframe></mujoco>""")
+
+
+def quadruped() -> mujoco.MjModel:
+    """The model of :func:`quadruped_spec`."""
+    return quadruped_spec().compile()
 
 
 def arm_with_box() -> mujoco.MjModel:
@@ -66,15 +71,24 @@ def arm_with_box() -> mujoco.MjModel:
 <keyframe><key qpos="0 1.1 0 0.9 0 0.3 0 0.55 0 0.1 1 0 0 0" ctrl="0 1.1 0 0.9 0 0.3 0"/></keyframe></mujoco>""")
 
 
-def humanoid() -> mujoco.MjModel:
-    """Newton's ``nv_humanoid.xml`` with its own motors over a floor, without the springs of its free joint."""
-    folder = Path(importlib.util.find_spec("newton").submodule_search_locations[0])
-    spec = mujoco.MjSpec.from_file(str(folder / "examples/assets/nv_humanoid.xml"))
+def _file(package: str, name: str) -> Path:
+    """A file of an installed package."""
+    return Path(importlib.util.find_spec(package).submodule_search_locations[0]) / name
+
+
+def humanoid_spec() -> mujoco.MjSpec:
+    """Newton's ``nv_humanoid.xml`` with its own motors over a floor."""
+    spec = mujoco.MjSpec.from_file(str(_file("newton", "examples/assets/nv_humanoid.xml")))
     for item in (*spec.sensors, *spec.tendons):
         spec.delete(item)
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9.0, 9.0, 0.1])
-    model = spec.compile()
+    return spec
+
+
+def humanoid() -> mujoco.MjModel:
+    """The model of :func:`humanoid_spec`, without the springs of its free joint."""
+    model = humanoid_spec().compile()
     model.jnt_stiffness[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] = 0.0
     model.opt.timestep, model.opt.integrator = 0.005, mujoco.mjtIntegrator.mjINT_EULER
     model.opt.iterations, model.opt.tolerance = 20, 1e-6
@@ -82,16 +96,43 @@ def humanoid() -> mujoco.MjModel:
     return model
 
 
-def hand() -> mujoco.MjModel:
+def g1_spec() -> mujoco.MjSpec:
+    """The G1 of mjlab over a floor, a servo with a limit on each joint."""
+    path = _file("mjlab", "asset_zoo/robots/unitree_g1/xmls/g1.xml")
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.meshdir = str(path.parent / "assets")
+    spec.option.timestep, spec.option.iterations, spec.option.tolerance = 0.005, 20, 1e-6
+    for sensor in spec.sensors:
+        spec.delete(sensor)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9.0, 9.0, 0.1])
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            joint.armature = 0.01
+            servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            servo.set_to_position(kp=75.0, kv=2.0)
+            servo.forcelimited, servo.forcerange = True, [-88.0, 88.0]
+    return spec
+
+
+def g1() -> mujoco.MjModel:
+    """The model of :func:`g1_spec`."""
+    return g1_spec().compile()
+
+
+def hand_spec() -> mujoco.MjSpec:
     """The Shadow hand of gymnasium-robotics, as its file has it."""
-    folder = Path(importlib.util.find_spec("gymnasium_robotics").submodule_search_locations[0])
-    return mujoco.MjModel.from_xml_path(str(folder / "envs/assets/hand/reach.xml"))
+    return mujoco.MjSpec.from_file(str(_file("gymnasium_robotics", "envs/assets/hand/reach.xml")))
+
+
+def hand() -> mujoco.MjModel:
+    """The model of :func:`hand_spec`."""
+    return hand_spec().compile()
 
 
 def hand_with_block() -> mujoco.MjModel:
     """The same with a block in it, and one contact of two flat shapes."""
-    folder = Path(importlib.util.find_spec("gymnasium_robotics").submodule_search_locations[0])
-    model = mujoco.MjModel.from_xml_path(str(folder / "envs/assets/hand/manipulate_block.xml"))
+    path = _file("gymnasium_robotics", "envs/assets/hand/manipulate_block.xml")
+    model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
     return model
 
@@ -104,7 +145,11 @@ def load_model(name: str) -> mujoco.MjModel:
 
 def of_scene(name: str) -> mujoco.MjModel:
     """The model of a shipped scene, as its rollouts step it."""
-    scene = warpmpc.load_scene(name)
+    return model_of(warpmpc.load_scene(name))
+
+
+def model_of(scene: warpmpc.Scene) -> mujoco.MjModel:
+    """The model of a scene, as its rollouts step it."""
     compiled = compile_scene(scene)
     substeps = compiled.substeps(scene.engine.substeps, scene.timing.control_dt, 2)
     step = scene.timing.control_dt / substeps
@@ -112,7 +157,7 @@ def of_scene(name: str) -> mujoco.MjModel:
 
 
 OWN = {"quadruped": quadruped, "humanoid": humanoid, "arm_with_box": arm_with_box}
-OTHERS = {"hand": hand, "hand_with_block": hand_with_block}
+OTHERS = {"hand": hand, "hand_with_block": hand_with_block, "g1": g1}
 """Models of files that are installed beside this project."""
 SCENES = (
     "omni_push_box",

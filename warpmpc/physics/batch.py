@@ -82,6 +82,7 @@ class BatchRollout:
         settable: Whether :meth:`set_arrays` takes any numbers, even where all worlds begin alike.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
+        mocap: Whether controls go on with the positions of all mocap bodies, then their quaternions.
         device: Warp device.
         threads: Threads on a CPU.
         sensors_before: Whether sensors are read before each control, as in MuJoCo's step, rather than after it.
@@ -102,6 +103,7 @@ class BatchRollout:
         settable: bool = False,
         bodies: Sequence[int] = (),
         pairs: Sequence[tuple[int, int]] = (),
+        mocap: bool = False,
         device: wp.DeviceLike = "cpu",
         threads: int = 1,
         sensors_before: bool = True,
@@ -110,7 +112,7 @@ class BatchRollout:
         if lack := missing(model):
             raise ValueError(f"the physics of warpmpc has no {lack}")
         self.mj, self.worlds, self.steps, self.threads = model, worlds, steps, threads
-        self._bodies, self._pairs, self._settable = tuple(bodies), tuple(pairs), settable
+        self._bodies, self._pairs, self._settable, self._mocap = tuple(bodies), tuple(pairs), settable, mocap
         self.device = wp.get_device(device)
         on_gpu = self.device.is_cuda
         self._lanes = 1 if on_gpu else native_lanes()
@@ -134,7 +136,7 @@ class BatchRollout:
         if self._settable and self.worlds == 1:  # one row would be that of all worlds
             arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
         physics = PhysicsModel(self.mj, arrays, settable=self._settable, decided=self._decided)
-        state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs)
+        state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs, mocap=self._mocap)
         text = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()
         self._decided = physics.columns.decisions if self._settable else None
         return _Text(text if self.device.is_cuda else packed(text)), physics
@@ -149,12 +151,13 @@ class BatchRollout:
         self.sensordata = zeros(worlds, steps, m.nsensordata, dtype=wp.float64)
         start = self.state.shape[0], self.state.shape[2]
         work.initial = self.state.reshape(start) if in_place else zeros(*start, dtype=wp.float64)
-        work.knots, work.domains, work.records = zeros(1, worlds, steps, m.nu), 1, 0
+        columns = m.nu + (7 * m.nmocap if self._mocap else 0)
+        work.knots, work.domains, work.records = zeros(1, worlds, steps, columns), 1, 0
         tap = np.zeros((1, steps, int(TAPS)), dtype=np.int32)
         tap[0, :, 0] = np.arange(steps)  # a control is its own knot
         work.tap = wp.array(tap, device=self.device)
         work.share = wp.full(tap.shape, 1.0, dtype=float, device=self.device)
-        work.lower, work.upper = (wp.full(m.nu, x, dtype=float, device=self.device) for x in (-np.inf, np.inf))
+        work.lower, work.upper = (wp.full(columns, x, dtype=float, device=self.device) for x in (-np.inf, np.inf))
         work.substeps = wp.full(steps, substeps, dtype=int, device=self.device)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
         work.given = wp.array(physics.given, dtype=float, device=self.device)

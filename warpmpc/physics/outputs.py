@@ -31,7 +31,11 @@ class Outputs:
 
 
 def write_outputs(
-    model: PhysicsModel, *, bodies: Sequence[int] = (), pairs: Sequence[tuple[int, int]] = ()
+    model: PhysicsModel,
+    *,
+    bodies: Sequence[int] = (),
+    pairs: Sequence[tuple[int, int]] = (),
+    mocap: bool = False,
 ) -> tuple[StateMap, AddedCode]:
     """Write the statements that hand results out; the function they are part of takes ``o: Outputs`` first.
 
@@ -39,6 +43,7 @@ def write_outputs(
         model: The model.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
+        mocap: Whether behind the controls of a step stand the positions of all mocap bodies, then their quaternions.
 
     Returns:
         What the rollout keeps, and the statements.
@@ -49,15 +54,14 @@ def write_outputs(
     readings = _read(sensors, rows) if m.nsensordata else ""
     code = AddedCode(
         start=_START.replace("TIMESTEP", repr(float(m.opt.timestep))),
-        before=f"if (live && o.before) {{\n{readings}\n}}",
+        before=f"{_MOCAP.replace('CTRLS', str(m.nu)) if mocap else ''}\nif (live && o.before) {{\n{readings}\n}}",
         step=f"{_STATE}\nif (!o.before) {{\n{readings}\n}}",
         end="\n".join((_END, *_poses(m, bodies, rows))),
         first=0,
     )
     watched = _watched(model, pairs)
-    plain = StateMap(
-        plain=True, matrix=np.eye(m.nu), offset=np.zeros(m.nu), bodies=kept, watched=watched, pairs=len(pairs)
-    )
+    matrix = np.eye(m.nu, m.nu + (7 * m.nmocap if mocap else 0))
+    plain = StateMap(plain=True, matrix=matrix, offset=np.zeros(m.nu), bodies=kept, watched=watched, pairs=len(pairs))
     return plain, code
 
 
@@ -111,6 +115,18 @@ const auto now = [&](int l, int n) { return begun[l] + TIMESTEP * n * k.substeps
 if (o.warmstart.shape[0]) {
     for (int l = 0; l < lanes; ++l)
         EACH(i, NV) LANE(w.x[i], l) = ((const float*)o.warmstart.data)[(size_t)world[l] * NV + i];
+    SYNC
+}
+"""
+_MOCAP = """
+if (live) {
+    EACH(i, 7 * NMOCAP) {
+        const int from = CTRLS + (i % 7 < 3 ? i / 7 * 3 + i % 7 : 3 * NMOCAP + i / 7 * 4 + i % 7 - 3);
+        w.mocap[i] = VGATHER(theta + at * controls + from, lane_at);
+    }
+    SYNC
+    Sim::place(w);
+    Sim::move(w);  // what hangs on them
     SYNC
 }
 """

@@ -32,6 +32,7 @@ logger = logging.getLogger("warpmpc")
 MODELS = 4
 """Models that are kept ready, and numbers of worlds and steps of each."""
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+_POSITION, _TURN = int(mujoco.mjtState.mjSTATE_MOCAP_POS), int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
 def lacking(model: mujoco.MjModel) -> str | None:
@@ -97,8 +98,10 @@ class _Native:
         key, arrays = self._numbers.of(models)
         lack = self._lacks(key, models[0], control_spec, control, arrays)
         if lack is None:
+            mocap = control is not None and control_spec != _CONTROL
+            control = _whole(models[0], control_spec, control) if mocap else control
             self._ready_for(key, models[0]).run(
-                len(initial_state), nstep, initial_state, initial_warmstart, control, state, sensordata, arrays
+                len(initial_state), nstep, initial_state, initial_warmstart, control, state, sensordata, arrays, mocap
             )
             return
         if not self._fall_back:
@@ -122,8 +125,8 @@ class _Native:
                 logger.info("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
         if self._lack[key]:
             return self._lack[key]
-        if control is not None and control_spec != _CONTROL:
-            return "controls other than ctrl (control_spec)"
+        if control is not None and control_spec & ~(_CONTROL | _POSITION | _TURN):
+            return "controls other than ctrl and mocap poses (control_spec)"
         return f"worlds that differ in {arrays}" if isinstance(arrays, str) else None
 
     def _ready_for(self, key: bytes, model: mujoco.MjModel) -> _Ready:
@@ -152,9 +155,10 @@ class _Ready:
         state: np.ndarray | None,
         sensordata: np.ndarray | None,
         arrays: dict[str, np.ndarray],
+        mocap: bool,
     ) -> None:
         """Roll out into arrays of the caller."""
-        batch = self._batch(worlds, steps, arrays)
+        batch = self._batch(worlds, steps, arrays, mocap=mocap)
         work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
         _put(work.initial, initial_state)
         _put(work.knots, np.zeros(work.knots.shape[1:]) if control is None else control)
@@ -170,10 +174,11 @@ class _Ready:
         if lost := int(np.count_nonzero(work.overflow.numpy())):
             logger.warning("%d of %d worlds had more contacts at once than there is room for", lost, worlds)
 
-    def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray]) -> BatchRollout:
-        key = worlds, steps, tuple(sorted(arrays))
+    def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray], *, mocap: bool) -> BatchRollout:
+        key = worlds, steps, tuple(sorted(arrays)), mocap
         if key not in self._batches:
-            made = BatchRollout(self._model, worlds, steps, arrays=arrays, device=self._device, threads=self._threads)
+            where = {"device": self._device, "threads": self._threads}
+            made = BatchRollout(self._model, worlds, steps, arrays=arrays, mocap=mocap, **where)
             self._batches[key] = made, arrays
         batch, known = self._batches[key]
         if any(not np.array_equal(known[name], arrays[name]) for name in arrays):
@@ -181,12 +186,28 @@ class _Ready:
                 batch.set_arrays(arrays)
             except ValueError:  # other numbers are alike now: another source
                 del self._batches[key]
-                return self._batch(worlds, steps, arrays)
+                return self._batch(worlds, steps, arrays, mocap=mocap)
             self._batches[key] = batch, arrays
         self._batches.move_to_end(key)
         while len(self._batches) > MODELS:
             self._batches.popitem(last=False)
         return batch
+
+
+def _whole(model: mujoco.MjModel, control_spec: int, control: np.ndarray) -> np.ndarray:
+    """Controls, positions and unit quaternions of mocap bodies; what is not given is zero, or as the model has it."""
+    bodies = np.flatnonzero(model.body_mocapid >= 0)
+    bodies = bodies[np.argsort(model.body_mocapid[bodies])]
+    usual = {_CONTROL: np.zeros(model.nu), _POSITION: model.body_pos[bodies], _TURN: model.body_quat[bodies]}
+    at, parts = 0, {}
+    for bit, values in usual.items():
+        width = values.size if control_spec & bit else 0
+        parts[bit] = control[..., at : at + width] if width else values.ravel()
+        at += width
+    quats = parts[_TURN].reshape(*parts[_TURN].shape[:-1], -1, 4)
+    parts[_TURN] = (quats / np.linalg.norm(quats, axis=-1, keepdims=True)).reshape(parts[_TURN].shape)
+    rows = control.shape[:-1]
+    return np.concatenate([np.broadcast_to(x, (*rows, x.shape[-1])) for x in parts.values()], axis=-1)
 
 
 def _direct(array: np.ndarray | None) -> bool:

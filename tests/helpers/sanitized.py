@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rollouts whose CPU source is compiled with AddressSanitizer and UBSan: a script, in a process of its own.
+
+    python tests/helpers/sanitized.py random SEED COUNT    # that many random models
+    python tests/helpers/sanitized.py limits               # more contacts, corners and sides than there is room for
+
+:func:`run` starts it with the sanitizers' libraries. It prints a line for each model; what the sanitizers find is on
+standard error, and an AddressSanitizer error ends it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+CHECKS = (
+    "alignment,array-bounds,bool,builtin,enum,integer-divide-by-zero,null,pointer-overflow,return,shift-base,"
+    "shift-exponent,signed-integer-overflow,unreachable,vla-bound"
+)
+FLAGS = f"-fsanitize=address,{CHECKS} -fsanitize-recover={CHECKS} "
+WORLDS, STEPS = 21, 12
+"""Worlds that fill no register to its end, and steps."""
+
+
+def libraries() -> list[str]:
+    """Files of the sanitizers' libraries; none without a compiler that has them."""
+    found = []
+    for name in ("libasan.so", "libubsan.so"):
+        try:
+            told = subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            return []
+        found.append(told.stdout.strip())
+    return found if all(os.path.isabs(path) for path in found) else []
+
+
+def run(*arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
+    """Run the script with a cache of kernels of its own."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {
+            **os.environ,
+            "LD_PRELOAD": " ".join(libraries()),
+            "ASAN_OPTIONS": "detect_leaks=0:detect_odr_violation=0",
+            "PYTHONPATH": str(Path(__file__).parent),
+            "SANITIZED_CACHE": cache,
+        }
+        command = [sys.executable, __file__, *arguments]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=timeout, check=False, errors="replace"
+        )
+
+
+def reports(done: subprocess.CompletedProcess[str]) -> list[str]:
+    """Lines in which the sanitizers tell what they found; the last words of a process that ended otherwise."""
+    lines = done.stderr.splitlines()
+    found = [line for line in lines if "runtime error:" in line or "ERROR: AddressSanitizer" in line]
+    return found or (lines[-5:] or ["it died"] if done.returncode else [])
+
+
+def roll(text: str, lanes: int | None) -> None:
+    """Roll out from ordinary states, from far ones and fast, and from some that are no numbers.
+
+    Args:
+        text: The model.
+        lanes: Worlds in a number; those of the public rollouts if None.
+    """
+    from fused_models import controls, starts
+
+    from warpmpc.physics import rollout
+    from warpmpc.physics.plain import PlainRollout
+
+    model = mujoco.MjModel.from_xml_string(text)
+    control = controls(model, STEPS, WORLDS)
+    engine = PlainRollout(model, WORLDS, STEPS, lanes=lanes) if lanes else rollout.Rollout(fall_back=False)
+    for case, speed in enumerate((1.0, 30.0, 1.0)):
+        q, v = starts(model, WORLDS, seed=case, speed=speed)
+        rng = np.random.default_rng(case)
+        if case == 1:
+            q += 0.2 * rng.normal(size=q.shape)
+        if case == 2:
+            bad = [np.nan, np.inf, -1e12, 1e30]
+            q[::5, -1] = np.resize(bad, len(q[::5]))
+            v[2::5, 0] = np.resize(bad, len(v[2::5]))
+        if lanes:
+            engine(q, v, control)
+        else:
+            state = np.hstack([np.zeros((WORLDS, 1)), q, v, np.zeros((WORLDS, model.na))])
+            engine.rollout(model, mujoco.MjData(model), state, control.swapaxes(0, 1), nstep=STEPS)
+
+
+def random(seed_: int, count: int) -> None:
+    """Random models."""
+    from hypothesis import HealthCheck, Phase, given, seed, settings
+    from random_models import models
+
+    done = 0
+
+    @seed(seed_)
+    @settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(models())
+    def each(text: str) -> None:
+        nonlocal done
+        roll(text, (None, 1, 4, 8)[(seed_ + done) % 4])
+        done += 1
+        print(f"model {done}", flush=True)
+
+    each()
+
+
+def prism(sides: int) -> str:
+    """Corners of a disc of 10 cm radius and height."""
+    turns = 2.0 * np.pi * np.arange(sides) / sides
+    points = [(0.1 * np.cos(turn), 0.1 * np.sin(turn), z) for z in (-0.05, 0.05) for turn in turns]
+    return " ".join(f"{x:.6f}" for x in np.ravel(points))
+
+
+def _pile(*shapes: str, asset: str = "", ground: str = '<geom type="plane" size="4 4 .1"/>') -> str:
+    bodies = "".join(
+        f'<body pos="{0.03 * i:.2f} {-0.02 * i:.2f} {0.03 + 0.09 * i:.2f}" euler="{3 * i} {2 * i} {45 * i}">'
+        f"<freejoint/><geom {shape}/></body>"
+        for i, shape in enumerate(shapes)
+    )
+    return f'<mujoco><option timestep="0.004"/><asset>{asset}</asset><worldbody>{ground}{bodies}</worldbody></mujoco>'
+
+
+def limits() -> None:
+    """Models that reach what there is room for."""
+    from warpmpc.physics import source
+
+    rng = np.random.default_rng(0)
+    ball, box, disc = 'type="sphere" size=".1"', 'type="box" size=".1 .08 .05"', 'type="cylinder" size=".1 .05"'
+    cloud = " ".join(f"{x:.5f}" for x in 0.1 * rng.normal(size=3 * 400))
+    meshes = f'<mesh name="disc" vertex="{prism(256)}"/><mesh name="stone" vertex="{cloud}"/>'
+    mesh = ['type="mesh" mesh="disc"', 'type="mesh" mesh="stone"']
+    field = '<hfield name="f" nrow="12" ncol="12" size="1 1 .3 .1" elevation="{}"/>'.format(
+        " ".join(f"{x:.3f}" for x in rng.uniform(size=144))
+    )
+    hills = '<geom type="hfield" hfield="f" pos="0 0 -.1"/>'
+    cases = {
+        "boxes": (_pile(*[box] * 6), 64),
+        "more contacts than room": (_pile(*[ball] * 10, *[box] * 3), 6),
+        "discs and boxes": (_pile(disc, box, disc, 'type="capsule" size=".05 .1"'), 64),
+        "hulls": (_pile(mesh[0], mesh[1], mesh[0], box, asset=meshes), 64),
+        "hulls, no room": (_pile(mesh[0], mesh[1], mesh[0], box, disc, asset=meshes), 3),
+        "heightfield": (_pile(box, ball, mesh[1], asset=meshes + field, ground=hills), 64),
+        "heightfield, no room": (_pile(box, ball, mesh[0], asset=meshes + field, ground=hills), 4),
+    }
+    for name, (text, room) in cases.items():
+        source.MOST_CONTACTS = room
+        for lanes in (None, 1):
+            roll(text, lanes)
+            print(f"{name}, {lanes or 'all'} lanes", flush=True)
+
+
+def main() -> None:
+    """Run what the command line says."""
+    import warp as wp
+
+    wp.config.quiet = True
+    wp.config.kernel_cache_dir = os.environ["SANITIZED_CACHE"]
+    wp.config.cpu_compiler_flags = FLAGS
+    if sys.argv[1] == "random":
+        random(int(sys.argv[2]), int(sys.argv[3]))
+    else:
+        limits()
+
+
+if __name__ == "__main__":
+    main()

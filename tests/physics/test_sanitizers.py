@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""AddressSanitizer and UBSan find nothing in the generated CPU source, for random models and at its limits.
+
+All 200 models: pytest -m slow tests/physics/test_sanitizers.py -n 16
+"""
+
+import pytest
+from sanitized import libraries, reports, run
+
+EACH = 10
+"""Models of a process."""
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(2400),
+    pytest.mark.skipif(not libraries(), reason="gcc's libraries of sanitizers are not installed"),
+]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_models_have_no_report(seed):
+    done = run("random", str(seed), str(EACH), timeout=2300)
+    assert reports(done) == []
+    assert len(done.stdout.splitlines()) == EACH
+
+
+def test_limits_have_no_report():
+    done = run("limits", timeout=2300)
+    assert reports(done) == []
+    assert len(done.stdout.splitlines()) == 14

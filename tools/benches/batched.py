@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Physics steps by ``warpmpc.physics``: one thread against ``mujoco.rollout``, many against mjbatch and EnvPool.
+
+    python tools/bench.py batched                                             # one thread of each, in turns
+    python tools/bench.py batched --threads 0 --mjbatch PYTHON --envpool PYTHON --json batched.json    # all cores
+
+One thread: ``rollout.Rollout`` of both, processor time. Several: ``BatchSimulator.step`` against ``mjbatch.Batch.step``
+on the same model and states, wall time. EnvPool takes no model and no states: it steps its nearest task under random
+actions, which includes observations, rewards and resets. PYTHON is the interpreter of an environment that has the
+package; mjbatch and EnvPool bring a MuJoCo of their own. The models have no sensors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from shared.files import write_json
+from shared.machine import machine
+from shared.models import FULL, g1_spec, hand_spec, humanoid_spec, load_model, quadruped_spec, spread
+
+from warpmpc.cli.setup import start_warp
+from warpmpc.engine.mujoco import silence_mujoco
+from warpmpc.physics import BatchSimulator, rollout
+from warpmpc.thread_pool import thread_count
+
+SPECS = {"humanoid": humanoid_spec, "quadruped": quadruped_spec, "g1": g1_spec, "hand": hand_spec}
+TASKS = {
+    "humanoid": ("HumanoidStand-v1", 5),
+    "quadruped": ("Go1JoystickFlatTerrain-v1", 5),
+    "g1": ("G1JoystickFlatTerrain-v1", 10),
+    "hand": ("HandReach-v3", 20),
+}
+"""EnvPool's nearest task, and its physics steps of a control. The hand's model is the same one."""
+_LATER = re.compile(r' input="\w+"')
+"""Attributes of actuators that say what their gains say already; MuJoCo 3.14 does not know them."""
+SMALL = 100_000
+"""Largest array of a model that is handed over [bytes]."""
+
+
+def without_sensors(name: str) -> mujoco.MjSpec:
+    """A model's specification; its file may be read from anywhere."""
+    spec = SPECS[name]()
+    if spec.meshdir and not Path(spec.meshdir).is_absolute():
+        spec.meshdir = str((Path(spec.modelfiledir) / spec.meshdir).resolve())
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    return spec
+
+
+def bare_model(name: str) -> mujoco.MjModel:
+    """A model without sensors."""
+    model = load_model(name)
+    return without_sensors(name).compile() if model.nsensor else model
+
+
+def one_thread(name: str, *, worlds: int, steps: int, runs: int) -> dict[str, Any]:
+    """Processor time of a world-step of both rollouts on one thread [µs], in turns."""
+    model = bare_model(name)
+    q, v, u = spread(model, worlds)
+    start = np.zeros((worlds, mujoco.mj_stateSize(model, FULL)))
+    start[:, 1 : 1 + model.nq + model.nv] = np.hstack([q, v])
+    control = np.repeat(u[:, None], steps, axis=1)
+    data = mujoco.MjData(model)
+    with mujoco.rollout.Rollout(nthread=0) as theirs, rollout.Rollout(nthread=0, fall_back=False) as ours:
+        pools: tuple[Callable, ...] = tuple(p.rollout for p in (ours, theirs))
+        ends, spent = {}, {pool: [] for pool in pools}
+        for run in range(runs + 1):
+            for pool in pools:
+                begin = time.process_time()
+                states, _ = pool(model, data, start, control)
+                spent[pool].append(time.process_time() - begin)
+                if not run:
+                    ends[pool] = states[:, -1, 1 : 1 + model.nq].copy()
+    ours_us, theirs_us = (1e6 * min(spent[pool][1:]) / (worlds * steps) for pool in pools)
+    gap = np.abs(ends[pools[0]] - ends[pools[1]]).max(axis=1)
+    return {
+        "model": name,
+        "worlds": worlds,
+        "dofs": int(model.nv),
+        "threads": 1,
+        "other": "mujoco.rollout",
+        "version": mujoco.__version__,
+        "warpmpc_us": ours_us,
+        "other_us": theirs_us,
+        "ratio": theirs_us / ours_us,
+        "apart_p50": float(np.median(gap)),
+    }
+
+
+class Other:
+    """Another simulator in a process of its own.
+
+    Args:
+        python: Its interpreter.
+        kind: ``mjbatch`` or ``envpool``.
+        told: Arguments of its class in ``stepping.py``.
+
+    Raises:
+        ValueError: If it does not start.
+    """
+
+    def __init__(self, python: str, kind: str, told: dict[str, Any]):
+        script = Path(__file__).parents[1] / "shared" / "stepping.py"
+        self._process = subprocess.Popen(
+            [python, str(script), kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self._kind = kind
+        self.version = self.ask(told)["version"]
+
+    def ask(self, told: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Its answer to a line; without arguments a run."""
+        self._process.stdin.write(json.dumps(told) + "\n")
+        self._process.stdin.flush()
+        while line := self._process.stdout.readline():
+            if line.startswith("{"):
+                return json.loads(line)
+        raise ValueError(f"{self._kind} has ended with exit code {self._process.wait()}")
+
+    def close(self) -> None:
+        """End it."""
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def hand_over(name: str, model: mujoco.MjModel, folder: Path, **arrays: np.ndarray) -> dict[str, str]:
+    """Write a model and states for another version of MuJoCo."""
+    spec = without_sensors(name)
+    spec.compile()
+    xml, numbers = folder / "model.xml", folder / "numbers.npz"
+    xml.write_text(_LATER.sub("", spec.to_xml()), encoding="utf-8")
+    for key in (k for k in dir(model) if not k.startswith("_")):
+        value = getattr(model, key)
+        if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.nbytes < SMALL:
+            arrays.setdefault(key, value)
+    options = ("timestep", "integrator", "cone", "solver", "iterations", "tolerance", "ls_iterations", "ls_tolerance")
+    arrays |= {f"opt.{key}": np.array(getattr(model.opt, key)) for key in options}
+    np.savez(numbers, **arrays)
+    return {"xml": str(xml), "arrays": str(numbers)}
+
+
+def many_threads(
+    name: str, others: dict[str, str], *, worlds: int, steps: int, runs: int, threads: int
+) -> list[dict[str, Any]]:
+    """World-steps per second of other simulators and of ``BatchSimulator``, in turns; a row for each other."""
+    model, rows = bare_model(name), []
+    q, v, u = (np.resize(x, (worlds, x.shape[1])) for x in spread(model, min(worlds, 256)))
+    sim = BatchSimulator(model, worlds, threads=threads)
+
+    def ours() -> float:
+        sim.reset(qpos=q, qvel=v)
+        begin = time.perf_counter()
+        sim.step(u, steps)
+        return time.perf_counter() - begin
+
+    for kind, python in others.items():
+        with tempfile.TemporaryDirectory() as folder:
+            told: dict[str, Any] = {"threads": threads, "steps": steps}
+            if kind == "mjbatch":
+                told |= hand_over(name, model, Path(folder), q=q, v=v, u=u)
+            else:
+                told |= dict(zip(("task", "each"), TASKS[name], strict=True), worlds=worlds)
+            other = Other(python, kind, told)
+        own, theirs, answer = [], [], {}
+        for _ in range(runs + 1):
+            own.append(ours() / (worlds * steps))
+            answer = other.ask()
+            theirs.append(answer["seconds"] / answer["world_steps"])
+        ours_us, theirs_us = (1e6 * min(x[1:]) for x in (own, theirs))
+        row = {"model": name, "worlds": worlds, "dofs": int(model.nv), "threads": thread_count(threads)}
+        row |= {"other": kind, "version": other.version, "warpmpc_us": ours_us, "other_us": theirs_us}
+        if kind == "envpool":
+            row["task"] = TASKS[name][0]
+        else:
+            row["apart_p50"] = float(np.median(np.abs(np.array(answer["qpos"]) - sim.qpos[:8]).max(axis=1)))
+        rows.append(row | {"ratio": theirs_us / ours_us})
+        other.close()
+    return rows
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Time models and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", nargs="*", default=list(SPECS), help=f"models ({', '.join(SPECS)}); all by default")
+    parser.add_argument("--worlds", type=int, default=512)
+    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--runs", type=int, default=7)
+    parser.add_argument("--threads", type=int, default=1, help="of each side; 0 for all cores")
+    parser.add_argument("--mjbatch", metavar="PYTHON", help="interpreter that has mjbatch")
+    parser.add_argument("--envpool", metavar="PYTHON", help="interpreter that has EnvPool")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args(arguments)
+    if unknown := sorted(set(options.name) - set(SPECS)):
+        parser.error(f"no model {', '.join(unknown)}; there is: {', '.join(SPECS)}")
+    silence_mujoco()
+    start_warp()
+    others = {kind: path for kind in ("mjbatch", "envpool") if (path := getattr(options, kind))}
+    many = {"worlds": options.worlds, "steps": options.steps, "runs": options.runs}
+    results, before = [], machine()
+    table = Table("model", "dofs", "worlds", "threads", "other", "warpmpc [µs]", "other [µs]", "ratio", "apart")
+    for name in options.name:
+        rows = many_threads(name, others, threads=options.threads, **many) if others else []
+        for r in rows if others else [one_thread(name, **many)]:
+            results.append(r)
+            apart = f"{r['apart_p50']:.0e}" if "apart_p50" in r else r["task"]
+            figures = [f"{r[key]:.3f}" for key in ("warpmpc_us", "other_us")]
+            counts = map(str, (r["dofs"], r["worlds"], r["threads"]))
+            table.add_row(name, *counts, f"{r['other']} {r['version']}", *figures, f"{r['ratio']:.1f}", apart)
+    Console(width=150).print(table)
+    if options.json:
+        write_json(options.json, {"machine": before, "results": results})
