@@ -5,6 +5,7 @@ All 200 models: pytest -m slow tests/physics/test_sanitizers.py -n 16
 """
 
 import pytest
+from needs import reason
 from sanitized import libraries, reports, run
 
 EACH = 10
@@ -12,7 +13,7 @@ EACH = 10
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(2400),
-    pytest.mark.skipif(not libraries(), reason="gcc's libraries of sanitizers are not installed"),
+    pytest.mark.skipif(not libraries(), reason=reason("g++")),
 ]
 
 
