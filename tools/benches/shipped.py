@@ -24,6 +24,8 @@ import warpmpc
 from warpmpc import kernel_cache, kernels, shipped_kernels
 from warpmpc.cli.setup import start_warp
 from warpmpc.model.compiled import compile_scene, compile_shipped
+from warpmpc.run.episode import draws_bodies
+from warpmpc.scene.draw import draw_task
 from warpmpc.scene.load import shipped_scenes
 
 PACKAGE = "package://"
@@ -84,6 +86,6 @@ def main(arguments: list[str]) -> None:
     compile_shared(target, [*shared_modules(), *NEWTONS], SCENES)
     own = [scene for scene in map(warpmpc.load_scene, shipped_scenes()) if PACKAGE not in scene.model_dump_json()]
     shutil.rmtree(given.to / "scenes", ignore_errors=True)
-    compile_shipped(given.to / "scenes", own)
+    compile_shipped(given.to / "scenes", [*own, *(draw_task(scene, 0)[0] for scene in own if draws_bodies(scene))])
     size, seconds = sum(file.stat().st_size for file in given.to.rglob("*.*")), time.perf_counter() - begin
     print(f"{target}: {len(list(target.glob('*.o')))} modules, {len(own)} scenes, {size / 1e6:.1f} MB, {seconds:.0f} s")
