@@ -37,6 +37,7 @@ def live(arguments: RunArguments, *, host: str, port: int, seed: int) -> None:
             load_scene(arguments.source, overrides=arguments.overrides),
             arguments.device,
             say=partial(print, file=sys.stderr),
+            quick=True,
         )
         try:
             options = {"engine": arguments.engine, "device": arguments.device}

@@ -91,24 +91,25 @@ def start_warp() -> None:
         raise
 
 
-def begin(scene: Scene, device: str, *, say: Callable[[str], None] = logger.info) -> None:
+def begin(scene: Scene, device: str, *, say: Callable[[str], None] = logger.info, quick: bool = False) -> None:
     """Tell a terminal which scene it is before what takes long begins, start Warp, begin to compile what plans need.
 
     Args:
         scene: The scene.
         device: Device of the rollouts.
         say: Shows a line.
+        quick: Whether its own kernels are first compiled without optimization.
     """
     say = say if sys.stderr.isatty() else logger.debug
     say(f"{scene.name}: {scene.title}" if scene.title else scene.name)
     start_warp()
     from ..bake.simd import native_lanes
-    from ..compiling import LONG, compile_beside, prepare_headers
+    from ..compiling import LONG, UNOPTIMIZED, compile_beside, prepare_headers
     from ..physics.kernel import options
 
     seconds = 0.0
     if not device.startswith("cuda"):
-        prepare_headers(options(native_lanes()))
+        prepare_headers(options(native_lanes()) | (UNOPTIMIZED if quick else {}))
         seconds = compile_beside()
     if seconds >= LONG:
         say(f"compiling the kernels that all scenes share, once on this machine, about {seconds:.0f} s")

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from ..bake.simd import native_lanes
-from ..compiling import compile_kernel
+from ..compiling import compile_made
 from ..cost.term import CostTerm
 from ..kernels.planning.splines import ZERO
 from ..kernels.worlds.launch import TAPS, TermSums, taps_kernel
@@ -80,10 +81,9 @@ class LaunchedEngine(RolloutEngine):
             options: Options of the kernel's module.
         """
         self._sharing, self._threads, (struct, self._params) = sharing, threads, terms
-        common = {"lanes": self.lanes, "sharing": sharing, "options": options}
-        self._kernel = make_kernel(source, self._work_type, struct, self._code, **common)
+        make = partial(make_kernel, source, self._work_type, struct, self._code, lanes=self.lanes, sharing=sharing)
         what = f"the rollouts of {self.request.scene.name}"
-        compile_kernel(self._kernel, self.device, threads, what, source=source)
+        self._kernel = compile_made(make, options, self.device, threads, what, source=source)
 
     def _split(self, samples: int) -> list[Part]:
         """Parts that together try the first samples of every environment.

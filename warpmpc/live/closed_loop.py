@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections import deque
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..compiling import Later, quick
 from ..controller.controller import Controller
 from ..model.safe import safe_command
 from ..realtime.messages import TimedObservation, TimedPlan
@@ -22,6 +24,7 @@ from ..run.choose_engine import with_samples
 from ..run.episode import Episode, compile_shared
 from ..scene.errors import join_key
 from ..scene.load import load_scene
+from ..scene.schema import SampleCount
 from .foresight import Foreseen, ForesightMeter
 from .plan_rate import PlanCounter
 from .rollouts import ShownRollouts
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
     from ..model.state import State
     from ..planner.plan import Plan
     from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
 
 PUBLISH = 0.05
 """Shortest wall time between two snapshots with rollouts [s]."""
@@ -199,7 +204,8 @@ class ClosedLoop:
     def _build(self, source: str, overrides: Sequence[str], keys: dict[str, str], seed: int) -> None:
         """Another scene, seed or plant; what there was stays if it cannot be built."""
         scene = load_scene(source, overrides=[*overrides, *_texts(keys)])
-        with self._alone():
+        measured = scene.planner.samples is SampleCount.AUTO  # by optimized kernels
+        with self._alone(), nullcontext(Later()) if measured else quick() as later:
             episode = Episode(scene, seed=seed, compiled=compile_shared(scene), **self._options)
             shown = ShownRollouts(episode.controller), ForesightMeter(episode.controller, episode.plant)
         self._end_planner()
@@ -208,8 +214,22 @@ class ClosedLoop:
         self.source, self.overrides, self.keys, self.seed = source, tuple(overrides), keys, seed
         self.scene, self.controller, self.plant = episode.scene, episode.controller, episode.plant
         self._rollouts, self.foresight = shown
+        self._optimize(later)
         self.build += 1
         self._begin()
+
+    def _optimize(self, later: Later) -> None:
+        """Begin to compile with optimization what runs without for now."""
+        self._later = later
+        if later.modules:
+            logger.info("%s: planning with code that is not optimized while that is compiled", self.scene.name)
+            later.start()
+
+    def _hand_over(self) -> None:
+        """Go on in the same episode with a controller whose code is optimized, from the last plan."""
+        self._later = Later()
+        self._replace(self.scene)
+        logger.info("%s: planning with optimized code from t = %.2f s on", self.scene.name, self.plant.time)
 
     def _start_recording(self) -> None:
         self._end_planner()
@@ -268,9 +288,17 @@ class ClosedLoop:
     def _replan(self, keys: dict[str, str]) -> None:
         """A controller of the same task with another planner or other norms, once it has made a plan."""
         loaded = load_scene(self.source, overrides=[*self.overrides, *_texts(keys)])
-        old, scene = self.controller, self.scene.model_copy(update={"planner": loaded.planner, "cost": loaded.cost})
+        scene = self.scene.model_copy(update={"planner": loaded.planner, "cost": loaded.cost})
         if not isinstance(loaded.planner.samples, int):
-            scene = with_samples(scene, old.shape.samples)  # measured at the start
+            scene = with_samples(scene, self.controller.shape.samples)  # measured at the start
+        with quick() as later:
+            self._replace(scene)
+        self.keys = keys
+        self._optimize(later)
+
+    def _replace(self, scene: Scene) -> None:
+        """Another controller of the same task and bodies, which goes on from the last plan."""
+        old = self.controller
         with self._alone():
             controller = Controller(
                 scene,
@@ -286,7 +314,7 @@ class ClosedLoop:
             shown = ShownRollouts(controller), ForesightMeter(controller, self.plant)
         self._end_planner()
         self._recording.stop()
-        self.scene, self.controller, self.keys = scene, controller, keys
+        self.scene, self.controller = scene, controller
         self._rollouts, self.foresight, self._foreseen = *shown, None
         self._publish()
 

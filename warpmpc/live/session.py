@@ -179,6 +179,8 @@ class Session(ClosedLoop, threading.Thread):
         if self.waiting and time.perf_counter() >= self._settled:
             self._guarded(lambda: self._set_keys(self.waiting))
             self.waiting = {}  # no sooner: what is shown is what was asked for
+        if self._later.ready and not self._recording.path:
+            self._guarded(self._hand_over)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do something; what goes wrong is told on the page and must not end the loop."""
