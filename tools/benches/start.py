@@ -4,6 +4,8 @@
     python tools/bench.py start                                  # three scenes, on the CPU
     python tools/bench.py start omni_push_box quadruped_walk --json start.json
 
+As from a wheel where ``tools/bench.py shipped`` has been run before, else as from a checkout.
+
 Each scene is started three times: with empty caches (the first command on a machine), as a new one where another scene
 was run before, and again. Times are those at which a terminal shows something; caches are thrown away.
 """
