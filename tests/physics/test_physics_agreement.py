@@ -91,12 +91,14 @@ MORE = ["omni_push_sphere", "diff_push_box", "panda_push_objects", "panda_reach"
 MORE += ["push_t", "humanoid_stand"]
 EVERY = [*SCENES, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)]
 """The shipped scenes with physics; few by default, since each is a model to compile."""
+MEETING = {"point_reach": ["obstacle.sphere_1.position=[0.605, 0.03, 0.0]"]}
+"""Changes that bring robots to touch anything where their planners know how not to."""
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_single_steps_of_shipped_scenes_are_those_of_mujoco(name):
     """Randomized worlds, from states that rollouts visit in closed loop."""
-    comparison = Comparison(name)
+    comparison = Comparison(name, overrides=MEETING.get(name, ()))
     varied = set(comparison.fused.model.columns.arrays)
     assert not comparison.scene.randomize or {"body_mass", "body_inertia", "geom_friction"} <= varied
     assert name != "omni_push_box" or {"geom_size", "geom_rbound", "body_invweight0"} <= varied
