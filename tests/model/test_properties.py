@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Randomized models against MuJoCo's compiler, and what a draw depends on."""
 
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -11,6 +12,7 @@ from small_scenes import BOX, WALL, compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError
 from warpmpc.model.batch_size import BatchSize
+from warpmpc.model.drawn_model import ARRAYS, DrawnModel
 from warpmpc.model.mujoco_model import make_world
 from warpmpc.model.newton_model import build_model
 from warpmpc.model.properties import Properties, draw_properties
@@ -94,6 +96,26 @@ def test_a_robots_mass_and_friction_change_on_all_its_links():
     others = [g for g in range(world.model.ngeom) if g not in own]
     np.testing.assert_allclose(drawn.geom_friction[own, 0], 0.5 * world.model.geom_friction[own, 0])
     np.testing.assert_array_equal(drawn.geom_friction[others], world.model.geom_friction[others])
+
+
+PULLED = """<mujoco><worldbody>
+  <body name="left" pos="0 0 1"><joint name="left" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.3" mass="1"/></body>
+  <body name="right" pos="1 0 1"><joint name="right" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.3" mass="2"/></body>
+</worldbody>
+<tendon><fixed name="rope"><joint joint="left" coef="1"/><joint joint="right" coef="2"/></fixed></tendon>
+<actuator><muscle tendon="rope" lengthrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_a_tendon_between_two_trees_weighs_what_mujoco_says_where_one_is_drawn():
+    nominal, expected = (mujoco.MjModel.from_xml_string(PULLED) for _ in range(2))
+    expected.body_mass[1] *= 1.5
+    expected.body_inertia[1] *= 1.5
+    mujoco.mj_setConst(expected, mujoco.MjData(expected))
+    world = SimpleNamespace(model=nominal, bodies={"left": (1,)}, geoms={"left": (0,)}, averaged=[])
+    found = DrawnModel(world, one("left", mass=1.5)).arrays()
+    for name in ARRAYS:
+        np.testing.assert_allclose(found[name][0], getattr(expected, name), rtol=1e-12, err_msg=name)
+    assert expected.tendon_invweight0 != pytest.approx(nominal.tendon_invweight0)
 
 
 def test_a_shape_never_shrinks_to_nothing():

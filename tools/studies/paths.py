@@ -44,7 +44,8 @@ METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG", "fabrics": "f
 FABRICS = tuple(
     Cell(name=f"{name}_fabrics", title=f"{robot}, fabrics", scenes=(f"{name}_reach",)) for name, robot in ROBOTS.items()
 )
-QUANTITIES = {"path_m": "path length [m]", "detour": "detour", "clearance_m": "least clearance [m]"}
+QUANTITIES = {"path_m": "path length [m]", "clearance_m": "least clearance [m]"}
+"""Keys of a row that the picture shows, with their labels."""
 
 
 def read(cell: Cell, records: list[dict]) -> dict:
@@ -119,20 +120,19 @@ def picture(rows: list[dict], path: Path) -> None:
     """Every run as a dot, with a box for each method; a column for each robot."""
     from matplotlib.figure import Figure
 
-    shown = ("path_m", "clearance_m")
     robots = list(dict.fromkeys(row["robot"] for row in rows))
     figure = Figure(figsize=(3.6 * len(robots), 5.0), layout="constrained")
-    panels = figure.subplots(len(shown), len(robots), squeeze=False)
+    panels = figure.subplots(len(QUANTITIES), len(robots), squeeze=False)
     rng = np.random.default_rng(0)
     for column, robot in zip(panels.T, robots, strict=True):
         own = [row for row in rows if row["robot"] == robot and row["path_m"]]
         names = [f"{row['method']}\n{len(row['path_m'])} of {row['runs']}" for row in own]
-        for axes, key in zip(column, shown, strict=True):
+        for axes, (key, label) in zip(column, QUANTITIES.items(), strict=True):
             axes.boxplot([row[key] for row in own], tick_labels=names, showfliers=False)
             for i, row in enumerate(own):
                 x = i + 1 + rng.uniform(-0.12, 0.12, len(row[key]))
                 axes.plot(x, row[key], ".", markersize=4, alpha=0.5)
-            axes.set_ylabel(QUANTITIES[key])
+            axes.set_ylabel(label)
             values = [value for row in own for value in row[key]]
             axes.set_ylim(1.05 * min(0.0, *values), 1.08 * max(0.1, *values))
             axes.tick_params(labelsize=8)
@@ -173,8 +173,8 @@ def main(arguments: list[str]) -> None:
         rows.sort(key=lambda row: [*ROBOTS.values()].index(row["robot"]))
     command = f"python tools/study.py paths --runs {args.runs} --seed {args.seed} --jobs {args.jobs}"
     table = figures(rows, here, command + " --fabrics PYTHON" * bool(args.fabrics))
-    for cells in (table["columns"], *table["groups"][0]["rows"]):
-        print(" | ".join(cells))
+    for line in (table["columns"], *table["groups"][0]["rows"]):
+        print(" | ".join(line))
     write_json(args.out / "paths.json", {"machine": here, "rows": rows})
     picture(rows, args.out / "paths.png")
     if args.docs:

@@ -17,7 +17,7 @@ KEPT = 200
 
 @dataclass(frozen=True)
 class PlanRate:
-    """Rate and times of the newest plans; NaN without one."""
+    """Rate and times of the newest plans; times are NaN without one."""
 
     rate: float
     """Plans in a second of wall time [1/s]."""

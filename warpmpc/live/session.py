@@ -81,7 +81,8 @@ class Session(ClosedLoop, threading.Thread):
     def set_key(self, key: str, value: str) -> None:
         """Change a key of the scene, a TOML value, once it has not been changed again for :data:`SETTLE`.
 
-        Keys of the planner are those of the next plan, which goes on from the last one; others begin a new episode.
+        Keys of the planner and of norms are those of the next plan, which goes on from the last one; others begin a new
+        episode, as do norms of terms that success or phases ask for.
         """
 
         def change() -> None:

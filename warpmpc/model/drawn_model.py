@@ -141,7 +141,9 @@ class DrawnModel:
         dofs = np.zeros(m.nv, dtype=bool)
         for body in bodies:
             dofs |= turned[body].any(axis=0) if body else False
-        while (more := dofs | (full[dofs] != 0.0).any(axis=0)).sum() > dofs.sum():
+        lengths = self._lengths(data)
+        joined = np.vstack([full, *lengths]) != 0.0  # what is weighed as one: trees, and those that tendons join
+        while (more := dofs | joined[joined[:, dofs].any(axis=1)].any(axis=0)).sum() > dofs.sum():
             dofs = more
         own = np.flatnonzero(dofs)
         numbers, parts = [], []
@@ -152,12 +154,12 @@ class DrawnModel:
             for k in range(3):
                 numbers.append(self.place["body_inertia"].start + 3 * body + k)
                 parts.append(np.outer(angular[k], angular[k]))
-        rows, lengths, targets = self._weighed(data, turned, own)
+        rows, by_length, targets = self._weighed(turned, *lengths, own)
         out.matrix, out.numbers = self._array(full[np.ix_(own, own)], wp.float64), self._array(np.array(numbers, int))
         out.parts = self._array(np.array(parts).reshape(len(parts), len(own), len(own)), wp.float64)
         out.rows, out.lengths = (
             self._array(np.array(rows).reshape(len(rows), len(own)), wp.float64),
-            self._array(lengths),
+            self._array(by_length),
         )
         out.entry = self._array(np.cumsum([0, *(len(row) for row in targets)]))
         flat = [entry for row in targets for entry in row]
@@ -165,8 +167,24 @@ class DrawnModel:
         out.share = self._array(np.array([share for _, share in flat]), wp.float64)
         return out
 
+    def _lengths(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        """Jacobian of the tendons ``[ntendon, nv]``, and of actuators ``[nu, nv]`` where there are muscles, else none.
+
+        No other actuators are scaled by their acceleration.
+        """
+        m = self.model
+        tendons, moments = np.zeros((m.ntendon, m.nv)), np.zeros((m.nu, m.nv))
+        if m.ntendon:
+            mujoco.mju_sparse2dense(tendons, data.ten_J.ravel(), *_sparse(m, data))
+        if not ((m.actuator_gaintype == _MUSCLE) | (m.actuator_biastype == mujoco.mjtBias.mjBIAS_MUSCLE)).any():
+            return tendons, moments[:0]
+        mujoco.mju_sparse2dense(
+            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel()
+        )
+        return tendons, moments
+
     def _weighed(
-        self, data: mujoco.MjData, turned: dict[int, np.ndarray], own: np.ndarray
+        self, turned: dict[int, np.ndarray], tendons: np.ndarray, moments: np.ndarray, own: np.ndarray
     ) -> tuple[list[np.ndarray], list[int], list[list[tuple[int, float]]]]:
         """Directions whose inverse weights MuJoCo keeps, which of them by length, and where each goes, in shares."""
         m, place = self.model, self.place
@@ -191,18 +209,8 @@ class DrawnModel:
         for body, jacobian in turned.items():
             for k, row in enumerate(jacobian[:, own]):
                 add(row, (place["body_invweight0"].start + 2 * body + k // 3, 1.0 / 3.0))
-        lengths_of = np.zeros((m.ntendon, m.nv))
-        if m.ntendon:
-            mujoco.mju_sparse2dense(lengths_of, data.ten_J.ravel(), *_sparse(m, data))
-        for n, row in enumerate(lengths_of[:, own]):
+        for n, row in enumerate(tendons[:, own]):
             add(row, (place["tendon_invweight0"].start + n, 1.0))
-        muscles = (m.actuator_gaintype == _MUSCLE) | (m.actuator_biastype == mujoco.mjtBias.mjBIAS_MUSCLE)
-        if not muscles.any():  # no others are scaled by their acceleration
-            return rows, lengths, targets
-        moments = np.zeros((m.nu, m.nv))
-        mujoco.mju_sparse2dense(
-            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel()
-        )
         for n, row in enumerate(moments[:, own]):
             add(row, (place["actuator_acc0"].start + n, 1.0), length=True)
         return rows, lengths, targets
