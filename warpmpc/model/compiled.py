@@ -161,8 +161,8 @@ def _load_translation() -> None:
 def _newton_alone() -> Iterator[None]:
     """Newton's solver made for its translation alone: what it says of files and of MuJoCo Warp is about neither.
 
-    Its kernels run once and take 18 s to compile, 7 s without optimization; a thread begins with that while the world
-    is finalized, which compiles others.
+    Its kernels run once and take 18 s to compile, 3 s without optimization and gradients; a thread
+    begins with that while the world is finalized, which compiles others.
     """
     newton = logging.getLogger("newton")
     level = newton.level
@@ -181,18 +181,23 @@ def _newton_alone() -> Iterator[None]:
         newton.setLevel(level)
 
 
+_SOONEST = {"enable_backward": False, "optimization_level": 0}
+"""Options with which a module compiles soonest."""
+
+
 @contextlib.contextmanager
 def _unoptimized(name: str) -> Iterator[None]:
-    """Compile a module of kernels without optimization for a while; whoever uses it later has it optimized."""
+    """Compile a module of kernels without optimization and gradients for a while; later uses have both."""
     import warp as wp
 
     module = wp.get_module(name)
-    wp.set_module_options({"optimization_level": 0}, module=module)
+    before = {option: module.options[option] for option in _SOONEST}
+    wp.set_module_options(_SOONEST, module=module)
     module.unload()
     try:
         yield
     finally:
-        wp.set_module_options({"optimization_level": None}, module=module)
+        wp.set_module_options(before, module=module)
         module.unload()
 
 
