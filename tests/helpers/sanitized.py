@@ -176,8 +176,9 @@ def faulty() -> None:
     {
         const int n = k.domains + 3;
         float few[4] = {};
+        w.q[0] += (float)(1 << (n + 28));  // before the one that ends it
         few[n] = 1.0f;
-        w.q[0] += few[n] + (float)(1 << (n + 28));
+        w.q[0] += few[n];
     }"""
     RolloutSource.write = lambda self: write(self) + wrong
     roll(_pile('type="box" size=".1 .08 .05"'), 1)
