@@ -12,6 +12,9 @@ from collections.abc import Sequence
 from .base import packed
 from .model import PhysicsModel
 
+TILE_ROWS, TILE_COLUMNS = 4, 6
+"""Rows and columns of a tile of L: 24 numbers, which 32 registers have room for with those that change them."""
+
 
 def write_products(model: PhysicsModel) -> str:
     """Source of ``multiply`` (M a), ``copy_tree`` (entries of the pattern) and the solves; a warp has its own."""
@@ -55,32 +58,50 @@ def couple(model: PhysicsModel, groups: Sequence[Sequence[int]]) -> list[list[in
     return [sorted(row, reverse=True) for row in rows]
 
 
-def write_solve(
-    name: str, above: Sequence[Sequence[int]], *, damped: bool = False, tree: Sequence[Sequence[int]] | None = None
-) -> str:
-    """Source of x = sign H⁻¹ g by Lᵀ D L, from the last degree of freedom to the first and back.
+def write_solve(name: str, above: Sequence[Sequence[int]], *, damped: bool = False) -> str:
+    """Source of x = sign H⁻¹ g by H = Lᵀ L, from the last degree of freedom to the first and back.
+
+    Entries of L are made tile by tile, so that a tile stays in registers while all rows below subtract from it, always
+    from the last row on: where an entry is zero it changes no bit, so that matrices with less fill-in give the same.
 
     Args:
         name: Name of the function.
         above: Columns left of the diagonal of every row, falling.
         damped: Whether a vector is added to the diagonal.
-        tree: Columns that come first on the way back, then zeros may follow and change no bit: a compiler fuses the
-            first product of a sum with what it is added to. All of them if None.
     """
-    tree = above if tree is None else tree
     extra, more = (", const T* damp", " + damp[{}]") if damped else ("", "")
+    rows, count = [{*row, k} for k, row in enumerate(above)], len(above)
     out = [f"FN void {name}(const T* h, const T* g, T* x, float sign{extra}) {{"]
+    for last in range(count - 1, -1, -TILE_ROWS):
+        block = range(last, max(-1, last - TILE_ROWS), -1)
+        columns = sorted(set().union(*(rows[k] for k in block)), reverse=True)
+        below = [m for m in range(count - 1, last, -1) if not rows[m].isdisjoint(block)]
+        own = [(k, j) for k in block for j in block if j in rows[k]]
+        out += [f"T h{k}_{j} = h[{packed(k, j)}]{more.format(k) if k == j else ''};" for k, j in own]
+        out += [f"T x{k} = sign * g[{k}];" for k in block]
+        for m in below:
+            out += [_less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in own if {k, j} <= rows[m]]
+            out += [_less(f"x{k}", f"h{m}_{k}", f"x{m}") for k in block if k in rows[m]]
+        for k in block:
+            out.append(f"const T d{k} = 1.0f / VSQRT(h{k}_{k}); x{k} *= d{k};")
+            left = [j for j in block if j < k and j in rows[k]]
+            out += [f"h{k}_{j} *= d{k};" for j in left]
+            for i in left:
+                out += [_less(f"h{i}_{j}", f"h{k}_{i}", f"h{k}_{j}") for j in left if j <= i]
+                out.append(_less(f"x{i}", f"h{k}_{i}", f"x{k}"))
+        columns = [j for j in columns if j < block[-1]]
+        for first in range(0, len(columns), TILE_COLUMNS):
+            tile = [(k, j) for j in columns[first : first + TILE_COLUMNS] for k in block if j in rows[k]]
+            out += [f"T h{k}_{j} = h[{packed(k, j)}];" for k, j in tile]
+            for m in (*below, *block):
+                out += [f"h{m}_{j} *= d{m};" for k, j in tile if k == m]
+                out += [_less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in tile if k < m and {k, j} <= rows[m]]
     for k, row in enumerate(above):
-        out.append(f"T x{k} = sign * g[{k}], h{k}_{k} = h[{packed(k, k)}]{more.format(k)};")
-        out += [f"T h{k}_{j} = h[{packed(k, j)}];" for j in row]
-    for k in reversed(range(len(above))):
-        out.append(f"{{ const T inv = 1.0f / h{k}_{k};")
-        for i in above[k]:
-            out.append(f"{{ const T a = h{k}_{i} * inv;")
-            out += [f"h{i}_{j} -= a * h{k}_{j};" for j in above[k] if j <= i]
-            out.append(f"x{i} -= a * x{k}; h{k}_{i} = a; }}")
-        out.append(f"x{k} *= inv; }}")
-    for k, row in enumerate(above):
-        out += [f"x{k} -= h{k}_{i} * x{i};" for i in sorted(row, key=lambda i: (i not in tree[k], i))]
-        out.append(f"x[{k}] = x{k};")
+        out += [_less(f"x{k}", f"h{k}_{i}", f"x{i}") for i in sorted(row)]
+        out.append(f"x[{k}] = x{k} *= d{k};")
     return "\n".join((*out, "}"))
+
+
+def _less(to: str, a: str, b: str) -> str:
+    """A statement that takes a product away, with one rounding whatever stands around it."""
+    return f"{to} = FMA(-{a}, {b}, {to});"

@@ -41,7 +41,7 @@ MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC",
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC",
            "NEAR_PAIRS")  # fmt: skip
 
 
@@ -156,7 +156,7 @@ class RolloutSource:
         """The solve for matrices that all groups have added to."""
         constraints = (constraint.dofs for constraint in self.model.constraints)
         rows = couple(self.model, [*(dofs for _, dofs in self._groups), *constraints])
-        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows, tree=self.model.ancestors), "#endif"))
+        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
 
     @cached_property
     def _sizes_vary(self) -> bool:

@@ -19,6 +19,7 @@
 #define VNOT(m) (!(m))
 #define VBITS(m) ((m) ? 1u : 0u)
 #define YES ((I)1)
+#define FMA(a, b, c) __fmaf_rn(a, b, c)
 #else
 #define FN __attribute__((noinline)) static
 #define INLINE __attribute__((always_inline)) static inline
@@ -27,6 +28,11 @@
 #define VNOT(m) (~(m))
 #define VBITS(m) bits(m)
 #define YES ((I)(-1))
+#if defined(__FMA__) || defined(__aarch64__)
+#define FMA(a, b, c) __builtin_elementwise_fma((T)(a), (T)(b), (T)(c))
+#else
+#define FMA(a, b, c) ((a) * (b) + (c))
+#endif
 #endif
 #define NO ((I)0)
 #define LANE(x, l) (((float*)&(x))[l])
