@@ -39,10 +39,12 @@ FACES = 4
 """The same of two flat shapes, by their faces."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
+ROUGHLY = 0.3
+"""Share of the slope that a line search may leave: more exact ones save no iterations."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH", "SYNC",
-           "NEAR_PAIRS")  # fmt: skip
+_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH",
+           "SYNC", "NEAR_PAIRS")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,7 @@ class RolloutSource:
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
             "LINE_SEARCH": int(m.opt.ls_iterations),
+            "ROUGHLY": literal(max(ROUGHLY, float(m.opt.ls_tolerance))),
             "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
             **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),

@@ -86,11 +86,33 @@ INLINE T first_of(const Contact& c, const T* f, int i) {
 #endif
 }
 #if !COOPERATE
-INLINE void add_block(const int N, World& w, const Contact& c, const T* second, const T* first) {
-    UNROLL for (int i = 0; i < N; ++i) {
-        w.grad[group_dof[c.group * NNZ + i]] += first_of(c, first, i);
-        UNROLL for (int j = 0; j <= i; ++j)
-            w.h[group_entry[c.group * NTRIANGLE + i * (i + 1) / 2 + j]] += second_of(c, second, i, j);
+// Jᵀ D J and Jᵀ f of a contact; four rows at once, so that what they have in common is read once
+INLINE void add_block(const int N, World& w, const Contact& c, const T* d, const T* f) {
+    const short* place = group_entry + c.group * NTRIANGLE;
+    UNROLL for (int first = 0; first < N; first += 4) {
+        T b[4][ROWS];
+        UNROLL for (int i = first; i < N && i < first + 4; ++i) {
+            const T* r = c.jac + ROWS * i;
+            T* to = b[i - first];
+#if ROWS == 3
+            to[0] = d[0] * r[0] + d[1] * r[1] + d[2] * r[2];
+            to[1] = d[1] * r[0] + d[3] * r[1];
+            to[2] = d[2] * r[0] + d[4] * r[2];
+#else
+            to[0] = d[0] * r[0];
+#endif
+            w.grad[group_dof[c.group * NNZ + i]] += first_of(c, f, i);
+        }
+        UNROLL for (int j = 0; j < N && j < first + 4; ++j) {
+            T o[ROWS];
+            for (int k = 0; k < ROWS; ++k) o[k] = c.jac[ROWS * j + k];
+            UNROLL for (int i = j < first ? first : j; i < N && i < first + 4; ++i) {
+                T& h = w.h[place[i * (i + 1) / 2 + j]];
+                T sum = h;
+                for (int k = 0; k < ROWS; ++k) sum = FMA(b[i - first][k], o[k], sum);
+                h = sum;
+            }
+        }
     }
 }
 #endif

@@ -137,9 +137,9 @@ FN void newton(World& w, I done) {
             T d1 = q1 + step * q2, d2 = q2;
             I changed = NO;
             slope(w, live, step, d1, d2, changed);
-            const I good = VABS(d1) < LINE_TOLERANCE * decrement;
-            if (!tries) exact |= good & VNOT(changed) & active;  // a whole step within one piece of the cost: its minimum
-            active &= VNOT(good);
+            if (!tries)  // a whole step within one piece of the cost: its minimum
+                exact |= (VABS(d1) < LINE_TOLERANCE * decrement) & VNOT(changed) & active;
+            active &= VNOT(VABS(d1) < ROUGHLY * decrement);
             low = (active & (d1 < 0.0f)) ? step : low;
             high = (active & (d1 >= 0.0f)) ? step : high;
             T next = step - d1 / d2;
