@@ -351,6 +351,18 @@ def test_errors_say_what_to_do(file, act, error, match):
         act(make(file))
 
 
+def test_an_observation_longer_than_its_size_is_told(file):
+    @wp.func
+    def long(s: WorldView, o: wp.array[float]):
+        for i in range(5):
+            o[i] = joint_position(s, 0)
+
+    simulator = BatchSimulator(mujoco.MjModel.from_xml_path(str(file)), 3)
+    env = BatchVectorEnv(simulator, observe=long, size=4, rewards={standing: 1.0})
+    with pytest.raises(ValueError, match="more than size=4"):
+        env.reset(seed=0)
+
+
 def test_a_plain_function_is_an_error(file):
     with pytest.raises(TypeError, match=r"random_starts is no function of Warp: add @wp\.func"):
         make(file, terminations=[random_starts])

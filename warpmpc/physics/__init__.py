@@ -6,6 +6,7 @@ holds what loops over tables (collisions, constraint rows, the solver), ``source
 compiles them, ``rollout`` runs them. Nothing here knows of scenes, costs or layouts.
 """
 
+from . import rollout
 from .simulator import BatchSimulator
 
-__all__ = ["BatchSimulator"]
+__all__ = ["BatchSimulator", "rollout"]

@@ -110,7 +110,7 @@ class BatchRollout:
         in_place: bool = False,
     ):
         if lack := missing(model):
-            raise ValueError(f"the physics of warpmpc has no {lack}")
+            raise ValueError(f"the physics of warpmpc has no {lack}: change that in the model, or step it with mujoco")
         self.mj, self.worlds, self.steps, self.threads = model, worlds, steps, threads
         self._bodies, self._pairs, self._settable, self._mocap = tuple(bodies), tuple(pairs), settable, mocap
         self.device = wp.get_device(device)

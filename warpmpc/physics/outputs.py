@@ -150,7 +150,7 @@ if (o.warmstart.shape[0]) {
 #if WATCHED
 {
     float* const to = (float*)o.force.data + (size_t)row * 3 * WATCHED;
-    EACH(i, 3 * WATCHED) PUT(to, 3 * WATCHED, i, k.substeps.data[0] ? w.pushed[i] : (T)0.0f)
+    if (k.substeps.data[0]) EACH(i, 3 * WATCHED) PUT(to, 3 * WATCHED, i, w.pushed[i])
 }
 #endif
 """

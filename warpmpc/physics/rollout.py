@@ -122,7 +122,7 @@ class _Native:
         if key not in self._lack:
             self._lack[key] = lack = lacking(model)
             if lack and self._fall_back:
-                logger.info("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
+                logger.warning("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
         if self._lack[key]:
             return self._lack[key]
         if control is not None and control_spec & ~(_CONTROL | _POSITION | _TURN):

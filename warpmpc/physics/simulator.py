@@ -25,6 +25,8 @@ NUMBERS = (
     "gravity",
 )
 """Arrays of a model that worlds may have of their own."""
+SIGNED = ("actuator_gainprm", "actuator_biasprm", "gravity")
+"""Those of any sign."""
 _DERIVED = ("body_invweight0", "dof_invweight0", "tendon_invweight0", "geom_rbound")
 """Arrays that follow from them."""
 
@@ -34,16 +36,18 @@ class BatchSimulator:
 
     Arrays are views of the simulator's memory: NumPy arrays on a CPU, on a GPU ``wp.array`` with DLPack and
     ``__cuda_array_interface__`` (``torch.from_dlpack(sim.qpos)``). They stay the same ones; writing into ``qpos``,
-    ``qvel`` and ``act`` moves the worlds. Poses, readings and forces are those after the last :meth:`step` or
-    :meth:`reset`. The same numbers give the same bits, whatever the number of threads.
+    ``qvel`` and ``act`` moves the worlds. Poses and readings are those of the state that the last :meth:`step` or
+    :meth:`reset` led to, while MuJoCo's, after ``mj_step``, are those of the state before. The same numbers give the
+    same bits, whatever the number of threads.
 
     Args:
         model: The model.
         worlds: Number of worlds W.
         device: Warp device.
         threads: Threads on a CPU; 0 for one for each core.
-        vary: Which of :data:`NUMBERS` worlds have of their own; :meth:`set_numbers` sets them without compiling.
-        contact_pairs: Pairs of bodies, by name, whose contact forces are kept.
+        vary: Numbers that worlds have of their own: ``body_mass``, ``body_inertia``, ``geom_friction``, ``geom_size``,
+            ``actuator_gainprm``, ``actuator_biasprm``, ``gravity``; :meth:`set_numbers` sets them without compiling.
+        contact_pairs: Pairs of bodies, by name (``world`` is one), whose contact forces are kept.
 
     Raises:
         ValueError: If the model has what this physics lacks, or a name is unknown.
@@ -62,7 +66,10 @@ class BatchSimulator:
         if unknown := sorted(set(vary) - set(NUMBERS)):
             raise ValueError(f"vary has {', '.join(unknown)}; there is: {', '.join(NUMBERS)}")
         if unread := unread_sensors(model):
-            raise ValueError(f"the physics of warpmpc reads no sensors of the kinds {', '.join(unread)}")
+            kinds = ", ".join(unread)
+            raise ValueError(
+                f"the physics of warpmpc reads no sensors of the kinds {kinds}: delete them from the model"
+            )
         self.model, self.worlds, self._substeps = model, worlds, 1
         self._numbers = {name: self._nominal(name) for name in vary}
         self._batch = BatchRollout(
@@ -176,11 +183,12 @@ class BatchSimulator:
         rows[chosen] = 0.0
         rows[chosen, 1 : 1 + m.nq] = self._given("qpos", qpos, m.qpos0, chosen)
         rows[chosen, 1 + m.nq : 1 + m.nq + m.nv] = self._given("qvel", qvel, np.zeros(m.nv), chosen)
-        start = self._batch.outputs.warmstart.numpy()
-        start[chosen] = 0.0
+        start, force = self._batch.outputs.warmstart.numpy(), self._batch.outputs.force.numpy()
+        start[chosen], force[chosen] = 0.0, 0.0
         if not self._batch.device.is_cpu:
             self._batch.work.initial.assign(rows)
             self._batch.outputs.warmstart.assign(start)
+            self._batch.outputs.force.assign(force)
         self.forward()
 
     def _given(self, name: str, values: np.ndarray | None, usual: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -203,12 +211,20 @@ class BatchSimulator:
 
         Args:
             ctrl: Controls ``[W, nu]`` or ``[nu]``; those in :attr:`ctrl` if None.
-            n: Number of physics steps.
+            n: Number of physics steps, at least 1.
+
+        Raises:
+            ValueError: If a size is wrong.
         """
+        if n < 1:
+            raise ValueError(f"n is {n}, not at least 1")
         if isinstance(ctrl, wp.array):
             wp.copy(self._batch.work.knots.reshape((self.worlds, self.model.nu)), ctrl)
         elif ctrl is not None:
-            values = np.broadcast_to(np.asarray(ctrl, np.float32), (self.worlds, self.model.nu))
+            shape = (self.worlds, self.model.nu)
+            if np.shape(ctrl) not in (shape, shape[1:]):
+                raise ValueError(f"ctrl has the shape {np.shape(ctrl)}, not {shape} or {shape[1:]}")
+            values = np.broadcast_to(np.asarray(ctrl, np.float32), shape)
             if self._batch.device.is_cpu:
                 self.ctrl[...] = values
             else:
@@ -231,12 +247,19 @@ class BatchSimulator:
             **numbers: Arrays in the model's shape, or of each of these worlds ``[n, ...]``.
 
         Raises:
-            ValueError: If one is not in ``vary``, or numbers that were zero at the start no longer are.
+            ValueError: If one is not in ``vary``, has another shape, is no number or is negative where that has no
+                meaning, or if numbers that were zero at the start no longer are.
         """
         chosen = np.ones(self.worlds, bool) if mask is None else np.asarray(mask, bool)
         for name in numbers:
             if name not in self._numbers:
                 raise ValueError(f"{name} is the same in all worlds: name it in vary")
+            own, values = self._numbers[name].shape[1:], np.asarray(numbers[name], dtype=float)
+            if values.shape not in (own, (int(chosen.sum()), *own)):
+                raise ValueError(f"{name} has the shape {values.shape}, not {own} or {(int(chosen.sum()), *own)}")
+            least = -np.inf if name in SIGNED else 0.0
+            if not (np.isfinite(values) & (values >= least)).all():
+                raise ValueError(f"{name} has values that are negative or no numbers")
         before = {name: values.copy() for name, values in self._numbers.items()}
         for name, values in numbers.items():
             self._numbers[name][chosen] = values

@@ -27,6 +27,8 @@ except ModuleNotFoundError as error:
 
 Draw = Callable[[np.random.Generator, np.ndarray], Mapping[str, np.ndarray]]
 """Draws for some worlds, given the generator and their indices ``[n]``: arrays by name, ``[n, ...]`` each."""
+SPARE = 64
+"""Numbers beyond an observation's size that a function may write before memory is lost: it is told of them instead."""
 LEAVE, STEP, BEGIN = (wp.constant(n) for n in range(3))
 """What the kernel does with a world: nothing, evaluate a step, observe the start of an episode."""
 
@@ -91,9 +93,10 @@ def _kernel(observe: wp.Function, rewards: tuple[wp.Function, ...], ends: tuple[
 class BatchVectorEnv(VectorEnv):
     """Environments of gymnasium that are the worlds of a simulator.
 
-    Functions of Warp say what they are about, each of one world, evaluated in one launch for all worlds. A world
-    that diverges terminates with reward 0 and an observation of zeros. The same seed gives the same bits, whatever
-    the number of threads.
+    Functions of Warp say what they are about, each of one world, evaluated in one launch for all worlds; they read it
+    by the functions of ``warpmpc.physics.world_view``, such as ``joint_position(s, i)``. A world that diverges
+    terminates with reward 0 and an observation of zeros. The same seed gives the same bits, whatever the number of
+    threads.
 
     Args:
         simulator: Worlds, on a CPU or a GPU.
@@ -101,7 +104,8 @@ class BatchVectorEnv(VectorEnv):
         size: Number n of what it writes.
         rewards: Functions ``(s: WorldView) -> float`` and the weight of each in the reward.
         terminations: Functions ``(s: WorldView) -> bool``; an episode terminates when one is true.
-        start: Draws ``qpos`` and ``qvel`` of worlds whose episodes begin; the model's own if None.
+        start: Draws ``qpos`` and ``qvel`` ``[n, ...]`` of worlds whose episodes begin, given a generator and the
+            indices ``[n]`` of these worlds; the model's own if None.
         numbers: Draws arrays of :meth:`BatchSimulator.set_numbers` when :meth:`reset` is called. Worlds keep them
             when they reset themselves, since what follows from numbers takes long.
         actions: Offset and scale ``[nu]`` of controls: actions are in [-1, 1] then, else they are controls in
@@ -182,13 +186,14 @@ class BatchVectorEnv(VectorEnv):
         self._task, self._terminated = (wp.zeros(worlds, dtype=int, device=device) for _ in range(2))
         self._reward = wp.zeros(worlds, dtype=float, device=device)
         self._terms = wp.zeros((worlds, len(rewards)), dtype=float, device=device)
-        self._observation = wp.zeros((worlds, size), dtype=float, device=device)
+        self._wide = wp.full((worlds, size + SPARE), np.nan, dtype=float, device=device)
+        self._observation = self._wide[:, :size]
         rest = wp.array(self._rest, device=device)
         kernel = _kernel(observe, tuple(rewards), tuple(terminations))
         compile_kernel(kernel, device, 256, "the rewards of an environment")
         launch = Launcher(device)
         inputs = [self._task, batch.work.diverged, self._weight, rest]
-        outputs = [self._observation, self._terms, self._reward, self._terminated]
+        outputs = [self._wide, self._terms, self._reward, self._terminated]
 
         def part(first: int, end: int) -> Replay:
             return Replay(lambda: launch(kernel, end - first, [view, first, *inputs], outputs), device=device)
@@ -219,7 +224,7 @@ class BatchVectorEnv(VectorEnv):
         self._weight.assign(values)
 
     def reward_terms(self) -> dict[str, np.ndarray]:
-        """What each reward added in the last step ``[W]``, by the name of its function."""
+        """Share of each reward in the last step ``[W]``, by the name of its function."""
         terms = self._terms.numpy()
         return {name: terms[:, [own == name for own in self.reward_names]].sum(axis=1) for name in self.reward_names}
 
@@ -236,7 +241,8 @@ class BatchVectorEnv(VectorEnv):
             Observations ``[W, n]`` and an empty dictionary.
 
         Raises:
-            ValueError: If the mask has no boolean for each world, or none is true.
+            ValueError: If the mask has no boolean for each world, or none is true, or the observation is longer than
+                its size.
         """
         super().reset(seed=seed)
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
@@ -245,6 +251,8 @@ class BatchVectorEnv(VectorEnv):
         if self._numbers is not None:
             self.simulator.set_numbers(mask, **self._numbers(self.np_random, np.flatnonzero(mask)))
         self._begin(mask)
+        if not np.isnan(self._wide.numpy()[mask, self._observation.shape[1] :]).all():
+            raise ValueError(f"observe writes more than size={self._observation.shape[1]} numbers")
         return self._observation.numpy().copy(), {}
 
     def _begin(self, mask: np.ndarray) -> None:
