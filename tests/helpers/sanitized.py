@@ -60,7 +60,7 @@ def run(*arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
 
 
 def reports(done: subprocess.CompletedProcess[str]) -> list[str]:
-    """Lines in which the sanitizers tell what they found; the last words of a process that ended otherwise."""
+    """Lines in which the sanitizers tell what they found; the end of the output of a process that ended otherwise."""
     lines = done.stderr.splitlines()
     found = [line for line in lines if "runtime error:" in line or "ERROR: AddressSanitizer" in line]
     return found or (lines[-5:] or ["it died"] if done.returncode else [])

@@ -9,6 +9,7 @@ import pytest
 from needs import CUDA, needs
 
 from warpmpc.physics import BatchSimulator
+from warpmpc.physics.simulator import NUMBERS
 
 TEXT = """
 <mujoco>
@@ -154,15 +155,7 @@ def test_the_same_start_gives_the_same_bits_on_any_number_of_threads(model):
 @pytest.mark.parametrize("worlds_alike", [True, False])
 def test_worlds_have_numbers_of_their_own(model, worlds_alike):
     qpos, qvel, ctrl = starts(model)
-    vary = (
-        "body_mass",
-        "body_inertia",
-        "geom_friction",
-        "geom_size",
-        "actuator_gainprm",
-        "actuator_biasprm",
-        "gravity",
-    )
+    vary = NUMBERS
     sim = BatchSimulator(model, WORLDS, vary=vary)
     rng = np.random.default_rng(1)
     scale = np.repeat(

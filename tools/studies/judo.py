@@ -216,5 +216,5 @@ def main(arguments: list[str]) -> None:
 
 
 def _pinned() -> str:
-    """What judo asks of ``mujoco``."""
+    """Stand-in for the part of ``mujoco`` that judo uses."""
     return next(r for r in importlib.metadata.requires("judo-rai") or () if r.startswith("mujoco"))

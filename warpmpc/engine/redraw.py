@@ -93,8 +93,8 @@ class RedrawnModels(Redraw):
         self._launch(put_numbers_kernel, len(self._models), inputs, [])
 
 
-class RedrawnArrays(Redraw):
-    """Arrays of a model of MuJoCo Warp.
+class RedrawnWorlds(Redraw):
+    """Numbers of the worlds of a batch, each with the draw that it has.
 
     Args:
         world: The nominal model.
@@ -106,6 +106,20 @@ class RedrawnArrays(Redraw):
     def __init__(self, world: MujocoWorld, properties: Properties, shape: BatchSize, device: str):
         super().__init__(DrawnModel(world, properties, device))
         self._draw = wp.array(properties.of_worlds(shape), dtype=int, device=device)
+
+
+class RedrawnArrays(RedrawnWorlds):
+    """Arrays of a model of MuJoCo Warp.
+
+    Args:
+        world: The nominal model.
+        properties: Draws of physical properties.
+        shape: Sizes of the batch.
+        device: Warp device.
+    """
+
+    def __init__(self, world: MujocoWorld, properties: Properties, shape: BatchSize, device: str):
+        super().__init__(world, properties, shape, device)
         vary = np.ptp(drawn_rows(world, properties), axis=0) > 0.0
         self.names = tuple(name for name, numbers in self._drawn.place.items() if vary[numbers].any())
         """Arrays that differ between worlds."""
@@ -127,7 +141,7 @@ class RedrawnArrays(Redraw):
             self._launch(copy_numbers_kernel, array.shape, [self._drawn.values, self._draw, first], [array])
 
 
-class RedrawnColumns(Redraw):
+class RedrawnColumns(RedrawnWorlds):
     """Columns of the engine ``fused``.
 
     How a column follows from the numbers of a model is found by changing one number after the other: it is their sum,
@@ -141,8 +155,7 @@ class RedrawnColumns(Redraw):
     """
 
     def __init__(self, world: MujocoWorld, properties: Properties, shape: BatchSize, device: str):
-        super().__init__(DrawnModel(world, properties, device))
-        self._draw = wp.array(properties.of_worlds(shape), dtype=int, device=device)
+        super().__init__(world, properties, shape, device)
         ends = drawn_rows(world, properties)
         vary = np.flatnonzero(np.ptp(ends, axis=0) > 0.0)
         _, first, group = np.unique(ends[:, vary], axis=1, return_index=True, return_inverse=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical properties of a draw put into models: mass, friction and sizes, with the inertia that follows from them.
 
-What a draw does to a model's numbers is said once (:class:`~warpmpc.model.drawn_model.DrawnModel`); MuJoCo models, the
+The numbers of a drawn model are made in one place (:class:`~warpmpc.model.drawn_model.DrawnModel`); MuJoCo models, the
 batched arrays of MuJoCo Warp and the arrays of a Newton model are filled from it.
 """
 

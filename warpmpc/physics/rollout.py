@@ -5,7 +5,7 @@
 
     state, sensordata = rollout.rollout(model, data, initial_state, control)
 
-What a model has that this physics lacks is rolled out by MuJoCo, with one line in the log. Rollouts are in single
+MuJoCo rolls out models that have more than this physics, with one line in the log. Rollouts are in single
 precision; states and sensor readings are handed out as doubles.
 """
 

@@ -30,7 +30,7 @@ Draw = Callable[[np.random.Generator, np.ndarray], Mapping[str, np.ndarray]]
 SPARE = 64
 """Numbers beyond an observation's size that a function may write before memory is lost: it is told of them instead."""
 LEAVE, STEP, BEGIN = (wp.constant(n) for n in range(3))
-"""What the kernel does with a world: nothing, evaluate a step, observe the start of an episode."""
+"""Tasks of the kernel for a world: nothing, evaluate a step, observe the start of an episode."""
 
 
 @lru_cache(maxsize=64)

@@ -251,7 +251,7 @@ class PlannerThread:
         """The newest plan.
 
         Raises:
-            Exception: What kept a plan from being made; no other will come.
+            Exception: The error that ended planning; no other plan will come.
         """
         if self._failed is not None:
             raise self._failed

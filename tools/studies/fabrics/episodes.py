@@ -66,7 +66,7 @@ class Fabric:
 
     Args:
         python: A Python that has the package ``fabrics``.
-        task: What :func:`task_of` returns.
+        task: As :func:`task_of` returns it.
 
     Raises:
         ValueError: If the Python does not exist or its fabric cannot be built; the message has the last line it said.
