@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import warp as wp
 
 RUN = """
 import sys
@@ -136,7 +137,7 @@ def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_da
         done = run(tmp_path)
         assert ANSWER in done.stdout, done.stderr
         assert "(compiled)" in done.stdout
-        return [(file, file.stat().st_mtime_ns, file.stat().st_size) for file in (tmp_path / "headers").iterdir()]
+        return [(file, file.stat().st_mtime_ns, file.stat().st_size) for file in (tmp_path / "headers").glob("*/*")]
 
     (first,) = compiled()
     assert compiled() == [first]
@@ -147,3 +148,20 @@ def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_da
     assert again[0] == headers
     assert again[1] > made
     assert again[2] == size
+
+
+def test_headers_of_an_environment_that_is_gone_are_not_read(run, tmp_path):
+    other, kernels = tmp_path / "other", tmp_path / "kernels"
+    warp = Path(wp.__file__).parent
+    shutil.copytree(warp, other / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples", "__pycache__"))
+    (other / "warp" / "bin").symlink_to(warp / "bin")
+    kernels.mkdir()
+    done = run(kernels, env={**os.environ, "PYTHONPATH": str(other)})
+    assert ANSWER in done.stdout, done.stderr
+    shutil.rmtree(other)
+    for kernel in kernels.glob("wp_*"):
+        shutil.rmtree(kernel)
+    done = run(kernels)
+    assert ANSWER in done.stdout, done.stderr
+    assert "(compiled)" in done.stdout
+    assert "precompiled" not in done.stderr

@@ -103,13 +103,15 @@ def _headers(runtime: Runtime) -> str | None:
     """Folder of the headers that every source begins with, compiled, which takes longer than most kernels.
 
     Warp makes them anew in every thread of every process. It writes them under another name first, and makes those
-    that are damaged or out of date again.
+    that are damaged or out of date again. They are read with the headers themselves, which are gone with an
+    environment that is deleted: every installation of Warp has a folder of its own.
     """
     if runtime.llvm is None or not wp.config.cache_kernels:
         return _own_headers(runtime)
-    folder = Path(wp.config.kernel_cache_dir) / "headers"
+    installed = hashlib.sha256(str(Path(wp.__file__).parent).encode()).hexdigest()[:12]
+    folder = Path(wp.config.kernel_cache_dir) / "headers" / installed
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # whoever compiles hears of it
         return _own_headers(runtime)
     return str(folder)

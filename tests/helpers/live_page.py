@@ -10,12 +10,12 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 import viser
 from needs import CHROMIUM
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import TimeoutError, sync_playwright
 
 from warpmpc.live.access import Access
 from warpmpc.live.page import serve
@@ -79,6 +79,18 @@ def without_note(page):
 def click(page, name, role="button"):
     """Click at a button, a tab or another part of the page by its name."""
     page.get_by_role(role, name=name, exact=True).click(force=True, timeout=WAIT)
+
+
+def click_until(page, name, condition, role="button"):
+    """Click as :func:`click`, again where nothing came of it: a part that is drawn anew just then takes no click."""
+    end = time.monotonic() + 40.0
+    while not condition():
+        assert time.monotonic() < end, f"a click at {name} does nothing"
+        with suppress(TimeoutError):  # what it did may have renamed the button
+            page.get_by_role(role, name=name, exact=True).click(force=True, timeout=2e3)
+        pause = time.monotonic() + 3.0
+        while not condition() and time.monotonic() < pause:
+            time.sleep(0.02)
 
 
 def press(slider, key, *, until):

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 viser = pytest.importorskip("viser", reason=reason("viser"))
 pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 
-from live_page import WAIT, click, launched, opened, press, serving, until, without_note  # noqa: E402
+from live_page import WAIT, click, click_until, launched, opened, press, serving, until, without_note  # noqa: E402
 
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.plots import FORESIGHT  # noqa: E402
@@ -136,6 +136,22 @@ def drag(served, page, start, end):
         page.mouse.move(*pixel(served, page, start + share * (end - start)))
 
 
+def drag_until(served, page, start, end, moved):
+    """Drag from where something is, ``start()`` ``[3]``, until it moved, again where the page took no notice of it.
+
+    The mouse button is down afterwards.
+    """
+    tries = 5
+    while not moved():
+        assert tries, "the page takes no drag"
+        tries -= 1
+        page.mouse.up()
+        drag(served, page, start(), end)
+        pause = time.monotonic() + 8.0
+        while not moved() and time.monotonic() < pause:
+            time.sleep(0.02)
+
+
 def cart(session):
     return session.snapshot.body_q[session.plant.layout.body_name.index("discs/cart"), :3]
 
@@ -146,8 +162,7 @@ def off_goal(session):
 
 def test_pause_step_and_reset(page, session):
     until(lambda: session.snapshot.steps > 3)
-    click(page, "Pause")
-    until(lambda: session.snapshot.paused)
+    click_until(page, "Pause", lambda: session.snapshot.paused)
     steps, episode = session.snapshot.steps, session.snapshot.episode
     click(page, "Step")
     until(lambda: session.snapshot.steps == steps + 1)
@@ -163,9 +178,15 @@ def test_a_goal_that_is_dragged_is_followed_by_the_object(served, page, session)
     goal = session.snapshot.poses["goal"][:3]
     size = 0.3 * 1.15  # of the gizmo's arrows
     tip = np.array([size, 0.0, 0.0])
-    drag(served, page, goal + tip, goal + tip + (-0.6, 0.0, 0.0))
+    way = (-0.6, 0.0, 0.0)
+    drag_until(
+        served,
+        page,
+        lambda: session.snapshot.poses["goal"][:3] + tip,
+        goal + tip + way,
+        lambda: abs(session.snapshot.poses["goal"][0] - goal[0] + 0.6) < 0.15,
+    )
     page.mouse.up()
-    until(lambda: abs(session.snapshot.poses["goal"][0] - goal[0] + 0.6) < 0.15)
     assert off_goal(session) > 0.4
     session.pause(False)
     until(lambda: off_goal(session) < 0.15)
@@ -173,9 +194,9 @@ def test_a_goal_that_is_dragged_is_followed_by_the_object(served, page, session)
 
 def test_an_object_that_is_dragged_away_is_brought_back(served, page, session):
     until(lambda: off_goal(session) < 0.1)
-    start = cart(session) + (-0.12, -0.12, 0.1)  # its rim: over the middle are the goal's arrows
-    drag(served, page, start, start + (-0.8, 0.55, 0.0))  # across the view: the mouse knows no depth
-    until(lambda: off_goal(session) > 0.3)
+    rim = np.array([-0.12, -0.12, 0.1])  # over the middle are the goal's arrows
+    end = cart(session) + rim + (-0.8, 0.55, 0.0)  # across the view: the mouse knows no depth
+    drag_until(served, page, lambda: cart(session) + rim, end, lambda: off_goal(session) > 0.3)
     assert session.snapshot.pull is not None
     page.mouse.up()
     until(lambda: session.snapshot.pull is None)
@@ -199,22 +220,20 @@ def test_a_slider_changes_the_cost_and_is_saved(page, session):
 
 def test_another_strategy_plans(page, session):
     click(page, "Planner", "tab")
-    click(page, "method", "combobox")
-    click(page, "cem", "option")
-    until(lambda: session.controller.scene.planner.method.value == "cem")
+    option = page.get_by_role("option", name="cem", exact=True)
+    click_until(page, "method", option.is_visible, "combobox")
+    click_until(page, "cem", lambda: session.controller.scene.planner.method.value == "cem", "option")
     until(lambda: session.snapshot.steps > 3)
     assert not session.snapshot.message
 
 
 def test_a_recording_is_started_and_stopped(page, session):
     click(page, "Run", "tab")
-    click(page, "Record")
-    until(lambda: session.snapshot.recording)
+    click_until(page, "Record", lambda: session.snapshot.recording)
     file, steps = Path(session.snapshot.recording), session.snapshot.steps
     page.get_by_text(file.name).wait_for(timeout=WAIT)
     until(lambda: session.snapshot.steps > steps + 3)
-    click(page, "Stop recording")
-    until(lambda: not session.snapshot.recording)
+    click_until(page, "Stop recording", lambda: not session.snapshot.recording)
     recorded = {chunk.entity_path for chunk in RrdReader(file).stream().to_chunks()}
     assert {"/cost/total", "/rollouts/best", "/scene/discs/cart"} <= recorded
     page.get_by_role("button", name="Record", exact=True).wait_for(timeout=WAIT)
@@ -379,9 +398,14 @@ def test_a_post_that_is_dragged_away_lets_the_robot_through(served, page, post):
     until(lambda: session.controller.task["contact_force"] == 10.0)
     start = session.snapshot.poses["post"][:3]
     tip = np.array([arrow, 0.0, 0.0])
-    drag(served, page, start + tip, start + tip + (1.0, 0.0, 0.0))
+    drag_until(
+        served,
+        page,
+        lambda: session.snapshot.poses["post"][:3] + tip,
+        start + tip + (1.0, 0.0, 0.0),
+        lambda: session.snapshot.poses["post"][0] > start[0] + 0.8,
+    )
     page.mouse.up()
-    until(lambda: session.snapshot.poses["post"][0] > start[0] + 0.8)
     np.testing.assert_allclose(session.snapshot.poses["post"][1:3], start[1:], atol=0.02)
     session.reset()
     session.set_value("goal", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
