@@ -25,6 +25,7 @@ FLOORS = (
     ("cli",),
     ("live", "tuning"),
     ("run", "record", "doctor"),
+    ("robots",),
     ("realtime",),
     ("controller", "plant", "log"),
     ("planner",),

@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     from .realtime.loop import RealTimeReport, RobotLoop
     from .realtime.planning import PlannerThread
     from .realtime.process import PlannerProcess
-    from .realtime.robot import simulated_robot
     from .record.replay import Replay, replay
     from .record.run_recorder import RunRecorder
     from .record.switch import RecordingSwitch
+    from .robots.simulated import simulated_robot
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
     from .run.episode import EpisodeResult, run_episode
@@ -135,7 +135,7 @@ _HOME = {
     "PlannerThread": "realtime.planning",
     "RealTimeReport": "realtime.loop",
     "RobotLoop": "realtime.loop",
-    "simulated_robot": "realtime.robot",
+    "simulated_robot": "robots.simulated",
     "Controller": "controller.controller",
     "EpisodeResult": "run.episode",
     "RunLog": "log.run_log",
@@ -172,6 +172,7 @@ _HOME = {
 """Module of each public name; names that are not here come from ``kernels.terms.view``."""
 
 
+registry.ROBOTS.load_shipped = lambda: importlib.import_module(".robots.drivers", __name__).DRIVERS
 registry.TERMS.load_shipped = lambda: importlib.import_module(".terms", __name__).TERMS
 
 

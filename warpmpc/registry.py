@@ -115,7 +115,8 @@ TERMS: Registry[Any] = Registry("cost term", "warpmpc.terms")
 """Cost terms: the built-in ones, and those of installed packages, beside those that a program hands over."""
 ROBOTS: Registry[Any] = Registry("robot", "warpmpc.robots")
 """Drivers of robots, each ``make(scene, *, seed, task, terms, watch, compiled)``, as
-:func:`~warpmpc.realtime.robot.simulated_robot`, for a :class:`~warpmpc.realtime.loop.Robot`."""
+:class:`~warpmpc.robots.drivers.Driver`, with ``config``, a path, where a file was given, too; it returns a
+:class:`~warpmpc.realtime.loop.Robot`."""
 
 
 class Name(StrEnum):

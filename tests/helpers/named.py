@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from warpmpc import Scene
 from warpmpc.cli.main import app
+from warpmpc.robots.drivers import DRIVERS
 from warpmpc.scene.describe import keys
 from warpmpc.terms import TERMS
 
@@ -168,7 +169,10 @@ def missing(page: str) -> list[str]:
         if kind == "sh":
             found += [name for line in body.splitlines() for name in _command(line.partition(" #")[0])]
         elif kind == "toml":
-            found += [".".join(path) for path in _paths(tomllib.loads(body)) if not is_key(path)]
+            files = [[driver.settings] for driver in DRIVERS.values() if driver.settings]
+            paths = list(_paths(tomllib.loads(body)))
+            if not any(all(is_key(path, [*sections]) for path in paths) for sections in files):
+                found += [".".join(path) for path in paths if not is_key(path)]
     return sorted(set(found))
 
 

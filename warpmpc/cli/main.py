@@ -196,7 +196,7 @@ def run(
     robot: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="With --real-time: driver of the robot, simulated or one that a package registers."
+            metavar="NAME[:FILE]", help="With --real-time: driver of the robot, and its file (see warpmpc robots)."
         ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
@@ -224,6 +224,32 @@ def run(
         if value is not None:
             raise typer.BadParameter("goes with --real-time", param_hint=option)
     raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, **options))
+
+
+@app.command()
+def robot(
+    scene: SceneArgument,
+    zmq: Annotated[
+        int | None,
+        typer.Option(min=1, max=65534, help="Port on which it publishes its states; the next one takes commands."),
+    ] = None,
+    seed: SeedOption = 0,
+    speed: Annotated[float, typer.Option(min=0.001, max=1.0, help="Simulated seconds in a second.")] = 1.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.0, help="End so long after the start, on the robot's clock.")
+    ] = None,
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Be a robot: the scene's plant in real time, which others command over a transport; Ctrl-C ends it.
+
+    Prints one line of JSON at its end: commands that came, were refused and why, and how soon it was safe without.
+    Noise and delay of what it measures are the scene's: --set plant.noise.position=0.005.
+    """
+    from .robot import robot as cli_robot
+
+    arguments = _arguments(scene, overrides, terms, "auto", "cpu")
+    raise typer.Exit(cli_robot(arguments, zmq=zmq, seed=seed, speed=speed, seconds=seconds))
 
 
 @app.command()

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.compiled import compile_scene
-from ..model.safe import safe_command
-from ..scene.schema import SafeCommand
-from .gravity import Gravity
+from .safe import SafeCommands
 from .watchdog import Bounds, FaultKind, Finding, Watchdog, received
 
 if TYPE_CHECKING:
@@ -89,12 +86,10 @@ class Agent:
     def __init__(self, scene: Scene, layout: Layout):
         self.layout, self._dt, self._tick = layout, scene.timing.control_dt, 1.0 / scene.agent.rate
         self._watchdog, self._bounds = Watchdog(scene, layout), Bounds(scene, layout)
-        balanced = scene.agent.safe is SafeCommand.GRAVITY
-        self._gravity = Gravity(scene, compile_scene(scene)) if balanced else None
+        self._safe_commands = SafeCommands(scene, layout)
         self.faults = []
         self.following = False
         """True if the last command came from a plan."""
-        self._held: State | None = None  # where the robot was when the fault began
         self._seen = True
         self._troubled = False  # whether the newest fault is not over for long enough
 
@@ -147,7 +142,8 @@ class Agent:
             before = sent
 
     def _recover(self, now: float) -> None:
-        self.following, self._held = True, None
+        self.following = True
+        self._safe_commands.release()
         if not self._troubled:
             return
         last = self.faults[-1]
@@ -172,10 +168,4 @@ class Agent:
             logger.warning("t = %.3f s: %s; sending the safe command", now, found[1])
 
     def _safe(self, now: float) -> np.ndarray:
-        """The safe command: holds are where the fault began, brakes act until the robot stands as far as is known."""
-        state = self._watchdog.state
-        if self._held is None:
-            self._held = state
-        velocity = state.joint_qd if now - state.time < self._dt else np.zeros_like(state.joint_qd)
-        safe = safe_command(self.layout, self._held.joint_q[None], velocity[None], self._dt)[0]
-        return safe if self._gravity is None else self._gravity(state, safe)
+        return self._safe_commands(self._watchdog.state, now)

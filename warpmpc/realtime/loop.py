@@ -27,12 +27,18 @@ if TYPE_CHECKING:
 class Robot(Protocol):
     """A robot, real or simulated, in two functions.
 
-    Optional: ``simulated``, true where it moves on by a tick with every command; ``done``, true where the driver ends
-    the run; ``close()``. They count where a robot is chosen by its name.
+    Optional: ``follow(plan, now)`` in place of ``apply`` while a plan is followed, for drivers that send its next
+    knots; ``stop()`` after the last safe command. Where a robot is chosen by its name, there count besides:
+    ``simulated``, true where it moves on by a tick with every command; ``use_sim_time``, true where its clock may run
+    slower than this host's; ``done``, true where the driver ends the run; ``close()``; ``heard()``, the
+    :class:`~warpmpc.robots.heard.Heard` of each of its sources.
     """
 
-    def observe(self) -> State:
-        """The newest state, with its time; returns at once. Its arrays are copied, so they may be used again."""
+    def observe(self) -> State | None:
+        """The newest state, with its time, None before the first; returns at once.
+
+        Its arrays are copied, so they may be used again.
+        """
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``, which is held until the next one; a simulated robot moves on by one tick."""
@@ -135,6 +141,7 @@ class RobotLoop:
         self.agent = agent or Agent(scene, compile_scene(scene).layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
         self._clock = RobotClock()
+        self._follow = getattr(robot, "follow", None)
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
@@ -149,7 +156,11 @@ class RobotLoop:
 
     def tick(self) -> np.ndarray | None:
         """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
-        state = received(self.robot.observe())
+        self._ticks += 1
+        seen = self.robot.observe()
+        if seen is None:
+            return None
+        state = received(seen)
         self._clock.see(state.time, self.pace.now)
         timed = self.planner.newest()
         if timed is not None and timed.number != self._number:
@@ -162,8 +173,10 @@ class RobotLoop:
             self.planner.observe(TimedObservation(state, self._last, self.agent.following))
         if control is not None:
             self._last = control
-            self.robot.apply(control)
-        self._ticks += 1
+            if self.agent.following and self._follow is not None:
+                self._follow(timed.plan, now)
+            else:
+                self.robot.apply(control)
         if self._recorder is not None:
             late = self.pace.late[-1] if self.pace.late else 0.0
             following, faults = self.agent.following, self.agent.faults
@@ -213,6 +226,7 @@ class RobotLoop:
                 self.pace.wait()
             self._last = safe
             self.robot.apply(safe)
+        getattr(self.robot, "stop", lambda: None)()
 
     def report(self) -> RealTimeReport:
         """Report on the run so far."""

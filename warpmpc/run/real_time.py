@@ -9,12 +9,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..model.compiled import compile_scene
 from ..plant.simulated import SimulatedPlant
 from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
-from ..realtime.robot import MonitoredRobot
 from ..registry import ROBOTS
+from ..robots.drivers import await_state, make_robot
+from ..robots.monitored import MonitoredRobot
 from ..scene.draw import draw_task
+from ..task.task import Task
 from .choose_engine import with_samples
 from .episode import Result, compile_shared, plain, watched
 from .fit_samples import fit_to_machine
@@ -87,7 +90,7 @@ def run_real_time(
         engine: Engine of the roll-outs, as for :class:`~warpmpc.Controller`.
         device: Device of the roll-outs, as for :class:`~warpmpc.Controller`.
         terms: Makes users' cost terms, here and in the planner's process.
-        robot: Name of the robot's driver (``warpmpc.registry.ROBOTS``).
+        robot: Name of the robot's driver (``warpmpc.registry.ROBOTS``), and its file: ``NAME:FILE.toml``.
         speed: Simulated seconds in a second of wall time.
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
         recorder: Makes what takes note of every tick, from a simulated plant, such as
@@ -97,26 +100,29 @@ def run_real_time(
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
         ValueError: If the speed is no positive number, the engine or device is not to be had here, there is no such
-            robot, or one that is not simulated is to be slowed down.
+            robot, it shows no state, or its clock does not go slower.
     """
     if not 0.0 < speed < float("inf"):
         raise ValueError(f"the speed is a positive number, not {speed}")
     made = tuple(terms()) if terms else ()
-    make_robot = ROBOTS.find(robot)
+    name = robot.partition(":")[0]
+    ROBOTS.find(name)  # before anything takes long
     shared = compile_shared(scene)
     samples, engine, device = fit_to_machine(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], samples)
-    options = {"seed": seed, "engine": engine, "device": device, "terms": terms, "compiled": shared}
-    with PlannerProcess(drawn, speed=speed, log=log, **options) as planner, ExitStack() as stack:
-        keys = {"seed": seed, "terms": made, "watch": watched(scene), "compiled": planner.compiled}
-        driver = make_robot(drawn, task=planner.task, **keys)
+    compiled, task = shared or compile_scene(drawn), Task(drawn)
+    common = {"seed": seed, "task": task, "compiled": compiled}
+    with ExitStack() as stack:
+        driver = make_robot(robot, drawn, terms=made, watch=watched(scene), **common)
         stack.callback(getattr(driver, "close", lambda: None))
         plant = isinstance(driver, SimulatedPlant)
         simulated = plant or getattr(driver, "simulated", False)
-        if speed != 1.0 and not simulated:
-            raise ValueError(f"the robot '{robot}' is not simulated: its speed is 1, not {speed:g}")
-        watch = {"task": planner.task, "terms": made, "compiled": planner.compiled}
-        run = driver if plant else MonitoredRobot(drawn, driver, **watch)
+        if speed != 1.0 and not (simulated or getattr(driver, "use_sim_time", False)):
+            raise ValueError(f"the robot '{name}' is not simulated: its speed is 1, not {speed:g}")
+        run = driver if plant else MonitoredRobot(drawn, driver, task=task, terms=made, compiled=compiled)
+        await_state(driver, name)
+        options = {"engine": engine, "device": device, "terms": terms, "speed": speed, "log": log}
+        planner = stack.enter_context(PlannerProcess(drawn, **options, **common))
         made_recorder = recorder(run) if recorder else None
         loop = RobotLoop(drawn, run, planner, speed=speed, simulated=simulated, recorder=made_recorder)
         ends = []  # success, reason and time as the robot is before it is stopped

@@ -46,7 +46,7 @@ def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
 
 
 def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
-    data = _read(path)
+    data = read_toml(path)
     patches = data.pop("variants", {})
     origins: list[tuple[Key, str]] = []
     for name in split_variant(variant) or (None,):
@@ -87,7 +87,7 @@ def variants(source: str | Path) -> tuple[str, ...]:
         SceneError: If there is no such file or it is not TOML.
     """
     path, _ = _find(source)
-    found = _read(path).get("variants", {})
+    found = read_toml(path).get("variants", {})
     return tuple(found) if isinstance(found, dict) else ()
 
 
@@ -127,7 +127,12 @@ def _file(text: str) -> Path | None:
     return shipped_scenes().get(text)
 
 
-def _read(path: Path) -> dict:
+def read_toml(path: Path) -> dict:
+    """Content of a TOML file.
+
+    Raises:
+        SceneError: If it cannot be read, or is no TOML.
+    """
     try:
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot's own safety: which commands act on its drives, and for how long."""
+
+import numpy as np
+import pytest
+from small_scenes import layout_of, make_scene
+
+from warpmpc.model.state import State
+from warpmpc.robots.safety import COMMANDS_TIMEOUT, TAKEOVER, Command, Safety
+
+TICK = 0.002
+GOOD = np.array([0.5, -0.2, 0.1])
+
+
+class Robot:
+    """A robot whose commands are read from a list."""
+
+    def __init__(self):
+        scene = make_scene()
+        self.safety = Safety(scene, layout_of(scene))
+        self.state, self.now = State.start(layout_of(scene)), 3.0
+
+    def hear(self, *controls, sender: str = "a", ahead: float = 0.0) -> np.ndarray:
+        """A tick later, what the drives are given."""
+        self.now += TICK
+        commands = [Command(np.asarray(control, dtype=float), self.now + ahead, sender) for control in controls]
+        self.safety.take(commands, self.now)
+        return self.safety.command(State(self.state.joint_q, self.state.joint_qd, time=self.now), self.now)
+
+    def refused(self) -> dict[str, int]:
+        return {kind.value: count for kind, count in self.safety.refused.items()}
+
+
+@pytest.fixture
+def robot():
+    return Robot()
+
+
+def test_good_commands_act_and_the_newest_of_a_tick_does(robot):
+    np.testing.assert_allclose(robot.hear(GOOD), GOOD)
+    np.testing.assert_allclose(robot.hear(GOOD, -GOOD), -GOOD)
+    assert (robot.safety.received, robot.refused()) == (3, {})
+
+
+@pytest.mark.parametrize(
+    ("bad", "kind"),
+    [
+        (GOOD * np.nan, "nan"),
+        (GOOD * np.inf, "nan"),
+        (GOOD[:2], "size"),
+        ([], "size"),
+        (3.0 * np.ones(3), "limits"),
+    ],
+)
+def test_bad_commands_are_refused_and_the_last_good_one_acts_until_it_is_old(robot, bad, kind):
+    robot.hear(GOOD)
+    begin = robot.now
+    while robot.hear(bad).any():
+        assert robot.now - begin <= COMMANDS_TIMEOUT
+    assert robot.safety.safe_state == pytest.approx(robot.now - begin)
+    assert robot.now - begin == pytest.approx(COMMANDS_TIMEOUT, abs=1.5 * TICK)
+    assert robot.safety.safe_state <= COMMANDS_TIMEOUT
+    assert list(robot.refused()) == [kind]
+    np.testing.assert_allclose(robot.hear(GOOD), GOOD)
+    assert robot.safety.unsafe == 0
+
+
+@pytest.mark.parametrize("ahead", [-2.0, -0.11, 0.11, 2.0, np.nan])
+def test_commands_of_a_wrong_clock_are_refused(robot, ahead):
+    assert not robot.hear(GOOD, ahead=ahead).any()
+    assert sum(robot.refused().values()) == 1
+
+
+def test_a_command_that_was_overtaken_is_refused_and_its_age_counts(robot):
+    robot.hear(GOOD, ahead=-0.03)
+    robot.hear(-GOOD, ahead=-0.05)
+    assert robot.refused() == {"stale": 1}
+    begin = robot.now - TICK
+    while robot.hear().any():
+        pass
+    assert robot.now - begin <= COMMANDS_TIMEOUT - 0.03 + TICK
+
+
+def test_a_second_sender_is_heard_only_long_after_the_first(robot):
+    robot.hear(GOOD)
+    begin = robot.now
+    while not robot.hear(-GOOD, sender="b")[0] < 0.0:
+        assert robot.now - begin < 2.0 * TAKEOVER
+    assert robot.now - begin == pytest.approx(TAKEOVER, abs=1.5 * TICK)
+    robot.hear(GOOD)
+    assert robot.refused()["foreign"] > 400
+    assert robot.safety.unsafe == 0
+
+
+def test_limits_are_kept_to_the_last_bit(robot):
+    assert np.abs(robot.hear(np.full(3, 1.0005))).max() <= 1.0
+    assert robot.refused() == {}

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drivers by their names: which there are, what they need, and how one is made."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from pydantic import ValidationError
+
+from ..registry import ROBOTS
+from ..scene.errors import SceneError
+from ..scene.load import read_toml
+from ..scene.types import Section
+from .settings import ZmqSettings
+
+if TYPE_CHECKING:
+    from ..realtime.loop import Robot
+    from ..scene.schema import Scene
+    from .heard import Heard
+
+FIRST_STATE = 10.0
+"""Wall time for which a first state is waited for, where a driver has no ``connect_timeout`` [s]."""
+POLL = 0.01
+"""Wall time between two looks for it [s]."""
+
+S = TypeVar("S", bound=Section)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver:
+    """A driver that is imported when it is used, and says what it needs."""
+
+    summary: str
+    """A sentence about it."""
+    make: str
+    """Where it is made: ``module:function`` in this package."""
+    package: str | None = None
+    """Python package that it needs."""
+    extra: str | None = None
+    """Extra of warpmpc that brings the package."""
+    settings: type[Section] | None = None
+    """Keys of its file; None where it takes none."""
+
+    def __call__(self, scene: Scene, *, config: Path | None = None, **keys: object) -> Robot:
+        """The robot; it is made with ``settings``, too, where it has a file.
+
+        Raises:
+            SceneError: If the file has a mistake.
+            ValueError: If the package is missing, or it takes no file.
+        """
+        if self.missing:
+            raise ValueError(self.missing)
+        if self.settings is None and config is not None:
+            raise ValueError(f"takes no file, but was given {config}: leave it out")
+        if self.settings is not None:
+            keys |= {"settings": read_settings(self.settings, config), "config": config}
+        module, _, name = self.make.partition(":")
+        return getattr(importlib.import_module(f".{module}", __package__), name)(scene, **keys)
+
+    @property
+    def missing(self) -> str | None:
+        """What is to be installed first, None where nothing is."""
+        if self.package is None or find_spec(self.package) is not None:
+            return None
+        return f'needs {self.package}: pip install "warpmpc[{self.extra}]"'
+
+
+DRIVERS = {
+    "simulated": Driver(
+        summary="The scene's plant in this process; moves on by one tick with every command.",
+        make="simulated:simulated_robot",
+    ),
+    "zmq": Driver(
+        summary="States and commands as JSON through two ZeroMQ sockets.",
+        make="zeromq:ZmqRobot",
+        package="zmq",
+        extra="transport",
+        settings=ZmqSettings,
+    ),
+}
+"""Drivers that come with warpmpc."""
+
+
+def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
+    """The robot of a choice ``NAME`` or ``NAME:FILE.toml``.
+
+    Args:
+        choice: Name of the driver, and its file.
+        scene: The scene.
+        keys: What the driver is given besides: ``seed``, ``task``, ``terms``, ``watch``, ``compiled``.
+
+    Raises:
+        ValueError: If there is no such driver, or it cannot be made; names the driver and the cure.
+    """
+    name, _, file = choice.partition(":")
+    make = ROBOTS.find(name)
+    config = {"config": Path(file)} if file else {}
+    try:
+        return make(scene, **keys, **config)
+    except SceneError:
+        raise
+    except (ValueError, OSError) as error:
+        raise ValueError(f"the robot '{name}': {error}") from error
+
+
+def read_settings(section: type[S], path: Path | None) -> S:
+    """Settings of a driver from its file, the defaults without one.
+
+    Raises:
+        SceneError: If the file cannot be read or has a mistake: names the file, the key and what may stand there.
+    """
+    data = {} if path is None else read_toml(path)
+    try:
+        return section.model_validate(data)
+    except ValidationError as error:
+        raise SceneError.from_validation(error, data, section, file=path) from None
+
+
+def await_state(robot: Robot, name: str) -> None:
+    """Wait until a robot has shown its first state.
+
+    Raises:
+        ValueError: If it shows none in its ``connect_timeout``: says which source is silent or does not fit.
+    """
+    timeout = getattr(robot, "connect_timeout", FIRST_STATE)
+    until = time.monotonic() + timeout
+    while robot.observe() is None:
+        if time.monotonic() > until:
+            sources: list[Heard] = getattr(robot, "heard", list)()
+            why = "; ".join(text for source in sources if (text := source.missing)) or "it shows no state"
+            raise ValueError(f"the robot '{name}' is not there after {timeout:g} s: {why}")
+        time.sleep(POLL)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated robot as a process of its own: it moves in real time, publishes its state and hears commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ..model.compiled import compile_scene
+from ..realtime.pace import Pace
+from ..scene.draw import draw_task
+from ..task.task import Task
+from .safety import Command, Refusal, Safety
+from .simulated import simulated_robot
+
+if TYPE_CHECKING:
+    from ..cost.term import UserTerm
+    from ..model.state import State
+    from ..scene.schema import Scene
+
+
+class Transport(Protocol):
+    """Carries states and commands between a robot and whoever commands it; every call returns at once."""
+
+    def publish(self, state: State) -> None:
+        """Send what the robot measures; the stamp is ``state.time``."""
+
+    def receive(self) -> Iterable[Command]:
+        """Commands that came since the last call, in their order."""
+
+    def close(self) -> None:
+        """Send and hear nothing any more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotReport:
+    """Commands that a robot was given, and how its run ended."""
+
+    time: float
+    """The robot's clock at the end [s]."""
+    success: bool
+    """True if its true state was a success at some time."""
+    reason: str
+    """A few words about how the run ended."""
+    received: int
+    """Commands that came."""
+    refused: dict[str, int]
+    """Those that were refused, by reason."""
+    unsafe: int
+    """Ticks at which the drives were given what they never should."""
+    safe_state: float
+    """Longest time from the last good command to the safe one [s]; NaN where that never came."""
+    period_ms: dict[str, float]
+    """Time between good commands on the robot's clock [ms]: ``p50``, ``p99``, ``max``."""
+    age_ms: dict[str, float]
+    """Age of the observation that a good command answers [ms], likewise: both ways and what is between."""
+    jitter_ms: dict[str, float]
+    """Lateness of the robot's own ticks, in wall time [ms], likewise."""
+    slipped: float
+    """Wall time that the robot's clock waited because it was too far behind [s]."""
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as data for JSON: plain types, units in the keys."""
+        return {
+            "success": self.success,
+            "reason": self.reason,
+            "time_s": self.time,
+            "received": self.received,
+            "refused": self.refused,
+            "unsafe": self.unsafe,
+            "safe_state_s": _number(self.safe_state),
+            "period_ms": _numbers(self.period_ms),
+            "age_ms": _numbers(self.age_ms),
+            "jitter_ms": _numbers(self.jitter_ms),
+            "slipped_s": self.slipped,
+        }
+
+
+class RobotProcess:
+    """The scene's plant in real time behind a transport, with :class:`Safety` of its own.
+
+    It stays at its start until the first good command, with a clock that goes on.
+
+    Args:
+        scene: The scene; what its ``randomize_task`` names is drawn from the seed.
+        connect: Makes the transport from the state layout.
+        seed: Seed of the task, and of the plant's properties and noise.
+        speed: The robot's seconds in a second of wall time.
+        terms: Users' own cost terms that success, failures or phases name.
+
+    Raises:
+        SceneError: As :class:`~warpmpc.Plant`.
+        ValueError: If the transport cannot be made.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        connect: Callable[..., Transport],
+        *,
+        seed: int = 0,
+        speed: float = 1.0,
+        terms: Sequence[UserTerm] = (),
+    ):
+        scene = draw_task(scene, seed)[0]
+        compiled = compile_scene(scene)
+        self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
+        self.safety = Safety(scene, self.plant.layout)
+        self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=False)
+        self.transport = connect(self.plant.layout)
+        self._began: float | None = None  # when the first good command came
+        self._success = False
+
+    @property
+    def now(self) -> float:
+        """The robot's clock [s]."""
+        return self.pace.now
+
+    def tick(self) -> None:
+        """Publish what is measured, hear commands, move on."""
+        plant, now = self.plant, self.now
+        seen = plant.observe()
+        self.transport.publish(replace(seen, time=now if self._began is None else self._began + seen.time))
+        self.safety.take(self.transport.receive(), now)
+        if self._began is None and self.safety.commanded:
+            self._began = now
+        if self._began is None:
+            return
+        plant.apply(self.safety.command(replace(plant.state, time=now), now))
+        self._success |= plant.success
+
+    def run(self, until: Callable[[], bool]) -> RobotReport:
+        """Tick until told to stop, and report; the transport is closed.
+
+        Args:
+            until: Whether to stop, asked after every tick.
+        """
+        self.pace.start()
+        try:
+            while not self.plant.diverged:
+                self.tick()
+                if until():
+                    break
+                self.pace.wait()
+        finally:
+            self.transport.close()
+        return self.report()
+
+    def report(self) -> RobotReport:
+        """Report on the run so far."""
+        safety = self.safety
+        why = self.plant.reason if self._began is not None else "never commanded"
+        return RobotReport(
+            time=self.now,
+            success=self._success,
+            reason="goal reached" if self._success else why,
+            received=safety.received,
+            refused={kind.value: safety.refused[kind] for kind in Refusal},
+            unsafe=safety.unsafe,
+            safe_state=safety.safe_state,
+            period_ms=_percentiles(np.diff(safety.times)),
+            age_ms=_percentiles(safety.ages),
+            jitter_ms=self.pace.jitter_ms(),
+            slipped=self.pace.slipped,
+        )
+
+
+def _percentiles(seconds: Collection[float]) -> dict[str, float]:
+    values = 1e3 * np.percentile(list(seconds) or [np.nan], [50, 99, 100])
+    return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
+
+
+def _numbers(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot's own safety: which commands reach its drives, and what does where none may."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..realtime.pace import LONGEST
+from ..realtime.safe import SafeCommands
+from ..realtime.watchdog import BEYOND, SLACK
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..model.state import State
+    from ..scene.schema import Scene
+
+COMMANDS_TIMEOUT = 0.1
+"""Age beyond which a command does not act any more [s]."""
+TAKEOVER = 1.0
+"""Time without a good command after which another commander is heard [s]."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command as it came, whatever is in it."""
+
+    control: np.ndarray
+    """Controls; ``[nu]`` where they are the robot's."""
+    stamp: float
+    """Time of the observation that it answers, on the robot's clock [s]."""
+    sender: str
+    """Who sent it."""
+
+
+class Refusal(StrEnum):
+    """Reasons for which a command is refused."""
+
+    NAN = "nan"
+    SIZE = "size"
+    LIMITS = "limits"
+    STALE = "stale"
+    FOREIGN = "foreign"
+
+
+class Safety:
+    """Stands between commands and drives; knows nothing of plans.
+
+    A command is refused that is not finite, of the wrong size, outside the limits, older than
+    :data:`COMMANDS_TIMEOUT` or as far ahead of the robot's clock, older than one before it, or from another sender
+    than the one that commands. The newest good one acts until it is too old; then the drives' safe command does.
+
+    Args:
+        scene: The scene.
+        layout: State layout.
+    """
+
+    received: int
+    """Commands that came."""
+    refused: Counter[Refusal]
+    """Those of them that were refused."""
+    unsafe: int
+    """Ticks at which the drives were given what they never should: checked behind all else, so it counts mistakes."""
+    safe_state: float
+    """Longest time from the last good command to the safe one [s]; NaN where that never came."""
+    ages: deque[float]
+    """Ages of the newest good commands when they came [s]: from observation to command, both ways."""
+    times: deque[float]
+    """When they came, on the robot's clock [s]."""
+
+    def __init__(self, scene: Scene, layout: Layout):
+        beyond = BEYOND * (layout.control_upper - layout.control_lower)
+        self._lower, self._upper = layout.control_lower - beyond, layout.control_upper + beyond
+        self._layout, self._tick = layout, 1.0 / scene.agent.rate
+        self._safe = SafeCommands(scene, layout)
+        self.received, self.refused, self.unsafe = 0, Counter(), 0
+        self.safe_state = np.nan
+        self.ages, self.times = deque(maxlen=LONGEST), deque(maxlen=LONGEST)
+        self._good: Command | None = None
+        self._acting = False
+
+    @property
+    def commanded(self) -> bool:
+        """Return whether a good command ever came."""
+        return self._good is not None
+
+    def take(self, commands: Iterable[Command], now: float) -> None:
+        """Hear commands.
+
+        Args:
+            commands: Those that came, in their order.
+            now: The robot's clock [s].
+        """
+        for command in commands:
+            self.received += 1
+            if (refusal := self._refusal(command, now)) is not None:
+                self.refused[refusal] += 1
+                continue
+            self._good = command
+            self.ages.append(now - command.stamp)
+            self.times.append(now)
+
+    def command(self, state: State, now: float) -> np.ndarray:
+        """The control ``[nu]`` that the drives are given.
+
+        Args:
+            state: The robot's true state.
+            now: The robot's clock [s].
+        """
+        good = self._good
+        acts = good is not None and self._age(good, now + self._tick) <= COMMANDS_TIMEOUT + SLACK
+        if acts:
+            self._safe.release()
+            control = good.control
+        else:
+            control = self._safe(state, now)
+            if self._acting:
+                self.safe_state = float(np.fmax(self.safe_state, now - self.times[-1]))
+        self._acting = acts
+        control = np.clip(control, self._layout.control_lower, self._layout.control_upper).astype(np.float32)
+        self._check(control, now)
+        return control
+
+    def _refusal(self, command: Command, now: float) -> Refusal | None:
+        good = self._good
+        if good is not None and command.sender != good.sender and now - self.times[-1] < TAKEOVER:
+            return Refusal.FOREIGN
+        if command.control.shape != (self._layout.nu,):
+            return Refusal.SIZE
+        if not np.isfinite(command.control).all() or not np.isfinite(command.stamp):
+            return Refusal.NAN
+        if (command.control < self._lower).any() or (command.control > self._upper).any():
+            return Refusal.LIMITS
+        overtaken = good is not None and command.sender == good.sender and command.stamp < good.stamp
+        return Refusal.STALE if overtaken or abs(now - command.stamp) > COMMANDS_TIMEOUT else None
+
+    def _age(self, command: Command, now: float) -> float:
+        """Age of the last good command, whose time may be a little ahead."""
+        return now - min(command.stamp, self.times[-1])
+
+    def _check(self, control: np.ndarray, now: float) -> None:
+        inside = (control >= self._lower).all() and (control <= self._upper).all()  # false where one is NaN
+        old = self._acting and now - self.times[-1] > COMMANDS_TIMEOUT
+        self.unsafe += not inside or old

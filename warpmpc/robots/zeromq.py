@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots behind two ZeroMQ sockets, both ends: states one way, commands the other, as JSON with names.
+
+A state is ``{"time": 1.5, "joints": {"base/x": {"q": [0.1], "qd": [0.0]}, ...}}``, in Newton's conventions, with
+``act`` ``[na]`` and ``mocap`` ``[nm, 7]`` where the scene has them. A command is ``{"time": 1.5, "sender": "...",
+"control": {"base/x": 0.2, ...}}``; its time is that of the observation that it answers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zmq
+from pydantic import BaseModel, ValidationError
+
+from ..model.state import State
+from ..scene.errors import SceneError, some
+from .heard import Heard
+from .safety import Command
+from .settings import ZmqSettings
+
+if TYPE_CHECKING:
+    from ..model.compiled import CompiledScene
+    from ..model.layout import Layout
+    from ..scene.schema import Scene
+
+BACK = 1.0
+"""Time by which a state may be older than the newest and count as overtaken, not as of a clock that was set [s]."""
+
+
+class JointMessage(BaseModel):
+    """Coordinates and velocities of a joint."""
+
+    q: list[float]
+    qd: list[float]
+
+
+class StateMessage(BaseModel):
+    """State of a robot and of what it sees."""
+
+    time: float
+    joints: dict[str, JointMessage]
+    act: list[float] | None = None
+    mocap: list[list[float]] | None = None
+
+
+class CommandMessage(BaseModel):
+    """Controls by their names."""
+
+    time: float
+    sender: str
+    control: dict[str, float]
+
+
+class StateCodec:
+    """Turns states into messages and back; joints are found by name, in any order and among others.
+
+    Args:
+        layout: State layout.
+    """
+
+    def __init__(self, layout: Layout):
+        self._layout = layout
+        q = np.append(layout.joint_q_start, layout.nq)
+        qd = np.append(layout.joint_qd_start, layout.nv)
+        self.joints = {
+            name: (slice(int(q[j]), int(q[j + 1])), slice(int(qd[j]), int(qd[j + 1])))
+            for j, name in enumerate(layout.joint_name)
+            if layout.joint_dof_dim[j].sum()
+        }
+        """Joints that move: where their coordinates and velocities are."""
+
+    def encode(self, state: State) -> bytes:
+        """The message of a state."""
+        q, qd = state.joint_q, state.joint_qd
+        joints = {name: {"q": q[a].tolist(), "qd": qd[b].tolist()} for name, (a, b) in self.joints.items()}
+        message = {"time": float(state.time), "joints": joints}
+        for name in ("act", "mocap"):
+            if (part := getattr(state, name)) is not None and len(part):
+                message[name] = part.tolist()
+        return json.dumps(message).encode()
+
+    def decode(self, message: bytes) -> State:
+        """The state of a message.
+
+        Raises:
+            ValueError: If it is none, or lacks joints of the scene.
+        """
+        try:
+            found = StateMessage.model_validate_json(message)
+        except ValidationError as error:
+            raise ValueError(f"a message is no state: {_first(error)}") from None
+        lacking = [name for name in self.joints if name not in found.joints]
+        if lacking:
+            has = some(list(found.joints)) or "none"
+            raise ValueError(f"the state has no joint {some(lacking)}; it has {has}: name them as the scene does")
+        layout = self._layout
+        q, qd = np.zeros(layout.nq, dtype=np.float32), np.zeros(layout.nv, dtype=np.float32)
+        for name, (a, b) in self.joints.items():
+            joint = found.joints[name]
+            sizes, wanted = (len(joint.q), len(joint.qd)), (a.stop - a.start, b.stop - b.start)
+            if sizes != wanted:
+                raise ValueError(f"joint {name} has {wanted[0]} coordinates and {wanted[1]} velocities, not {sizes}")
+            q[a], qd[b] = joint.q, joint.qd
+        act, mocap = (None if part is None else np.array(part, np.float32) for part in (found.act, found.mocap))
+        return State(q, qd, time=found.time, act=act, mocap=mocap)
+
+
+class ZmqRobot:
+    """A robot at the other end of two sockets.
+
+    Args:
+        scene: The scene.
+        compiled: The scene, compiled.
+        settings: Where it is.
+        config: File of the settings, for messages.
+
+    Raises:
+        SceneError: If an address is none.
+    """
+
+    def __init__(
+        self, scene: Scene, *, compiled: CompiledScene, settings: ZmqSettings, config: Path | None = None, **_: object
+    ):
+        self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
+        self._names, self._codec = compiled.layout.control_name, StateCodec(compiled.layout)
+        self._context, self._sender = zmq.Context(), uuid.uuid4().hex[:8]
+        self._states, self._commands = self._context.socket(zmq.SUB), self._context.socket(zmq.PUB)
+        self._states.subscribe(b"")
+        for socket, key in ((self._states, "states"), (self._commands, "commands")):
+            address = getattr(settings, key)
+            try:
+                socket.connect(address)
+            except zmq.ZMQError as error:
+                self.close()
+                message = f"is no address ({error}), such as {ZmqSettings().states}"
+                raise SceneError(message, key=key, file=config, found=address) from None
+        self._heard = Heard(settings.states, "states")
+        self._newest: State | None = None
+
+    def heard(self) -> list[Heard]:
+        """Messages of states."""
+        return [self._heard]
+
+    def observe(self) -> State | None:
+        """The newest state, None before the first."""
+        for message in _waiting(self._states):
+            try:
+                state = self._codec.decode(message)
+            except ValueError as error:
+                self._heard.refuse(str(error))
+                continue
+            self._heard.note(state.time)
+            if self._newest is None or not self._newest.time - BACK <= state.time < self._newest.time:
+                self._newest = state
+        return self._newest
+
+    def apply(self, control: np.ndarray) -> None:
+        """Send a control ``[nu]``."""
+        command = dict(zip(self._names, control.tolist(), strict=True))
+        self._commands.send_json({"time": self._newest.time, "sender": self._sender, "control": command})
+
+    def close(self) -> None:
+        """Close the sockets; what was sent last has a moment to leave."""
+        self._context.destroy(linger=200)
+
+
+class ZmqTransport:
+    """The robot's end: binds to a port for states, and to the next one for commands.
+
+    Args:
+        layout: State layout.
+        port: The first port.
+        host: Address to bind to; nobody else's machine can command it by default.
+
+    Raises:
+        ValueError: If a port is taken.
+    """
+
+    def __init__(self, layout: Layout, port: int, host: str = "127.0.0.1"):
+        self.codec, self._names = StateCodec(layout), layout.control_name
+        self._context = zmq.Context()
+        self._states, self._commands = self._context.socket(zmq.PUB), self._context.socket(zmq.SUB)
+        self._commands.subscribe(b"")
+        for socket, number in ((self._states, port), (self._commands, port + 1)):
+            try:
+                socket.bind(f"tcp://{host}:{number}")
+            except zmq.ZMQError as error:
+                self.close()
+                raise ValueError(f"port {number}: {error}: choose another with --zmq PORT") from None
+
+    def publish(self, state: State) -> None:
+        """Send a state."""
+        self._states.send(self.codec.encode(state))
+
+    def receive(self) -> Iterator[Command]:
+        """Commands that came since the last call, in their order; one that cannot be read has no values."""
+        for message in _waiting(self._commands):
+            try:
+                found = CommandMessage.model_validate_json(message)
+                named = found.control.keys() == set(self._names)
+                values = [found.control[name] for name in self._names] if named else []
+                yield Command(np.array(values), found.time, found.sender)
+            except ValidationError:
+                yield Command(np.zeros(0), math.nan, "")
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._context.destroy(linger=0)
+
+
+def _waiting(socket: zmq.Socket) -> Iterator[bytes]:
+    """Messages that are waiting."""
+    try:
+        while True:
+            yield socket.recv(zmq.NOBLOCK)
+    except zmq.Again:
+        return
+
+
+def _first(error: ValidationError) -> str:
+    detail = error.errors(include_url=False)[0]
+    return f"{'.'.join(map(str, detail['loc']))}: {detail['msg']}" if detail["loc"] else detail["msg"]
