@@ -34,6 +34,7 @@ FLOORS = (
     ("terms",),
     ("cost",),
     ("task",),
+    ("estimation",),
     ("model",),
     ("scene", "physics"),
     ("launch", "bake"),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..estimation.scene_estimator import SceneEstimator
 from ..launch import capturing
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.state import Contact, State
@@ -21,12 +22,14 @@ from ..task.task import Task
 from .camera import DepthCamera
 from .motion import Motions
 from .perturbation import Perturbation
+from .sensors import Sensors
 from .worlds import Worlds
 
 if TYPE_CHECKING:
     import mujoco
 
     from ..cost.term import UserTerm
+    from ..estimation.measurement import Measurement
     from ..model.mujoco_model import MujocoWorld
     from ..model.pairs import Pair
     from ..scene.schema import Camera, Kick, Scene
@@ -86,6 +89,9 @@ class SimulatedPlant:
         self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
         self._motions = Motions(scene, seed)
+        self._sensors = Sensors(scene, self.layout, self.world, seed)
+        self.estimator = SceneEstimator(scene, self.layout)
+        """Estimates what the plant's sensors measure."""
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
         """Cameras that show the plant's world, by the clouds that they fill."""
@@ -110,6 +116,9 @@ class SimulatedPlant:
         self._motions.reset()
         self.perturbation.release()
         self._history: deque[State] = deque(maxlen=self._delay + 1)
+        self._sensors.reset()
+        self.estimator.reset()
+        self._sensors.step(self._start[None], np.zeros(1))
         self._check()
 
     @property
@@ -141,8 +150,21 @@ class SimulatedPlant:
         return self._engine.trajectory.sensor.numpy()[0, self._index].copy()
 
     def observe(self) -> State:
-        """The state as sensors show it: with noise, and ``delay`` old; motions and clouds are shown to the task."""
+        """The state as it is observed: with noise, and ``delay`` old, what sensors measure as it is estimated.
+
+        Motions and clouds are shown to the task.
+        """
         self._observe_scene()
+        for measurement in self.measurements():
+            self.estimator.update(measurement)
+        return self.estimator.fill(self._observed())
+
+    def measurements(self) -> list[Measurement]:
+        """Measurements of sensors that became known since this was asked last, for an estimator of your own."""
+        return self._sensors.known(self.time)
+
+    def _observed(self) -> State:
+        """The state before anything is estimated: with noise, and ``delay`` old."""
         state = self._history[0]
         noise = self.scene.plant.noise
         if not noise.position and not noise.velocity:
@@ -225,6 +247,9 @@ class SimulatedPlant:
         self._slice = 1
         self.steps += 1
         self.diverged = bool(engine.trajectory.diverged.numpy()[i])
+        rows = engine.state[i]
+        before = self.time - self.scene.timing.control_dt
+        self._sensors.step(rows, before + engine.model.opt.timestep * np.arange(1, len(rows) + 1))
         engine.initial[i] = engine.state[i, -1]
         engine.initial[i, 0] = 0.0
         self._paid += sum(float(np.atleast_1d(self.task[n])[i]) * value for n, value in self.terms.items())

@@ -17,6 +17,7 @@ from .schema_ancillary import Ancillary
 from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_cloud import Camera, Cloud
 from .schema_engine import EngineName, EngineSettings, FrictionCombine, Solver
+from .schema_estimate import Estimate, MeasurementNoise, PoseError, PoseModel, PoseSensor, ProcessNoise, Sensors
 from .schema_goal import Goal, Phase, Pose, Target
 from .schema_motion import Motion, Seen
 from .schema_noise import Noise, NoiseShape, NoiseSource, Renewal, ShareOfRange, Temperature
@@ -42,6 +43,7 @@ __all__ = [
     "DriveMode",
     "EngineName",
     "EngineSettings",
+    "Estimate",
     "Execute",
     "Failure",
     "Frame",
@@ -49,6 +51,7 @@ __all__ = [
     "Ground",
     "Growing",
     "Kick",
+    "MeasurementNoise",
     "Method",
     "Motion",
     "Noise",
@@ -63,6 +66,10 @@ __all__ = [
     "PlantNoise",
     "PlantSettings",
     "Pose",
+    "PoseError",
+    "PoseModel",
+    "PoseSensor",
+    "ProcessNoise",
     "Randomization",
     "RandomizeTask",
     "Refinement",
@@ -74,6 +81,7 @@ __all__ = [
     "SampleCount",
     "Scene",
     "Seen",
+    "Sensors",
     "ShapeKind",
     "ShareOfRange",
     "Solver",
@@ -174,6 +182,9 @@ class Scene(Section):
     """The physics of the rollouts."""
     plant: PlantSettings = PlantSettings()
     """How the simulated plant differs from the planner's worlds."""
+    estimate: dict[str, Estimate] = Field(default_factory=dict)
+    """Object, or robot with a free root → how its pose and velocity are estimated from measured poses. Something that a
+    sensor measures and that is not here is where it was measured last, with the velocity between the last two."""
     agent: AgentSettings = AgentSettings()
     """How plans are followed in real time."""
     randomize_task: RandomizeTask = RandomizeTask()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from .schema_estimate import Sensors
 from .types import Count, Flag, Floats, NonNegative, Positive, Section
 
 
@@ -55,5 +56,7 @@ class PlantSettings(Section):
     """Noise of what is observed."""
     delay: NonNegative = 0.0
     """Age of observations [s], rounded to whole controls."""
+    sensor: Sensors = Sensors()
+    """Sensors that measure at rates of their own."""
     kicks: tuple[Kick, ...] = ()
     """Shoves during the run."""

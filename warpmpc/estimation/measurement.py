@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements, with the time at which they were made, and what estimates states from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..model.state import State
+
+
+@dataclass(frozen=True)
+class PoseMeasured:
+    """A measured pose in the world."""
+
+    name: str
+    """Object, or robot with a free root."""
+    time: float
+    """When it was there [s]."""
+    pose: np.ndarray
+    """Pose of its body (x, y, z, qx, qy, qz, qw) ``[7]``."""
+
+
+@dataclass(frozen=True)
+class ImuMeasured:
+    """Angular velocity and acceleration that an inertial measurement unit shows, in its own frame."""
+
+    name: str
+    """Robot."""
+    time: float
+    """When [s]."""
+    gyro: np.ndarray
+    """Angular velocity ``[3]`` [rad/s]."""
+    accel: np.ndarray
+    """Proper acceleration ``[3]`` [m/s²]: at rest that against gravity."""
+
+
+@dataclass(frozen=True)
+class JointsMeasured:
+    """Coordinates and velocities of actuated joints."""
+
+    time: float
+    """When [s]."""
+    q: np.ndarray
+    """Coordinates ``[n]``, in the layout's order [m, rad]."""
+    qd: np.ndarray
+    """Velocities ``[n]`` [m/s, rad/s]."""
+
+
+Measurement = PoseMeasured | ImuMeasured | JointsMeasured
+
+
+class Estimator(Protocol):
+    """Source of parts of a state that nothing observes as they are."""
+
+    def update(self, measurement: Measurement) -> None:
+        """Take in a measurement; measurements of other things are left alone. It may be late or out of order."""
+
+    def fill(self, state: State) -> State:
+        """The state with what is estimated for its time in place of those parts."""
+
+    def reset(self) -> None:
+        """Forget every measurement."""

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors of simulated plants: measurements at rates of their own, with noise, late, some of them lost."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ..estimation.free_joints import FreeJoint
+from ..estimation.measurement import Measurement, PoseMeasured
+from ..estimation.rotation import exp, multiply
+
+if TYPE_CHECKING:
+    from ..model.layout import Layout
+    from ..model.mujoco_model import MujocoWorld
+    from ..scene.schema import PoseError, PoseSensor, Scene
+
+SLACK = 1e-6
+"""Tolerance of lapses of time [s]: times are sums of steps."""
+
+
+class Sensor(Protocol):
+    """Sensor of one thing."""
+
+    rate: float
+    """Measurements a second [1/s]."""
+    delay: float
+    """Time until one is known [s]."""
+
+    def reset(self) -> None:
+        """Begin the noise anew."""
+
+    def measure(self, row: np.ndarray, time: float) -> Measurement | None:
+        """Measure in a physics state (time, qpos, qvel, act); None where the measurement is lost."""
+
+
+class SimulatedPose:
+    """Pose sensor.
+
+    Args:
+        name: The object or robot.
+        sensor: What the scene says of it.
+        layout: State layout.
+        world: MuJoCo's model of the plant.
+        seed: Seed of its noise.
+    """
+
+    def __init__(self, name: str, sensor: PoseSensor, layout: Layout, world: MujocoWorld, seed: list[int]):
+        self.name, self.rate, self.delay = name, sensor.rate, sensor.delay
+        self._sensor, self._seed = sensor, seed
+        self._first = 1 + int(world.joint_q[FreeJoint(layout, name, key=f"plant.sensor.pose.{name}").joint])
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin the noise anew, and draw the bias."""
+        self._rng = np.random.default_rng(self._seed)
+        self._bias = self._drawn(self._sensor.bias)
+
+    def measure(self, row: np.ndarray, time: float) -> PoseMeasured | None:
+        """Measure the pose in a physics state, None where it is lost."""
+        lost, error = self._rng.random() < self._sensor.dropouts, self._drawn(self._sensor.noise) + self._bias
+        if lost:
+            return None
+        pose = row[self._first : self._first + 7]
+        rotation = multiply(exp(error[3:]), np.roll(pose[3:], -1))  # MuJoCo's are (w, x, y, z)
+        return PoseMeasured(self.name, time, np.r_[pose[:3] + error[:3], rotation])
+
+    def _drawn(self, error: PoseError) -> np.ndarray:
+        """Errors of position and rotation ``[6]``."""
+        return self._rng.normal(size=6) * np.repeat([error.position, error.rotation], 3)
+
+
+class Sensors:
+    """All sensors of one plant, and the measurements on their way.
+
+    Args:
+        scene: The scene.
+        layout: State layout.
+        world: MuJoCo's model of the plant.
+        seed: Seed of the noise.
+
+    Raises:
+        SceneError: If what is measured does not exist or is not free.
+    """
+
+    def __init__(self, scene: Scene, layout: Layout, world: MujocoWorld, seed: int):
+        self._sensors: list[Sensor] = [
+            SimulatedPose(name, sensor, layout, world, [seed, 3, i])
+            for i, (name, sensor) in enumerate(scene.plant.sensor.pose.items())
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was measured, and begin the noise anew."""
+        self._count = [0] * len(self._sensors)  # measurements that each has made
+        self._under_way: deque[tuple[float, Measurement]] = deque()
+        for sensor in self._sensors:
+            sensor.reset()
+
+    def step(self, rows: np.ndarray, times: np.ndarray) -> None:
+        """Measure in physics states ``[n, nx]`` at times ``[n]`` [s], each in the one next after it is due."""
+        for i, sensor in enumerate(self._sensors):
+            for row, time in zip(rows, times.tolist(), strict=True):
+                if time + SLACK < self._count[i] / sensor.rate:
+                    continue
+                self._count[i] = math.floor((time + SLACK) * sensor.rate) + 1
+                measured = sensor.measure(row, time)
+                if measured is not None:
+                    self._under_way.append((time + sensor.delay, measured))
+
+    def known(self, time: float) -> list[Measurement]:
+        """Measurements that became known until a time [s] and were not told before."""
+        known = [entry for entry in self._under_way if entry[0] <= time + SLACK]
+        self._under_way = deque(entry for entry in self._under_way if entry[0] > time + SLACK)
+        return [measured for _, measured in known]
