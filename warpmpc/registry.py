@@ -81,6 +81,15 @@ class Registry(MutableMapping[str, T]):
             raise ValueError(f"no {self._kind} '{name}'; there is: {', '.join((*more, *self))}")
         return self[name]
 
+    def origin(self, name: str) -> str:
+        """Words about where the one of a name comes from: warpmpc, an installed package, or this program."""
+        if name in self.shipped:
+            return "warpmpc"
+        if name not in self._points:
+            return "this program"
+        package = self._points[name].dist
+        return f"{package.name} {package.version}" if package else self._points[name].value
+
     def __getitem__(self, name: str) -> T:
         if name not in self._known:
             point = self._points[name]

@@ -16,18 +16,24 @@ _UNLIMITED = 1e3
 """Width from which a range counts as no limit [m or rad]."""
 
 
-def joint_table(layout: Layout) -> Table:
-    """The table of all hinges and slides: range and start, of hinges in degrees besides."""
+def joint_table(layout: Layout, joint_q: np.ndarray | None = None) -> Table:
+    """The table of all hinges and slides: range and start, of hinges in degrees besides.
+
+    Args:
+        layout: State layout.
+        joint_q: Joint coordinates ``[nq]`` that are shown in place of the start.
+    """
+    middle, coordinates = ("start", layout.joint_q) if joint_q is None else ("now", joint_q)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("joint")
-    for name in ("lower", "start", "upper"):
+    for name in ("lower", middle, "upper"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit")
     table.add_column("in degrees")
     for dof, name in enumerate(layout.dof_name):
         if not name:
             continue
-        lower, upper, start = layout.dof_lower[dof], layout.dof_upper[dof], layout.joint_q[layout.dof_coord[dof]]
+        lower, upper, start = layout.dof_lower[dof], layout.dof_upper[dof], coordinates[layout.dof_coord[dof]]
         limited = upper - lower < _UNLIMITED
         numbers = [lower if limited else -np.inf, start, upper if limited else np.inf]
         joint = int(np.flatnonzero(layout.joint_qd_start <= dof)[-1])

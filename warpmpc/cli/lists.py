@@ -53,6 +53,28 @@ def terms(
     _echo("A frame is robot/frame, robot/link, an object, an obstacle or goal.", "")
 
 
+def robots(
+    names: Annotated[list[str], typer.Argument(metavar="[NAME...]", help="Drivers; all when left out.")] = [],  # noqa: B006
+) -> None:
+    """List drivers of robots: where they come from, what they need; for those that are named, the keys of their files.
+
+    A driver is chosen by warpmpc run --real-time --robot NAME, with its file by NAME:FILE.toml.
+    """
+    from ..registry import ROBOTS
+    from .setup import start_warp, user_errors
+
+    start_warp()
+    for name in names or ROBOTS:
+        with user_errors():
+            driver, origin = ROBOTS.find(name), ROBOTS.origin(name)
+        typer.echo(f"{typer.style(name, bold=True)} (from {origin})")
+        _echo(getattr(driver, "summary", None) or (driver.__doc__ or "").partition("\n\n")[0], "  ")
+        if missing := getattr(driver, "missing", None):
+            _echo(missing, "  ")
+        if name in names and (section := getattr(driver, "settings", None)):
+            _print_section(section)
+
+
 def keys(
     table: Annotated[
         str, typer.Argument(metavar="[TABLE]", help="Table or key of a scene file, such as planner.noise.")

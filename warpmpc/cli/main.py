@@ -95,7 +95,7 @@ def _root(
     pass
 
 
-for _list in (lists.scenes, lists.terms, lists.keys, lists.schema):
+for _list in (lists.scenes, lists.terms, lists.robots, lists.keys, lists.schema):
     app.command()(_list)
 
 
@@ -123,11 +123,22 @@ def check(
     engine: EngineOption = "auto",
     device: DeviceOption = "auto",
     measure: Annotated[bool, typer.Option("--measure", help="Time plans anew for what is auto.")] = False,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:FILE]", help="Listen to a robot for some seconds instead, and send nothing (see robots)."
+        ),
+    ] = None,
 ) -> None:
     """Build everything a run would, make one plan, and show what was built."""
     from . import run as cli_run
 
-    raise typer.Exit(cli_run.check(_arguments(scene, overrides, terms, engine, device), seed=seed, measure=measure))
+    arguments = _arguments(scene, overrides, terms, engine, device)
+    if robot is not None:
+        from .robot import listen
+
+        raise typer.Exit(listen(arguments, robot))
+    raise typer.Exit(cli_run.check(arguments, seed=seed, measure=measure))
 
 
 @app.command()
@@ -238,6 +249,13 @@ def robot(
     seconds: Annotated[
         float | None, typer.Option(min=0.0, help="End so long after the start, on the robot's clock.")
     ] = None,
+    delay: Annotated[
+        str, typer.Option(metavar="MS|LOW..HIGH", help="Delay of each message, both ways; drawn between the two.")
+    ] = "0",
+    drop: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of messages that is lost, both ways.")] = 0.0,
+    reorder: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of messages that the next ones overtake, both ways.")
+    ] = 0.0,
     overrides: SetOption = [],  # noqa: B006
     terms: TermsOption = [],  # noqa: B006
 ) -> None:
@@ -249,7 +267,8 @@ def robot(
     from .robot import robot as cli_robot
 
     arguments = _arguments(scene, overrides, terms, "auto", "cpu")
-    raise typer.Exit(cli_robot(arguments, zmq=zmq, seed=seed, speed=speed, seconds=seconds))
+    link = {"delay": delay, "drop": drop, "reorder": reorder}
+    raise typer.Exit(cli_robot(arguments, zmq=zmq, seed=seed, speed=speed, seconds=seconds, link=link))
 
 
 @app.command()

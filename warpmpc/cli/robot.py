@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc robot``: the simulated robot as a process of its own."""
+"""``warpmpc robot``, the simulated robot as a process of its own, and ``warpmpc check --robot``, a look at one."""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
-from contextlib import suppress
+import time
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..robots.drivers import DRIVERS
 from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Messages
@@ -19,15 +20,27 @@ from .terms import load_terms
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ..model.layout import Layout
     from ..robots.process import Transport
 
+LISTEN = 3.0
+"""Wall time for which a check listens after the first state [s]."""
 
-def robot(arguments: RunArguments, *, zmq: int | None, seed: int, speed: float, seconds: float | None) -> int:
+
+def robot(
+    arguments: RunArguments,
+    *,
+    zmq: int | None,
+    seed: int,
+    speed: float,
+    seconds: float | None,
+    link: dict[str, str | float],
+) -> int:
     """Be a robot until a signal or the time ends it, print the report, and return the exit code."""
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                connect = _transport(zmq)
+                connect = _linked(_transport(zmq), seed=seed, speed=speed, **link)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
                 begin(scene, "cpu")
                 from ..robots.process import RobotProcess
@@ -47,12 +60,48 @@ def robot(arguments: RunArguments, *, zmq: int | None, seed: int, speed: float, 
     return SUCCESS
 
 
-def _transport(zmq: int | None) -> Callable[..., Transport]:
+def listen(arguments: RunArguments, choice: str) -> int:
+    """Listen to a robot, send nothing, and show what came; returns the exit code.
+
+    Exit code 2 where no state came: a line says which source is silent or does not fit.
+    """
+    name = choice.partition(":")[0]
+    with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts, ExitStack() as stack:
+        try:
+            with user_errors():
+                scene = load_scene(arguments.source, overrides=arguments.overrides)
+                begin(scene, "cpu")
+                from ..model.compiled import compile_scene
+                from ..robots.drivers import await_state, make_robot
+                from ..scene.draw import draw_task
+                from ..task.task import Task
+                from .listened import Listened
+
+                scene = draw_task(scene, 0)[0]
+                compiled = compile_scene(scene)
+                keys = {"seed": 0, "task": Task(scene), "watch": (), "compiled": compiled}
+                driver = make_robot(choice, scene, terms=load_terms(arguments.term_files), **keys)
+                stack.callback(getattr(driver, "close", lambda: None))
+                await_state(driver, name)
+                listened, until = Listened(scene, compiled.layout, driver), time.monotonic() + LISTEN
+                while time.monotonic() < until:
+                    listened.look()
+                    interrupts.check()
+                    time.sleep(1e-3)
+                listened.show(out)
+        except KeyboardInterrupt:
+            return interrupts.code
+    return SUCCESS
+
+
+def _transport(zmq: int | None) -> Callable[[Layout], Transport]:
     """The transport that was asked for.
 
     Raises:
         ValueError: If none was, or it is not installed.
     """
+    from ..robots.drivers import DRIVERS
+
     if zmq is None:
         raise ValueError("a robot needs a transport: give --zmq PORT")
     if missing := DRIVERS["zmq"].missing:
@@ -60,3 +109,23 @@ def _transport(zmq: int | None) -> Callable[..., Transport]:
     from ..robots.zeromq import ZmqTransport
 
     return partial(ZmqTransport, port=zmq)
+
+
+def _linked(
+    connect: Callable[[Layout], Transport], *, delay: str, drop: float, reorder: float, seed: int, speed: float
+) -> Callable[[Layout], Transport]:
+    """The transport with the link's faults that were asked for.
+
+    Raises:
+        ValueError: If the delay is none.
+    """
+    number = r"(\d+(?:\.\d*)?)"
+    found = re.fullmatch(rf"{number}(?:\.\.{number})?", delay)
+    if found is None or float(found[2] or found[1]) < float(found[1]):
+        raise ValueError(f"--delay: milliseconds, as 20 or 20..80, not '{delay}'")
+    range_ = tuple(1e-3 * float(bound or found[1]) for bound in found.groups())
+    if not any((*range_, drop, reorder)):
+        return connect
+    from ..robots.link import FaultyLink
+
+    return lambda layout: FaultyLink(connect(layout), delay=range_, drop=drop, reorder=reorder, seed=seed, speed=speed)

@@ -111,6 +111,8 @@ class RobotProcess:
         self.safety = Safety(scene, self.plant.layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=False)
         self.transport = connect(self.plant.layout)
+        self.control: np.ndarray | None = None
+        """What the drives were given last ``[nu]``; None before the first good command."""
         self._began: float | None = None  # when the first good command came
         self._success = False
 
@@ -129,7 +131,8 @@ class RobotProcess:
             self._began = now
         if self._began is None:
             return
-        plant.apply(self.safety.command(replace(plant.state, time=now), now))
+        self.control = self.safety.command(replace(plant.state, time=now), now)
+        plant.apply(self.control)
         self._success |= plant.success
 
     def run(self, until: Callable[[], bool]) -> RobotReport:
