@@ -64,7 +64,7 @@ class Driver:
 
     @property
     def missing(self) -> str | None:
-        """What is to be installed first, None where nothing is."""
+        """Sentence about what is to be installed first, None where nothing is."""
         if self.package is None or find_spec(self.package) is not None:
             return None
         return f'needs {self.package}: pip install "warpmpc[{self.extra}]"'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a driver hears of its robot: sources, their rates and ages, and what is wrong with them."""
+"""Sources of a robot as its driver hears them: rates, ages, and what is wrong with them."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ class ZmqTransport:
     """
 
     def __init__(self, layout: Layout, port: int, host: str = "127.0.0.1"):
-        self.codec, self._names = StateCodec(layout), layout.control_name
+        self._codec, self._names = StateCodec(layout), layout.control_name
         self._context = zmq.Context()
         self._states, self._commands = self._context.socket(zmq.PUB), self._context.socket(zmq.SUB)
         self._commands.subscribe(b"")
@@ -195,9 +195,14 @@ class ZmqTransport:
                 self.close()
                 raise ValueError(f"port {number}: {error}: choose another with --zmq PORT") from None
 
+    @property
+    def joints(self) -> dict[str, object]:
+        """Joints that are published, by name."""
+        return self._codec.joints
+
     def publish(self, state: State) -> None:
         """Send a state."""
-        self._states.send(self.codec.encode(state))
+        self._states.send(self._codec.encode(state))
 
     def receive(self) -> Iterator[Command]:
         """Commands that came since the last call, in their order; one that cannot be read has no values."""

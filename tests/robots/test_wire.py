@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot and a planner as two processes: goals are reached, and whatever goes wrong, the robot is safe in 100 ms."""
+
+import json
+import signal
+
+import pytest
+from shared.wire import Drill
+from studies.wire import SPOILT, run_pair
+
+from warpmpc.robots.safety import COMMANDS_TIMEOUT
+
+SPEED = 0.25
+"""The robot's seconds in a second: tests share their cores with others."""
+SOON = COMMANDS_TIMEOUT + 1e-6
+WINDOW = 0.2
+"""Time for which things go wrong [s]."""
+
+
+@pytest.fixture(scope="module", params=["zmq"])
+def pair(request, tmp_path_factory):
+    """A robot on a long way and its planner."""
+    with Drill(request.param, tmp_path_factory.mktemp("drill"), speed=SPEED) as pair:
+        yield pair
+
+
+@pytest.mark.parametrize("title", SPOILT)
+def test_a_robot_whose_messages_are_spoilt_is_safe_soon_and_goes_on(pair, title):
+    pair.order("await")
+    answer = pair.order(SPOILT[title], WINDOW)
+    assert answer["safe_s"] is not None
+    assert answer["safe_s"] <= SOON
+    assert answer["unsafe"] == 0
+    pair.order("await")
+
+
+def test_a_second_sender_is_refused_and_the_first_is_followed(pair):
+    answer = pair.interfere(WINDOW)
+    assert answer["refused"]["foreign"] > 5
+    assert answer["unsafe"] == 0
+    assert answer["safe_s"] is None, "plans are followed all the time"
+
+
+def test_a_robot_whose_planner_stops_or_is_killed_is_safe_soon(pair):
+    pair.order("await")
+    pair.planner.send(signal.SIGSTOP)
+    stopped = pair.order("watch", WINDOW)
+    pair.planner.send(signal.SIGCONT)
+    pair.order("await")
+    pair.planner.send(signal.SIGKILL)
+    killed = pair.order("watch", WINDOW)
+    for answer in (stopped, killed):
+        assert answer["safe_s"] <= SOON
+        assert answer["unsafe"] == 0
+    report = pair.order("end")
+    assert report["unsafe"] == 0
+    assert report["safe_state_s"] <= SOON
+    assert json.dumps(report, allow_nan=False)
+
+
+def check_goal(scene: str, seed: int, **keys) -> None:
+    result, report = run_pair(scene, "zmq", seed, speed=SPEED, **keys)
+    assert (result["success"], report["success"]) == (True, True), (result, report)
+    assert report["unsafe"] == 0
+    assert report["received"] > 100
+
+
+def test_a_robot_in_another_process_reaches_its_goal():
+    check_goal("cartpole_swingup", 0, options=["--set", "engine.threads=1"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["cartpole_swingup", "omni_push_box"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_robots_in_another_process_reach_their_goals(scene, seed):
+    check_goal(scene, seed)
