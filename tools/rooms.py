@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 ROOT = Path(__file__).parents[1]
 FLOORS = (
     ("cli",),
-    ("live", "tuning"),
+    ("live", "tuning", "export"),
     ("run", "record", "doctor"),
     ("robots",),
     ("realtime",),

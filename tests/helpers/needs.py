@@ -22,6 +22,7 @@ COMMANDS = {
     "Chromium": "apt-get install chromium",
     "dm_control": 'pip install -e ".[bench]"',
     "g++": "apt-get install g++",
+    **dict.fromkeys(("h5py", "mcap", "minari", "rosbags"), 'pip install -e ".[export]"'),
     "gymnasium_robotics": "pip install --no-deps gymnasium-robotics",
     "mjlab": 'pip install --no-deps "mjlab==1.6.0"',
     "mkdocs_autorefs": 'pip install -e ".[docs]"',

@@ -33,12 +33,13 @@ class Watched(RunRecorder):
 
     def __init__(self, plant, controller):
         super().__init__(plant, controller)
-        self.plant, self.controller, self.seen = plant, controller, []
+        self.plant, self.controller, self.seen, self.plans = plant, controller, [], []
 
     def log(self, control):
         super().log(control)
         plant, info = self.plant, self.controller.info
         self.seen.append((control.copy(), plant.state, plant.body_q, plant.forces.copy(), info))
+        self.plans.append(self.controller.newest_plan)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +71,10 @@ def test_arrays_are_what_was_there_at_each_step(watched, log):
         assert (log.of_plans("cost")[n], log.controls.plan_ms[n]) == (info.cost, info.plan_ms)
         assert (log.plans.beta[n], log.plans.eta[n]) == (info.beta, info.eta)
     assert np.isnan(states.contact_force[0]).all()
+    for n, plan in enumerate(watched.plans):
+        np.testing.assert_array_equal(log.plans.knots[n], plan.knots)
+        np.testing.assert_array_equal(log.plans.knot_time[n], plan.times)
+        np.testing.assert_allclose(plan.at(log.plans.time[n]), log.plans.command[n], atol=1e-6)
 
 
 def test_names_say_which_number_is_which(log):

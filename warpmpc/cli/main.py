@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import lists
+from . import lists, log_commands
+from .log_commands import TermsOption
 
 if TYPE_CHECKING:
     from .setup import RunArguments
@@ -39,10 +40,6 @@ SetOption = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change the scene, such as planner.samples=500; repeatable."),
 ]
-TermsOption = Annotated[
-    list[Path],
-    typer.Option("--terms", metavar="FILE.py", help="Python file with cost terms of your own; it is executed."),
-]
 EngineOption = Annotated[
     str,
     typer.Option(
@@ -63,9 +60,6 @@ DeviceOption = Annotated[
 LAST_SEED = 2**28
 """Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
 SeedOption = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")]
-RunPathArgument = Annotated[
-    Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
-]
 
 
 def main() -> None:
@@ -95,8 +89,8 @@ def _root(
     pass
 
 
-for _list in (lists.scenes, lists.terms, lists.robots, lists.keys, lists.schema):
-    app.command()(_list)
+for _command in (lists.scenes, lists.terms, lists.robots, lists.keys, lists.schema):
+    app.command()(_command)
 
 
 @app.command()
@@ -180,6 +174,14 @@ def run(
             "and recordings of episodes that run here.",
         ),
     ] = None,
+    export: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help='A data set of the episodes that succeed, pip install "warpmpc[export]": NAME.hdf5 as robomimic reads '
+            "it; of Minari where NAME ends in -v0, -v1, ...",
+        ),
+    ] = None,
     jobs: Annotated[
         str | None,
         typer.Option(
@@ -219,15 +221,17 @@ def run(
     2 for wrong input, 130 after Ctrl-C, 143 after SIGTERM.
     """
     from . import run as cli_run
+    from .export import SuccessfulRuns
     from .outputs import Outputs
 
     arguments, seeds = _arguments(scene, overrides, terms, engine, device), range(seed, seed + episodes)
-    outputs = Outputs(record=record, csv=csv, npz=npz, out=out, several=episodes > 1)
+    files = {"record": record, "csv": csv, "npz": npz, "out": out}
+    outputs = Outputs(**files, export=SuccessfulRuns(export) if export else None, several=episodes > 1)
     options = {"seeds": seeds, "outputs": outputs, "json_lines": json, "quiet": quiet}
     if real_time:
         from .real_time import run_real_time
 
-        given = {"--envs": envs > 1, "--jobs": jobs, "--results": results}
+        given = {"--envs": envs > 1, "--jobs": jobs, "--results": results, "--export": export}
         refused = [option for option, value in given.items() if value]
         options |= {"robot": robot or "simulated", "speed": 1.0 if speed is None else speed}
         raise typer.Exit(run_real_time(arguments, refused=refused, **options))
@@ -271,55 +275,8 @@ def robot(
     raise typer.Exit(cli_robot(arguments, zmq=zmq, seed=seed, speed=speed, seconds=seconds, link=link))
 
 
-@app.command()
-def replay(
-    path: RunPathArgument,
-    terms: TermsOption = [],  # noqa: B006
-) -> None:
-    """Plan again what was logged, and verify that the same commands come out, bit for bit.
-
-    Exit code 0 when they do, 1 when one differs, 2 for wrong input.
-    """
-    from .replay import replay as cli_replay
-
-    raise typer.Exit(cli_replay(path, term_files=terms))
-
-
-@app.command()
-def diagnose(
-    path: RunPathArgument,
-    terms: TermsOption = [],  # noqa: B006
-) -> None:
-    """Find why states that the planner foresaw are not those that came.
-
-    Rolls the controls that were sent out again as the planner foresaw them, with one thing changed at a time: physics
-    step, solver, properties, delay, noise, engine. Prints the error of the states with and without each change, the
-    cause and its cure.
-    """
-    from .diagnose import diagnose as cli_diagnose
-
-    raise typer.Exit(cli_diagnose(path, term_files=terms))
-
-
-@app.command()
-def plot(
-    path: RunPathArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR|FILE.png",
-            help="Folder for the files, beside or in PATH when left out; or one picture with path, costs, controls "
-            "and errors.",
-        ),
-    ] = None,
-    terms: TermsOption = [],  # noqa: B006
-) -> None:
-    """Draw a run: its path, costs, controls, plan times, errors and forces as PNG, all numbers as CSV."""
-    from .plot import plot as cli_plot
-
-    raise typer.Exit(cli_plot(path, out=out, term_files=terms))
+for _command in (log_commands.replay, log_commands.diagnose, log_commands.plot, log_commands.export):
+    app.command()(_command)
 
 
 @app.command()

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..log.run_log import RunLog
-    from ..run.episode import Episode, Recorder
+    from ..run.episode import Episode, EpisodeResult, Recorder
     from ..scene.schema import Scene
+    from .export import SuccessfulRuns
 
 logger = logging.getLogger("warpmpc")
 
@@ -34,13 +35,15 @@ class Outputs:
     npz: Path | None = None
     out: Path | None = None
     """Folder of the run, which has a log and, with rerun, a recording of every episode."""
+    export: SuccessfulRuns | None = None
+    """Data set of the episodes that ended as they should."""
     several: bool = False
     """True if there are several episodes."""
 
     @property
     def logs(self) -> bool:
         """Return whether run logs are to be written."""
-        return any((self.csv, self.npz, self.out))
+        return any((self.csv, self.npz, self.out, self.export))
 
     @property
     def any(self) -> bool:
@@ -76,6 +79,10 @@ class Outputs:
             files = [self._path(path, seed) for seed in seeds]
             for file in [files[0], *filter(Path.exists, files[1:])]:
                 try_file(file)
+        if self.export is not None:
+            if envs > 1:
+                raise ValueError("--export: logs are of one environment: leave out --envs, --jobs is quicker")
+            self.export.open()
 
     def recordings(self, seed: int) -> list[Path]:
         """Files for rerun of an episode; none in a folder where rerun is not installed."""
@@ -109,8 +116,8 @@ class Outputs:
         """File that the log of an episode is written to while it runs; None without a folder."""
         return None if self.out is None else self._path(self.out / LOG, seed)
 
-    def save(self, log: RunLog, seed: int) -> None:
-        """Write the log of an episode to the files that are not there yet.
+    def save(self, log: RunLog, seed: int, result: EpisodeResult | None = None) -> None:
+        """Write the log of an episode to the files that are not there yet, and to the data set with its result.
 
         Raises:
             OSError: If a file cannot be written.
@@ -121,6 +128,8 @@ class Outputs:
                 log.save(self._path(path, seed))
         if folder is not None and not folder.exists():
             log.save(folder)
+        if self.export is not None:
+            self.export.add(log, result)
 
     def _path(self, path: Path, seed: int) -> Path:
         return path.with_stem(f"{path.stem}-{seed}") if self.several else path

@@ -139,6 +139,8 @@ def run(
                 results_file,
                 kept.taken,
             )
+        with user_errors():
+            exported = outputs.export.close() if outputs.export is not None else None
         if results and not json_lines and not quiet:
             from .report import print_batch, print_results
 
@@ -146,6 +148,8 @@ def run(
             (print_batch if envs > 1 else print_results)(results, out)
             for sentence in setup.advice(setup.compiled):
                 print(f"Is it meant? {sentence}", file=out)
+            if exported is not None:
+                print(exported, file=out)
     if interrupted:
         return interrupts.code
     return SUCCESS if all(result.passed for result in results) else FAILURE
@@ -233,7 +237,7 @@ def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interru
         result = error.result
     with user_errors():
         if (log := recorders.run_log) is not None:
-            outputs.save(log, seed)
+            outputs.save(log, seed, result)
     return result
 
 

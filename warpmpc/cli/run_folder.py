@@ -90,6 +90,22 @@ def logs_in(path: Path) -> list[Path]:
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
+def results_in(path: Path) -> dict[int, dict[str, Any]]:
+    """Results of the episodes of a run's folder by seed, as data from JSON; none for a file.
+
+    Raises:
+        ValueError: If their file is damaged.
+    """
+    file = path / RESULTS
+    if not file.is_file():
+        return {}
+    try:
+        found = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+        return {result["seed"]: result for result in found}
+    except (ValueError, TypeError, KeyError):
+        raise ValueError(f"{file}: has no results of episodes, one JSON object a line") from None
+
+
 def terms_in(path: Path) -> list[Path]:
     """Files of users' terms that a run's folder holds; none for a file."""
     return sorted((path / TERMS).glob("*.py"), key=lambda file: (file.name.find("_"), file.name))

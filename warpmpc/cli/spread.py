@@ -113,7 +113,7 @@ def run_spread(
                 for result, log in _outcome(future):
                     if log is not None:
                         with user_errors():
-                            outputs.save(log, result.seed)
+                            outputs.save(log, result.seed, result)
                     if kept:
                         kept.add(futures[future], result)
                     bar.finish(result)

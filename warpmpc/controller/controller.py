@@ -36,7 +36,6 @@ from .rollout import Rollout
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
-    from ..planner.feedback import Feedback
     from ..scene.schema import Scene
 
 logger = logging.getLogger("warpmpc")
@@ -288,23 +287,25 @@ class Controller:
             ValueError: As :meth:`step`.
         """
         self.step(state)
-        report, many = self._last[1], np.ndim(state.joint_q) == 2
-        first = self._observed.last - report.offset
-        times = first[:, None] + self.plan_step.knot_time
+        return self.newest_plan
+
+    @property
+    def newest_plan(self) -> Plan | None:
+        """The plan of the last :meth:`step`, as :meth:`plan` returns it; None before the first."""
+        if self._last is None:
+            return None
+        state, report = self._last[:2]
+        many, gains = np.ndim(state.joint_q) == 2, self.plan_step.feedback
+        times = (self._observed.last - report.offset)[:, None] + self.plan_step.knot_time
+        start = np.nan_to_num(self._observed.planned)
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
             times=times if many else times[0].copy(),
             spline=self.plan_step.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
-            feedback=self._feedback(),
+            feedback=gains and replace(gains, times=start[:, None] + gains.times),
         )
-
-    def _feedback(self) -> Feedback | None:
-        """The gains of the last plan, with absolute times."""
-        own = self.plan_step.feedback
-        start = np.nan_to_num(self._observed.planned)
-        return own and replace(own, times=start[:, None] + own.times)
 
     @one_thread
     def rollout(self, sample: int | None = None, *, e: int = 0) -> Rollout:

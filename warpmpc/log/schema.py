@@ -68,6 +68,8 @@ TABLES: dict[str, dict[str, Column]] = {
         "beta": Column("temperature β that weighed the samples next time"),
         "eta": Column("effective number of samples η"),
         "command": Column("command that the controller returned", U, ("nu",), "f4"),
+        "knot_time": Column("times of the knots", "s", ("knots",)),
+        "knots": Column("the plan", U, ("knots", "nu"), "f4"),
         # in real time
         "life": Column("planner process that made it, from 0", dtype="i8"),
         "sent": Column("control that the robot was sent last", U, ("nu",), "f4"),
@@ -76,8 +78,6 @@ TABLES: dict[str, dict[str, Column]] = {
         "latency": Column("time from the observation to the plan", "s"),
         "plan_ms": Column("wall time of the planning", "ms"),
         "survived": Column("whether a rollout survived", dtype="?"),
-        "knot_time": Column("times of the knots", "s", ("knots",)),
-        "knots": Column("the plan", U, ("knots", "nu"), "f4"),
     },
     # changes of the watchdog's faults: the last row of an index holds
     "faults": {

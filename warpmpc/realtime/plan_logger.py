@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 INPUTS = ("number", "time", "joint_q", "joint_qd", "act", "mocap", "task", "lower", "upper")
 OUTCOME = ("cost", "terms", "beta", "eta")
-CLOSED_LOOP = (*INPUTS, *OUTCOME, "command")
+CLOSED_LOOP = (*INPUTS, *OUTCOME, "command", "knot_time", "knots")
 """Columns of plans that a closed loop makes."""
 REAL_TIME = (
     *INPUTS,

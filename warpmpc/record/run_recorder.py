@@ -91,8 +91,9 @@ class RunRecorder:
         if controller.info is None:
             raise ValueError("log comes after controller.step and plant.apply")
         self._take_clouds()
-        columns = plan_columns(controller, controller.observed)
-        self._writer.add("plans", number=self._count, command=controller.command, **columns)
+        columns, plan = plan_columns(controller, controller.observed), controller.newest_plan
+        columns |= {"command": controller.command, "knot_time": plan.times, "knots": plan.knots}
+        self._writer.add("plans", number=self._count, **columns)
         self._writer.add("controls", control=control, plan=self._count, plan_ms=controller.info.plan_ms)
         self._count += 1
         self._take_state(self._plant.forces)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run log as an MCAP file of ROS 2 messages, which Foxglove and ROS 2 play."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import newton
+import numpy as np
+from mcap.writer import Writer
+
+from ..log.files import replacing
+from ..model.compiled import compile_scene
+from ..record.replay import logged_scene, require_plans
+from ..task.task import Task
+from . import ros_messages as ros
+from .demonstration import task_values
+from .scene_markers import markers
+
+if TYPE_CHECKING:
+    from ..log.run_log import RunLog
+    from ..model.layout import Layout
+
+Stamped = tuple[float, str, Any]
+"""Time [s], topic and message."""
+
+
+def write_mcap(log: RunLog, path: Path) -> None:
+    """Write a run log as ROS 2 messages, CDR encoded and with their definitions.
+
+    Topics: ``/joint_states``, ``/tf`` (all bodies, mocap bodies too), ``/odom/BODY`` of free joints, ``/scene`` (its
+    shapes), ``/force/PAIR``, ``/goal_error/NAME``; ``/command``; ``/task/NAME``; ``/plan``, ``/plan/cost``,
+    ``/plan/cost/TERM``, ``/plan/beta``, ``/plan/eta``. Times are those of the simulation.
+
+    Args:
+        log: The log, with its plans.
+        path: The file; replaced when the new one is whole.
+
+    Raises:
+        SceneError: If the scene is none of this warpmpc, or its files are not here.
+        ValueError: If the log lacks what its plans were made from.
+        OSError: If the file cannot be written.
+    """
+    require_plans(log)
+    scene = logged_scene(log)
+    layout = compile_scene(scene).layout
+    messages: list[Stamped] = [(float(log.states.time[0]), "/scene", markers(layout))]
+    messages += [*_states(log, layout), *_controls(log), *_plans(log, layout), *_task(log, Task(scene))]
+    with replacing(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="warpmpc")
+        channels: dict[str, int] = {}
+        schemas: dict[str, int] = {}
+        for time, topic, content in sorted(messages, key=lambda entry: entry[0]):
+            kind = content.__msgtype__
+            if kind not in schemas:
+                text, _ = ros.STORE.generate_msgdef(kind, ros_version=2)
+                schemas[kind] = writer.register_schema(kind, "ros2msg", text.encode())
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+            at, data = ros.nanoseconds(time), bytes(ros.STORE.serialize_cdr(content, kind))
+            writer.add_message(channels[topic], log_time=at, publish_time=at, data=data)
+        writer.add_metadata("warpmpc", {key: json.dumps(value) for key, value in log.origin.items()})
+        writer.finish()
+
+
+def _states(log: RunLog, layout: Layout) -> Iterator[Stamped]:
+    axes = np.flatnonzero(layout.dof_coord >= 0)
+    names = [layout.dof_name[dof] for dof in axes]
+    free = np.flatnonzero(layout.joint_type == newton.JointType.FREE)
+    for state in log.states:
+        time = float(state.time)
+        yield (
+            time,
+            "/joint_states",
+            ros.joint_state(time, names, state.joint_q[layout.dof_coord[axes]], state.joint_qd[axes]),
+        )
+        yield time, "/tf", ros.transforms(time, layout.body_name, state.body_q)
+        for joint in free:
+            body, first = layout.joint_child[joint], layout.joint_qd_start[joint]
+            name, twist = layout.body_name[body], state.joint_qd[first : first + 6]
+            found = ros.odometry(time, name, state.body_q[body], twist, layout.body_com[body])
+            yield time, topic("odom", name), found
+        for name, force in zip(log.names["pairs"], state.contact_force, strict=True):
+            yield time, topic("force", name), ros.wrench(time, force)
+        for name, error in zip(log.names["errors"], state.goal_error, strict=True):
+            yield time, topic("goal_error", name), ros.number(error)
+
+
+def _controls(log: RunLog) -> Iterator[Stamped]:
+    for time, control in zip(log.states.time, log.controls.control):  # noqa: B905, the last state has none
+        if np.isfinite(control).all():
+            yield float(time), "/command", ros.command(log.names["controls"], control)
+
+
+def _plans(log: RunLog, layout: Layout) -> Iterator[Stamped]:
+    modes = [_mode(layout, control) for control in range(layout.nu)]
+    for plan in log.plans:
+        time = float(plan.time)
+        if "knots" in log.plans.dtype.names:  # logs of older versions have none in closed loop
+            knots = plan.knot_time, plan.knots
+            yield time, "/plan", ros.trajectory(log.names["controls"], modes, *knots, start=time)
+        for name in ("cost", "beta", "eta"):
+            yield time, topic("plan", name), ros.number(plan[name])
+        for name, cost in zip(log.names["terms"], plan.terms, strict=True):
+            yield time, topic("plan", "cost", name), ros.number(cost)
+
+
+def _task(log: RunLog, task: Task) -> Iterator[Stamped]:
+    """Poses and scalars of the task where they change, frames of movable obstacles."""
+    movable = [obstacle.name for obstacle in task.scene.obstacle if obstacle.movable]
+    for name, rows in task_values(task, log.plans.task).items():
+        changed = np.flatnonzero(np.r_[True, (rows[1:] != rows[:-1]).any(axis=1)])
+        for n in changed:
+            time = float(log.plans.time[n])
+            pose = name in task.pose_name
+            yield time, topic("task", name), ros.pose_stamped(time, rows[n]) if pose else ros.number(rows[n, 0])
+            if name in movable:
+                yield time, "/tf", ros.transforms(time, [name], rows[n : n + 1])
+
+
+def _mode(layout: Layout, control: int) -> str:
+    """Mode of the drive of a control; an MJCF file's own actuators count as efforts."""
+    rows = np.flatnonzero(layout.actuator_matrix[:, control])
+    return layout.actuator_mode[rows[0]] if len(rows) else "effort"
+
+
+def topic(*parts: str) -> str:
+    """A topic of parts, in the letters that ROS allows."""
+    tokens = re.sub(r"[^A-Za-z0-9_/]", "_", "/".join(parts)).split("/")
+    return "/" + "/".join(f"_{token}" if token[:1].isdigit() else token for token in tokens if token)
