@@ -82,6 +82,13 @@ DRIVERS = {
         extra="transport",
         settings=ZmqSettings,
     ),
+    "ros2": Driver(
+        summary="States, commands, goals and weights through ROS 2 topics and parameters.",
+        make="ros2.driver:Ros2Robot",
+        package="rclpy",
+        extra="ros2",
+        settings="ros2.settings:Ros2Settings",
+    ),
 }
 """Drivers that come with warpmpc."""
 
