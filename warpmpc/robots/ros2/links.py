@@ -14,32 +14,53 @@ from typing import TYPE_CHECKING
 import numpy as np
 from newton import JointType
 
-from ...model.layout import rotate
-
 if TYPE_CHECKING:
     from ...model.layout import Layout
+
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+# numpy's own cross product takes more than all of a message's conversion is given: single vectors are turned by hand
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:
     """The inverse of a unit quaternion ``[4]`` (x, y, z, w)."""
-    return q * np.array([-1.0, -1.0, -1.0, 1.0])
+    return q * _CONJUGATE
 
 
 def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The product of two quaternions ``[4]`` (x, y, z, w): b turns first."""
-    u, v, s, t = a[:3], b[:3], a[3], b[3]
-    return np.append(s * v + t * u + np.cross(u, v), s * t - u @ v)
+    (x, y, z, w), (i, j, k, r) = a.tolist(), b.tolist()
+    vector = (w * i + r * x + y * k - z * j, w * j + r * y + z * i - x * k, w * k + r * z + x * j - y * i)
+    return np.array([*vector, w * r - x * i - y * j - z * k])
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    """The rotation matrix ``[3, 3]`` of a unit quaternion ``[4]`` (x, y, z, w)."""
+    x, y, z, w = q.tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of two vectors ``[3]``."""
+    (x, y, z), (i, j, k) = a.tolist(), b.tolist()
+    return np.array([y * k - z * j, z * i - x * k, x * j - y * i])
 
 
 def pose_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The product of two poses ``[7]`` (x, y, z, qx, qy, qz, qw)."""
-    return np.concatenate([a[:3] + rotate(a[3:], b[:3]), quaternion_product(a[3:], b[3:])])
+    return np.concatenate([a[:3] + matrix(a[3:]) @ b[:3], quaternion_product(a[3:], b[3:])])
 
 
 def pose_inverse(pose: np.ndarray) -> np.ndarray:
     """The inverse of a pose ``[7]``."""
-    back = conjugate(pose[3:])
-    return np.concatenate([-rotate(back, pose[:3]), back])
+    return np.concatenate([-pose[:3] @ matrix(pose[3:]), conjugate(pose[3:])])
 
 
 def yaw_of(q: np.ndarray) -> float:
@@ -79,23 +100,24 @@ class FreeJoint:
         self._parent = np.asarray(layout.joint_pose_parent[joint], dtype=float)
         self._child = np.asarray(layout.joint_pose_child[joint], dtype=float)
         self._com = np.asarray(layout.body_com[layout.joint_child[joint]], dtype=float)
-        self._world = pose_inverse(self._parent)
+        self._to_parent, self._to_link = pose_inverse(self._parent), pose_inverse(self._child)
+        self._turn = matrix(self._to_parent[3:])
 
     def numbers(self, link: Link) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``[7]`` and velocities ``[6]`` of the joint; without a twist these are zero."""
-        q = pose_product(pose_product(self._world, link.pose), self._child)
+        q = pose_product(pose_product(self._to_parent, link.pose), self._child)
         if link.twist is None:
             return q, np.zeros(6)
         v, w = link.twist[:3], link.twist[3:]
-        turn = quaternion_product(self._world[3:], link.pose[3:])
-        return q, np.concatenate([rotate(turn, v + np.cross(w, self._com)), rotate(turn, w)])
+        turn = self._turn @ matrix(link.pose[3:])
+        return q, np.concatenate([turn @ (v + cross(w, self._com)), turn @ w])
 
     def link(self, q: np.ndarray, qd: np.ndarray) -> Link:
         """The link of coordinates ``[7]`` and velocities ``[6]`` of the joint."""
-        pose = pose_product(pose_product(self._parent, np.asarray(q, dtype=float)), pose_inverse(self._child))
-        back = quaternion_product(conjugate(pose[3:]), self._parent[3:])
-        v, w = rotate(back, np.asarray(qd[:3], dtype=float)), rotate(back, np.asarray(qd[3:], dtype=float))
-        return Link(pose, np.concatenate([v - np.cross(w, self._com), w]))
+        pose = pose_product(pose_product(self._parent, np.asarray(q, dtype=float)), self._to_link)
+        turn = self._turn @ matrix(pose[3:])
+        v, w = np.asarray(qd[:3], dtype=float) @ turn, np.asarray(qd[3:], dtype=float) @ turn
+        return Link(pose, np.concatenate([v - cross(w, self._com), w]))
 
 
 class PlanarJoints:
@@ -119,13 +141,14 @@ class PlanarJoints:
         q = np.array([*link.pose[:2], yaw_of(link.pose[3:])])
         if link.twist is None:
             return q, np.zeros(3)
-        return q, np.array([*rotate(link.pose[3:], link.twist[:3])[:2], rotate(link.pose[3:], link.twist[3:])[2]])
+        turn = matrix(link.pose[3:])
+        return q, np.array([*(turn @ link.twist[:3])[:2], (turn @ link.twist[3:])[2]])
 
     def link(self, q: np.ndarray, qd: np.ndarray) -> Link:
         """The link of coordinates ``[3]`` and velocities ``[3]`` of the joints."""
         x, y, yaw = np.asarray(q, dtype=float)
         turn = np.array([0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
-        v = rotate(conjugate(turn), np.array([qd[0], qd[1], 0.0]))
+        v = np.array([qd[0], qd[1], 0.0]) @ matrix(turn)
         return Link(np.array([x, y, 0.0, *turn]), np.array([*v, 0.0, 0.0, qd[2]]))
 
 
@@ -147,6 +170,6 @@ def difference(before: Link, after: Link, dt: float) -> np.ndarray:
         after: The later pose.
         dt: Time between them [s].
     """
-    back = conjugate(after.pose[3:])
-    v = rotate(back, after.pose[:3] - before.pose[:3]) / dt
-    return np.concatenate([v, rotation_vector(quaternion_product(conjugate(before.pose[3:]), after.pose[3:])) / dt])
+    v = (after.pose[:3] - before.pose[:3]) @ matrix(after.pose[3:]) / dt
+    turned = quaternion_product(conjugate(before.pose[3:]), after.pose[3:])
+    return np.concatenate([v, rotation_vector(turned) / dt])
