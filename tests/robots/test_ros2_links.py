@@ -19,7 +19,8 @@ def body_link(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Link:
     """The pose of a body's frame and its twist along its own axes, as MuJoCo says."""
     found = np.zeros(6)
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, found, 1)
-    return Link(np.concatenate([data.xpos[body], np.roll(data.xquat[body], -1)]), np.concatenate([found[3:], found[:3]]))
+    turn = np.roll(data.xquat[body], -1)  # w comes first in MuJoCo, and angular velocity
+    return Link(np.array([*data.xpos[body], *turn]), np.array([*found[3:], *found[:3]]))
 
 
 @pytest.mark.parametrize("name", ["go2_walk", "omni_push_box"])
@@ -97,7 +98,7 @@ def test_joints_come_in_any_order_and_among_others():
     assert dict(zip(here.tolist(), position, strict=True)) == {0: 1.0, 1: 2.0, 2: 3.0}
     assert dict(zip(here.tolist(), velocity, strict=True)) == {0: 0.1, 1: 0.2, 2: 0.3}
     here, position, velocity = order.read(message("b", [5.0]))
-    assert here.tolist() == [1] and position.tolist() == [5.0] and velocity is None
+    assert (here.tolist(), position.tolist(), velocity) == ([1], [5.0], None)
     with pytest.raises(ValueError, match="2 names, 1 positions"):
         order.read(message("ab", [5.0]))
 

@@ -16,6 +16,7 @@ from ..registry import ROBOTS
 from ..scene.errors import SceneError
 from ..scene.load import read_toml
 from ..scene.types import Section
+from .ros2.settings import Ros2Settings
 from .settings import ZmqSettings
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ DRIVERS = {
         make="ros2.driver:Ros2Robot",
         package="rclpy",
         extra="ros2",
-        settings="ros2.settings:Ros2Settings",
+        settings=Ros2Settings,
     ),
 }
 """Drivers that come with warpmpc."""

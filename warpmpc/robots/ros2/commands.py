@@ -11,7 +11,8 @@ import numpy as np
 from ...scene.errors import SceneError
 from .connection import message_class
 from .messages import Message, RosTime, floats
-from .settings import CommandSettings, CommandType, TrajectoryField, own_names
+from .settings import CommandSettings, CommandType, TrajectoryField
+from .topics import own_names
 
 if TYPE_CHECKING:
     from ...model.layout import Layout

@@ -6,13 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..drivers import read_settings
 from .commands import CommandCodec
 from .connection import Connection
 from .messages import RosTime
 from .observer import Observer
-from .settings import Ros2Settings, Topics
 from .task_inputs import TaskInputs
+from .topics import Topics
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from ...scene.schema import Scene
     from ...task.task import Task
     from ..heard import Heard
+    from .settings import Ros2Settings
 
 REPEAT = 0.04
 """Time after which a plan is sent again while there is no other [s]."""
@@ -38,15 +38,24 @@ class Ros2Robot:
         scene: The scene.
         task: The task, whose poses are heard on topics and whose weights and scalars are parameters.
         compiled: The scene, compiled.
-        config: File of :class:`~warpmpc.robots.ros2.settings.Ros2Settings`.
+        settings: Topics.
+        config: File of the settings, for errors.
 
     Raises:
-        SceneError: If the file has a mistake, or does not fit the scene.
+        SceneError: If the settings do not fit the scene.
         ValueError: If a topic's name is none, or the package of its messages is missing.
     """
 
-    def __init__(self, scene: Scene, *, task: Task, compiled: CompiledScene, config: Path | None = None, **_: object):
-        settings = read_settings(Ros2Settings, config)
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        task: Task,
+        compiled: CompiledScene,
+        settings: Ros2Settings,
+        config: Path | None = None,
+        **_: object,
+    ):
         self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
         layout, clock = compiled.layout, RosTime()
         topics = Topics.of(layout, settings, task, config)

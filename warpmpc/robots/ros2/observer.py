@@ -17,7 +17,8 @@ from .messages import JointOrder, Message, RosTime, read_links
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
-    from .settings import Pose, Topics
+    from .settings import Pose
+    from .topics import Topics
 
 BACK = 1.0
 """Time by which a message may be older than the newest of its topic and count as overtaken, not as of a clock that was
@@ -93,8 +94,6 @@ class Observer:
         for heard, inbox in zip(self._heard, inboxes, strict=True):
             if not heard.count and not heard.refused:
                 heard.problem = inbox.silence()
-        if self._joints is not None and (self._heard[0].count or self._heard[0].refused):
-            self._heard[0].problem = self._lacking() or self._heard[0].problem
         return self._heard
 
     def observe(self) -> State | None:
@@ -131,11 +130,10 @@ class Observer:
                 heard.refuse(str(error))
                 continue
             if not len(here):
-                heard.refuse(self._lacking() or "it has none of the scene's joints")
+                heard.refuse(self._lacking() or "a message has none of the scene's joints")
                 continue
             if newest.overtaken(here, stamp):
                 continue
-            heard.note(stamp)
             coordinates, dofs = self._coordinates[here], self._dofs[here]
             lapse = stamp - newest.stamps[here]
             if velocity is not None:
@@ -144,6 +142,10 @@ class Observer:
                 self._qd[dofs[later]] = (position[later] - self._q[coordinates[later]]) / lapse[later]
             self._q[coordinates] = position
             newest.stamps[here] = stamp
+            if not heard.count and (lacking := self._lacking()):
+                heard.refuse(lacking)
+            else:
+                heard.note(stamp)
             changed = True
         return changed
 

@@ -16,7 +16,7 @@ from .messages import RosTime, read_links
 
 if TYPE_CHECKING:
     from ...task.task import Task
-    from .settings import Topics
+    from .topics import Topics
 
 
 class TaskInputs:

@@ -15,7 +15,8 @@ from .commands import CommandCodec
 from .connection import Connection, Inbox, message_class
 from .links import FreeJoint, Link, PlanarJoints
 from .messages import RosTime, floats, write_odometry, write_pose, write_transform
-from .settings import Pose, PoseType, Ros2Settings, Topics
+from .settings import Pose, PoseType, Ros2Settings
+from .topics import Topics
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
