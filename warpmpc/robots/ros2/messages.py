@@ -15,25 +15,24 @@ Message = Any
 
 
 class RosTime:
-    """Turns time stamps into seconds since the second of the first one, which single precision holds for days."""
+    """Turns time stamps into seconds since the second of the first one, which single precision holds for days.
 
-    def __init__(self):
-        self._epoch: int | None = None
+    Args:
+        epoch: Time from which seconds count [ns]; the second of the first stamp if None.
+    """
 
-    def begin(self, epoch: int) -> None:
-        """Count from a second, whatever the first stamp is."""
+    def __init__(self, epoch: int | None = None):
         self._epoch = epoch
 
     def seconds(self, stamp: Message) -> float:
         """Time of a stamp [s]."""
         if self._epoch is None:
-            self._epoch = stamp.sec
-        return (stamp.sec - self._epoch) + 1e-9 * stamp.nanosec
+            self._epoch = stamp.sec * 10**9
+        return 1e-9 * (stamp.sec * 10**9 + stamp.nanosec - self._epoch)
 
     def write(self, seconds: float, stamp: Message) -> None:
         """Write a time [s] into a stamp."""
-        nanoseconds = max(0, round(seconds * 1e9) + (self._epoch or 0) * 10**9)
-        stamp.sec, stamp.nanosec = divmod(nanoseconds, 10**9)
+        stamp.sec, stamp.nanosec = divmod(max(0, round(seconds * 1e9) + (self._epoch or 0)), 10**9)
 
 
 def read_pose(pose: Message) -> np.ndarray:

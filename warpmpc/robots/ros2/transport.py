@@ -31,7 +31,7 @@ CLOCK_PERIOD = 0.02
 class Ros2Transport:
     """Publishes joints, bodies and ``/clock``, and hears commands, on the topics of the driver's settings.
 
-    Stamps are the second at which it began and the robot's clock; ``/clock`` has the same.
+    Stamps are the time at which it began and, from there, the robot's clock; ``/clock`` has the same.
 
     Args:
         layout: State layout.
@@ -44,8 +44,7 @@ class Ros2Transport:
     """
 
     def __init__(self, layout: Layout, settings: Ros2Settings, file: Path | None = None):
-        self._clock = RosTime()
-        self._clock.begin(int(time.time()))
+        self._clock = RosTime(time.time_ns())
         topics = Topics.of(layout, settings, None, file)
         self._codec = CommandCodec(layout, settings.command, self._clock, file)
         self._connection = Connection(NODE, settings.namespace)
@@ -55,11 +54,11 @@ class Ros2Transport:
         except ValueError:
             self._connection.close()
             raise
-        self._now, self._wall, self._joint_q = 0.0, time.time(), layout.joint_q
+        self._now, self._joint_q = 0.0, layout.joint_q
 
     def publish(self, state: State) -> None:
         """Send what the robot measures."""
-        self._now, self._wall, self._joint_q = float(state.time), time.time(), state.joint_q
+        self._now, self._joint_q = float(state.time), state.joint_q
         for publish in self._publish:
             publish(state)
 
