@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from ..safety import Command
 from .commands import CommandCodec
@@ -46,6 +45,8 @@ class Ros2Transport:
     def __init__(self, layout: Layout, settings: Ros2Settings, file: Path | None = None):
         self._clock = RosTime(time.time_ns())
         topics = Topics.of(layout, settings, None, file)
+        self.joints: dict[str, int] = {name: dof for dof, name in topics.joints.items()}
+        """Joints that are published: places of their velocities in the state by name."""
         self._codec = CommandCodec(layout, settings.command, self._clock, file)
         self._connection = Connection(NODE, settings.namespace)
         try:
@@ -84,7 +85,7 @@ class Ros2Transport:
 
     def _clock_publisher(self) -> Callable[[State], None]:
         publisher = self._connection.publisher("rosgraph_msgs/Clock", "/clock")
-        message, due = message_class("rosgraph_msgs/Clock")(), [-np.inf]
+        message, due = message_class("rosgraph_msgs/Clock")(), [-math.inf]
 
         def publish(state: State) -> None:
             if state.time >= due[0]:
@@ -96,14 +97,15 @@ class Ros2Transport:
 
     def _joint_publisher(self, layout: Layout, topics: Topics) -> Callable[[State], None]:
         kind = "sensor_msgs/JointState"
-        publisher, message = self._connection.publisher(kind, topics.settings.joints.topic), message_class(kind)()
-        message.name = list(topics.joints.values())
-        dofs = np.array(list(topics.joints))
-        coordinates = layout.dof_coord[dofs]
+        publisher = self._connection.publisher(kind, topics.settings.joints.topic)
+        message = message_class(kind)()
 
         def publish(state: State) -> None:
             self._clock.write(state.time, message.header.stamp)
-            message.position, message.velocity = floats(state.joint_q[coordinates]), floats(state.joint_qd[dofs])
+            dofs = list(self.joints.values())
+            message.name = list(self.joints)
+            message.position = floats(state.joint_q[layout.dof_coord[dofs]])
+            message.velocity = floats(state.joint_qd[dofs])
             publisher.publish(message)
 
         return publish
