@@ -104,7 +104,7 @@ def _transport(*, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[
     from ..robots.drivers import DRIVERS, read_settings
 
     if (zmq is not None) == ros2:
-        raise ValueError("a robot needs one transport: give --zmq PORT or --ros2")
+        raise ValueError("a robot needs a transport: give --zmq PORT or --ros2")
     if topics is not None and not ros2:
         raise ValueError("--topics: goes with --ros2")
     name = "ros2" if ros2 else "zmq"
