@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
-from .options import TermsOption
-
+TermsOption = Annotated[
+    list[Path],
+    typer.Option("--terms", metavar="FILE.py", help="Python file with cost terms of your own; it is executed."),
+]
 RunPathArgument = Annotated[
     Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
 ]

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.layout import rotate
 from ..scene.errors import SceneError
-from .rotation import inverse, multiply
+from .rotation import inverse, multiply, rotate
 
 if TYPE_CHECKING:
     from ..model.layout import Layout

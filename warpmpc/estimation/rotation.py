@@ -30,6 +30,14 @@ def inverse(q: np.ndarray) -> np.ndarray:
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
+def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Vector ``[3]`` turned by a quaternion ``[4]``."""
+    x, y, z, w = q.tolist()
+    a, b, c = v.tolist()
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return np.array([a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx])
+
+
 def exp(v: np.ndarray) -> np.ndarray:
     """Quaternion ``[4]`` of a rotation vector ``[3]``."""
     angle = math.sqrt(float(v @ v))

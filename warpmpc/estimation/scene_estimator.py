@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.state import State
+from ..scene.schema_estimate import PoseModel
 from .free_joints import FreeJoint
 from .history import History
 from .measurement import PoseMeasured
+from .physics_filter import PhysicsFilter, ThingSimulation
 from .pose_filter import LastPose, PoseEstimate, PoseFilter
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
-    from ..model.state import State
-    from ..scene.schema import Scene
+    from ..model.compiled import CompiledScene
+    from ..scene.schema import Estimate, Scene
     from .measurement import Estimator, Measurement
 
 
@@ -24,29 +26,51 @@ class PoseEstimator:
     """Estimator of one thing from its measured poses.
 
     Args:
-        name: The object or robot.
-        joint: Its free joint.
-        filter: The filter.
-        start: Coordinates and velocities of the scene's start, shown before the first measurement.
+        name: The object, or robot with a free root.
+        estimate: What the scene says of it; None for where it was measured last.
+        scene: The scene.
+        compiled: The scene, compiled.
+
+    Raises:
+        SceneError: If there is no such thing, or it is not free.
     """
 
-    def __init__(self, name: str, joint: FreeJoint, filter: PoseFilter | LastPose, start: State):
-        self.name, self._joint = name, joint
-        self.history: History[PoseEstimate, PoseMeasured] = History(filter)
-        self._start = np.array(start.joint_q[joint.q]), np.array(start.joint_qd[joint.qd])
+    def __init__(self, name: str, estimate: Estimate | None, scene: Scene, compiled: CompiledScene):
+        key = f"plant.sensor.pose.{name}" if estimate is None else f"estimate.{name}"
+        self.name, self._joint = name, FreeJoint(compiled.layout, name, key=key)
+        self._simulation: ThingSimulation | None = None
+        self.history: History[PoseEstimate, PoseMeasured]
+        if estimate is None:
+            self.history = History(LastPose())
+        elif estimate.model is PoseModel.PHYSICS:
+            self._simulation = ThingSimulation(self._joint, name, scene, compiled)
+            self.history = History(PhysicsFilter(estimate, self._simulation))
+        else:
+            self.history = History(PoseFilter(estimate))
+        start = State.start(compiled.layout)
+        self._start = start.joint_q[self._joint.q], start.joint_qd[self._joint.qd]
+        self._waiting: list[PoseMeasured] = []
 
     def reset(self) -> None:
         """Forget every measurement."""
         self.history.reset()
+        self._waiting.clear()
+        if self._simulation is not None:
+            self._simulation.reset()
 
     def update(self, measurement: Measurement) -> None:
         """Take in a pose of this thing that is finite."""
         ours = isinstance(measurement, PoseMeasured) and measurement.name == self.name
-        if ours and np.isfinite(measurement.pose).all():
-            self.history.insert(measurement)
+        if ours and np.isfinite(measurement.pose).all() and np.any(measurement.pose[3:]):
+            self._waiting.append(measurement)  # until it is known where the robot was then
 
     def fill(self, state: State) -> State:
-        """The state with the pose and velocity of this thing at its time."""
+        """The state with the pose and velocity of this thing at its time; those of its start before a measurement."""
+        if self._simulation is not None:
+            self._simulation.note(state)
+        for measurement in self._waiting:
+            self.history.insert(measurement)
+        self._waiting.clear()
         found, joint = self.history.at(float(state.time)), self._joint
         coordinates, velocities = self._start
         if found is not None:
@@ -62,26 +86,16 @@ class SceneEstimator:
 
     Args:
         scene: The scene.
-        layout: Its layout.
+        compiled: The scene, compiled.
 
     Raises:
         SceneError: If something that is measured or estimated does not exist or is not free.
     """
 
-    def __init__(self, scene: Scene, layout: Layout):
-        from ..model.state import State
-
-        start = State.start(layout)
+    def __init__(self, scene: Scene, compiled: CompiledScene):
+        names = dict.fromkeys((*scene.estimate, *scene.plant.sensor.pose))
         self.parts: tuple[Estimator, ...] = tuple(
-            PoseEstimator(name, FreeJoint(layout, name, key=key), filter, start)
-            for name, filter, key in (
-                *((name, PoseFilter(known), f"estimate.{name}") for name, known in scene.estimate.items()),
-                *(
-                    (name, LastPose(), f"plant.sensor.pose.{name}")
-                    for name in scene.plant.sensor.pose
-                    if name not in scene.estimate
-                ),
-            )
+            PoseEstimator(name, scene.estimate.get(name), scene, compiled) for name in names
         )
         """Estimators, in the order in which they fill a state."""
 

@@ -90,7 +90,7 @@ class SimulatedPlant:
         self._rng = np.random.default_rng([seed, 1])
         self._motions = Motions(scene, seed)
         self._sensors = Sensors(scene, self.layout, self.world, seed)
-        self.estimator = SceneEstimator(scene, self.layout)
+        self.estimator = SceneEstimator(scene, self.compiled)
         """Estimates what the plant's sensors measure."""
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}

@@ -63,7 +63,6 @@ class RealTimeResult(Result):
                 "plan_rate_Hz": report.plan_rate,
                 "latency_ms": report.latency_ms,
                 "plan_ms": report.plan_ms,
-                "age_ms": report.age_ms,
                 "faults": [asdict(fault) for fault in report.faults],
                 **cost,
             }

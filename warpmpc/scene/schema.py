@@ -17,7 +17,15 @@ from .schema_ancillary import Ancillary
 from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_cloud import Camera, Cloud
 from .schema_engine import EngineName, EngineSettings, FrictionCombine, Solver
-from .schema_estimate import Estimate, MeasurementNoise, PoseError, PoseModel, PoseSensor, ProcessNoise, Sensors
+from .schema_estimate import (
+    Estimate,
+    MeasurementNoise,
+    PoseError,
+    PoseModel,
+    PoseSensor,
+    ProcessNoise,
+    Sensors,
+)
 from .schema_goal import Goal, Phase, Pose, Target
 from .schema_motion import Motion, Seen
 from .schema_noise import Noise, NoiseShape, NoiseSource, Renewal, ShareOfRange, Temperature
