@@ -27,6 +27,7 @@ COMMANDS = {
     "mjlab": 'pip install --no-deps "mjlab==1.6.0"',
     "mkdocs_autorefs": 'pip install -e ".[docs]"',
     "pinocchio": "pip install pin",
+    "rclpy": 'pip install -e ".[ros2]"',
     "ray": 'pip install -e ".[cluster]"',
     "ruckig": "pip install ruckig",
     "torch": "pip install torch",

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,12 +66,14 @@ distance = 0.1
 class Ends:
     """Both ends of a transport, at a place: a port or another number that nobody else uses."""
 
+    driver: str
+    """Name of the driver at the other end."""
     place: Callable[[], int]
     """Finds a free place."""
     connect: Callable[[Layout, int], Transport]
     """Makes the robot's end."""
-    options: Callable[[int], list[str]]
-    """Options of ``warpmpc robot`` that make it."""
+    options: Callable[[int, Path], list[str]]
+    """Options of ``warpmpc robot`` that make it, beside the driver's file."""
     settings: Callable[[int], str]
     """Text of the driver's file at the other end."""
 
@@ -93,16 +96,37 @@ def _zmq(layout: Layout, port: int) -> Transport:
     return ZmqTransport(layout, port)
 
 
+def _ros2(keys: str) -> Ends:
+    """Topics in a namespace of their own; the simulated robot has the driver's file, too."""
+
+    def settings(place: int) -> str:
+        return f'namespace = "wire_{place}"\nconnect_timeout = 60.0\nuse_sim_time = true\n{keys}'
+
+    def connect(layout: Layout, place: int) -> Transport:
+        from warpmpc.robots.ros2.settings import Ros2Settings
+        from warpmpc.robots.ros2.transport import Ros2Transport
+
+        return Ros2Transport(layout, Ros2Settings.model_validate(tomllib.loads(settings(place))))
+
+    def options(place: int, file: Path) -> list[str]:
+        return ["--ros2", "--topics", str(file)]
+
+    return Ends("ros2", lambda: time.time_ns(), connect, options, settings)
+
+
 TRANSPORTS = {
     "zmq": Ends(
+        driver="zmq",
         place=free_port,
         connect=_zmq,
-        options=lambda port: ["--zmq", str(port)],
+        options=lambda port, _: ["--zmq", str(port)],
         settings=lambda port: (
             f'states = "tcp://127.0.0.1:{port}"\ncommands = "tcp://127.0.0.1:{port + 1}"\n'
             "connect_timeout = 60.0\nuse_sim_time = true\n"
         ),
-    )
+    ),
+    "ros2": _ros2(""),
+    "ros2-trajectory": _ros2('[command]\ntype = "trajectory_msgs/JointTrajectory"\n'),
 }
 
 
@@ -158,7 +182,7 @@ class Drill:
         self.scene, file = folder / "drill.toml", folder / f"{transport}.toml"
         self.scene.write_text(DRILL, encoding="utf-8")
         file.write_text(ends.settings(place), encoding="utf-8")
-        self.robot = f"{transport}:{file}"
+        self.robot = f"{ends.driver}:{file}"
         command = [sys.executable, TOOLS / "shared" / "faulty_robot.py", self.scene, transport, place, speed]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
         self._process = subprocess.Popen(list(map(str, command)), env={**os.environ, "PYTHONPATH": str(TOOLS)}, **pipes)

@@ -92,9 +92,9 @@ def run_pair(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{transport}.toml"
         file.write_text(ends.settings(place), encoding="utf-8")
-        command = [*PROGRAM, "robot", scene, *ends.options(place), *common, *link]
+        command = [*PROGRAM, "robot", scene, *ends.options(place, file), *common, *link]
         robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        planner = Planner(scene, f"{transport}:{file}", speed=speed, options=["--seed", str(seed), *options])
+        planner = Planner(scene, f"{ends.driver}:{file}", speed=speed, options=["--seed", str(seed), *options])
         try:
             result = planner.result(timeout=900.0)
             robot.send_signal(signal.SIGTERM)

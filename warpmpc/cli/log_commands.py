@@ -8,10 +8,8 @@ from typing import Annotated
 
 import typer
 
-TermsOption = Annotated[
-    list[Path],
-    typer.Option("--terms", metavar="FILE.py", help="Python file with cost terms of your own; it is executed."),
-]
+from .options import TermsOption
+
 RunPathArgument = Annotated[
     Path, typer.Argument(metavar="PATH", help="What warpmpc run --out or --npz wrote: a folder, .npz or .runlog.")
 ]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import lists, log_commands
-from .log_commands import TermsOption
+from . import lists, log_commands, robot_command
+from .options import LAST_SEED, SceneArgument, SeedOption, SetOption, TermsOption
 
 if TYPE_CHECKING:
     from .setup import RunArguments
@@ -29,17 +29,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE",
-        help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:A or SCENE:A+B for variants of it.",
-    ),
-]
-SetOption = Annotated[
-    list[str],
-    typer.Option("--set", metavar="KEY=VALUE", help="Change the scene, such as planner.samples=500; repeatable."),
-]
 EngineOption = Annotated[
     str,
     typer.Option(
@@ -57,9 +46,6 @@ DeviceOption = Annotated[
         help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto: the faster, measured once.",
     ),
 ]
-LAST_SEED = 2**28
-"""Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
-SeedOption = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")]
 
 
 def main() -> None:
@@ -241,41 +227,13 @@ def run(
     raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, **options))
 
 
-@app.command()
-def robot(
-    scene: SceneArgument,
-    zmq: Annotated[
-        int | None,
-        typer.Option(min=1, max=65534, help="Port on which it publishes its states; the next one takes commands."),
-    ] = None,
-    seed: SeedOption = 0,
-    speed: Annotated[float, typer.Option(min=0.001, max=1.0, help="Simulated seconds in a second.")] = 1.0,
-    seconds: Annotated[
-        float | None, typer.Option(min=0.0, help="End so long after the start, on the robot's clock.")
-    ] = None,
-    delay: Annotated[
-        str, typer.Option(metavar="MS|LOW..HIGH", help="Delay of each message, both ways; drawn between the two.")
-    ] = "0",
-    drop: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of messages that is lost, both ways.")] = 0.0,
-    reorder: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of messages that the next ones overtake, both ways.")
-    ] = 0.0,
-    overrides: SetOption = [],  # noqa: B006
-    terms: TermsOption = [],  # noqa: B006
-) -> None:
-    """Be a robot: the scene's plant in real time, which others command over a transport; Ctrl-C ends it.
-
-    Prints one line of JSON at its end: commands that came, were refused and why, and how soon it was safe without.
-    Noise and delay of what it measures are the scene's: --set plant.noise.position=0.005.
-    """
-    from .robot import robot as cli_robot
-
-    arguments = _arguments(scene, overrides, terms, "auto", "cpu")
-    link = {"delay": delay, "drop": drop, "reorder": reorder}
-    raise typer.Exit(cli_robot(arguments, zmq=zmq, seed=seed, speed=speed, seconds=seconds, link=link))
-
-
-for _command in (log_commands.replay, log_commands.diagnose, log_commands.plot, log_commands.export):
+for _command in (
+    robot_command.robot,
+    log_commands.replay,
+    log_commands.diagnose,
+    log_commands.plot,
+    log_commands.export,
+):
     app.command()(_command)
 
 

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..scene.load import load_scene
 from .interrupts import Interrupts
@@ -19,6 +19,7 @@ from .terms import load_terms
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from ..model.layout import Layout
     from ..robots.process import Transport
@@ -30,7 +31,7 @@ LISTEN = 3.0
 def robot(
     arguments: RunArguments,
     *,
-    zmq: int | None,
+    transport: dict[str, Any],
     seed: int,
     speed: float,
     seconds: float | None,
@@ -40,7 +41,7 @@ def robot(
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                connect = _linked(_transport(zmq), seed=seed, speed=speed, **link)
+                connect = _linked(_transport(**transport), seed=seed, speed=speed, **link)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
                 begin(scene, "cpu")
                 from ..robots.process import RobotProcess
@@ -94,18 +95,26 @@ def listen(arguments: RunArguments, choice: str) -> int:
     return SUCCESS
 
 
-def _transport(zmq: int | None) -> Callable[[Layout], Transport]:
+def _transport(*, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[[Layout], Transport]:
     """The transport that was asked for.
 
     Raises:
-        ValueError: If none was, or it is not installed.
+        ValueError: If none was, or two, or it is not installed.
     """
-    from ..robots.drivers import DRIVERS
+    from ..robots.drivers import DRIVERS, read_settings
 
-    if zmq is None:
-        raise ValueError("a robot needs a transport: give --zmq PORT")
-    if missing := DRIVERS["zmq"].missing:
-        raise ValueError(f"--zmq: {missing}")
+    if (zmq is not None) == ros2:
+        raise ValueError("a robot needs a transport: give --zmq PORT or --ros2")
+    if topics is not None and not ros2:
+        raise ValueError("--topics: goes with --ros2")
+    name = "ros2" if ros2 else "zmq"
+    if missing := DRIVERS[name].missing:
+        raise ValueError(f"--{name}: {missing}")
+    if ros2:
+        from ..robots.ros2.settings import Ros2Settings
+        from ..robots.ros2.transport import Ros2Transport
+
+        return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics)
     from ..robots.zeromq import ZmqTransport
 
     return partial(ZmqTransport, port=zmq)

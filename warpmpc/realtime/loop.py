@@ -106,6 +106,8 @@ class RealTimeReport:
     """From observation to plan on the robot's clock [ms]: ``p50``, ``p99``, ``max``; NaN without a plan."""
     plan_ms: dict[str, float]
     """Wall time of the planning itself [ms], likewise."""
+    age_ms: dict[str, float]
+    """Age of observations at ticks, on the robot's clock [ms], likewise: beyond the shortest way that they took."""
     faults: tuple[Fault, ...]
     """Times in which no plan was followed."""
 
@@ -145,6 +147,7 @@ class RobotLoop:
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
+        self._ages: deque[float] = deque(maxlen=LONGEST)
         self._plans, self._ticks = 0, 0
         self.wall = 0.0
         """Wall time spent in :meth:`run` [s]."""
@@ -168,6 +171,7 @@ class RobotLoop:
             self._plans += 1
             self._latencies.append((1e3 * timed.latency, timed.plan_ms))
         now = self.now
+        self._ages.append(1e3 * (now - state.time))
         control = self.agent.command(state, timed, now)
         if self.agent.trusts_observation:
             self.planner.observe(TimedObservation(state, self._last, self.agent.following))
@@ -243,5 +247,6 @@ class RobotLoop:
             plan_rate=self._plans / self.wall if self.wall else 0.0,
             latency_ms=dict(zip(names, latency, strict=True)),
             plan_ms=dict(zip(names, plan, strict=True)),
+            age_ms=dict(zip(names, np.percentile(self._ages or [np.nan], [50, 99, 100]).tolist(), strict=True)),
             faults=tuple(self.agent.faults),
         )

@@ -16,6 +16,7 @@ from ..registry import ROBOTS
 from ..scene.errors import SceneError
 from ..scene.load import read_toml
 from ..scene.types import Section
+from .ros2.settings import Ros2Settings
 from .settings import ZmqSettings
 
 if TYPE_CHECKING:
@@ -81,6 +82,13 @@ DRIVERS = {
         package="zmq",
         extra="transport",
         settings=ZmqSettings,
+    ),
+    "ros2": Driver(
+        summary="States, commands, goals and weights through ROS 2 topics and parameters.",
+        make="ros2.driver:Ros2Robot",
+        package="rclpy",
+        extra="ros2",
+        settings=Ros2Settings,
     ),
 }
 """Drivers that come with warpmpc."""

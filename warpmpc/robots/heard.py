@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass
 class Heard:
-    """Messages of one source, such as a topic or an address; a driver calls :meth:`note` for each."""
+    """Messages of one source, such as a topic or an address; a driver calls :meth:`note` for each that it looks at."""
 
     source: str
     """Topic or address."""

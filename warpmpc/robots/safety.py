@@ -36,6 +36,20 @@ class Command:
     """Time of the observation that it answers, on the robot's clock [s]."""
     sender: str
     """Who sent it."""
+    trajectory: tuple[np.ndarray, np.ndarray] | None = None
+    """Times ``[n]`` [s] and controls ``[n, nu]`` that go on from :attr:`control`, linear in between."""
+
+    def at(self, now: float) -> np.ndarray:
+        """Control ``[nu]`` at a time [s]."""
+        if self.trajectory is None:
+            return self.control
+        times, controls = self.trajectory
+        return np.array([np.interp(now, times, column) for column in controls.T])
+
+    @property
+    def controls(self) -> np.ndarray:
+        """All of its controls ``[n, nu]``."""
+        return self.control[None] if self.trajectory is None else self.trajectory[1]
 
 
 class Refusal(StrEnum):
@@ -116,7 +130,7 @@ class Safety:
         acts = good is not None and self._age(good, now + self._tick) <= COMMANDS_TIMEOUT + SLACK
         if acts:
             self._safe.release()
-            control = good.control
+            control = good.at(now)
         else:
             control = self._safe(state, now)
             if self._acting:
@@ -132,9 +146,9 @@ class Safety:
             return Refusal.FOREIGN
         if command.control.shape != (self._layout.nu,):
             return Refusal.SIZE
-        if not np.isfinite(command.control).all() or not np.isfinite(command.stamp):
+        if not np.isfinite(command.controls).all() or not np.isfinite(command.stamp):
             return Refusal.NAN
-        if (command.control < self._lower).any() or (command.control > self._upper).any():
+        if (command.controls < self._lower).any() or (command.controls > self._upper).any():
             return Refusal.LIMITS
         overtaken = good is not None and command.sender == good.sender and command.stamp < good.stamp
         return Refusal.STALE if overtaken or abs(now - command.stamp) > COMMANDS_TIMEOUT else None

@@ -132,6 +132,7 @@ class ZmqRobot:
         self._names, self._codec = compiled.layout.control_name, StateCodec(compiled.layout)
         self._context, self._sender = zmq.Context(), uuid.uuid4().hex[:8]
         self._states, self._commands = self._context.socket(zmq.SUB), self._context.socket(zmq.PUB)
+        self._states.setsockopt(zmq.CONFLATE, 1)  # the newest alone: nothing waits while the planner starts
         self._states.subscribe(b"")
         for socket, key in ((self._states, "states"), (self._commands, "commands")):
             address = getattr(settings, key)

@@ -63,6 +63,7 @@ class RealTimeResult(Result):
                 "plan_rate_Hz": report.plan_rate,
                 "latency_ms": report.latency_ms,
                 "plan_ms": report.plan_ms,
+                "age_ms": report.age_ms,
                 "faults": [asdict(fault) for fault in report.faults],
                 **cost,
             }

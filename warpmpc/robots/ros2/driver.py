@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver of robots behind ROS 2 topics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import CommandCodec
+from .connection import Connection
+from .messages import RosTime
+from .observer import Observer
+from .task_inputs import TaskInputs
+from .topics import Topics
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ...model.compiled import CompiledScene
+    from ...model.state import State
+    from ...planner.plan import Plan
+    from ...scene.schema import Scene
+    from ...task.task import Task
+    from ..heard import Heard
+    from .settings import Ros2Settings
+
+REPEAT = 0.04
+"""Time after which a plan is sent again while there is no other [s]."""
+
+
+class Ros2Robot:
+    """A robot whose joints and bodies are heard on topics, and that is commanded on one.
+
+    Messages are taken in :meth:`observe`, which never waits. Only what may come late, parameters and what is told of
+    the planner, is in the executor's thread.
+
+    Args:
+        scene: The scene.
+        task: The task, whose poses are heard on topics and whose weights and scalars are parameters.
+        compiled: The scene, compiled.
+        settings: Topics.
+        config: File of the settings, for errors.
+
+    Raises:
+        SceneError: If the settings do not fit the scene.
+        ValueError: If a topic's name is none, or the package of its messages is missing.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        task: Task,
+        compiled: CompiledScene,
+        settings: Ros2Settings,
+        config: Path | None = None,
+        **_: object,
+    ):
+        self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
+        layout, clock = compiled.layout, RosTime()
+        topics = Topics.of(layout, settings, task, config)
+        self._codec = CommandCodec(layout, settings.command, clock, config)
+        if self._codec.takes_plans:
+            self.follow = self._follow
+        self._connection = Connection(settings.node, settings.namespace, use_sim_time=settings.use_sim_time)
+        try:
+            self._observer = Observer(layout, topics, self._connection, clock)
+            self._inputs = TaskInputs(task, topics, self._connection)
+            self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
+        except ValueError:
+            self._connection.close()
+            raise
+        self._state: State | None = None
+        self._plan: Plan | None = None
+        self._sent = 0.0
+        self._connection.start()
+
+    def heard(self) -> list[Heard]:
+        """Messages of each topic that the state needs, and of those of the task that spoke."""
+        return [*self._observer.heard(), *(heard for heard in self._inputs.heard if heard.count or heard.refused)]
+
+    def observe(self) -> State | None:
+        """The newest state, None before every part of it was heard."""
+        self._inputs.take()
+        self._state = self._observer.observe()
+        return self._state
+
+    def apply(self, control: np.ndarray) -> None:
+        """Send a control ``[nu]``."""
+        self._plan = None
+        self._commands.publish(self._codec.write(control, self._state.time, self._state.joint_q))
+
+    def _follow(self, plan: Plan, now: float) -> None:
+        """Send a plan's next controls: once, and again for a robot that waits for commands.
+
+        Args:
+            plan: The plan.
+            now: The robot's clock [s].
+        """
+        if plan is not self._plan or now - self._sent >= REPEAT:
+            self._plan, self._sent = plan, now
+            self._commands.publish(self._codec.write_plan(plan, now, self._state.time))
+
+    def close(self) -> None:
+        """End the node."""
+        self._connection.close()

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States from what a robot's topics tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...model.state import State
+from ...scene.errors import some
+from ..heard import Heard
+from .connection import Connection, Inbox
+from .links import Link, difference
+from .messages import JointOrder, Message, RosTime, read_links
+
+if TYPE_CHECKING:
+    from ...model.layout import Layout
+    from .settings import Pose
+    from .topics import Topics
+
+BACK = 1.0
+"""Time by which a message may be older than the newest of its topic and count as overtaken, not as of a clock that was
+set [s]."""
+
+
+class Newest:
+    """Times of the parts of a state, each of which may be older than the newest by its own measure.
+
+    The state's time is that of the newest part; where a part is older than it may be, the state's time waits for it,
+    so that whoever looks at the age of states sees it.
+
+    Args:
+        holds: Age that is allowed of each part ``[n]`` [s].
+    """
+
+    def __init__(self, holds: np.ndarray):
+        self.stamps, self._holds = np.full(len(holds), np.nan), holds
+
+    @property
+    def time(self) -> float:
+        """Time of the state [s]; NaN while a part was never seen."""
+        return float(min(np.max(self.stamps), np.min(self.stamps + self._holds)))
+
+    def overtaken(self, parts: np.ndarray | int, stamp: float) -> bool:
+        """Return whether a message is older than what is known of its parts, though not of a clock that was set."""
+        lag = np.max(self.stamps[parts]) - stamp
+        return bool(0.0 < lag < BACK)
+
+
+class Observer:
+    """Joints, floating bodies and mocap bodies of a state, from their topics.
+
+    Args:
+        layout: State layout.
+        topics: Which topic tells what.
+        connection: The node.
+        clock: Turns stamps into seconds.
+
+    Raises:
+        ValueError: If a topic's name is none, or the package of its messages is missing.
+    """
+
+    def __init__(self, layout: Layout, topics: Topics, connection: Connection, clock: RosTime):
+        self._layout, self._clock = layout, clock
+        self._q, self._qd = layout.joint_q.astype(float), layout.joint_qd.astype(float)
+        self._mocap = layout.mocap.astype(np.float32)
+        self._act_speed = layout.activation_speed
+        joints = topics.joints
+        self._dofs = np.array(list(joints), dtype=int)
+        self._coordinates, self._names = layout.dof_coord[self._dofs], list(joints.values())
+        self._order = JointOrder(self._names)
+        holds = [topics.settings.joints.hold] * len(joints)
+        self._sources: list[_PoseSource] = []
+        for name, (joint, pose) in topics.bodies.items():
+            self._sources.append(_PoseSource(connection, pose, name, len(holds), joint=joint))
+            holds.append(pose.hold)
+        for place, pose in topics.mocap.items():
+            self._sources.append(_PoseSource(connection, pose, pose.name, len(holds), mocap=place))
+            holds.append(pose.hold)
+        self._newest = Newest(np.array(holds))
+        self._joints: Inbox | None = None
+        self._heard: list[Heard] = []
+        if joints:
+            self._joints = Inbox(connection, "sensor_msgs/JointState", topics.settings.joints.topic)
+            self._heard.append(Heard(self._joints.topic, self._joints.kind))
+        self._heard += [source.heard for source in self._sources]
+        self._state: State | None = None
+
+    def heard(self) -> list[Heard]:
+        """Messages of each topic; of a silent one its problem says why."""
+        inboxes = [self._joints] * (self._joints is not None) + [source.inbox for source in self._sources]
+        for heard, inbox in zip(self._heard, inboxes, strict=True):
+            if not heard.count and not heard.refused:
+                heard.problem = inbox.silence()
+        return self._heard
+
+    def observe(self) -> State | None:
+        """The newest state, None before every part was seen; returns at once."""
+        changed = self._joints is not None and self._take_joints()
+        for source in self._sources:
+            changed = self._take_pose(source) or changed
+        if changed and not np.isnan(time := self._newest.time):
+            act = None
+            if len(self._act_speed) and (self._act_speed >= 0).all():
+                act = self._qd[self._act_speed].astype(np.float32)
+            mocap = self._mocap.copy() if len(self._mocap) else None
+            q, qd = self._q.astype(np.float32), self._qd.astype(np.float32)
+            self._state = State(q, qd, time=time, act=act, mocap=mocap)
+        return self._state
+
+    def _lacking(self) -> str | None:
+        """A sentence about joints that no message has had yet."""
+        missing = [name for i, name in enumerate(self._names) if np.isnan(self._newest.stamps[i])]
+        if not missing:
+            return None
+        return (
+            f"its messages have no joint {some(missing)}; they have {some(self._order.names, most=6) or 'none'}: "
+            "give the robot's names in [joints] names, or the scene's joints that it does not measure in unmeasured"
+        )
+
+    def _take_joints(self) -> bool:
+        heard, newest, changed = self._heard[0], self._newest, False
+        for message, _ in self._joints.take():
+            try:
+                stamp = self._stamp(message.header.stamp)
+                here, position, velocity = self._order.read(message)
+            except ValueError as error:
+                heard.refuse(str(error))
+                continue
+            if not len(here):
+                heard.refuse(self._lacking() or "a message has none of the scene's joints")
+                continue
+            if newest.overtaken(here, stamp):
+                continue
+            coordinates, dofs = self._coordinates[here], self._dofs[here]
+            lapse = stamp - newest.stamps[here]
+            if velocity is not None:
+                self._qd[dofs] = velocity
+            elif (later := lapse > 0.0).any():
+                self._qd[dofs[later]] = (position[later] - self._q[coordinates[later]]) / lapse[later]
+            self._q[coordinates] = position
+            newest.stamps[here] = stamp
+            if not heard.count and (lacking := self._lacking()):
+                heard.refuse(lacking)
+            else:
+                heard.note(stamp)
+            changed = True
+        return changed
+
+    def _take_pose(self, source: _PoseSource) -> bool:
+        newest, part, changed = self._newest, source.part, False
+        for message, _ in source.inbox.take():
+            try:
+                found = [(self._stamp(stamp), link) for stamp, link in source.read(message)]
+            except ValueError as error:
+                source.heard.refuse(str(error))
+                continue
+            for stamp, link in found:
+                if newest.overtaken(part, stamp):
+                    continue
+                source.heard.note(stamp)
+                source.write(link, stamp - newest.stamps[part], self._q, self._qd, self._mocap)
+                newest.stamps[part] = stamp
+                changed = True
+        return changed
+
+    def _stamp(self, stamp: Message) -> float:
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            raise ValueError("a message has no time: its sender is to fill in header.stamp")
+        return self._clock.seconds(stamp)
+
+
+class _PoseSource:
+    """Poses of a body or of a mocap body."""
+
+    def __init__(
+        self, connection: Connection, pose: Pose, name: str, part: int, *, joint=None, mocap: int | None = None
+    ):
+        self.inbox = Inbox(connection, str(pose.type), pose.topic)
+        self.heard = Heard(self.inbox.topic, f"{pose.type} of {name}")
+        self.part, self._joint, self._mocap = part, joint, mocap
+        self._kind, self._frame = str(pose.type), pose.frame or name
+        self._before: Link | None = None
+
+    def read(self, message: Message) -> Iterator[tuple[Message, Link]]:
+        """Stamps and links of a message."""
+        return read_links(self._kind, message, self._frame)
+
+    def write(self, link: Link, lapse: float, q: np.ndarray, qd: np.ndarray, mocap: np.ndarray) -> None:
+        """Write a link into coordinates ``[nq]``, velocities ``[nv]`` or mocap poses ``[nm, 7]``.
+
+        Args:
+            link: The link.
+            lapse: Time since the one before [s], NaN for the first.
+        """
+        if self._joint is None:
+            mocap[self._mocap] = link.pose
+            return
+        if link.twist is None and self._before is not None and lapse > 0.0:
+            link = Link(link.pose, difference(self._before, link, lapse))
+        self._before = link
+        coordinates, velocities = self._joint.numbers(link)
+        q[self._joint.q], qd[self._joint.qd] = coordinates, velocities

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of a robot for one scene: what the driver's file says, and what the scene needs where that says nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ...scene.errors import SceneError
+from .links import FreeJoint, PlanarJoints, free_joints
+from .settings import Joints, Pose, PoseType, Ros2Settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ...model.layout import Layout
+    from ...task.task import Task
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics of a robot, for one scene.
+
+    Raises:
+        SceneError: If a name in the file is none of the scene.
+    """
+
+    settings: Ros2Settings
+    joints: dict[int, str]
+    """Single joint axes, by their velocity's place in the state: the robot's name for each."""
+    bodies: dict[str, tuple[FreeJoint | PlanarJoints, Pose]]
+    """Bodies whose pose is heard."""
+    mocap: dict[int, Pose]
+    """Mocap bodies whose pose is heard, by their place."""
+    task: dict[str, Pose]
+    """Poses of the task that may be heard."""
+
+    @classmethod
+    def of(cls, layout: Layout, settings: Ros2Settings, task: Task | None, file: Path | None = None) -> Topics:
+        """Topics of a scene.
+
+        Args:
+            layout: State layout.
+            settings: What the file says.
+            task: The task, whose poses may be heard; none of them if None.
+            file: The file, for errors.
+        """
+        given = {pose.name: pose for pose in settings.pose}
+        task_poses = task.pose_name if task is not None else ()
+        free = free_joints(layout)
+        planar = {name: pose for name, pose in given.items() if pose.planar is not None}
+        known = {*free, *planar, *layout.mocap_name, *task_poses}
+        for name in given:
+            if name not in known and task is not None:
+                message = "the scene has no pose of this name; a base on wheels has planar = [x, y, yaw]"
+                raise SceneError(message, key=f"pose.{name}", file=file, found=name, allowed=known)
+        bodies = {
+            name: (FreeJoint(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
+            for name, joint in free.items()
+        }
+        elsewhere: set[int] = set()
+        for name, pose in planar.items():
+            try:
+                moved = PlanarJoints(layout, pose.planar)
+            except SceneError as error:
+                raise _from_scene(error, f"pose.{name}.planar", file) from None
+            bodies[name] = (moved, pose)
+            elsewhere |= set(moved.qd.tolist())
+        mocap = {
+            i: given.get(name) or Pose(name=name, topic=f"{name}/pose", type=PoseType.POSE)
+            for i, name in enumerate(layout.mocap_name)
+            if name not in task_poses
+        }
+        topics = {name: "goal_pose" if name == "goal" else f"{name}/pose" for name in task_poses}
+        poses = {name: given.get(name) or Pose(name=name, topic=topics[name], type=PoseType.POSE) for name in topics}
+        return cls(settings, _joints(layout, settings.joints, elsewhere, file), bodies, mocap, poses)
+
+
+def _joints(layout: Layout, joints: Joints, elsewhere: set[int], file: Path | None) -> dict[int, str]:
+    """The robot's names of single axes that it measures."""
+    coordinates = layout.dof_coord.tolist()
+
+    def place(name: str, key: str) -> int:
+        try:
+            return coordinates.index(layout.joint(name))
+        except SceneError as error:
+            raise _from_scene(error, key, file) from None
+
+    renamed = {place(name, "joints.names"): own for name, own in joints.names.items()}
+    left_out = elsewhere | {place(name, "joints.unmeasured") for name in joints.unmeasured}
+    names = own_names(layout.dof_name)
+    found = {i: renamed.get(i, names[i]) for i, name in enumerate(layout.dof_name) if name and i not in left_out}
+    if len(set(found.values())) < len(found):
+        raise SceneError("two joints have the same name", key="joints.names", file=file, found=sorted(found.values()))
+    return found
+
+
+def own_names(names: tuple[str, ...]) -> list[str]:
+    """Names without the robot's, where that tells them apart; with it, as ``robot_name``, where not."""
+    short = [name.rpartition("/")[2] for name in names]
+    return [own if short.count(own) == 1 else name.replace("/", "_") for own, name in zip(short, names, strict=True)]
+
+
+def _from_scene(error: SceneError, key: str, file: Path | None) -> SceneError:
+    return SceneError(error.message, key=key, file=file, found=error.found, allowed=error.allowed)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated robot's end: a node that publishes what is measured and hears commands."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..safety import Command
+from .commands import CommandCodec
+from .connection import Connection, Inbox, message_class
+from .links import FreeJoint, Link, PlanarJoints
+from .messages import RosTime, floats, write_odometry, write_pose, write_transform
+from .settings import Pose, PoseType, Ros2Settings
+from .topics import Topics
+
+if TYPE_CHECKING:
+    from ...model.layout import Layout
+    from ...model.state import State
+
+NODE = "robot"
+"""Name of the robot's node."""
+CLOCK_PERIOD = 0.02
+"""Time between messages on ``/clock``, on the robot's clock [s]."""
+
+
+class Ros2Transport:
+    """Publishes joints, bodies and ``/clock``, and hears commands, on the topics of the driver's settings.
+
+    Stamps are the time at which it began and, from there, the robot's clock; ``/clock`` has the same.
+
+    Args:
+        layout: State layout.
+        settings: Topics.
+        file: File of the settings, for errors.
+
+    Raises:
+        SceneError: If the settings do not fit the scene.
+        ValueError: If a topic's name is none, or the package of its messages is missing.
+    """
+
+    def __init__(self, layout: Layout, settings: Ros2Settings, file: Path | None = None):
+        self._clock = RosTime(time.time_ns())
+        topics = Topics.of(layout, settings, None, file)
+        self.joints: dict[str, int] = {name: dof for dof, name in topics.joints.items()}
+        """Joints that are published: places of their velocities in the state by name."""
+        self._codec = CommandCodec(layout, settings.command, self._clock, file)
+        self._connection = Connection(NODE, settings.namespace)
+        try:
+            self._publish: list[Callable[[State], None]] = [*self._publishers(layout, topics)]
+            self._commands = Inbox(self._connection, str(settings.command.type), settings.command.topic, reliable=True)
+        except ValueError:
+            self._connection.close()
+            raise
+        self._now, self._joint_q = 0.0, layout.joint_q
+
+    def publish(self, state: State) -> None:
+        """Send what the robot measures."""
+        self._now, self._joint_q = float(state.time), state.joint_q
+        for publish in self._publish:
+            publish(state)
+
+    def receive(self) -> Iterator[Command]:
+        """Commands that came since the last call, in their order; those without a header count from now on."""
+        for message, sender in self._commands.take():
+            times, controls, stamp = self._codec.read(message, self._joint_q)
+            trajectory = (times, controls) if len(times) > 1 else None
+            yield Command(controls[0], self._now if stamp is None else stamp, sender, trajectory)
+
+    def close(self) -> None:
+        """End the node."""
+        self._connection.close()
+
+    def _publishers(self, layout: Layout, topics: Topics) -> Iterator[Callable[[State], None]]:
+        yield self._clock_publisher()
+        if topics.joints:
+            yield self._joint_publisher(layout, topics)
+        for joint, pose in topics.bodies.values():
+            yield self._pose_publisher(pose, topics, lambda state, joint=joint: _link(joint, state))
+        for place, pose in topics.mocap.items():
+            yield self._pose_publisher(pose, topics, lambda state, place=place: Link(state.mocap[place].astype(float)))
+
+    def _clock_publisher(self) -> Callable[[State], None]:
+        publisher = self._connection.publisher("rosgraph_msgs/Clock", "/clock")
+        message, due = message_class("rosgraph_msgs/Clock")(), [-math.inf]
+
+        def publish(state: State) -> None:
+            if state.time >= due[0]:
+                due[0] = state.time + CLOCK_PERIOD
+                self._clock.write(state.time, message.clock)
+                publisher.publish(message)
+
+        return publish
+
+    def _joint_publisher(self, layout: Layout, topics: Topics) -> Callable[[State], None]:
+        kind = "sensor_msgs/JointState"
+        publisher = self._connection.publisher(kind, topics.settings.joints.topic)
+        message = message_class(kind)()
+
+        def publish(state: State) -> None:
+            self._clock.write(state.time, message.header.stamp)
+            dofs = list(self.joints.values())
+            message.name = list(self.joints)
+            message.position = floats(state.joint_q[layout.dof_coord[dofs]])
+            message.velocity = floats(state.joint_qd[dofs])
+            publisher.publish(message)
+
+        return publish
+
+    def _pose_publisher(self, pose: Pose, topics: Topics, find: Callable[[State], Link]) -> Callable[[State], None]:
+        """Publish a link, found in states."""
+        publisher = self._connection.publisher(str(pose.type), pose.topic)
+        message = message_class(str(pose.type))()
+        stamped = message
+        if pose.type is PoseType.TRANSFORMS:
+            stamped = message_class("geometry_msgs/TransformStamped")()
+            message.transforms.append(stamped)
+        if pose.type is not PoseType.POSE:
+            stamped.child_frame_id = pose.frame or pose.name
+        stamped.header.frame_id = topics.settings.world
+
+        def publish(state: State) -> None:
+            self._clock.write(state.time, stamped.header.stamp)
+            link = find(state)
+            match pose.type:
+                case PoseType.ODOMETRY:
+                    write_odometry(link, message)
+                case PoseType.POSE:
+                    write_pose(link.pose, message.pose)
+                case PoseType.TRANSFORMS:
+                    write_transform(link.pose, stamped.transform)
+            publisher.publish(message)
+
+        return publish
+
+
+def _link(joint: FreeJoint | PlanarJoints, state: State) -> Link:
+    return joint.link(state.joint_q[joint.q], state.joint_qd[joint.qd])
