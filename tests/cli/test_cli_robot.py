@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from program import SCENE
 
-from warpmpc import State
+from warpmpc import RunLog, State, load_scene
+from warpmpc.model.compiled import compile_scene
 from warpmpc.registry import ROBOTS
 
 ENDS = 0.3  # [s] on the robot's clock
@@ -62,7 +63,7 @@ SLOW = ["--real-time", "--engine", "mujoco", "--set", "engine.threads=1", "--set
 
 
 def test_a_registered_robot_is_sent_plans_until_it_ends_the_run(scene, command, made):
-    done = command("run", str(scene), *SLOW, "--robot", "drifting", "--speed", "0.2", "--json")
+    done = command("run", str(scene), *SLOW, "--robot", "drifting", "--speed", "0.2", "--json", "--out", "drifted")
     assert done.returncode == 1, done.stderr
     result = json.loads(done.stdout)
     assert result["reason"] == "ended by the robot"
@@ -73,6 +74,16 @@ def test_a_registered_robot_is_sent_plans_until_it_ends_the_run(scene, command, 
     assert len(robot.sent) >= result["ticks"]
     assert np.abs(robot.sent).max() > 0.01
     assert not robot.sent[-1].any(), "the last command is the safe one"
+    log = RunLog.load("drifted/episode.runlog")
+    assert log.states.time[0] == pytest.approx(7.0)
+    np.testing.assert_array_equal(log.controls.control, robot.sent[: len(log.controls)])
+    layout = compile_scene(load_scene(str(scene))).layout
+    base = [log.states.body_q[:, layout.body_name.index("base/base_link"), axis] for axis in (0, 1)]
+    np.testing.assert_allclose(base, log.states.joint_q[:, :2].T, atol=1e-6)
+    ages = log.controls.age[np.isfinite(log.controls.age)]
+    assert 0.0 <= ages.min() < ages.max() < 1.0
+    replayed = command("replay", "drifted")
+    assert replayed.returncode == 0, replayed.stderr
 
 
 @pytest.mark.parametrize(
@@ -94,8 +105,8 @@ def test_the_scene_ends_the_run_of_a_robot_as_it_ends_a_plants(scene, command, m
         (["--robot", "driftin", "--real-time"], "no robot 'driftin'; there is: simulated, zmq, drifting"),
         (["--robot", "drifting"], "goes with --real-time"),
         (
-            ["--robot", "drifting", "--real-time", "--npz", "a.npz"],
-            "--robot drifting: --record, --csv, --npz and --out",
+            ["--robot", "drifting", "--real-time", "--record", "a.rrd"],
+            "--robot drifting: --record shows the simulated one alone: take --out or --npz",
         ),
     ],
 )

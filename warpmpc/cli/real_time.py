@@ -21,6 +21,7 @@ from .terms import load_terms
 if TYPE_CHECKING:
     from ..plant.plant import Plant
     from ..record.run_recorder import RunRecorder
+    from ..robots.monitored import MonitoredRobot
     from ..run.real_time import RealTimeResult
     from .outputs import Outputs
 
@@ -44,8 +45,8 @@ def run_real_time(
             with user_errors():
                 if refused:
                     raise ValueError(f"{', '.join(refused)}: not with --real-time, where one plant follows the clock")
-                if outputs.any and robot != "simulated":
-                    raise ValueError(f"--robot {robot}: --record, --csv, --npz and --out show the simulated one alone")
+                if outputs.record and robot != "simulated":
+                    raise ValueError(f"--robot {robot}: --record shows the simulated one alone: take --out or --npz")
                 outputs.check(seeds, envs=1, jobs=None)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
                 begin(scene, arguments.device)
@@ -89,8 +90,8 @@ class TickLog:
     def __exit__(self, *error: object) -> None:
         self._folder.cleanup()
 
-    def recorder(self, robot: Plant) -> RunRecorder:
-        """The recorder of the episode of a simulated robot."""
+    def recorder(self, robot: Plant | MonitoredRobot) -> RunRecorder:
+        """The recorder of a robot's episode."""
         from ..record.run_recorder import RunRecorder
 
         self._robot = robot
@@ -106,9 +107,12 @@ class TickLog:
         if self._robot is None:
             return
         from ..log.run_log import RunLog
+        from ..plant.simulated import SimulatedPlant
 
         log = RunLog.load(self.path)
         self._outputs.save(log, self._seed)
+        if not isinstance(self._robot, SimulatedPlant):
+            return
         for path in self._outputs.recordings(self._seed):
             from ..record.tick_recording import record_ticks  # slow to import
 

@@ -59,6 +59,8 @@ class Monitor:
 
     error: GoalError | None
     """Distance of the goal's object or frame from the goal; None for a scene without a goal, or before any state."""
+    body_q: np.ndarray | None
+    """Poses of bodies ``[nb, 7]`` by the last finite state that was observed; None before any, of a simulated plant."""
     phases: list[tuple[str, float]]
     """Phases that were entered after the first, and when [s]."""
     progress: list[Progress]
@@ -93,7 +95,7 @@ class Monitor:
         """Begin with the first state of a run; a task that went on to other phases begins anew."""
         if self._task.phase[self._e]:
             self._task.reset(self._e)
-        self.error = None
+        self.error = self.body_q = None
         self.phases = []
         self._reached = 0
         self.failure = None
@@ -125,6 +127,7 @@ class Monitor:
         else:
             time = float(np.broadcast_to(state.time, self._task.envs)[self._e])
         snapshot = self._seen(state, control, time)
+        self.body_q = self.body_q if snapshot is None else snapshot.body_q
         if snapshot is None:
             self._pass(time)
             self._within = self._held = None

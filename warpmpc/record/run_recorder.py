@@ -158,7 +158,8 @@ class RunRecorder:
 
     def _take_state(self, force: np.ndarray | float) -> None:
         plant = self._plant
-        state, error, self._time = plant.state, plant.error, plant.time
+        state, error = plant.state, plant.error
+        self._time = state.time
         errors = [] if error is None else [error.position, *(getattr(error, name) for name in self._turning)]
         self._writer.add(
             "states",

@@ -6,23 +6,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..model.state import State
 from ..plant.monitor import Monitor
 from ..realtime.watchdog import received
+from ..task.task import Task, task_layout
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..cost.term import UserTerm
     from ..model.compiled import CompiledScene
-    from ..model.state import State
+    from ..model.pairs import Pair
     from ..planner.plan import Plan
     from ..realtime.loop import Robot
     from ..scene.schema import Scene
-    from ..task.task import Task
+    from ..task.goal import GoalError
 
 
 class MonitoredRobot:
     """A driver's robot with the end of its run: success, failure, timeout, or what the driver's ``done`` says.
+
+    Its last good observation stands where a simulated plant has its true state.
 
     Args:
         scene: The scene.
@@ -37,17 +41,23 @@ class MonitoredRobot:
 
     mean_cost: float | None = None
     """None: cost terms are not evaluated on what a driver observes."""
+    pairs: tuple[Pair, ...] = ()
+    """None: contact forces are not observed."""
+    forces = np.zeros((0, 3))
+    """Forces on them ``[0, 3]``."""
 
     def __init__(
         self, scene: Scene, robot: Robot, *, task: Task, terms: Sequence[UserTerm] = (), compiled: CompiledScene
     ):
-        self.robot, self._timeout = robot, scene.timing.timeout
+        self.scene, self.robot, self.layout = scene, robot, task_layout(compiled.layout, scene)
         self.stop = getattr(robot, "stop", lambda: None)
         if hasattr(robot, "follow"):
             self.follow = self._follow
         self._monitor = Monitor(scene, task=task, terms=terms, compiled=compiled)
         self._control: np.ndarray | None = None
         self._start: float | None = None
+        self.state = State.start(self.layout)
+        """The last observation that was finite and of the right size; the scene's start before."""
         self.time = 0.0
         """Time since the first observation [s]."""
 
@@ -57,10 +67,31 @@ class MonitoredRobot:
         if seen is None:
             return None
         state = received(seen)
+        if not (self._fits(state) and np.isfinite(state.time)):
+            return state  # the watchdog tells of it
         self._start = state.time if self._start is None else self._start
         self.time = state.time - self._start
         self._monitor.update(state, self._control)
+        if np.isfinite(state.joint_q).all() and np.isfinite(state.joint_qd).all():
+            self.state = state
         return state
+
+    def _fits(self, state: State) -> bool:
+        """Return whether a state has the scene's numbers."""
+        layout, mocap = self.layout, state.mocap
+        joints = (state.joint_q.shape, state.joint_qd.shape) == ((layout.nq,), (layout.nv,))
+        return joints and (mocap is None or mocap.shape == (layout.nm, 7))
+
+    @property
+    def body_q(self) -> np.ndarray:
+        """Poses of all bodies ``[nb, 7]``, as the joints have them; NaN before the first observation."""
+        found = self._monitor.body_q
+        return np.full((self.layout.nb, 7), np.nan) if found is None else found
+
+    @property
+    def error(self) -> GoalError | None:
+        """Distance of the goal's object or frame from the goal; None for a scene without a goal."""
+        return self._monitor.error
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""
@@ -88,6 +119,6 @@ class MonitoredRobot:
             return "goal reached"
         if self._monitor.failure is not None:
             return f"failed: {self._monitor.failure}"
-        if self.time >= self._timeout:
+        if self.time >= self.scene.timing.timeout:
             return "timeout"
         return "ended by the robot" if getattr(self.robot, "done", False) else "running"

@@ -80,7 +80,7 @@ def run_real_time(
     robot: str = "simulated",
     speed: float = 1.0,
     check: Callable[[], None] = lambda: None,
-    recorder: Callable[[Plant], TickLogger] | None = None,
+    recorder: Callable[[Plant | MonitoredRobot], TickLogger] | None = None,
     log: Path | None = None,
 ) -> RealTimeResult:
     """Run one episode of a scene in real time, with the planner in a process of its own.
@@ -94,8 +94,8 @@ def run_real_time(
         robot: Name of the robot's driver (``warpmpc.registry.ROBOTS``), and its file: ``NAME:FILE.toml``.
         speed: Simulated seconds in a second of wall time.
         check: Called at every tick; a ``KeyboardInterrupt`` from it ends the episode.
-        recorder: Makes what takes note of every tick, from a simulated plant, such as
-            :class:`~warpmpc.RunRecorder`; it is closed.
+        recorder: Makes what takes note of every tick, from the robot, such as :class:`~warpmpc.RunRecorder`; it is
+            closed.
         log: Run log beside which plans are noted.
 
     Raises:
@@ -124,6 +124,8 @@ def run_real_time(
         await_state(driver, name)
         options = {"engine": engine, "device": device, "terms": terms, "speed": speed, "log": log}
         planner = stack.enter_context(PlannerProcess(drawn, **options, **common))
+        if not plant:
+            run.observe()  # the recorder begins with a state
         made_recorder = recorder(run) if recorder else None
         loop = RobotLoop(drawn, run, planner, speed=speed, simulated=simulated, recorder=made_recorder)
         ends = []  # success, reason and time as the robot is before it is stopped
