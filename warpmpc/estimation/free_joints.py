@@ -48,6 +48,13 @@ class FreeJoint:
         at = rotate(back, position - self._parent[:3]) + rotate(turn, self._child[:3])
         return np.r_[at, multiply(turn, self._child[3:])]
 
+    def pose(self, joint_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position ``[3]`` and quaternion ``[4]`` of the body in the world in a state's joint coordinates ``[nq]``."""
+        q = joint_q[self.q]
+        rotation = multiply(multiply(self._parent[3:], q[3:]), inverse(self._child[3:]))
+        at = self._parent[:3] + rotate(self._parent[3:], q[:3]) - rotate(rotation, self._child[:3])
+        return at, rotation
+
     def velocities(self, rotation: np.ndarray, linear: np.ndarray, angular: np.ndarray) -> np.ndarray:
         """Joint velocities ``[6]``, those of the centre of mass.
 

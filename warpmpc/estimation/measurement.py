@@ -40,14 +40,18 @@ class ImuMeasured:
 
 @dataclass(frozen=True)
 class JointsMeasured:
-    """Coordinates and velocities of actuated joints."""
+    """What the joints of a robot with one axis each show, in the layout's order."""
 
+    name: str
+    """Robot."""
     time: float
     """When [s]."""
     q: np.ndarray
-    """Coordinates ``[n]``, in the layout's order [m, rad]."""
+    """Coordinates ``[n]`` [m, rad]."""
     qd: np.ndarray
     """Velocities ``[n]`` [m/s, rad/s]."""
+    effort: np.ndarray
+    """Forces and torques of their drives ``[n]`` [N, N·m]."""
 
 
 Measurement = PoseMeasured | ImuMeasured | JointsMeasured

@@ -53,6 +53,14 @@ def log(q: np.ndarray) -> np.ndarray:
     return 2.0 * math.atan2(sine, abs(q[3])) / sine * (q[:3] if q[3] >= 0.0 else -q[:3])
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of vectors ``[..., 3]``."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
 def cross_matrix(v: np.ndarray) -> np.ndarray:
     """Matrix ``[3, 3]`` of the cross product with a vector ``[3]``."""
     x, y, z = v.tolist()

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..model.state import State
 from ..scene.schema_estimate import PoseModel
+from .base_estimator import BaseEstimator
 from .free_joints import FreeJoint
 from .history import History
 from .measurement import PoseMeasured
@@ -82,7 +83,7 @@ class PoseEstimator:
 
 
 class SceneEstimator:
-    """All estimators of a scene, one for each thing in ``estimate`` or with a sensor.
+    """All estimators of a scene, one for each thing in ``estimate``, ``estimate_base`` or with a sensor of its pose.
 
     Args:
         scene: The scene.
@@ -94,8 +95,9 @@ class SceneEstimator:
 
     def __init__(self, scene: Scene, compiled: CompiledScene):
         names = dict.fromkeys((*scene.estimate, *scene.plant.sensor.pose))
-        self.parts: tuple[Estimator, ...] = tuple(
-            PoseEstimator(name, scene.estimate.get(name), scene, compiled) for name in names
+        self.parts: tuple[Estimator, ...] = (
+            *(BaseEstimator(name, known, compiled) for name, known in scene.estimate_base.items()),
+            *(PoseEstimator(name, scene.estimate.get(name), scene, compiled) for name in names),
         )
         """Estimators, in the order in which they fill a state."""
 

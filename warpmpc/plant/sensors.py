@@ -12,9 +12,10 @@ import numpy as np
 from ..estimation.free_joints import FreeJoint
 from ..estimation.measurement import Measurement, PoseMeasured
 from ..estimation.rotation import exp, multiply
+from .robot_sensors import SimulatedImu, SimulatedJoints
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
+    from ..model.compiled_scene import CompiledScene
     from ..model.mujoco_model import MujocoWorld
     from ..scene.schema import PoseError, PoseSensor, Scene
 
@@ -33,8 +34,14 @@ class Sensor(Protocol):
     def reset(self) -> None:
         """Begin the noise anew."""
 
-    def measure(self, row: np.ndarray, time: float) -> Measurement | None:
-        """Measure in a physics state (time, qpos, qvel, act); None where the measurement is lost."""
+    def measure(self, row: np.ndarray, time: float, control: np.ndarray) -> Measurement | None:
+        """Measure in a physics state (time, qpos, qvel, act), None where the measurement is lost.
+
+        Args:
+            row: The state ``[nx]``.
+            time: Its time [s].
+            control: What acted until then: ``ctrl``, perhaps with other inputs after it.
+        """
 
 
 class SimulatedPose:
@@ -43,15 +50,15 @@ class SimulatedPose:
     Args:
         name: The object or robot.
         sensor: What the scene says of it.
-        layout: State layout.
+        compiled: The scene, compiled.
         world: MuJoCo's model of the plant.
         seed: Seed of its noise.
     """
 
-    def __init__(self, name: str, sensor: PoseSensor, layout: Layout, world: MujocoWorld, seed: list[int]):
+    def __init__(self, name: str, sensor: PoseSensor, compiled: CompiledScene, world: MujocoWorld, seed: list[int]):
         self.name, self.rate, self.delay = name, sensor.rate, sensor.delay
         self._sensor, self._seed = sensor, seed
-        self._first = 1 + int(world.joint_q[FreeJoint(layout, name, key=f"plant.sensor.pose.{name}").joint])
+        self._first = 1 + int(world.joint_q[FreeJoint(compiled.layout, name, key=f"plant.sensor.pose.{name}").joint])
         self.reset()
 
     def reset(self) -> None:
@@ -59,7 +66,7 @@ class SimulatedPose:
         self._rng = np.random.default_rng(self._seed)
         self._bias = self._drawn(self._sensor.bias)
 
-    def measure(self, row: np.ndarray, time: float) -> PoseMeasured | None:
+    def measure(self, row: np.ndarray, time: float, control: np.ndarray) -> PoseMeasured | None:
         """Measure the pose in a physics state, None where it is lost."""
         lost, error = self._rng.random() < self._sensor.dropouts, self._drawn(self._sensor.noise) + self._bias
         if lost:
@@ -78,7 +85,7 @@ class Sensors:
 
     Args:
         scene: The scene.
-        layout: State layout.
+        compiled: The scene, compiled.
         world: MuJoCo's model of the plant.
         seed: Seed of the noise.
 
@@ -86,10 +93,14 @@ class Sensors:
         SceneError: If what is measured does not exist or is not free.
     """
 
-    def __init__(self, scene: Scene, layout: Layout, world: MujocoWorld, seed: int):
+    def __init__(self, scene: Scene, compiled: CompiledScene, world: MujocoWorld, seed: int):
+        sensor = scene.plant.sensor
+        # units before joints: those of one time are taken in this order
+        kinds = ((SimulatedPose, 3, sensor.pose), (SimulatedImu, 4, sensor.imu), (SimulatedJoints, 5, sensor.joints))
         self._sensors: list[Sensor] = [
-            SimulatedPose(name, sensor, layout, world, [seed, 3, i])
-            for i, (name, sensor) in enumerate(scene.plant.sensor.pose.items())
+            kind(name, known, compiled, world, [seed, stream, i])
+            for kind, stream, named in kinds
+            for i, (name, known) in enumerate(named.items())
         ]
         self.reset()
 
@@ -100,14 +111,20 @@ class Sensors:
         for sensor in self._sensors:
             sensor.reset()
 
-    def step(self, rows: np.ndarray, times: np.ndarray) -> None:
-        """Measure in physics states ``[n, nx]`` at times ``[n]`` [s], each in the one next after it is due."""
+    def step(self, rows: np.ndarray, times: np.ndarray, controls: np.ndarray) -> None:
+        """Measure in physics states ``[n, nx]`` at times ``[n]`` [s], each in the one next after it is due.
+
+        Args:
+            rows: The states.
+            times: Their times.
+            controls: What acted until then ``[n, nu]``.
+        """
         for i, sensor in enumerate(self._sensors):
-            for row, time in zip(rows, times.tolist(), strict=True):
+            for row, time, control in zip(rows, times.tolist(), controls, strict=True):
                 if time + SLACK < self._count[i] / sensor.rate:
                     continue
                 self._count[i] = math.floor((time + SLACK) * sensor.rate) + 1
-                measured = sensor.measure(row, time)
+                measured = sensor.measure(row, time, control)
                 if measured is not None:
                     self._under_way.append((time + sensor.delay, measured))
 

@@ -89,7 +89,7 @@ class SimulatedPlant:
         self._start = self._engine.initial[self._index].copy()
         self._rng = np.random.default_rng([seed, 1])
         self._motions = Motions(scene, seed)
-        self._sensors = Sensors(scene, self.layout, self.world, seed)
+        self._sensors = Sensors(scene, self.compiled, self.world, seed)
         self.estimator = SceneEstimator(scene, self.compiled)
         """Estimates what the plant's sensors measure."""
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
@@ -118,7 +118,7 @@ class SimulatedPlant:
         self._history: deque[State] = deque(maxlen=self._delay + 1)
         self._sensors.reset()
         self.estimator.reset()
-        self._sensors.step(self._start[None], np.zeros(1))
+        self._sensors.step(self._start[None], np.zeros(1), self._engine.control[self._index, :1])
         self._check()
 
     @property
@@ -249,7 +249,7 @@ class SimulatedPlant:
         self.diverged = bool(engine.trajectory.diverged.numpy()[i])
         rows = engine.state[i]
         before = self.time - self.scene.timing.control_dt
-        self._sensors.step(rows, before + engine.model.opt.timestep * np.arange(1, len(rows) + 1))
+        self._sensors.step(rows, before + engine.model.opt.timestep * np.arange(1, len(rows) + 1), engine.control[i])
         engine.initial[i] = engine.state[i, -1]
         engine.initial[i, 0] = 0.0
         self._paid += sum(float(np.atleast_1d(self.task[n])[i]) * value for n, value in self.terms.items())

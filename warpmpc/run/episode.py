@@ -16,12 +16,13 @@ from ..scene.overrides import split_key
 from .choose_engine import with_samples
 from .fit_samples import fit_to_machine
 from .foreseen import StepRecorder, foresight_signs
+from .present import Present
 from .verdict import Symptoms
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..cost.term import UserTerm
-    from ..model.state import Info
+    from ..model.state import Info, State
     from ..plant.plant import Plant
     from ..scene.schema import Scene
 
@@ -302,6 +303,7 @@ class Episode:
         )
         keys = {"seed": seed, "terms": terms, "watch": watched(self.scene), "compiled": compiled}
         self.plant = Plant(self.scene, task=self.controller.task, **keys)
+        self._present = Present(self.scene, self.controller)
         self._stats = EpisodeStats(self.scene, seed, self.drawn, self.controller, self.plant, terms)
 
     def run(
@@ -324,7 +326,7 @@ class Episode:
         """
         controller, plant = self.controller, self.plant
         try:
-            observation = plant.observe()
+            observation = self._observe()
             if not plant.done:
                 controller.step(observation)
                 controller.reset()
@@ -332,17 +334,22 @@ class Episode:
                 control = controller.step(observation)
                 self._stats.note(controller.info, control)
                 plant.apply(control)
+                self._present.sent(control)
                 if recorder is not None:
                     recorder.log(control)
                 if on_step is not None:
                     on_step(controller, plant, control)
-                observation = plant.observe()
+                observation = self._observe()
             return self._stats.result()  # which takes a while: what was foreseen is rolled out
         except KeyboardInterrupt:
             raise EpisodeInterrupted(self._stats.result(reason="interrupted")) from None
         finally:
             if recorder is not None:
                 recorder.close()
+
+    def _observe(self) -> State:
+        """The plant's state now, as it is known."""
+        return self._present(self.plant.observe(), self.plant.time)
 
 
 def run_episode(

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from .schema_agent import AgentSettings, SafeCommand
 from .schema_ancillary import Ancillary
+from .schema_base import EstimateBase, ImuNoise, ImuSensor, JointNoise, JointSensor, StartNoise
 from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_cloud import Camera, Cloud
 from .schema_engine import EngineName, EngineSettings, FrictionCombine, Solver
@@ -52,12 +53,17 @@ __all__ = [
     "EngineName",
     "EngineSettings",
     "Estimate",
+    "EstimateBase",
     "Execute",
     "Failure",
     "Frame",
     "Goal",
     "Ground",
     "Growing",
+    "ImuNoise",
+    "ImuSensor",
+    "JointNoise",
+    "JointSensor",
     "Kick",
     "MeasurementNoise",
     "Method",
@@ -94,6 +100,7 @@ __all__ = [
     "ShareOfRange",
     "Solver",
     "SplineKind",
+    "StartNoise",
     "StepCount",
     "Success",
     "Target",
@@ -193,6 +200,8 @@ class Scene(Section):
     estimate: dict[str, Estimate] = Field(default_factory=dict)
     """Object, or robot with a free root → how its pose and velocity are estimated from measured poses. Something that a
     sensor measures and that is not here is where it was measured last, with the velocity between the last two."""
+    estimate_base: dict[str, EstimateBase] = Field(default_factory=dict)
+    """Robot with a free root → how its root is estimated from an inertial measurement unit, joints and contact."""
     agent: AgentSettings = AgentSettings()
     """How plans are followed in real time."""
     randomize_task: RandomizeTask = RandomizeTask()

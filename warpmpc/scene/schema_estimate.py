@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from pydantic import Field
 
+from .schema_base import ImuSensor, JointSensor
 from .types import Fraction, NonNegative, Positive, Section
 
 
@@ -39,6 +40,10 @@ class Sensors(Section):
 
     pose: dict[str, PoseSensor] = Field(default_factory=dict)
     """Object, or robot with a free root → how its pose is measured, in place of being observed as it is."""
+    imu: dict[str, ImuSensor] = Field(default_factory=dict)
+    """Robot with a free root → its inertial measurement unit, for ``estimate_base``."""
+    joints: dict[str, JointSensor] = Field(default_factory=dict)
+    """Robot → what its joints show, for ``estimate_base``."""
 
 
 class PoseModel(StrEnum):

@@ -55,7 +55,8 @@ class PlantSettings(Section):
     noise: PlantNoise = PlantNoise()
     """Noise of what is observed."""
     delay: NonNegative = 0.0
-    """Age of observations [s], rounded to whole controls."""
+    """Age of observations [s], rounded to whole controls; episodes of a scene that estimates something predict them to
+    the present."""
     sensor: Sensors = Sensors()
     """Sensors that measure at rates of their own."""
     kicks: tuple[Kick, ...] = ()

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator of a robot's free root and joints from an inertial measurement unit, encoders and contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from ..model.state import State
+from .base_filter import BaseFilter, BaseState
+from .free_joints import FreeJoint
+from .history import History
+from .legs import Legs, one_axis_joints
+from .measurement import ImuMeasured, JointsMeasured
+from .rotation import matrix
+
+if TYPE_CHECKING:
+    from ..model.compiled_scene import CompiledScene
+    from ..scene.schema_base import EstimateBase
+    from .measurement import Measurement
+
+LONGEST = 0.05
+"""Longest time that base and joints go on without a measurement [s]; then they stay where they came to."""
+
+
+@dataclass(frozen=True)
+class RobotEstimate:
+    """Base and joints at a time."""
+
+    base: BaseState
+    joints: JointsMeasured | None
+    """What joints showed last, None before the first."""
+
+
+class RobotFilter:
+    """The filter of base and joints, for a :class:`History`.
+
+    An inertial measurement unit shows means over the time since it did so last, so that its measurements carry the
+    estimate forward and time alone does not.
+
+    Args:
+        legs: The robot's legs.
+        filter: The filter of its base.
+        start: Position ``[3]`` and axes ``[3, 3]`` of its root at the start.
+    """
+
+    def __init__(self, legs: Legs, filter: BaseFilter, start: tuple[np.ndarray, np.ndarray]):
+        self._legs, self._filter = legs, filter
+        position, rotation = start
+        self._begin = position + rotation @ legs.position, rotation
+
+    def start(self, measurement: ImuMeasured | JointsMeasured) -> RobotEstimate:
+        """The estimate after the first measurement."""
+        position, rotation = self._begin
+        base = self._filter.start(measurement.time, rotation, position)
+        return self.correct(RobotEstimate(base, None), measurement)
+
+    def predict(self, estimate: RobotEstimate, time: float) -> RobotEstimate:
+        """The estimate itself: measurements carry it forward."""
+        return estimate
+
+    def correct(self, estimate: RobotEstimate, measurement: ImuMeasured | JointsMeasured) -> RobotEstimate:
+        """The estimate at the time of a measurement, with it."""
+        base = estimate.base
+        if isinstance(measurement, ImuMeasured):
+            gyro, accel = self._legs.axes @ measurement.gyro, self._legs.axes @ measurement.accel
+            return replace(estimate, base=self._filter.propagate(base, measurement.time, gyro, accel))
+        return RobotEstimate(self._filter.correct(base, self._legs.measure(base, measurement)), measurement)
+
+    def reach(self, estimate: RobotEstimate, time: float) -> RobotEstimate:
+        """The estimate at a time [s] at which nothing was measured: everything goes on as it moves."""
+        base, joints = estimate.base, estimate.joints
+        dt = min(max(time - base.time, 0.0), LONGEST)
+        moved = replace(
+            base,
+            time=time,
+            position=base.position + dt * base.velocity,
+            rotation=base.rotation @ matrix(dt * base.spin),
+        )
+        if joints is not None:
+            dt = min(max(time - joints.time, 0.0), LONGEST)
+            joints = replace(joints, time=time, q=joints.q + dt * joints.qd)
+        return RobotEstimate(moved, joints)
+
+
+class BaseEstimator:
+    """Estimator of one robot's free root and joints.
+
+    Args:
+        name: The robot.
+        estimate: What the scene says of it.
+        compiled: The scene, compiled.
+
+    Raises:
+        SceneError: As :class:`Legs`.
+    """
+
+    def __init__(self, name: str, estimate: EstimateBase, compiled: CompiledScene):
+        key, layout = f"estimate_base.{name}", compiled.layout
+        self.name, self._legs = name, Legs(name, estimate, compiled)
+        self._joint = FreeJoint(layout, name, key=key)
+        joints = one_axis_joints(layout, name, key=key)
+        self._q, self._qd = layout.joint_q_start[joints], layout.joint_qd_start[joints]
+        position, quaternion = self._joint.pose(layout.joint_q.astype(float))
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, np.roll(quaternion, 1))
+        start = position, rotation.reshape(3, 3)
+        filter = RobotFilter(self._legs, BaseFilter(estimate, len(estimate.feet)), start)
+        self.history: History[RobotEstimate, ImuMeasured | JointsMeasured] = History(filter)
+
+    def reset(self) -> None:
+        """Forget every measurement."""
+        self.history.reset()
+
+    def update(self, measurement: Measurement) -> None:
+        """Take in what this robot's unit or joints show, if it is finite."""
+        if not isinstance(measurement, ImuMeasured | JointsMeasured) or measurement.name != self.name:
+            return
+        if isinstance(measurement, ImuMeasured):
+            numbers = measurement.gyro, measurement.accel
+        else:
+            numbers = measurement.q, measurement.qd, measurement.effort
+        if all(np.isfinite(part).all() for part in numbers):
+            self.history.insert(measurement)
+
+    def fill(self, state: State) -> State:
+        """The state with this robot's root and joints at its time; before the first measurement as it is."""
+        found = self.history.at(float(state.time))
+        if found is None:
+            return state
+        base, rotation, arm = found.base, np.zeros(4), self._legs.position
+        mujoco.mju_mat2Quat(rotation, base.rotation.ravel())
+        quaternion = np.roll(rotation, -1)
+        position = base.position - base.rotation @ arm
+        linear = base.velocity - base.rotation @ np.cross(base.spin, arm)
+        q, qd = (np.array(array, dtype=np.float32) for array in (state.joint_q, state.joint_qd))
+        q[self._joint.q] = self._joint.coordinates(position, quaternion)
+        qd[self._joint.qd] = self._joint.velocities(quaternion, linear, base.rotation @ base.spin)
+        if found.joints is not None:
+            q[self._q], qd[self._qd] = found.joints.q, found.joints.qd
+        return replace(state, joint_q=q, joint_qd=qd)
