@@ -70,7 +70,7 @@ class Outcome:
     """Unsafe commands."""
     refused: dict[str, int] = field(default_factory=dict)
     """Commands refused, by reason."""
-    after: str = "follows plans again"
+    after: str = "goes on"
 
     def row(self) -> list[str]:
         """Cells of a table."""
@@ -126,7 +126,7 @@ def drill(transport: str, *, speed: float) -> Iterator[Outcome]:
         pair.planner.kill()
         pair.planner = pair.start_planner()
         pair.order("await")
-        killed.after = "follows those of a new planner"
+        killed.after = "follows a new planner"
         yield killed
 
 
@@ -141,7 +141,7 @@ def lossy(transport: str, *, seeds: range, speed: float) -> Iterator[Outcome]:
         reports = [report for _, report in pairs]
         reached = sum(result["success"] and report["success"] for result, report in pairs)
         refused = sum((Counter(report["refused"]) for report in reports), Counter())
-        unsafe, after = sum(report["unsafe"] for report in reports), f"reaches its goal in {reached} of {len(pairs)}"
+        unsafe, after = sum(report["unsafe"] for report in reports), f"goal in {reached} of {len(pairs)}"
         safe = max((report["safe_state_s"] for report in reports if report["safe_state_s"] is not None), default=None)
         yield Outcome(title, transport, safe, unsafe, dict(refused), after)
 
@@ -163,6 +163,13 @@ def _spread(found: Sequence[dict[str, float]]) -> str:
     """Medians over runs of their p50 and p99, and the largest of all."""
     middle = sorted(found, key=lambda part: part["p99"])[len(found) // 2]
     return f"{middle['p50']:.0f} / {middle['p99']:.0f} / {max(part['max'] for part in found):.0f}"
+
+
+def _put(file: Path, columns: list[str], group: dict[str, Any]) -> None:
+    """Put rows into a file of figures, in place of those of the same command."""
+    groups = json.loads(file.read_text(encoding="utf-8"))["groups"] if file.exists() else []
+    groups = [old for old in groups if old["command"] != group["command"]]
+    write_json(file, {"columns": columns, "groups": [*groups, *([group] if group["rows"] else [])]})
 
 
 def main(arguments: list[str]) -> int:
@@ -192,10 +199,12 @@ def main(arguments: list[str]) -> int:
             unsafe += outcome.unsafe
             print(" | ".join(faults[-1]), flush=True)
     if options.json is not None:
-        command = " ".join(["python tools/study.py wire", *arguments])
-        facts = {"date": datetime.date.today().isoformat(), "command": command}
+        facts = {
+            "date": datetime.date.today().isoformat(),
+            "command": " ".join(["python tools/study.py wire", *arguments]),
+        }
         for name, columns, rows in (("wire_runs", RUNS, told), ("wire_faults", FAULTS, faults)):
-            write_json(options.json / f"{name}.json", {"columns": columns, "groups": [{**facts, "rows": rows}]})
+            _put(options.json / f"{name}.json", columns, {**facts, "rows": rows})
     return int(unsafe > 0)
 
 
