@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control from measured poses: scenes with true, measured and estimated states, over seeds.
+"""Control from measured states: scenes with true, measured and estimated states, over seeds.
 
     python tools/study.py estimated --jobs 16 --limit 460
     python tools/study.py estimated --scenes omni_push_box:measured --seeds 0:20 --states measured estimated
@@ -7,10 +7,13 @@
 A scene's variant says what the plant's sensors measure (``plant.sensor``) and how it is estimated (``estimate``). It is
 run with ``true`` states, which nothing measures; with those that were ``measured`` last and the velocities between the
 last two; with those of a filter of a nearly ``constant_velocity``; and with ``estimated`` ones, as the variant says.
+With ``estimate_base`` there are ``true`` states, at once, and ``estimated`` ones, late as ``plant.delay`` says and
+predicted to the present.
 
 A line has the seeds that ended with success; the median, least and most goals in a row where a scene has goals one
 after the other, else the median time of successes; the root mean square of the errors of position and rotation that
-the planner saw; and how the others ended. What is done is kept in OUT/estimated.jsonl, so that the same command goes on
+the planner saw (of a base those of its tilt and velocity, and how far it had drifted at the end); and how the others
+ended. What is done is kept in OUT/estimated.jsonl, so that the same command goes on
 after an interruption or --limit, whose table has what is done by then.
 """
 
@@ -27,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from shared.base_errors import BaseErrors
 from shared.machine import machine
 
 import warpmpc
@@ -40,7 +44,11 @@ from warpmpc.scene.schema import PoseModel, ProcessNoise, Sensors
 
 SCENES = {"omni_push_box:measured": (0.5, 1.0), "hand_cube:measured": (1.0, 20.0)}
 """Scenes, and the process noise of their filters of a constant velocity: ``linear``, ``angular``."""
+BASES = ("go2_walk:estimated",)
+"""Scenes whose base is estimated."""
 STATES = ("true", "measured", "constant_velocity", "estimated")
+OFF = ("position", "rotation")
+"""Errors of things."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +67,9 @@ class Run:
         scene = warpmpc.load_scene(self.task, overrides=("engine.threads=1", *self.overrides))
         changes: dict[str, object] = {}
         if self.strategy == "true":
-            changes["plant"] = scene.plant.model_copy(update={"sensor": Sensors()})
+            late = {"delay": 0.0} if scene.estimate_base else {}
+            changes["plant"] = scene.plant.model_copy(update={"sensor": Sensors(), **late})
+            changes["estimate_base"] = {}
         if self.strategy in ("true", "measured"):
             changes["estimate"] = {}
         if self.strategy == "constant_velocity":
@@ -82,34 +92,36 @@ def run(job: Run) -> dict:
 
     Returns:
         ``success``, ``reason``, ``time`` [s], ``reached`` (goals in a row, None where there is one), ``position`` [m]
-        and ``rotation`` [rad], the root mean square of errors over time and things.
+        and ``rotation`` [rad], the root mean square of errors over time and things; those of
+        :meth:`BaseErrors.result` for an estimated base.
     """
     from warpmpc.run.episode import Episode
 
     episode, errors = Episode(job.scene, seed=job.seed, device="cpu"), []
-    plant = episode.plant
-    names = warpmpc.load_scene(job.task).plant.sensor.pose
-    joints = [FreeJoint(plant.layout, name, key="estimate") for name in names]
-    observe = plant.observe
+    plant, known = episode.plant, warpmpc.load_scene(job.task)
+    joints = [FreeJoint(plant.layout, name, key="estimate") for name in known.plant.sensor.pose]
+    bases = [BaseErrors(FreeJoint(plant.layout, name, key="estimate_base")) for name in known.estimate_base]
+    observe = episode.observe
 
     def watched() -> warpmpc.State:
-        seen, true = observe(), plant.state.joint_q
+        seen, true = observe(), plant.state
         for joint in joints:
-            place = seen.joint_q[joint.q][:3] - true[joint.q][:3]
-            turns = (Rotation.from_quat(q[joint.q][3:]) for q in (seen.joint_q, true))
+            place = seen.joint_q[joint.q][:3] - true.joint_q[joint.q][:3]
+            turns = (Rotation.from_quat(state.joint_q[joint.q][3:]) for state in (seen, true))
             errors.append((place @ place, (next(turns).inv() * next(turns)).magnitude() ** 2))
+        for base in bases:
+            base.note(seen, true)
         return seen
 
-    plant.observe = watched
+    episode.observe = watched
     result = episode.run()
-    position, rotation = np.sqrt(np.mean(errors, axis=0)).tolist()
+    off = bases[0].result() if bases else dict(zip(OFF, np.sqrt(np.mean(errors, axis=0)).tolist(), strict=True))
     return {
         "success": result.success,
         "reason": result.reason,
         "time": result.sim_time,
         "reached": result.reached,
-        "position": position,
-        "rotation": rotation,
+        **off,
     }
 
 
@@ -127,8 +139,10 @@ def lines(jobs: list[Run], records: Records) -> list[str]:
         if done and None not in goals:
             figure = f"{np.median(goals):g} ({min(goals)} to {max(goals)})"
         error = "-"
-        if done:
-            place, turn = (np.sqrt(np.mean([r[key] ** 2 for r in done])) for key in ("position", "rotation"))
+        if done and "tilt" in done[0]:
+            error = BaseErrors.text(done)
+        elif done:
+            place, turn = (np.sqrt(np.mean([r[key] ** 2 for r in done])) for key in OFF)
             error = f"{1e3 * place:.1f} mm, {np.degrees(turn):.1f}°"
         ends = Counter(r["reason"] for r in done if not r["success"])
         otherwise = ", ".join(f"{count} {reason}" for reason, count in ends.most_common()) or "-"
@@ -145,7 +159,7 @@ def seed_range(text: str) -> range:
 def main(arguments: list[str]) -> int:
     """Run the episodes that are missing, print the table; returns the exit code: 1 where --limit left some out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", nargs="+", default=list(SCENES), metavar="SCENE")
+    parser.add_argument("--scenes", nargs="+", default=[*SCENES, *BASES], metavar="SCENE")
     parser.add_argument("--states", nargs="+", default=list(STATES), choices=STATES)
     parser.add_argument("--seeds", type=seed_range, default=range(10), metavar="A:B", help="seeds A to B - 1 (0:10)")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
@@ -157,7 +171,7 @@ def main(arguments: list[str]) -> int:
         Run(task=task, strategy=kind, overrides=tuple(args.overrides), seed=seed)
         for seed, task in product(args.seeds, args.scenes)
         for kind in args.states
-        if kind != "constant_velocity" or task in SCENES
+        if (kind != "constant_velocity" or task in SCENES) and (kind in ("true", "estimated") or task not in BASES)
     ]
     records = Records(args.out / "estimated.jsonl")
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)

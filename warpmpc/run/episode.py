@@ -326,7 +326,7 @@ class Episode:
         """
         controller, plant = self.controller, self.plant
         try:
-            observation = self._observe()
+            observation = self.observe()
             if not plant.done:
                 controller.step(observation)
                 controller.reset()
@@ -339,7 +339,7 @@ class Episode:
                     recorder.log(control)
                 if on_step is not None:
                     on_step(controller, plant, control)
-                observation = self._observe()
+                observation = self.observe()
             return self._stats.result()  # which takes a while: what was foreseen is rolled out
         except KeyboardInterrupt:
             raise EpisodeInterrupted(self._stats.result(reason="interrupted")) from None
@@ -347,7 +347,7 @@ class Episode:
             if recorder is not None:
                 recorder.close()
 
-    def _observe(self) -> State:
+    def observe(self) -> State:
         """The plant's state now, as it is known."""
         return self._present(self.plant.observe(), self.plant.time)
 
