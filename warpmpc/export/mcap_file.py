@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import newton
 import numpy as np
 from mcap.writer import Writer
 
 from ..log.files import replacing
 from ..model.compiled import compile_scene
 from ..record.replay import logged_scene, require_plans
+from ..robots.ros2.links import FreeJoint, free_joints
 from ..task.task import Task
 from . import ros_messages as ros
 from .demonstration import task_values
@@ -71,7 +71,7 @@ def write_mcap(log: RunLog, path: Path) -> None:
 def _states(log: RunLog, layout: Layout) -> Iterator[Stamped]:
     axes = np.flatnonzero(layout.dof_coord >= 0)
     names = [layout.dof_name[dof] for dof in axes]
-    free = np.flatnonzero(layout.joint_type == newton.JointType.FREE)
+    free = {layout.body_name[layout.joint_child[j]]: FreeJoint(layout, j) for j in free_joints(layout).values()}
     for state in log.states:
         time = float(state.time)
         yield (
@@ -80,11 +80,9 @@ def _states(log: RunLog, layout: Layout) -> Iterator[Stamped]:
             ros.joint_state(time, names, state.joint_q[layout.dof_coord[axes]], state.joint_qd[axes]),
         )
         yield time, "/tf", ros.transforms(time, layout.body_name, state.body_q)
-        for joint in free:
-            body, first = layout.joint_child[joint], layout.joint_qd_start[joint]
-            name, twist = layout.body_name[body], state.joint_qd[first : first + 6]
-            found = ros.odometry(time, name, state.body_q[body], twist, layout.body_com[body])
-            yield time, topic("odom", name), found
+        for name, joint in free.items():
+            link = joint.link(state.joint_q[joint.q], state.joint_qd[joint.qd])
+            yield time, topic("odom", name), ros.odometry(time, name, link)
         for name, force in zip(log.names["pairs"], state.contact_force, strict=True):
             yield time, topic("force", name), ros.wrench(time, force)
         for name, error in zip(log.names["errors"], state.goal_error, strict=True):

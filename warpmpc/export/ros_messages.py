@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from ..model.layout import rotate
+if TYPE_CHECKING:
+    from ..robots.ros2.links import Link
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 WORLD_FRAME = "world"
@@ -73,26 +74,16 @@ def pose_stamped(time: float, pose: np.ndarray) -> Any:
     return message("geometry_msgs/PoseStamped", header=header(time, WORLD_FRAME), pose=_pose(pose))
 
 
-def odometry(time: float, child: str, pose: np.ndarray, twist: np.ndarray, com: np.ndarray) -> Any:
-    """``nav_msgs/Odometry`` of a free joint, its twist in the frame of the body and at its origin (REP 105).
-
-    Args:
-        time: Time of the state [s].
-        child: Name of the body.
-        pose: Pose of the body in the world ``[7]``.
-        twist: Velocity of its centre of mass, angular velocity, both along the world's axes ``[6]``.
-        com: Centre of mass in the body's frame ``[3]`` [m].
-    """
-    back = np.array([-1.0, -1.0, -1.0, 1.0]) * pose[3:]
-    angular = rotate(back, twist[3:])
-    linear = rotate(back, twist[:3]) - np.cross(angular, com)
+def odometry(time: float, child: str, link: Link) -> Any:
+    """``nav_msgs/Odometry`` of a body, its twist along its own axes and at its origin, as the message wants it."""
+    linear, angular = np.split(link.twist, 2)
     spatial = message("geometry_msgs/Twist", linear=vector(linear), angular=vector(angular))
     unknown = np.zeros(36)
     return message(
         "nav_msgs/Odometry",
         header=header(time, WORLD_FRAME),
         child_frame_id=child,
-        pose=message("geometry_msgs/PoseWithCovariance", pose=_pose(pose), covariance=unknown),
+        pose=message("geometry_msgs/PoseWithCovariance", pose=_pose(link.pose), covariance=unknown),
         twist=message("geometry_msgs/TwistWithCovariance", twist=spatial, covariance=unknown),
     )
 
