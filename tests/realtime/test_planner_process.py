@@ -133,3 +133,16 @@ def test_what_keeps_the_planner_from_starting_is_raised_here():
     wrong = make_scene(cost=[{"term": "distance", "between": ["base/elbow", "goal"]}])
     with pytest.raises(SceneError, match="elbow"), PlannerProcess(wrong, engine="mujoco"):
         pass
+
+
+def test_a_planner_is_less_urgent_than_a_loop_of_real_time_priority():
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(10))
+    except PermissionError:
+        pytest.skip("needs the right to set a real-time priority")
+    try:
+        process._give_way()
+        found = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert found == (os.SCHED_RR, 9)

@@ -5,6 +5,7 @@ import json
 import signal
 
 import pytest
+from needs import needs
 from shared.wire import Drill
 from studies.wire import SPOILT, run_pair
 
@@ -17,7 +18,7 @@ WINDOW = 0.2
 """Time for which things go wrong [s]."""
 
 
-@pytest.fixture(scope="module", params=["zmq"])
+@pytest.fixture(scope="module", params=["zmq", pytest.param("ros2", marks=needs("rclpy"))])
 def pair(request, tmp_path_factory):
     """A robot on a long way and its planner."""
     with Drill(request.param, tmp_path_factory.mktemp("drill"), speed=SPEED) as pair:

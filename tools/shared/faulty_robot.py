@@ -131,8 +131,6 @@ class DrilledRobot(RobotProcess):
         self._start = self.now
         if name in FAULTS:
             self.transport.fault = name
-            # messages go wrong from now on; a planner may have gone a little before the order came
-            self._last = safety.times[-1] if name == "watch" else self.now
 
     def _answer(self) -> dict | None:
         """The answer to the order, None while there is none yet."""
@@ -147,9 +145,11 @@ class DrilledRobot(RobotProcess):
         self._safe_since = (self._safe_since or now) if safe else None
         if now - self._start < float(more[0]):
             return None
+        # a planner that is gone has sent its last command before or after the order came
+        last = self.safety.times[-1] if name == "watch" else self._start
         refused, unsafe = self.safety.refused - self._before[0], self.safety.unsafe - self._before[1]
         return {
-            "safe_s": None if self._safe_since is None else self._safe_since - self._last,
+            "safe_s": None if self._safe_since is None else self._safe_since - last,
             "refused": {kind.value: count for kind, count in refused.items()},
             "unsafe": unsafe,
         }

@@ -270,6 +270,7 @@ def _plan(
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # libraries chat on standard output, from native code, too
     logger.setLevel(logging.ERROR)  # what plans come to, the agent says
+    _give_way()
     parent = multiprocessing.parent_process()
     try:
         with native_output():  # Warp complains about a missing GPU
@@ -303,6 +304,13 @@ def _plan(
         return not parent.is_alive()
 
     planning.run(newest, publish, stopped)
+
+
+def _give_way() -> None:
+    """Let the robot's loop go first where it has a real-time priority, which processes that it starts inherit."""
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    if policy in (os.SCHED_FIFO, os.SCHED_RR) and priority > 1:
+        os.sched_setscheduler(0, policy, os.sched_param(priority - 1))
 
 
 def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...task.task import Task
 from .commands import CommandCodec
 from .connection import Connection
 from .messages import RosTime
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from ...model.state import State
     from ...planner.plan import Plan
     from ...scene.schema import Scene
-    from ...task.task import Task
     from ..heard import Heard
     from .settings import Ros2Settings
 
@@ -36,7 +36,8 @@ class Ros2Robot:
 
     Args:
         scene: The scene.
-        task: The task, whose poses are heard on topics and whose weights and scalars are parameters.
+        task: The task, whose poses are heard on topics and whose weights and scalars are parameters; one of its own if
+            None.
         compiled: The scene, compiled.
         settings: Topics.
         config: File of the settings, for errors.
@@ -50,14 +51,14 @@ class Ros2Robot:
         self,
         scene: Scene,
         *,
-        task: Task,
+        task: Task | None = None,
         compiled: CompiledScene,
         settings: Ros2Settings,
         config: Path | None = None,
         **_: object,
     ):
         self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
-        layout, clock = compiled.layout, RosTime()
+        layout, clock, task = compiled.layout, RosTime(), task or Task(scene)
         topics = Topics.of(layout, settings, task, config)
         self._codec = CommandCodec(layout, settings.command, clock, config)
         if self._codec.takes_plans:
