@@ -15,6 +15,7 @@ from small_scenes import BOX, compiled, make_scene
 from warpmpc import State
 from warpmpc.planner.plan import Plan
 from warpmpc.planner.splines import SplineKind
+from warpmpc.realtime.messages import TimedPlan
 from warpmpc.robots.drivers import await_state
 from warpmpc.robots.ros2.settings import Ros2Settings
 from warpmpc.scene.errors import SceneError
@@ -35,7 +36,7 @@ def wire():
     layout = compiled(SCENE).layout
 
     def settings(**keys) -> Ros2Settings:
-        return Ros2Settings.model_validate({"namespace": namespace, "planner": {"diagnostics": "diagnostics"}} | keys)
+        return Ros2Settings.model_validate({"namespace": namespace, "diagnostics": "diagnostics"} | keys)
 
     def driver(**keys):
         from warpmpc.robots.ros2.driver import Ros2Robot
@@ -250,6 +251,30 @@ def test_a_twist_is_along_the_axes_of_the_base(wire, kind):
     driver.apply(np.array([0.1, 0.7, 0.3], dtype=np.float32))
     (command,) = until(lambda: list(robot.receive()))
     np.testing.assert_allclose(command.control, [0.7, -0.1, 0.3], atol=1e-6)
+
+
+def test_others_hear_how_the_planner_does(wire):
+    from warpmpc.realtime.agent import Fault
+    from warpmpc.realtime.watchdog import FaultKind
+    from warpmpc.robots.ros2.connection import Inbox
+
+    driver, node = wire.driver(), wire.node()
+    inbox = Inbox(node, "diagnostic_msgs/DiagnosticArray", "diagnostics")
+    limits = wire.layout.control_lower, wire.layout.control_upper
+    plan = Plan(np.zeros((2, 3), dtype=np.float32), np.arange(2.0), SplineKind.LINEAR, *limits)
+    timed = TimedPlan(plan, 41, 0.9, 0.02, 12.5, True, 7.25)
+
+    def told(fault):
+        driver.tell(timed, now=1.0, fault=fault)
+        return [message.status[0] for message, _ in inbox.take()]
+
+    status = until(lambda: told(None))[-1]
+    values = {pair.key: pair.value for pair in status.values}
+    assert (status.level, status.message) == (status.OK, "following plans")
+    assert (values["plans"], values["latency [ms]"], values["effective samples"]) == ("42", "20", "7.25")
+    fault = Fault(FaultKind.PLAN_MISSING, "there is none", 0.5)
+    status = until(lambda: [s for s in told(fault) if s.level == s.WARN])[-1]
+    assert status.message == "sending the safe command: there is none"
 
 
 def test_a_robot_that_is_not_there_is_told_in_a_line(wire):

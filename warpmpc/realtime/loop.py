@@ -28,7 +28,8 @@ class Robot(Protocol):
     """A robot, real or simulated, in two functions.
 
     Optional: ``follow(plan, now)`` in place of ``apply`` while a plan is followed, for drivers that send its next
-    knots; ``stop()`` after the last safe command. Where a robot is chosen by its name, there count besides:
+    knots; ``stop()`` after the last safe command; ``tell(timed, now=, fault=)`` at every tick, for drivers that tell
+    others of the planner. Where a robot is chosen by its name, there count besides:
     ``simulated``, true where it moves on by a tick with every command; ``use_sim_time``, true where its clock may run
     slower than this host's; ``done``, true where the driver ends the run; ``close()``; ``heard()``, the
     :class:`~warpmpc.robots.heard.Heard` of each of its sources.
@@ -143,7 +144,7 @@ class RobotLoop:
         self.agent = agent or Agent(scene, compile_scene(scene).layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
         self._clock = RobotClock()
-        self._follow = getattr(robot, "follow", None)
+        self._follow, self._tell = getattr(robot, "follow", None), getattr(robot, "tell", None)
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
@@ -181,6 +182,8 @@ class RobotLoop:
                 self._follow(timed.plan, now)
             else:
                 self.robot.apply(control)
+        if self._tell is not None:
+            self._tell(timed, now=now, fault=self.agent.fault)
         if self._recorder is not None:
             late = self.pace.late[-1] if self.pace.late else 0.0
             following, faults = self.agent.following, self.agent.faults

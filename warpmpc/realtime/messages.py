@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from ..planner.feedback import StateSpace
     from ..scene.schema import SplineKind
 
+HEAD = 7
+"""Numbers of a plan before its knots."""
+
 
 @dataclass(frozen=True)
 class TimedObservation:
@@ -51,6 +54,8 @@ class TimedPlan:
     """Wall time of the planning itself [ms]."""
     survived: bool
     """True if a rollout survived; else the plan is not to be followed."""
+    eta: float = np.nan
+    """Effective number of samples η."""
 
 
 class ObservationCodec:
@@ -97,25 +102,25 @@ class PlanCodec:
     def __init__(self, layout: Layout, spline: SplineKind, knots: int, space: StateSpace | None = None):
         self._layout, self._spline, self._space = layout, spline, space
         gains = 1 + space.tangent.width + layout.nu * space.tangent.size if space else 0
-        self.capacity = 6 + knots * (1 + layout.nu + gains)
+        self.capacity = HEAD + knots * (1 + layout.nu + gains)
 
     def encode(self, timed: TimedPlan) -> np.ndarray:
         """Numbers of a plan."""
         plan = timed.plan
-        head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, len(plan.times)]
+        head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, timed.eta, len(plan.times)]
         answer = plan.feedback if self._space else None
         gains = [a.ravel() for a in (answer.times, answer.state, answer.gain)] if answer else []
         return np.concatenate([head, plan.times, plan.knots.ravel(), *gains])
 
     def decode(self, message: np.ndarray) -> TimedPlan:
         """The plan that numbers tell."""
-        count, layout = int(message[5]), self._layout
-        times, knots, rest = np.split(message[6:], np.cumsum([count, count * layout.nu]))
+        count, layout = int(message[HEAD - 1]), self._layout
+        times, knots, rest = np.split(message[HEAD:], np.cumsum([count, count * layout.nu]))
         limits = layout.control_lower.copy(), layout.control_upper.copy()
         knots = knots.reshape(count, layout.nu).astype(np.float32)
         plan = Plan(knots, times.copy(), self._spline, *limits, self._feedback(rest, count))
-        number, observed, latency, plan_ms, survived = message[:5].tolist()
-        return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived))
+        number, observed, latency, plan_ms, survived, eta, _ = message[:HEAD].tolist()
+        return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived), eta)
 
     def _feedback(self, numbers: np.ndarray, count: int) -> Feedback | None:
         """The feedback of a plan with so many knots, None without."""

@@ -115,7 +115,8 @@ class Planning:
         latency = self.speed * (ended - observation.stamp)
         self._latencies.append(self.speed * (ended - begun))
         info = controller.info
-        timed = TimedPlan(plan, self._number, observation.state.time, latency, info.plan_ms, not info.fallback)
+        seen, survived = observation.state.time, not info.fallback
+        timed = TimedPlan(plan, self._number, seen, latency, info.plan_ms, survived, info.eta)
         self._number += 1
         self._timed = timed if timed.survived else self._timed
         if self._logger is not None:

@@ -51,6 +51,8 @@ class MonitoredRobot:
     ):
         self.scene, self.robot, self.layout = scene, robot, task_layout(compiled.layout, scene)
         self.stop = getattr(robot, "stop", lambda: None)
+        if hasattr(robot, "tell"):
+            self.tell = robot.tell
         if hasattr(robot, "follow"):
             self.follow = self._follow
         self._monitor = Monitor(scene, task=task, terms=terms, compiled=compiled)

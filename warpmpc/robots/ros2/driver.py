@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ...task.task import Task
 from .commands import CommandCodec
 from .connection import Connection
+from .diagnostics import Diagnostics
 from .messages import RosTime
 from .observer import Observer
 from .task_inputs import TaskInputs
@@ -68,9 +69,11 @@ class Ros2Robot:
             self._observer = Observer(layout, topics, self._connection, clock)
             self._inputs = TaskInputs(task, topics, self._connection)
             self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
+            self._diagnostics = Diagnostics(self._connection, settings.diagnostics, scene.name)
         except ValueError:
             self._connection.close()
             raise
+        self.tell = self._diagnostics.note
         self._state: State | None = None
         self._plan: Plan | None = None
         self._sent = 0.0

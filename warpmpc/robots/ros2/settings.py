@@ -86,15 +86,6 @@ class CommandSettings(Section):
     """
 
 
-class Planner(Section):
-    """What is told of the planner."""
-
-    diagnostics: str | None = "/diagnostics"
-    """Topic of diagnostic_msgs/DiagnosticArray: rates, latency, η, faults, twice a second."""
-    markers: str | None = None
-    """Topic of visualization_msgs/MarkerArray: where the plan leads, ten times a second; not sent where left out."""
-
-
 class Ros2Settings(Section):
     """Topics of a robot; relative ones are in the node's namespace."""
 
@@ -108,11 +99,12 @@ class Ros2Settings(Section):
     """Whether stamps are of a simulation's clock, on ``/clock``."""
     connect_timeout: Positive = 10.0
     """Time for which the first messages are waited for [s]."""
+    diagnostics: str = "/diagnostics"
+    """Topic of diagnostic_msgs/DiagnosticArray, twice a second: plans, their rate, latency and η, the fault if there is
+    one."""
     joints: Joints = Joints()
     """Joints that the robot measures."""
     pose: Annotated[tuple[Pose, ...], OneOrMore] = ()
     """Sources of poses; those of the scene that are not named have their own default."""
     command: CommandSettings = CommandSettings()
     """What the robot is sent."""
-    planner: Planner = Planner()
-    """What is told of the planner."""
