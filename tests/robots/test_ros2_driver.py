@@ -176,9 +176,9 @@ def test_what_was_overtaken_is_left_out_and_a_clock_that_was_set_is_passed_on(wi
     driver, robot = wire.driver(), wire.robot()
     moment = itertools.count()
     begin = meet(driver, lambda: robot.publish(random_state(wire.layout, 0, 10.0 + 0.01 * next(moment)))).time
-    for later in (1.0, 0.5):
-        robot.publish(random_state(wire.layout, int(later), 10.0 + later))
+    robot.publish(random_state(wire.layout, 1, 11.0))
     assert until(lambda: driver.observe().time - begin > 0.8)
+    robot.publish(random_state(wire.layout, 2, 10.5))
     time.sleep(0.05)
     assert driver.observe().time - begin > 0.8
     robot.publish(random_state(wire.layout, 5, 2.0))

@@ -80,21 +80,37 @@ class Outcome:
 
 
 def run_pair(
-    scene: str, transport: str, seed: int, *, speed: float, link: Sequence[str] = (), options: Sequence[str] = ()
+    scene: str,
+    transport: str,
+    seed: int,
+    *,
+    speed: float,
+    link: Sequence[str] = (),
+    options: Sequence[str] = (),
+    changes: Sequence[str] = (),
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Run an episode with the robot in a process of its own; returns the planner's result and the robot's report.
+
+    Args:
+        scene: Scene and variant.
+        transport: Name of the transport.
+        seed: Seed of both.
+        speed: The robot's seconds in a second.
+        link: Options of the robot's side.
+        options: Options of the planner's side.
+        changes: ``KEY=VALUE`` of the scene on both sides.
 
     Raises:
         ValueError: If one of them failed.
     """
     ends = TRANSPORTS[transport]
-    place, common = ends.place(), ["--seed", str(seed), "--speed", str(speed)]
+    place, common = ends.place(), ["--seed", str(seed), *(part for change in changes for part in ("--set", change))]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{transport}.toml"
         file.write_text(ends.settings(place), encoding="utf-8")
-        command = [*PROGRAM, "robot", scene, *ends.options(place, file), *common, *link]
+        command = [*PROGRAM, "robot", scene, *ends.options(place, file), "--speed", str(speed), *common, *link]
         robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        planner = Planner(scene, f"{ends.driver}:{file}", speed=speed, options=["--seed", str(seed), *options])
+        planner = Planner(scene, f"{ends.driver}:{file}", speed=speed, options=[*common, *options])
         try:
             result = planner.result(timeout=900.0)
             robot.send_signal(signal.SIGTERM)
@@ -146,9 +162,9 @@ def lossy(transport: str, *, seeds: range, speed: float) -> Iterator[Outcome]:
         yield Outcome(title, transport, safe, unsafe, dict(refused), after)
 
 
-def runs(scene: str, transport: str, *, seeds: range, speed: float) -> tuple[list[str], int]:
+def runs(scene: str, transport: str, *, seeds: range, speed: float, changes: Sequence[str]) -> tuple[list[str], int]:
     """Cells of a table about a scene's runs, and the number of its unsafe commands."""
-    pairs = [run_pair(scene, transport, seed, speed=speed) for seed in seeds]
+    pairs = [run_pair(scene, transport, seed, speed=speed, changes=changes) for seed in seeds]
     reports = [report for _, report in pairs]
     reached = sum(result["success"] and report["success"] for result, report in pairs)
     times = [result["sim_time_s"] for result, _ in pairs]
@@ -180,13 +196,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seeds", type=int, default=5, help="runs of each scene, with seeds 0, 1, ...")
     parser.add_argument("--speed", type=float, default=1.0, help="the robot's seconds in a second")
     parser.add_argument("--part", nargs="*", default=["runs", "links", "drill"], choices=["runs", "links", "drill"])
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the scenes of the runs")
     parser.add_argument("--json", type=Path, metavar="FOLDER", help="write wire_runs.json and wire_faults.json")
     options = parser.parse_args(arguments)
     seeds, speed = range(options.seeds), options.speed
     told, faults, unsafe = [], [], 0
     for transport in options.transport:
         for scene in options.scene if "runs" in options.part else ():
-            row, bad = runs(scene, transport, seeds=seeds, speed=speed)
+            row, bad = runs(scene, transport, seeds=seeds, speed=speed, changes=options.set)
             told.append(row)
             unsafe += bad
             print(" | ".join(row), flush=True)

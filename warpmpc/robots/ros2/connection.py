@@ -65,12 +65,13 @@ class Inbox:
         kind: Message type, ``package/Name``.
         topic: Topic, in the node's namespace where it is relative.
         reliable: Whether what is lost on the way is sent again; sensors' messages are not.
+        newest: Whether the newest message is all that counts, for it tells everything.
     """
 
-    def __init__(self, connection: Connection, kind: str, topic: str, *, reliable: bool = False):
+    def __init__(self, connection: Connection, kind: str, topic: str, *, reliable: bool = False, newest: bool = False):
         self.kind, self._node = kind, connection.node
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        qos = QoSProfile(depth=DEPTH, reliability=reliability)
+        qos = QoSProfile(depth=1 if newest else DEPTH, reliability=reliability)
         with _names(topic):
             self._subscription = self._node.create_subscription(
                 message_class(kind), topic, _nothing, qos, callback_group=connection.polled

@@ -14,10 +14,10 @@ from ..heard import Heard
 from .connection import Connection, Inbox
 from .links import Link, difference
 from .messages import JointOrder, Message, RosTime, read_links
+from .settings import Pose, PoseType
 
 if TYPE_CHECKING:
     from ...model.layout import Layout
-    from .settings import Pose
     from .topics import Topics
 
 BACK = 1.0
@@ -178,7 +178,8 @@ class _PoseSource:
     def __init__(
         self, connection: Connection, pose: Pose, name: str, part: int, *, joint=None, mocap: int | None = None
     ):
-        self.inbox = Inbox(connection, str(pose.type), pose.topic)
+        several = pose.type is PoseType.TRANSFORMS  # other bodies', too
+        self.inbox = Inbox(connection, str(pose.type), pose.topic, newest=not several)
         self.heard = Heard(self.inbox.topic, f"{pose.type} of {name}")
         self.part, self._joint, self._mocap = part, joint, mocap
         self._kind, self._frame = str(pose.type), pose.frame or name
