@@ -73,6 +73,9 @@ def robots(
             _echo(missing, "  ")
         if name in names and (section := getattr(driver, "settings", None)):
             _print_section(section)
+            for head, below in _tables(section, ""):
+                typer.echo(typer.style(head, bold=True))
+                _print_section(below)
 
 
 def keys(
