@@ -166,7 +166,7 @@ class CommandCodec:
             return self._refuse(error.message, "heading", joint, error.allowed)
 
     def _drives(self) -> TrajectoryField:
-        """What the controls are: by the drives where all have one mode, positions where all are held."""
+        """Numbers that the controls are: by the drives where all have one mode, positions where all are held."""
         layout = self._layout
         modes = set(layout.actuator_mode)
         if len(modes) == 1:

@@ -69,7 +69,7 @@ class Pose(Section):
 
 
 class CommandSettings(Section):
-    """What the robot is sent."""
+    """Commands to the robot."""
 
     topic: str = "commands"
     """Topic."""
@@ -107,4 +107,4 @@ class Ros2Settings(Section):
     pose: Annotated[tuple[Pose, ...], OneOrMore] = ()
     """Sources of poses; those of the scene that are not named have their own default."""
     command: CommandSettings = CommandSettings()
-    """What the robot is sent."""
+    """Commands to the robot."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run wants, by ROS: poses on topics, weights and scalars as parameters."""
+"""The task by ROS: poses on topics, weights and scalars as parameters."""
 
 from __future__ import annotations
 
