@@ -76,8 +76,8 @@ class Listened:
         table.add_column("what is wrong")
         for heard in (*getattr(self._robot, "heard", list)(), self._states):
             refused = f"{heard.refused} refused: {heard.problem}" if heard.refused else ""
-            numbers = (f"{heard.rate:.1f}", f"{1e3 * heard.age:.1f}", f"{heard.stamp:.3f}")
-            numbers = numbers if heard.count else ("", "", "")
+            rate = "" if np.isnan(heard.rate) else f"{heard.rate:.1f}"
+            numbers = (rate, f"{1e3 * heard.age:.1f}", f"{heard.stamp:.3f}") if heard.count else ("", "", "")
             table.add_row(heard.source, str(heard.count), *numbers, heard.missing or refused)
         return table
 
