@@ -102,7 +102,7 @@ def test_the_scene_ends_the_run_of_a_robot_as_it_ends_a_plants(scene, command, m
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--robot", "driftin", "--real-time"], "no robot 'driftin'; there is: simulated, zmq, drifting"),
+        (["--robot", "driftin", "--real-time"], "no robot 'driftin'; there is: simulated, zmq, ros2, drifting"),
         (["--robot", "drifting"], "goes with --real-time"),
         (
             ["--robot", "drifting", "--real-time", "--record", "a.rrd"],

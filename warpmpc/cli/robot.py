@@ -70,10 +70,12 @@ def listen(arguments: RunArguments, choice: str) -> int:
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts, ExitStack() as stack:
         try:
             with user_errors():
+                from ..robots.drivers import await_state, find_driver, make_robot
+
+                find_driver(choice)  # before anything takes long
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
                 begin(scene, "cpu")
                 from ..model.compiled import compile_scene
-                from ..robots.drivers import await_state, make_robot
                 from ..scene.draw import draw_task
                 from ..task.task import Task
                 from .listened import Listened

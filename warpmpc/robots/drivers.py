@@ -20,6 +20,8 @@ from .ros2.settings import Ros2Settings
 from .settings import ZmqSettings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..realtime.loop import Robot
     from ..scene.schema import Scene
     from .heard import Heard
@@ -52,10 +54,8 @@ class Driver:
 
         Raises:
             SceneError: If the file has a mistake.
-            ValueError: If the package is missing, or it takes no file.
+            ValueError: If it takes no file.
         """
-        if self.missing:
-            raise ValueError(self.missing)
         if self.settings is None and config is not None:
             raise ValueError(f"takes no file, but was given {config}: leave it out")
         if self.settings is not None:
@@ -94,6 +94,19 @@ DRIVERS = {
 """Drivers that come with warpmpc."""
 
 
+def find_driver(choice: str) -> Callable[..., Robot]:
+    """The driver of a choice ``NAME`` or ``NAME:FILE.toml``.
+
+    Raises:
+        ValueError: If there is no such driver, or what it needs is not installed; says how to get it.
+    """
+    name = choice.partition(":")[0]
+    driver = ROBOTS.find(name)
+    if missing := getattr(driver, "missing", None):
+        raise ValueError(f"the robot '{name}': {missing}")
+    return driver
+
+
 def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
     """The robot of a choice ``NAME`` or ``NAME:FILE.toml``.
 
@@ -105,8 +118,8 @@ def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
     Raises:
         ValueError: If there is no such driver, or it cannot be made; names the driver and the cure.
     """
+    make = find_driver(choice)
     name, _, file = choice.partition(":")
-    make = ROBOTS.find(name)
     config = {"config": Path(file)} if file else {}
     try:
         return make(scene, **keys, **config)

@@ -13,8 +13,7 @@ from ..model.compiled import compile_scene
 from ..plant.simulated import SimulatedPlant
 from ..realtime.loop import RealTimeReport, RobotLoop, TickLogger
 from ..realtime.process import MakeTerms, PlannerProcess
-from ..registry import ROBOTS
-from ..robots.drivers import await_state, make_robot
+from ..robots.drivers import await_state, find_driver, make_robot
 from ..robots.monitored import MonitoredRobot
 from ..scene.draw import draw_task
 from ..task.task import Task
@@ -107,7 +106,7 @@ def run_real_time(
         raise ValueError(f"the speed is a positive number, not {speed}")
     made = tuple(terms()) if terms else ()
     name = robot.partition(":")[0]
-    ROBOTS.find(name)  # before anything takes long
+    find_driver(robot)  # before anything takes long
     shared = compile_shared(scene)
     samples, engine, device = fit_to_machine(scene, engine=engine, device=device, terms=made, compiled=shared)
     drawn = with_samples(draw_task(scene, seed)[0], samples)
