@@ -5,6 +5,7 @@ import json
 import subprocess
 
 import pytest
+from needs import needs
 from program import PROGRAM, SCENE
 from shared.wire import TRANSPORTS
 
@@ -47,18 +48,25 @@ def test_drivers_are_listed_with_where_they_come_from_and_their_keys(command, mo
     assert one_line(command("robots", "zmk")).startswith("error: no robot 'zmk'; there is: simulated, zmq")
 
 
-def test_a_driver_without_its_package_says_how_to_get_it(command, scene, lacking):
-    cure = 'needs zmq: pip install "warpmpc[transport]"'
+@pytest.mark.parametrize(
+    ("name", "option", "cure"),
+    [
+        ("zmq", ["--zmq", "5555"], 'needs zmq: pip install "warpmpc[transport]"'),
+        ("ros2", ["--ros2"], 'needs rclpy: pip install "warpmpc[ros2]"'),
+    ],
+)
+def test_a_driver_without_its_package_says_how_to_get_it(command, scene, lacking, name, option, cure):
     assert cure in command("robots").stdout
-    for arguments in (["run", scene, "--real-time", "--robot", "zmq"], ["check", scene, "--robot", "zmq"]):
-        assert one_line(command(*arguments)) == f"error: the robot 'zmq': {cure}"
-    assert one_line(command("robot", scene, "--zmq", "5555")) == f"error: --zmq: {cure}"
+    for arguments in (["run", scene, "--real-time", "--robot", name], ["check", scene, "--robot", name]):
+        assert one_line(command(*arguments)) == f"error: the robot '{name}': {cure}"
+    assert one_line(command("robot", scene, *option)) == f"error: --{name}: {cure}"
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["robot", "SCENE"], "a robot needs a transport: give --zmq PORT"),
+        (["robot", "SCENE"], "a robot needs a transport: give --zmq PORT or --ros2"),
+        (["robot", "SCENE", "--zmq", "5555", "--topics", "a.toml"], "--topics: goes with --ros2"),
         (
             ["robot", "SCENE", "--zmq", "5555", "--delay", "80..20"],
             "--delay: milliseconds, as 20 or 20..80, not '80..20'",
@@ -74,26 +82,41 @@ def test_what_cannot_be_is_one_line(command, scene, arguments, says):
     assert says in one_line(command(*(scene if word == "SCENE" else word for word in arguments)))
 
 
-def test_a_look_at_a_robot_shows_what_it_sends_and_commands_nothing(command, scene, tmp_path, monkeypatch):
+SEEN = {
+    "zmq": (
+        "tcp://127.0.0.1:",
+        "the state has no joint cart/slider, cart/hinge; it has base/x",
+        "nothing came from tcp",
+    ),
+    "ros2": (
+        "/box/odometry",
+        "its messages have no joint slider, hinge; they have x, y, yaw",
+        "nobody publishes /wire",
+    ),
+}
+"""A source that is shown; what is said where another robot is there, and where none is."""
+
+
+@pytest.mark.parametrize("transport", ["zmq", pytest.param("ros2", marks=needs("rclpy"))])
+def test_a_look_at_a_robot_shows_what_it_sends_and_commands_nothing(command, scene, tmp_path, monkeypatch, transport):
     monkeypatch.setattr("warpmpc.cli.robot.LISTEN", 1.0)
-    ends = TRANSPORTS["zmq"]
-    port, file = ends.place(), tmp_path / "robot.toml"
-    file.write_text(ends.settings(port))
-    robot = subprocess.Popen([*PROGRAM, "robot", scene, "--zmq", str(port)], stdout=subprocess.PIPE, text=True)
+    ends, (source, wrong, nothing) = TRANSPORTS[transport], SEEN[transport]
+    place, file = ends.place(), tmp_path / "robot.toml"
+    file.write_text(ends.settings(place))
+    options = ends.options(place, file)
+    robot = subprocess.Popen([*PROGRAM, "robot", scene, *options], stdout=subprocess.PIPE, text=True)
     try:
-        done = command("check", scene, "--robot", f"zmq:{file}")
+        done = command("check", scene, "--robot", f"{transport}:{file}")
         assert done.returncode == 0, done.stderr
         shown = done.stdout
-        assert f"tcp://127.0.0.1:{port}" in shown
+        assert source in shown
         assert "base/yaw" in shown
         assert "box_free_joint: at 1.000, 0.000, 0.150 m, its z axis 0° from up" in shown
-        file.write_text(ends.settings(port).replace("60.0", "0.5"))
-        other = command("check", "cartpole_swingup", "--robot", f"zmq:{file}")
-        assert "the state has no joint cart/slider, cart/hinge; it has base/x" in one_line(other)
+        file.write_text(ends.settings(place).replace("60.0", "2.0"))
+        assert wrong in one_line(command("check", "cartpole_swingup", "--robot", f"{transport}:{file}"))
         robot.terminate()
         report = json.loads(robot.communicate(timeout=60)[0])
     finally:
         robot.kill()
     assert (report["received"], report["reason"]) == (0, "never commanded")
-    silent = command("run", scene, "--real-time", "--robot", f"zmq:{file}")
-    assert f"nothing came from tcp://127.0.0.1:{port}: is the robot on" in one_line(silent)
+    assert nothing in one_line(command("run", scene, "--real-time", "--robot", f"{transport}:{file}"))

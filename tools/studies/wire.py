@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -38,6 +39,8 @@ LINKS = {
 """Links with faults, both ways."""
 LOSSY = "omni_push_box"
 """Scene that is run over them."""
+MOMENT = 0.2
+"""Time after which the robot is switched off when the planner has ended [s]."""
 WINDOW = 0.5
 """Time for which messages go wrong [s]."""
 SPOILT = {
@@ -113,6 +116,7 @@ def run_pair(
         planner = Planner(scene, f"{ends.driver}:{file}", speed=speed, options=[*common, *options])
         try:
             result = planner.result(timeout=900.0)
+            time.sleep(MOMENT / speed)  # it was commanded a little later than the planner began to count
             robot.send_signal(signal.SIGTERM)
             out, errors = robot.communicate(timeout=60.0)
         finally:

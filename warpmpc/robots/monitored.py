@@ -55,6 +55,8 @@ class MonitoredRobot:
             self.tell = robot.tell
         if hasattr(robot, "follow"):
             self.follow = self._follow
+        # its kernels are loaded now: the first look would take many ticks
+        Monitor(scene, task=Task(scene), terms=terms, compiled=compiled).update(State.start(self.layout), None)
         self._monitor = Monitor(scene, task=task, terms=terms, compiled=compiled)
         self._control: np.ndarray | None = None
         self._start: float | None = None
