@@ -6,13 +6,16 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from newton import JointType
 from scipy.spatial.transform import Rotation
 
-from warpmpc import MujocoStates, State, load_scene
+from warpmpc import MujocoStates, SceneError, State, load_scene
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.mujoco_model import make_world
 from warpmpc.robots.ros2.links import FreeJoint, Link, PlanarJoints, difference, free_joints
 from warpmpc.robots.ros2.messages import JointOrder, RosTime, read_links, write_odometry
+from warpmpc.robots.ros2.settings import Ros2Settings
+from warpmpc.robots.ros2.topics import Topics
 
 
 def body_link(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Link:
@@ -143,3 +146,11 @@ def test_links_are_read_from_each_type_of_message():
     here = nested(header={"stamp": stamp}, pose={"position": point, "orientation": turn})
     with pytest.raises(ValueError, match="quaternion of a pose is zero"):
         read_links("geometry_msgs/PoseStamped", here, "")
+
+
+def test_joints_that_no_message_tells_are_refused():
+    layout = compile_scene(load_scene("omni_push_box")).layout
+    kinds = np.where(layout.joint_type == JointType.FREE, JointType.BALL, layout.joint_type)
+    with pytest.raises(SceneError, match="no ROS message tells of ball joints") as error:
+        Topics.of(layout.replace(joint_type=kinds), Ros2Settings(), None)
+    assert error.value.found == "box_free_joint"

@@ -59,7 +59,7 @@ class Ros2Robot:
         **_: object,
     ):
         self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
-        layout, clock, task = compiled.layout, RosTime(), task or Task(scene)
+        layout, clock, task = compiled.layout, RosTime(), Task(scene) if task is None else task
         topics = Topics.of(layout, settings, task, config)
         self._codec = CommandCodec(layout, settings.command, clock, config)
         if self._codec.takes_plans:

@@ -63,7 +63,7 @@ class Observer:
     """
 
     def __init__(self, layout: Layout, topics: Topics, connection: Connection, clock: RosTime):
-        self._layout, self._clock = layout, clock
+        self._clock = clock
         self._q, self._qd = layout.joint_q.astype(float), layout.joint_qd.astype(float)
         self._mocap = layout.mocap.astype(np.float32)
         self._act_speed = layout.activation_speed

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from newton import JointType
+
 from ...scene.errors import SceneError
 from .links import FreeJoint, PlanarJoints, free_joints
 from .settings import Joints, Pose, PoseType, Ros2Settings
@@ -45,6 +47,12 @@ class Topics:
             task: The task, whose poses may be heard; none of them if None.
             file: The file, for errors.
         """
+        balls = [
+            name for name, kind in zip(layout.joint_name, layout.joint_type, strict=True) if kind == JointType.BALL
+        ]
+        if balls:
+            message = "no ROS message tells of ball joints: take another driver, or joints of one axis"
+            raise SceneError(message, key="joints", file=file, found=balls[0])
         given = {pose.name: pose for pose in settings.pose}
         task_poses = task.pose_name if task is not None else ()
         free = free_joints(layout)
