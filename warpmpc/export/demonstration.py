@@ -51,7 +51,7 @@ class Demonstration:
 
     @property
     def ends(self) -> np.ndarray:
-        """Whether a control is the last ``[N]``."""
+        """Return whether each control is the last ``[N]``."""
         return np.arange(1, len(self) + 1) == len(self)
 
     @property
