@@ -68,7 +68,7 @@ def test_the_example_learns_a_law_from_a_data_set_and_the_planner_tries_it(polic
         spread.append(law(observed) - 1.5)
     assert np.mean(np.square(errors)) < 0.2 * np.mean(np.square(spread))
 
-    scene = Flight(samples=8, seed=0, policy=policy).scene
+    scene = Flight(samples=8, seed=0, policy=str(policy)).scene
     mpc = warpmpc.Controller(scene, device="cpu")
     state = warpmpc.State.start(mpc.layout)
     mpc.step(state)
@@ -80,7 +80,7 @@ def test_the_example_learns_a_law_from_a_data_set_and_the_planner_tries_it(polic
 def test_a_row_counts_what_is_done(tmp_path):
     records, policy = Records(tmp_path / "imitation.jsonl"), tmp_path / "policy.onnx"
     policy.write_bytes(b"")
-    flights = [Flight(samples=n, seed=seed, policy=p) for n in (8, 0) for seed in range(3) for p in (None, policy)]
+    flights = [Flight(samples=n, seed=seed, policy=p) for n in (8, 0) for seed in range(3) for p in (None, str(policy))]
     flights = [flight for flight in flights if flight.samples or flight.policy]
     for flight in flights[:4]:
         proposed = flight.policy is not None

@@ -56,7 +56,14 @@ class Flight:
     samples: int
     """Samples of a plan; 0 for the policy alone."""
     seed: int
-    policy: Path | None = None
+    policy: str | None = None
+    task = SCENE
+
+    @property
+    def strategy(self) -> str:
+        """How it flies, in words."""
+        planner = f"{self.samples} samples" if self.samples else ""
+        return " and ".join(filter(None, (planner, self.policy and "the policy")))
 
     @property
     def scene(self) -> warpmpc.Scene:
@@ -90,7 +97,7 @@ def alone(flight: Flight) -> dict:
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
-    policy = onnxruntime.InferenceSession(str(flight.policy), options)
+    policy = onnxruntime.InferenceSession(flight.policy, options)
     scene, _ = draw_task(flight.scene, flight.seed)
     task, costs, taken, reached = warpmpc.Task(scene), [], [], None
     plant = warpmpc.Plant(scene, seed=flight.seed, task=task, watch=scene.cost_labels)
@@ -105,7 +112,7 @@ def alone(flight: Flight) -> dict:
     return {"cost": cost, "reached": reached, "plan_ms": float(np.median(taken))}
 
 
-def clone(demos: int, jobs: str, out: Path) -> Path:
+def clone(demos: int, jobs: str, out: Path) -> str:
     """The policy of a data set of so many episodes; both are made where they are not there.
 
     Raises:
@@ -121,7 +128,7 @@ def clone(demos: int, jobs: str, out: Path) -> Path:
         part.rename(data)
     if not policy.exists():
         subprocess.run([sys.executable, str(PROGRAM), SCENE, str(data), str(policy)], check=True)
-    return policy.absolute()
+    return str(policy.absolute())
 
 
 def rows(flights: Sequence[Flight], records: Records) -> list[list[str]]:
