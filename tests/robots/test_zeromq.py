@@ -4,15 +4,19 @@
 import json
 import socket
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import SceneError
+from warpmpc.estimation.measurement import PoseMeasured
+from warpmpc.estimation.pose_filter import LONGEST
 from warpmpc.model.state import State
 from warpmpc.robots.drivers import await_state, make_robot
 from warpmpc.robots.zeromq import StateCodec, ZmqTransport
+from warpmpc.scene.schema_estimate import Estimate
 
 SCENE = make_scene(object=[BOX])
 
@@ -180,3 +184,41 @@ def test_mistakes_in_the_file_are_told_with_file_and_key(tmp_path, text, says):
 def test_a_port_that_is_taken_is_named(ends, config):
     with pytest.raises(ValueError, match=rf"port {config[1]}: .*choose another with --zmq PORT"):
         ZmqTransport(compiled(SCENE).layout, config[1])
+
+
+def test_measured_poses_are_estimated_from_and_old_ones_make_an_old_state(config):
+    file, port = config
+    estimate = {"noise": {"position": 0.01, "rotation": 0.01}, "process": {"linear": 0.1, "angular": 0.1}}
+    scene = SCENE.model_copy(update={"estimate": {"box": Estimate(**estimate)}})
+    transport = ZmqTransport(compiled(SCENE).layout, port)
+    robot = make_robot(f"zmq:{file}", scene, compiled=compiled(SCENE))
+    rng, state = np.random.default_rng(0), a_state(0)
+    place, turn = np.array([0.5, -0.2, 0.1]), [0.0, 0.0, np.sin(0.2), np.cos(0.2)]
+    try:
+        meet(transport, robot._robot, state)
+        assert robot.observe() is None  # nothing was measured yet
+        with pytest.raises(ValueError, match="measured poses of box"):
+            await_state(robot, "zmq")
+        for k in range(60):
+            poses = PoseMeasured("box", k / 30, np.r_[place + rng.normal(0.0, 0.01, 3), turn])
+            transport.tell([poses])
+        newest = 59 / 30
+        until = time.monotonic() + 10.0
+        while robot.heard()[-1].stamp != newest:
+            assert time.monotonic() < until
+            transport.publish(replace(state, time=2.0))
+            robot.observe()
+        seen = robot.observe()
+        np.testing.assert_allclose(seen.joint_q[-7:-4], place, atol=0.005)
+        np.testing.assert_allclose(seen.joint_q[-4:], turn, atol=0.01)
+        np.testing.assert_allclose(seen.joint_qd[-6:], 0.0, atol=0.05)
+        np.testing.assert_array_equal(seen.joint_q[:-7], state.joint_q[:-7])
+        assert seen.time == 2.0
+        while seen.time == 2.0:
+            assert time.monotonic() < until
+            transport.publish(replace(state, time=4.0))
+            seen = robot.observe()
+        assert seen.time == pytest.approx(newest + LONGEST)  # the watchdog sees that nobody sees the box
+    finally:
+        transport.close()
+        robot.close()

@@ -15,7 +15,7 @@ import json
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from queue import Empty, Queue
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ from warpmpc.model.safe import safe_command
 from warpmpc.robots.process import RobotProcess
 
 if TYPE_CHECKING:
+    from warpmpc.estimation.measurement import Measurement
     from warpmpc.robots.process import Transport
     from warpmpc.robots.safety import Command
 
@@ -50,6 +51,10 @@ class SpoiltTransport:
         """Send a state, spoilt."""
         self.transport.publish(FAULTS[self.fault](self, state))
         self.transport.joints.update(self._joints)
+
+    def tell(self, measurements: Sequence[Measurement]) -> None:
+        """Send measurements as they are."""
+        self.transport.tell(measurements)
 
     def receive(self) -> Iterator[Command]:
         """Commands that came."""

@@ -128,6 +128,11 @@ class Sensors:
                 if measured is not None:
                     self._under_way.append((time + sensor.delay, measured))
 
+    def once(self, row: np.ndarray, time: float) -> list[Measurement]:
+        """Measurements of all sensors in a physics state ``[nx]``, known at once."""
+        found = (sensor.measure(row, time) for sensor in self._sensors)
+        return [measured for measured in found if measured is not None]
+
     def known(self, time: float) -> list[Measurement]:
         """Measurements that became known until a time [s] and were not told before."""
         known = [entry for entry in self._under_way if entry[0] <= time + SLACK]

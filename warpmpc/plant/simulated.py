@@ -92,6 +92,8 @@ class SimulatedPlant:
         self._sensors = Sensors(scene, self.compiled, self.world, seed)
         self.estimator = SceneEstimator(scene, self.compiled)
         """Estimates what the plant's sensors measure."""
+        self.measured: list[Measurement] = []
+        """Measurements that were new in the last observation."""
         self._delay = round(scene.plant.delay / scene.timing.control_dt)
         self.cameras = {cloud.name: self._camera(cloud.camera, seed) for cloud in scene.cloud if cloud.camera}
         """Cameras that show the plant's world, by the clouds that they fill."""
@@ -155,13 +157,18 @@ class SimulatedPlant:
         Motions and clouds are shown to the task.
         """
         self._observe_scene()
-        for measurement in self.measurements():
+        self.measured = self.measurements()
+        for measurement in self.measured:
             self.estimator.update(measurement)
         return self.estimator.fill(self._observed())
 
     def measurements(self) -> list[Measurement]:
         """Measurements of sensors that became known since this was asked last, for an estimator of your own."""
         return self._sensors.known(self.time)
+
+    def measure(self) -> list[Measurement]:
+        """Measure once more with every sensor, apart from their rates: what stands still has measurements, too."""
+        return self._sensors.once(self._engine.initial[self._index], self.time)
 
     def _observed(self) -> State:
         """The state before anything is estimated: with noise, and ``delay`` old."""

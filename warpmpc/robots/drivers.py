@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 
+from ..plant.simulated import SimulatedPlant
 from ..registry import ROBOTS
 from ..scene.errors import SceneError
 from ..scene.load import read_toml
 from ..scene.types import Section
+from .estimated import EstimatedRobot
 from .ros2.settings import Ros2Settings
 from .settings import ZmqSettings
 
@@ -108,7 +110,7 @@ def find_driver(choice: str) -> Callable[..., Robot]:
 
 
 def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
-    """The robot of a choice ``NAME`` or ``NAME:FILE.toml``.
+    """The robot of a choice ``NAME`` or ``NAME:FILE.toml``, with what the scene estimates from its measurements.
 
     Args:
         choice: Name of the driver, and its file.
@@ -122,11 +124,14 @@ def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
     name, _, file = choice.partition(":")
     config = {"config": Path(file)} if file else {}
     try:
-        return make(scene, **keys, **config)
+        robot = make(scene, **keys, **config)
     except SceneError:
         raise
     except (ValueError, OSError) as error:
         raise ValueError(f"the robot '{name}': {error}") from error
+    if scene.estimate and hasattr(robot, "measurements") and not isinstance(robot, SimulatedPlant):
+        return EstimatedRobot(robot, scene, keys["compiled"])  # a plant estimates by itself
+    return robot
 
 
 def read_settings(section: type[S], path: Path | None) -> S:

@@ -6,12 +6,13 @@ from __future__ import annotations
 import heapq
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from ..estimation.measurement import Measurement
     from ..model.state import State
     from .process import Transport
     from .safety import Command
@@ -47,13 +48,20 @@ class FaultyLink:
         self._rng = np.random.default_rng([seed, 2])
         self._count = itertools.count()
         self._states: list[tuple[float, int, State]] = []
+        self._told: list[tuple[float, int, Sequence[Measurement]]] = []
         self._commands: list[tuple[float, int, Command]] = []
 
     def publish(self, state: State) -> None:
         """Send a state, sooner or later, and those that are due."""
         self._put(self._states, state)
+        for due in self._due(self._told):
+            self.transport.tell(due)
         for due in self._due(self._states):
             self.transport.publish(due)
+
+    def tell(self, measurements: Sequence[Measurement]) -> None:
+        """Send measurements, sooner or later."""
+        self._put(self._told, measurements)
 
     def receive(self) -> Iterator[Command]:
         """Commands whose time has come."""
@@ -65,7 +73,7 @@ class FaultyLink:
         """Close the transport."""
         self.transport.close()
 
-    def _put(self, waiting: list[tuple], message: State | Command) -> None:
+    def _put(self, waiting: list[tuple], message: State | Command | Sequence[Measurement]) -> None:
         if self._rng.random() < self._drop:
             return
         late = self._rng.uniform(*self._delay) + OVERTAKEN * (self._rng.random() < self._reorder)

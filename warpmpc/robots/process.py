@@ -18,8 +18,13 @@ from .simulated import simulated_robot
 
 if TYPE_CHECKING:
     from ..cost.term import UserTerm
+    from ..estimation.measurement import Measurement
     from ..model.state import State
     from ..scene.schema import Scene
+
+
+STILL = 0.05
+"""Time between measurements of a robot that has not been commanded yet [s]."""
 
 
 class Transport(Protocol):
@@ -27,6 +32,9 @@ class Transport(Protocol):
 
     def publish(self, state: State) -> None:
         """Send what the robot measures; the stamp is ``state.time``."""
+
+    def tell(self, measurements: Sequence[Measurement]) -> None:
+        """Send measurements of sensors with rates of their own, of times on the clock of states."""
 
     def receive(self) -> Iterable[Command]:
         """Commands that came since the last call, in their order."""
@@ -105,7 +113,7 @@ class RobotProcess:
         speed: float = 1.0,
         terms: Sequence[UserTerm] = (),
     ):
-        scene = draw_task(scene, seed)[0]
+        scene = draw_task(scene, seed)[0].model_copy(update={"estimate": {}})  # whoever commands it estimates
         compiled = compile_scene(scene)
         self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
         self.safety = Safety(scene, self.plant.layout)
@@ -114,6 +122,7 @@ class RobotProcess:
         self.control: np.ndarray | None = None
         """What the drives were given last ``[nu]``; None before the first good command."""
         self._began: float | None = None  # when the first good command came
+        self._measured = -np.inf  # when sensors measured while it stood still
         self._success = False
 
     @property
@@ -125,7 +134,13 @@ class RobotProcess:
         """Publish what is measured, hear commands, move on."""
         plant, now = self.plant, self.now
         seen = plant.observe()
-        self.transport.publish(replace(seen, time=now if self._began is None else self._began + seen.time))
+        start = now if self._began is None else self._began
+        measured = plant.measured
+        if self._began is None and now >= self._measured + STILL:
+            self._measured, measured = now, plant.measure()
+        if measured:
+            self.transport.tell([replace(m, time=start + m.time) for m in measured])
+        self.transport.publish(replace(seen, time=start + seen.time))
         self.safety.take(self.transport.receive(), now)
         if self._began is None and self.safety.commanded:
             self._began = now

@@ -2,7 +2,8 @@
 """Robots behind two ZeroMQ sockets, both ends: states one way, commands the other, as JSON with names.
 
 A state is ``{"time": 1.5, "joints": {"base/x": {"q": [0.1], "qd": [0.0]}, ...}}``, in Newton's conventions, with
-``act`` ``[na]`` and ``mocap`` ``[nm, 7]`` where the scene has them. A command is ``{"time": 1.5, "sender": "...",
+``act`` ``[na]`` and ``mocap`` ``[nm, 7]`` where the scene has them. Measurements are messages of their own, ``{"poses":
+[{"name": "box", "time": 1.5, "pose": [x, y, z, qx, qy, qz, qw]}, ...]}``. A command is ``{"time": 1.5, "sender": "...",
 "control": {"base/x": 0.2, ...}}``; its time is that of the observation that it answers.
 """
 
@@ -11,14 +12,15 @@ from __future__ import annotations
 import json
 import math
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import zmq
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
+from ..estimation.measurement import PoseMeasured
 from ..model.state import State
 from ..scene.errors import SceneError, some
 from .heard import Heard
@@ -26,10 +28,13 @@ from .safety import Command
 from .settings import ZmqSettings
 
 if TYPE_CHECKING:
+    from ..estimation.measurement import Measurement
     from ..model.compiled import CompiledScene
     from ..model.layout import Layout
     from ..scene.schema import Scene
 
+POSES = b'"poses"'
+"""Key in the beginning of a message of measured poses."""
 BACK = 1.0
 """Time by which a state may be older than the newest and count as overtaken, not as of a clock that was set [s]."""
 
@@ -48,6 +53,20 @@ class StateMessage(BaseModel):
     joints: dict[str, JointMessage]
     act: list[float] | None = None
     mocap: list[list[float]] | None = None
+
+
+class PoseMessage(BaseModel):
+    """A measured pose."""
+
+    name: str
+    time: float
+    pose: Annotated[list[float], Field(min_length=7, max_length=7)]
+
+
+class PosesMessage(BaseModel):
+    """Measured poses."""
+
+    poses: list[PoseMessage]
 
 
 class CommandMessage(BaseModel):
@@ -144,6 +163,7 @@ class ZmqRobot:
                 raise SceneError(message, key=key, file=config, found=address) from None
         self._heard = Heard(settings.states, "states")
         self._newest: State | None = None
+        self._told: list[Measurement] = []
 
     def heard(self) -> list[Heard]:
         """Messages of states."""
@@ -152,6 +172,9 @@ class ZmqRobot:
     def observe(self) -> State | None:
         """The newest state, None before the first."""
         for message in _waiting(self._states):
+            if POSES in message[:20]:
+                self._take_poses(message)
+                continue
             try:
                 state = self._codec.decode(message)
             except ValueError as error:
@@ -161,6 +184,19 @@ class ZmqRobot:
             if self._newest is None or not self._newest.time - BACK <= state.time < self._newest.time:
                 self._newest = state
         return self._newest
+
+    def measurements(self) -> list[Measurement]:
+        """Measured poses that came since the last call, as :meth:`observe` took them in."""
+        told, self._told = self._told, []
+        return told
+
+    def _take_poses(self, message: bytes) -> None:
+        try:
+            found = PosesMessage.model_validate_json(message)
+        except ValidationError as error:
+            self._heard.refuse(f"a message has no measured poses: {_first(error)}")
+            return
+        self._told += [PoseMeasured(entry.name, entry.time, np.array(entry.pose)) for entry in found.poses]
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""
@@ -204,6 +240,12 @@ class ZmqTransport:
     def publish(self, state: State) -> None:
         """Send a state."""
         self._states.send(self._codec.encode(state))
+
+    def tell(self, measurements: Sequence[Measurement]) -> None:
+        """Send measured poses."""
+        told = [m for m in measurements if isinstance(m, PoseMeasured)]
+        poses = [{"name": m.name, "time": m.time, "pose": m.pose.tolist()} for m in told]
+        self._states.send(json.dumps({"poses": poses}).encode())
 
     def receive(self) -> Iterator[Command]:
         """Commands that came since the last call, in their order; one that cannot be read has no values."""
