@@ -2,8 +2,8 @@
 """Robots behind two ZeroMQ sockets, both ends: states one way, commands the other, as JSON with names.
 
 A state is ``{"time": 1.5, "joints": {"base/x": {"q": [0.1], "qd": [0.0]}, ...}}``, in Newton's conventions, with
-``act`` ``[na]`` and ``mocap`` ``[nm, 7]`` where the scene has them. Measurements are messages of their own, ``{"poses":
-[{"name": "box", "time": 1.5, "pose": [x, y, z, qx, qy, qz, qw]}, ...]}``. A command is ``{"time": 1.5, "sender": "...",
+``act`` ``[na]`` and ``mocap`` ``[nm, 7]`` where the scene has them, and measured ``poses``, ``{"name": "box", "time":
+1.46, "pose": [x, y, z, qx, qy, qz, qw]}``, in every message for a while. A command is ``{"time": 1.5, "sender": "...",
 "control": {"base/x": 0.2, ...}}``; its time is that of the observation that it answers.
 """
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..scene.schema import Scene
 
-POSES = b'"poses"'
-"""Key in the beginning of a message of measured poses."""
+REPEATED = 0.25
+"""Age until which a measured pose goes with every state: those who hear the newest state alone miss none [s]."""
 BACK = 1.0
 """Time by which a state may be older than the newest and count as overtaken, not as of a clock that was set [s]."""
 
@@ -46,15 +46,6 @@ class JointMessage(BaseModel):
     qd: list[float]
 
 
-class StateMessage(BaseModel):
-    """State of a robot and of what it sees."""
-
-    time: float
-    joints: dict[str, JointMessage]
-    act: list[float] | None = None
-    mocap: list[list[float]] | None = None
-
-
 class PoseMessage(BaseModel):
     """A measured pose."""
 
@@ -63,10 +54,14 @@ class PoseMessage(BaseModel):
     pose: Annotated[list[float], Field(min_length=7, max_length=7)]
 
 
-class PosesMessage(BaseModel):
-    """Measured poses."""
+class StateMessage(BaseModel):
+    """State of a robot and of what it sees."""
 
-    poses: list[PoseMessage]
+    time: float
+    joints: dict[str, JointMessage]
+    act: list[float] | None = None
+    mocap: list[list[float]] | None = None
+    poses: list[PoseMessage] = []
 
 
 class CommandMessage(BaseModel):
@@ -95,18 +90,20 @@ class StateCodec:
         }
         """Joints that move: where their coordinates and velocities are."""
 
-    def encode(self, state: State) -> bytes:
-        """The message of a state."""
+    def encode(self, state: State, poses: Sequence[PoseMeasured] = ()) -> bytes:
+        """The message of a state and measured poses."""
         q, qd = state.joint_q, state.joint_qd
         joints = {name: {"q": q[a].tolist(), "qd": qd[b].tolist()} for name, (a, b) in self.joints.items()}
         message = {"time": float(state.time), "joints": joints}
         for name in ("act", "mocap"):
             if (part := getattr(state, name)) is not None and len(part):
                 message[name] = part.tolist()
+        if poses:
+            message["poses"] = [{"name": m.name, "time": m.time, "pose": m.pose.tolist()} for m in poses]
         return json.dumps(message).encode()
 
-    def decode(self, message: bytes) -> State:
-        """The state of a message.
+    def decode(self, message: bytes) -> tuple[State, list[PoseMeasured]]:
+        """The state of a message, and its measured poses.
 
         Raises:
             ValueError: If it is none, or lacks joints of the scene.
@@ -128,7 +125,8 @@ class StateCodec:
                 raise ValueError(f"joint {name} has {wanted[0]} coordinates and {wanted[1]} velocities, not {sizes}")
             q[a], qd[b] = joint.q, joint.qd
         act, mocap = (None if part is None else np.array(part, np.float32) for part in (found.act, found.mocap))
-        return State(q, qd, time=found.time, act=act, mocap=mocap)
+        poses = [PoseMeasured(entry.name, entry.time, np.array(entry.pose)) for entry in found.poses]
+        return State(q, qd, time=found.time, act=act, mocap=mocap), poses
 
 
 class ZmqRobot:
@@ -164,6 +162,7 @@ class ZmqRobot:
         self._heard = Heard(settings.states, "states")
         self._newest: State | None = None
         self._told: list[Measurement] = []
+        self._known: set[tuple[str, float]] = set()  # poses of the last message
 
     def heard(self) -> list[Heard]:
         """Messages of states."""
@@ -172,15 +171,14 @@ class ZmqRobot:
     def observe(self) -> State | None:
         """The newest state, None before the first."""
         for message in _waiting(self._states):
-            if POSES in message[:20]:
-                self._take_poses(message)
-                continue
             try:
-                state = self._codec.decode(message)
+                state, poses = self._codec.decode(message)
             except ValueError as error:
                 self._heard.refuse(str(error))
                 continue
             self._heard.note(state.time)
+            self._told += [pose for pose in poses if (pose.name, pose.time) not in self._known]
+            self._known = {(pose.name, pose.time) for pose in poses}
             if self._newest is None or not self._newest.time - BACK <= state.time < self._newest.time:
                 self._newest = state
         return self._newest
@@ -189,14 +187,6 @@ class ZmqRobot:
         """Measured poses that came since the last call, as :meth:`observe` took them in."""
         told, self._told = self._told, []
         return told
-
-    def _take_poses(self, message: bytes) -> None:
-        try:
-            found = PosesMessage.model_validate_json(message)
-        except ValidationError as error:
-            self._heard.refuse(f"a message has no measured poses: {_first(error)}")
-            return
-        self._told += [PoseMeasured(entry.name, entry.time, np.array(entry.pose)) for entry in found.poses]
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""
@@ -222,6 +212,7 @@ class ZmqTransport:
 
     def __init__(self, layout: Layout, port: int, host: str = "127.0.0.1"):
         self._codec, self._names = StateCodec(layout), layout.control_name
+        self._poses: list[PoseMeasured] = []
         self._context = zmq.Context()
         self._states, self._commands = self._context.socket(zmq.PUB), self._context.socket(zmq.SUB)
         self._commands.subscribe(b"")
@@ -239,13 +230,12 @@ class ZmqTransport:
 
     def publish(self, state: State) -> None:
         """Send a state."""
-        self._states.send(self._codec.encode(state))
+        self._poses = [pose for pose in self._poses if pose.time > state.time - REPEATED]
+        self._states.send(self._codec.encode(state, self._poses))
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
-        """Send measured poses."""
-        told = [m for m in measurements if isinstance(m, PoseMeasured)]
-        poses = [{"name": m.name, "time": m.time, "pose": m.pose.tolist()} for m in told]
-        self._states.send(json.dumps({"poses": poses}).encode())
+        """Send measured poses, with the states that follow."""
+        self._poses += [measured for measured in measurements if isinstance(measured, PoseMeasured)]
 
     def receive(self) -> Iterator[Command]:
         """Commands that came since the last call, in their order; one that cannot be read has no values."""
