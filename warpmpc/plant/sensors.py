@@ -128,9 +128,9 @@ class Sensors:
                 if measured is not None:
                     self._under_way.append((time + sensor.delay, measured))
 
-    def once(self, row: np.ndarray, time: float) -> list[Measurement]:
-        """Measurements of all sensors in a physics state ``[nx]``, known at once."""
-        found = (sensor.measure(row, time) for sensor in self._sensors)
+    def once(self, row: np.ndarray, time: float, control: np.ndarray) -> list[Measurement]:
+        """Measurements of all sensors in a physics state ``[nx]`` at a time [s] under a control, known at once."""
+        found = (sensor.measure(row, time, control) for sensor in self._sensors)
         return [measured for measured in found if measured is not None]
 
     def known(self, time: float) -> list[Measurement]:

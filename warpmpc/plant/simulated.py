@@ -168,7 +168,8 @@ class SimulatedPlant:
 
     def measure(self) -> list[Measurement]:
         """Measure once more with every sensor, apart from their rates: what stands still has measurements, too."""
-        return self._sensors.once(self._engine.initial[self._index], self.time)
+        i, engine = self._index, self._engine
+        return self._sensors.once(engine.initial[i], self.time, engine.control[i, -1])
 
     def _observed(self) -> State:
         """The state before anything is estimated: with noise, and ``delay`` old."""

@@ -11,6 +11,7 @@ import numpy as np
 from ..estimation.measurement import PoseMeasured
 from ..estimation.pose_filter import LONGEST
 from ..estimation.scene_estimator import SceneEstimator
+from ..scene.schema_estimate import Sensors
 from .heard import Heard
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class EstimatedRobot:
-    """A robot whose measurements are estimated from; everything else is the driver's.
+    """A robot whose measured poses are estimated from; everything else is the driver's.
 
     Where a pose was not measured for longer than :data:`LONGEST`, the state's time stands still, so that the agent's
     watchdog sees an observation that is too old.
@@ -36,7 +37,8 @@ class EstimatedRobot:
     """
 
     def __init__(self, robot: Robot, scene: Scene, compiled: CompiledScene):
-        self._robot, self._estimator = robot, SceneEstimator(scene, compiled)
+        measured = {"plant": scene.plant.model_copy(update={"sensor": Sensors()}), "estimate_base": {}}
+        self._robot, self._estimator = robot, SceneEstimator(scene.model_copy(update=measured), compiled)
         self._poses = {name: Heard(f"measured poses of {name}", "poses") for name in scene.estimate}
         self._state: State | None = None
         self._time = np.nan
