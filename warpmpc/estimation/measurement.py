@@ -19,7 +19,7 @@ class PoseMeasured:
     name: str
     """Object, or robot with a free root."""
     time: float
-    """When it was there [s]."""
+    """Time at which it was there [s]."""
     pose: np.ndarray
     """Pose of its body (x, y, z, qx, qy, qz, qw) ``[7]``."""
 
@@ -31,7 +31,7 @@ class ImuMeasured:
     name: str
     """Robot."""
     time: float
-    """When [s]."""
+    """Time of the measurement [s]."""
     gyro: np.ndarray
     """Angular velocity ``[3]`` [rad/s]."""
     accel: np.ndarray
@@ -45,7 +45,7 @@ class JointsMeasured:
     name: str
     """Robot."""
     time: float
-    """When [s]."""
+    """Time of the measurement [s]."""
     q: np.ndarray
     """Coordinates ``[n]`` [m, rad]."""
     qd: np.ndarray

@@ -29,7 +29,7 @@ class PoseEstimate:
     """Pose, derivatives and their covariance at a time; of order n with n derivatives."""
 
     time: float
-    """When [s]."""
+    """Time of the estimate [s]."""
     position: np.ndarray
     """Position ``[3]`` [m]."""
     rotation: np.ndarray

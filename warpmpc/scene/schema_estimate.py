@@ -81,8 +81,8 @@ class Estimate(Section):
     model: PoseModel = PoseModel.CONSTANT_VELOCITY
     """Motion between measurements."""
     process: ProcessNoise = ProcessNoise()
-    """How much the motion changes."""
+    """Changes of the motion."""
     noise: MeasurementNoise = MeasurementNoise()
-    """How far measurements are taken to be off."""
+    """Errors that measurements are taken to have."""
     gate: Fraction | None = 0.999
     """Share of good measurements that are believed: those farther off are left out, ``false`` for none."""
