@@ -18,7 +18,6 @@ from .topics import Topics
 if TYPE_CHECKING:
     import numpy as np
 
-    from ...estimation.measurement import Measurement
     from ...model.compiled import CompiledScene
     from ...model.state import State
     from ...planner.plan import Plan
@@ -89,10 +88,6 @@ class Ros2Robot:
         self._inputs.take()
         self._state = self._observer.observe()
         return self._state
-
-    def measurements(self) -> list[Measurement]:
-        """Poses that came since the last call, as :meth:`observe` took them in."""
-        return self._observer.measurements()
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""

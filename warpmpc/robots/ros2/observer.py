@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...estimation.measurement import PoseMeasured
 from ...model.state import State
 from ...scene.errors import some
 from ..heard import Heard
@@ -88,12 +87,6 @@ class Observer:
             self._heard.append(Heard(self._joints.topic, self._joints.kind))
         self._heard += [source.heard for source in self._sources]
         self._state: State | None = None
-        self._poses: list[PoseMeasured] = []
-
-    def measurements(self) -> list[PoseMeasured]:
-        """Poses of bodies that came since the last call, with their stamps."""
-        told, self._poses = self._poses, []
-        return told
 
     def heard(self) -> list[Heard]:
         """Messages of each topic; of a silent one its problem says why."""
@@ -168,8 +161,6 @@ class Observer:
                 if newest.overtaken(part, stamp):
                     continue
                 source.heard.note(stamp)
-                if source.is_body:
-                    self._poses.append(PoseMeasured(source.name, stamp, link.pose))
                 source.write(link, stamp - newest.stamps[part], self._q, self._qd, self._mocap)
                 newest.stamps[part] = stamp
                 changed = True
@@ -190,8 +181,7 @@ class _PoseSource:
         several = pose.type is PoseType.TRANSFORMS  # other bodies', too
         self.inbox = Inbox(connection, str(pose.type), pose.topic, newest=not several)
         self.heard = Heard(self.inbox.topic, f"{pose.type} of {name}")
-        self.name, self.part, self._joint, self._mocap = name, part, joint, mocap
-        self.is_body = joint is not None
+        self.part, self._joint, self._mocap = part, joint, mocap
         self._kind, self._frame = str(pose.type), pose.frame or name
         self._before: Link | None = None
 

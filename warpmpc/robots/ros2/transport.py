@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...estimation.measurement import PoseMeasured
 from ..safety import Command
 from .commands import CommandCodec
 from .connection import Connection, Inbox, message_class
@@ -52,14 +51,12 @@ class Ros2Transport:
         self._codec = CommandCodec(layout, settings.command, self._clock, file)
         self._connection = Connection(NODE, settings.namespace)
         try:
-            self._poses: dict[str, Callable[[Link, float], None]] = {}
             self._publish: list[Callable[[State], None]] = [*self._publishers(layout, topics)]
             self._commands = Inbox(self._connection, str(settings.command.type), settings.command.topic, reliable=True)
         except ValueError:
             self._connection.close()
             raise
         self._now, self._joint_q = 0.0, layout.joint_q
-        self._measured: set[str] = set()  # bodies whose poses are told apart from states
 
     def publish(self, state: State) -> None:
         """Send what the robot measures."""
@@ -68,11 +65,7 @@ class Ros2Transport:
             publish(state)
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
-        """Send measured poses, each with its own stamp; states do not have them any more."""
-        for measured in measurements:
-            if isinstance(measured, PoseMeasured) and measured.name in self._poses:
-                self._measured.add(measured.name)
-                self._poses[measured.name](Link(measured.pose), measured.time)
+        """Send nothing more: states have poses as they were measured last."""
 
     def receive(self) -> Iterator[Command]:
         """Commands that came since the last call, in their order; those without a header count from now on."""
@@ -89,16 +82,10 @@ class Ros2Transport:
         yield self._clock_publisher()
         if topics.joints:
             yield self._joint_publisher(layout, topics)
-        for name, (joint, pose) in topics.bodies.items():
-            self._poses[name] = send = self._pose_publisher(pose, topics)
-            yield (
-                lambda state, name=name, joint=joint, send=send: (
-                    None if name in self._measured else send(_link(joint, state), state.time)
-                )
-            )
+        for joint, pose in topics.bodies.values():
+            yield self._pose_publisher(pose, topics, lambda state, joint=joint: _link(joint, state))
         for place, pose in topics.mocap.items():
-            send = self._pose_publisher(pose, topics)
-            yield lambda state, place=place, send=send: send(Link(state.mocap[place].astype(float)), state.time)
+            yield self._pose_publisher(pose, topics, lambda state, place=place: Link(state.mocap[place].astype(float)))
 
     def _clock_publisher(self) -> Callable[[State], None]:
         publisher = self._connection.publisher("rosgraph_msgs/Clock", "/clock")
@@ -127,8 +114,8 @@ class Ros2Transport:
 
         return publish
 
-    def _pose_publisher(self, pose: Pose, topics: Topics) -> Callable[[Link, float], None]:
-        """Publish a link of a time."""
+    def _pose_publisher(self, pose: Pose, topics: Topics, find: Callable[[State], Link]) -> Callable[[State], None]:
+        """Publish a link, found in states."""
         publisher = self._connection.publisher(str(pose.type), pose.topic)
         message = message_class(str(pose.type))()
         stamped = message
@@ -139,8 +126,9 @@ class Ros2Transport:
             stamped.child_frame_id = pose.frame or pose.name
         stamped.header.frame_id = topics.settings.world
 
-        def publish(link: Link, time: float) -> None:
-            self._clock.write(time, stamped.header.stamp)
+        def publish(state: State) -> None:
+            self._clock.write(state.time, stamped.header.stamp)
+            link = find(state)
             match pose.type:
                 case PoseType.ODOMETRY:
                     write_odometry(link, message)
