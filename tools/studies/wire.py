@@ -39,6 +39,8 @@ LINKS = {
 """Links with faults, both ways."""
 LOSSY = "omni_push_box"
 """Scene that is run over them."""
+UNTOLD = 1e-6
+"""Age below which commands have no stamp, as arrays of ROS: they count from when they came [ms]."""
 MOMENT = 0.2
 """Time after which the robot is switched off when the planner has ended [s]."""
 WINDOW = 0.5
@@ -55,8 +57,8 @@ RUNS = [
     "transport, scene",
     "reached",
     "time [s]",
-    "command period p50 / p99 / max [ms]",
-    "observation to command p50 / p99 / max [ms]",
+    "command period p50/p99/max [ms]",
+    "observation to command [ms]",
 ]
 FAULTS = ["what goes wrong", "transport", "safe after [ms]", "refused", "unsafe", "afterwards"]
 
@@ -180,9 +182,10 @@ def runs(scene: str, transport: str, *, seeds: range, speed: float, changes: Seq
 
 
 def _spread(found: Sequence[dict[str, float]]) -> str:
-    """Medians over runs of their p50 and p99, and the largest of all."""
+    """Medians over runs of their p50 and p99, and the largest of all; a dash where messages do not tell it."""
     middle = sorted(found, key=lambda part: part["p99"])[len(found) // 2]
-    return f"{middle['p50']:.0f} / {middle['p99']:.0f} / {max(part['max'] for part in found):.0f}"
+    largest = max(part["max"] for part in found)
+    return f"{middle['p50']:.0f}/{middle['p99']:.0f}/{largest:.0f}" if largest > UNTOLD else "-"
 
 
 def _put(file: Path, columns: list[str], group: dict[str, Any]) -> None:
