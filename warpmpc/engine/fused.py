@@ -26,7 +26,7 @@ from .launched import LaunchedEngine
 from .step_worlds import LEAD, StepWorlds
 
 if TYPE_CHECKING:
-    from ..physics.source import AddedCode
+    from ..physics.parts import AddedCode
     from .request import EngineRequest, PhysicsSteps
     from .step_worlds import Residuals
 

@@ -24,6 +24,7 @@ from ..physics.kernel import WARP, RolloutWork, make_kernel
 from ..physics.missing import missing
 from ..physics.model import PhysicsModel
 from ..physics.source import RolloutSource
+from ..physics.steps import Steps
 from ..physics.tables import packed
 from ..scene.errors import SceneError
 from .fused_map import state_map
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from ..model.batch_size import BatchSize
     from ..model.compiled import CompiledScene
     from ..model.properties import Properties
-    from ..physics.source import AddedCode
+    from ..physics.parts import AddedCode
     from ..scene.schema import Scene
     from ..task.observed import ObservedState
 
@@ -93,9 +94,10 @@ class FusedPhysics:
         self.model = PhysicsModel(world.model, arrays)
         self.map = state_map(compiled, world, self.model, own_start=own_start)
         self._substeps, self._scene = list(substeps), scene
+        self._steps: Steps | None = None
 
     def source(self, *, added: AddedCode | None = None, knots: int = 1) -> str:
-        """Source of a rollout; parameters of the worlds are known when it is written.
+        """Source of a rollout; on a CPU its steps are compiled apart. Parameters of the worlds are known then.
 
         Args:
             added: Statements that evaluate rollouts on the way.
@@ -103,13 +105,17 @@ class FusedPhysics:
 
         Raises:
             SceneError: If single precision does not hold one of its numbers.
+            KernelError: If the steps do not compile.
         """
         shared = self.sharing > 1
         try:
-            text = RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).write()
-            return text if wp.get_device(self.device).is_cuda else packed(text)
+            parts = RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).parts()
         except OutOfRange as error:
             raise refusal(error, self._scene, self.world, self.layout) from error
+        if wp.get_device(self.device).is_cuda:
+            return parts.whole()
+        self._steps = Steps(parts, f"the physics of {self._scene.name}")
+        return packed(parts.rollouts())
 
     def fill(self, work: RolloutWork) -> None:
         """Set what the physics reads that no plan changes; after :meth:`source`."""
@@ -118,6 +124,8 @@ class FusedPhysics:
         if self.redraw is None:
             for row, values in zip(par, columns, strict=False):
                 row[:] = values
+        if self._steps is not None:
+            work.steps = self._steps.address
         work.substeps = wp.array(self._substeps, dtype=int, device=device)
         work.given = wp.array(self.model.given, dtype=float, device=device)
         work.par = wp.array(par, dtype=float, device=device)

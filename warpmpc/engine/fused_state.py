@@ -17,7 +17,7 @@ from ..cost.code.tree import Axis, Place, Tree
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
 from ..model.joints import driving
 from ..model.layout import IDENTITY
-from ..physics.source import AddedCode
+from ..physics.parts import AddedCode
 
 if TYPE_CHECKING:
     from ..cost.code.terms import TermSource

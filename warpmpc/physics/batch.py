@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -22,7 +23,11 @@ from .missing import missing
 from .model import PhysicsModel
 from .outputs import Outputs, write_outputs
 from .source import RolloutSource
+from .steps import Steps
 from .tables import packed
+
+if TYPE_CHECKING:
+    from .parts import Parts
 
 SHARED_PER_DOF = 180
 """Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
@@ -119,11 +124,16 @@ class BatchRollout:
         shared = on_gpu and shares(model, worlds) and "gravity" not in (arrays or {})  # links.h has it as a constant
         self._sharing = WARP if shared else 1
         self._decided: list[bool] | None = None
-        text, physics = self._write(arrays)
-        self._text, self._launch = text, Launcher(self.device)
+        parts, physics = self._write(arrays)
+        self._text, self._launch = _Text(parts.whole()), Launcher(self.device)
+        text = self._text if on_gpu else _Text(packed(parts.rollouts()))
         self._kernel = _kernel(text, native_lanes(), self._sharing)
-        compile_kernel(self._kernel, self.device, WARP, "the physics of a model", source=text.text)
         self.work, self.outputs = RolloutWork(), Outputs()
+        what = "the physics of a model"
+        if not on_gpu:
+            self._model_steps = Steps(parts, what)
+            self.work.steps = self._model_steps.address
+        compile_kernel(self._kernel, self.device, WARP, what, source=text.text)
         self._fill(physics, substeps, sensors_before=sensors_before, in_place=in_place)
         groups = -(-worlds // self._lanes)
         parts = 1 if on_gpu else min(groups, threads * PARTS if threads > 1 else 1)
@@ -131,15 +141,15 @@ class BatchRollout:
         self._replays = [Replay(lambda a=a, b=b: self._roll(a, b - a), device=self.device) for a, b in pairwise(edges)]
         self._pool = ThreadPool(threads, parts) if parts > 1 else None
 
-    def _write(self, arrays: Mapping[str, np.ndarray] | None) -> tuple[_Text, PhysicsModel]:
-        """The source, and the model, whose columns are known then."""
+    def _write(self, arrays: Mapping[str, np.ndarray] | None) -> tuple[Parts, PhysicsModel]:
+        """Parts of the source, and the model, whose columns are known then."""
         if self._settable and self.worlds == 1:  # one row would be that of all worlds
             arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
         physics = PhysicsModel(self.mj, arrays, settable=self._settable, decided=self._decided)
         state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs, mocap=self._mocap)
-        text = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).write()
+        parts = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).parts()
         self._decided = physics.columns.decisions if self._settable else None
-        return _Text(text if self.device.is_cuda else packed(text)), physics
+        return parts, physics
 
     def _fill(self, physics: PhysicsModel, substeps: int, *, sensors_before: bool, in_place: bool) -> None:
         m, work, out, worlds, steps = self.mj, self.work, self.outputs, self.worlds, self.steps
@@ -182,8 +192,8 @@ class BatchRollout:
         Raises:
             ValueError: If other numbers differ between worlds than did at the start.
         """
-        text, physics = self._write(arrays)
-        if text != self._text:
+        parts, physics = self._write(arrays)
+        if _Text(parts.whole()) != self._text:
             raise ValueError("numbers that were zero or alike in all worlds at the start are not now: make a new one")
         self.work.given.assign(physics.given.astype(np.float32))
         self._put_columns(physics)

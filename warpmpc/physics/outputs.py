@@ -11,8 +11,8 @@ import warp as wp
 
 from ..bake.lines import Lines, text
 from .frames import Frame, Frames
+from .parts import AddedCode
 from .sensors import Sensors
-from .source import AddedCode
 from .state_map import StateMap, Watch
 
 if TYPE_CHECKING:
@@ -125,8 +125,8 @@ if (live) {
         w.mocap[i] = VGATHER(theta + at * controls + from, lane_at);
     }
     SYNC
-    Sim::place(w);
-    Sim::move(w);  // what hangs on them
+    PLACE_WORLD(w);
+    MOVE_WORLD(w);  // what hangs on them
     SYNC
 }
 """

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -17,6 +18,10 @@ from .missing import missing
 from .model import PhysicsModel
 from .source import RolloutSource
 from .state_map import StateMap
+from .steps import Steps
+
+if TYPE_CHECKING:
+    from .parts import Parts
 
 
 class PlainRollout:
@@ -56,11 +61,16 @@ class PlainRollout:
         width = lanes or native_lanes()
         sharing = WARP if wp.get_device(device).is_cuda and share else 1
         self._sharing = sharing
-        self.kernel = make_kernel(self.source(lanes=width, shared=sharing > 1), width, sharing)
-        self._lanes = 1 if wp.get_device(device).is_cuda else width
+        on_gpu = wp.get_device(device).is_cuda
+        parts = self._parts(width, shared=sharing > 1)
+        self.kernel = make_kernel(parts.whole() if on_gpu else parts.rollouts(), width, sharing)
+        self._lanes = 1 if on_gpu else width
         self._launch = Launcher(device)
         columns = physics.columns.values
         work = RolloutWork()
+        if not on_gpu:
+            self._steps = Steps(parts, "the physics of a model")
+            work.steps = self._steps.address
 
         def zeros(*dims: int, dtype: type = float) -> wp.array:
             return wp.zeros(dims, dtype=dtype, device=device)
@@ -89,8 +99,11 @@ class PlainRollout:
             lanes: Worlds in a vector on a CPU.
             shared: Whether on a GPU a warp shares a world.
         """
+        return self._parts(lanes, shared=shared).whole()
+
+    def _parts(self, lanes: int, *, shared: bool) -> Parts:
         plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu))
-        return RolloutSource(self.physics, plain, lanes, shared).write()
+        return RolloutSource(self.physics, plain, lanes, shared).parts()
 
     def __call__(
         self, q: np.ndarray, v: np.ndarray, control: np.ndarray, act: np.ndarray | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..bake.knots import CONTROL
 from ..bake.lines import literal
-from ..bake.simd import header, sincos
+from ..bake.simd import sincos
 from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
@@ -22,6 +22,7 @@ from .limits import within
 from .links import Links
 from .meshes import Hulls
 from .model import COLLIDES, CONVEX, FIELD
+from .parts import Parts
 from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from .model import PairRow, PhysicsModel
+    from .parts import AddedCode
     from .state_map import StateMap
 
 POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
@@ -43,24 +45,6 @@ ROUGHLY = 0.3
 """Share of the slope that a line search may leave: more exact ones save no iterations."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
-_MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH",
-           "SYNC", "NEAR_PAIRS")  # fmt: skip
-
-
-@dataclass(frozen=True)
-class AddedCode:
-    """Statements around the steps of a rollout that evaluate it on the way, on a CPU (``native/rollout.h``)."""
-
-    start: str
-    """Before the first step."""
-    before: str
-    """Before each."""
-    step: str
-    """After each."""
-    end: str
-    """At the end."""
-    first: int
-    """First step that they look at: -1 where they ask for the observed state."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +69,17 @@ class RolloutSource:
 
     def write(self) -> str:
         """The source."""
+        return self.parts().whole()
+
+    def parts(self) -> Parts:
+        """Parts of the source."""
         dynamics = Dynamics(self.model, frozenset(self.state_map.bodies))
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         links, constraints = Links(dynamics), ConstraintTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
         step = step.replace("COLLISIONS", self._collisions())
-        parts = [
-            *(self._native(name) for name in ("simd", "world", "lanes", "collide_common")),
+        steps = [
+            self._native("collide_common"),
             *baked,
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("cones" if self.model.frictions > 1 else "pyramid"),
@@ -101,12 +89,10 @@ class RolloutSource:
             self._native("fluid"),
             self._native("solve").replace("BLOCKS", self._blocks()),
             self._native("watch"),
-            self._native("joints"),
             step,
         ]
-        inside = "\n".join(("struct Sim {", *parts, "};"))
         own = *constraints.tables(), *dynamics.drive.tables(), *dynamics.fluid.tables()
-        tables = "\n".join((*self._tables(), *own, "#if COOPERATE", *links.tables(), "#endif"))
+        tables = [*self._tables(), *own]
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
         defines |= dynamics.fluid.sizes
@@ -116,10 +102,16 @@ class RolloutSource:
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
         defines |= self.state_map.sizes | {"TERMS": int(self.added is not None)}
         defines["FIRST"] = self.added.first if self.added else 0
-        undo = "\n".join(f"#undef {name.partition('(')[0]}" for name in (*_MACROS, *defines))
-        defined = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-        return "\n".join(
-            (header(self.lanes), undo, defined, self._native("types"), tables, inside, self._rollout(), undo, "")
+        return Parts(
+            lanes=self.lanes,
+            defines=defines,
+            types=self._native("types"),
+            tables=tables,
+            warp_tables=links.tables(),
+            world=[self._native(name) for name in ("simd", "world", "lanes")],
+            steps=steps,
+            joints=self._native("joints"),
+            rollout=self._rollout(),
         )
 
     def _rollout(self) -> str:

@@ -30,8 +30,8 @@ Sim::World w;
 #endif
 START
 SYNC
-Sim::place(w);
-Sim::move(w);
+PLACE_WORLD(w);
+MOVE_WORLD(w);
 SYNC
 #if TERMS
 TERMS_START
@@ -61,9 +61,9 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
         SYNC
         const int substeps = k.substeps.data[h];
         for (int n = 0; n < substeps; ++n) {
-            Sim::step(w);
+            STEP_WORLD(w);
 #if WATCHED
-            Sim::watch(w);
+            WATCH_WORLD(w);
 #endif
         }
 #if WATCHED

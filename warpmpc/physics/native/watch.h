@@ -1,11 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Velocity of a body's centre of mass c, given in its frame, from its origin's
-INLINE V3 centre_velocity(const World& w, int r, const T* origin, const float* c) {
-    const T* m = w.bmat[r];
-    const V3 arm = {m[0] * c[0] + m[1] * c[1] + m[2] * c[2], m[3] * c[0] + m[4] * c[1] + m[5] * c[2],
-                    m[6] * c[0] + m[7] * c[1] + m[8] * c[2]};
-    return load(origin) + cross(load(w.bang[r]), arm);
-}
 // Forces of the last step's contacts, added to those of the watched pairs of entities
 #if WATCHED
 INLINE V3 force_of(const Contact& c) {

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The step of a model on a CPU, compiled by itself: what rolls it out and what evaluates that are compiled apart."""
+
+from __future__ import annotations
+
+import hashlib
+import weakref
+from functools import partial
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from ..compiling import compile_made
+from ..launch import Launcher
+from .kernel import options
+from .parts import CALLS
+from .tables import packed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .parts import Parts
+
+_kernels: weakref.WeakValueDictionary[tuple, wp.Kernel] = weakref.WeakValueDictionary()
+"""Kernels that are loaded, by digest of their source and options."""
+
+
+class Steps:
+    """Functions of a model's step; whoever calls them by their addresses keeps this object meanwhile.
+
+    Args:
+        parts: Parts of the source.
+        what: What is stepped, for the line that tells of compiling.
+
+    Raises:
+        KernelError: If it does not compile.
+        OSError: If Warp's folder of compiled kernels cannot be written.
+    """
+
+    def __init__(self, parts: Parts, what: str):
+        text = packed(parts.step_functions())
+        self._kernel = compile_made(partial(_kernel, text), options(parts.lanes), "cpu", 1, what, source=text)
+        self.address = wp.zeros(len(CALLS), dtype=wp.uint64, device="cpu")
+        """Addresses of :data:`~.parts.CALLS` ``[4]``."""
+        Launcher("cpu")(self._kernel, 1, [], [self.address])
+
+
+def _kernel(text: str, *, options: Mapping[str, object]) -> wp.Kernel:
+    """The kernel that tells the addresses; the one that is loaded, if it is."""
+    digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    key = digest, *sorted(options.items())
+    if (kernel := _kernels.get(key)) is None:
+        kernel = _kernels[key] = _make(text, options)
+    return kernel
+
+
+def _make(text: str, options: Mapping[str, object]) -> wp.Kernel:
+    @wp.func_native(text)
+    def write_addresses(address: wp.array[wp.uint64]): ...
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=dict(options))
+    def steps_kernel(
+        # outputs
+        address: wp.array[wp.uint64],  # [4]
+    ):
+        """One thread: the addresses of the functions of a step."""
+        write_addresses(address)
+
+    return steps_kernel
