@@ -35,5 +35,7 @@ def test_other_terms_and_splines_share_the_step_of_their_model():
     cost = [{"term": "distance", "between": ["base/centre", "goal"]}, {"term": "joint_velocity", "weight": 0.1}]
     assert steps_of(cost=cost)._kernel is steps._kernel
     assert steps_of(planner={"samples": 32, "horizon": 6, "spline": "cubic"})._kernel is steps._kernel
-    heavier = [{**robot, "armature": 0.1} for robot in make_scene().model_dump(mode="json", exclude_unset=True)["robot"]]
+    heavier = [
+        {**robot, "armature": 0.1} for robot in make_scene().model_dump(mode="json", exclude_unset=True)["robot"]
+    ]
     assert steps_of(robot=heavier)._kernel is not steps._kernel

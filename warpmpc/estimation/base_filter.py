@@ -247,14 +247,14 @@ class BaseFilter:
     def innovation(
         self, state: BaseState, measured: FeetMeasured, feet: list[int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What feet that stand show of the errors: the innovation, its matrix and its noise.
+        """Innovation by feet that stand: what they show of the errors, its matrix and its noise.
 
         A foot's position against the IMU is right-invariant (Hartley et al., Eq. 30); the height of the ground under it
         is a position in the world.
 
         Returns:
-            Innovation ``[m]`` [m], matrix ``[m, size]`` and covariance ``[m, m]``; three rows for each foot, then one
-            for each with ground under it.
+            Innovation ``[m]`` [m], matrix ``[m, size]`` and covariance ``[m, m]``; three rows for each foot, then one for
+            each foot with ground under it.
         """
         rotation, n = state.rotation, 3 * len(feet)
         ground = [i for i in feet if math.isfinite(measured.ground[i])]

@@ -40,7 +40,7 @@ class ImuMeasured:
 
 @dataclass(frozen=True)
 class JointsMeasured:
-    """What the joints of a robot with one axis each show, in the layout's order."""
+    """Joints of a robot with one axis each, as measured, in the layout's order."""
 
     name: str
     """Robot."""
