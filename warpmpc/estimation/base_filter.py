@@ -253,8 +253,8 @@ class BaseFilter:
         is a position in the world.
 
         Returns:
-            Innovation ``[m]`` [m], matrix ``[m, size]`` and covariance ``[m, m]``; three rows for each foot, then one for
-            each foot with ground under it.
+            Innovation ``[m]`` [m], matrix ``[m, size]`` and covariance ``[m, m]``; three rows for each foot, then one
+            for each with ground under it.
         """
         rotation, n = state.rotation, 3 * len(feet)
         ground = [i for i in feet if math.isfinite(measured.ground[i])]
