@@ -13,11 +13,10 @@ from warpmpc.planner.registry import STRATEGIES, register
 class Fixed:
     """Tries the same constant controls at every plan, on a ring around zero, and takes the best one."""
 
-    population = (16,)
-
     def __init__(self, scene, layout, state, spline, limits, cost, *, seed=0):
         self.cost = cost
         (envs, samples), knots, nu = cost.shape, len(spline.time), layout.nu
+        self.population = (samples,)
         angle = np.linspace(0.0, 2.0 * np.pi, samples, endpoint=False)
         tried = np.zeros((envs, samples, knots, nu), dtype=np.float32)
         tried[..., 0], tried[..., 1] = np.cos(angle)[None, :, None], np.sin(angle)[None, :, None]
@@ -98,6 +97,18 @@ def test_a_scene_names_the_strategy_by_its_method(method, monkeypatch):
     controller = Controller(scene, seed=3, compiled=compiled(scene))
     controller.step(State.start(controller.layout))
     assert made == [(method, {"seed": 3})]
+
+
+def test_a_strategy_that_tries_more_samples_than_there_are_is_refused(monkeypatch):
+    def greedy(*args, **keys):
+        strategy = Fixed(*args, **keys)
+        strategy.population = (8, 16)
+        return strategy
+
+    monkeypatch.setitem(STRATEGIES, "mppi", greedy)
+    scene = make_scene(planner={"samples": 8, "horizon": 4})
+    with pytest.raises(ValueError, match="strategy Fixed: its population has 16 samples"):
+        Controller(scene, compiled=compiled(scene))
 
 
 def test_a_name_that_nobody_registered_is_told_with_those_that_are(fixed):

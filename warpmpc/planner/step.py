@@ -48,7 +48,8 @@ class PlanStep:
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
-        ValueError: If there is no such strategy, or its methods have their names of before.
+        ValueError: If there is no such strategy, its methods have their names of before, or it tries more samples than
+            there are.
     """
 
     command: wp.array2d[float]
@@ -99,9 +100,11 @@ class PlanStep:
         self._redraw: Redraw | None = getattr(self.engine, "redraw", None)
         on_gpu = wp.get_device(self.device).is_cuda
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
+        kind = type(self.strategy).__name__
         if hasattr(self.strategy, "propose"):
-            kind = type(self.strategy).__name__
             raise ValueError(f"strategy {kind}: rename its method propose to advance, and sample to sample_knots")
+        if (most := max(self.strategy.population, default=0)) > shape.samples:
+            raise ValueError(f"strategy {kind}: its population has {most} samples, planner.samples are {shape.samples}")
         self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
         """Improves the samples' plan by derivatives, None without."""
         kernels_alone = entry.capturable and costs.capturable and on_gpu
