@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from small_scenes import layout_of, make_scene
+from small_scenes import DISC, layout_of, make_scene
 
 from warpmpc.model.state import State
 from warpmpc.robots.safety import COMMANDS_TIMEOUT, TAKEOVER, Command, Safety
@@ -90,6 +90,24 @@ def test_a_second_sender_is_heard_only_long_after_the_first(robot):
     robot.hear(GOOD)
     assert robot.refused()["foreign"] > 400
     assert robot.safety.unsafe == 0
+
+
+def test_a_command_that_comes_to_no_number_gives_way_to_the_safe_one(robot):
+    robot.hear(GOOD)
+    robot.now += TICK
+    spoilt = Command(GOOD, robot.now, "a", (np.array([-np.inf, np.inf]), np.stack([GOOD, -GOOD])))
+    robot.safety.take([spoilt], robot.now)
+    state = State(robot.state.joint_q, robot.state.joint_qd, time=robot.now)
+    np.testing.assert_array_equal(robot.safety.command(state, robot.now), np.zeros(3))
+    np.testing.assert_allclose(robot.hear(GOOD), GOOD)
+
+
+def test_a_state_that_is_no_number_gives_the_drives_no_nan():
+    scene = make_scene(robot=[DISC | {"drive": {"mode": "position", "stiffness": 9.0, "damping": 6.0, "limit": 1.0}}])
+    layout = layout_of(scene)
+    safety, state = Safety(scene, layout), State.start(layout)
+    lost = State(state.joint_q * np.nan, state.joint_qd * np.nan, time=1.0)
+    assert np.isfinite(safety.command(lost, 1.0)).all()
 
 
 def test_limits_are_kept_to_the_last_bit(robot):

@@ -125,14 +125,20 @@ class Safety:
         Args:
             state: The robot's true state.
             now: The robot's clock [s].
+
+        Returns:
+            Finite numbers inside the limits, whatever the command and the state are.
         """
         good = self._good
-        acts = good is not None and self._age(good, now + self._tick) <= COMMANDS_TIMEOUT + SLACK
+        control = None
+        if good is not None and self._age(good, now + self._tick) <= COMMANDS_TIMEOUT + SLACK:
+            control = good.at(now)
+        acts = control is not None and bool(np.isfinite(control).all())
         if acts:
             self._safe.release()
-            control = good.at(now)
         else:
             control = self._safe(state, now)
+            control = np.where(np.isfinite(control), control, 0.0)  # such as where physics diverged
             if self._acting:
                 self.safe_state = float(np.fmax(self.safe_state, now - self.times[-1]))
         self._acting = acts
