@@ -9,6 +9,7 @@ from small_scenes import compiled, layout_of, make_scene
 
 from warpmpc import RobotLoop, State, Task
 from warpmpc.realtime.agent import Agent
+from warpmpc.realtime.watchdog import FaultKind
 from warpmpc.robots.monitored import MonitoredRobot
 
 SCENE = make_scene(goal={"frame": "base/centre", "position": (0.3, 0.0)}, success={"distance": 0.05})
@@ -67,6 +68,19 @@ def test_nothing_is_sent_before_the_first_state_and_stop_comes_after_the_last_sa
     assert driver.told[-3:] == ["apply"] * 3
     loop.run(lambda: True)
     assert driver.told[-2:] == ["safe", "stop"]
+
+
+def test_a_robot_that_shows_nothing_any_more_gets_the_safe_command():
+    driver = Driver()
+    _, loop = looped(driver)
+    ticks(loop, driver, 5.0, 5)
+    assert driver.told[-1] == "apply"
+    driver.state, driver.observe = None, lambda: None
+    for _ in range(round((SCENE.agent.observation_timeout + 0.01) * SCENE.agent.rate)):
+        loop.tick()
+        loop.pace._tick += 1
+    assert driver.told[-1] == "safe"
+    assert loop.agent.fault.kind is FaultKind.OBSERVATION_OLD
 
 
 def test_plans_are_handed_over_while_they_are_followed_and_safe_commands_are_applied():
