@@ -90,15 +90,23 @@ def test_late_measurements_change_nothing():
         plant.apply(trot(plant))
         rows += plant.measurements()
     for row in rows:
-        in_order.update(row)
-    # a unit is heard before joints of the same time
-    order = sorted(rows, key=lambda row: row.time + rng.uniform(0.0, 0.02) - 1.0 * isinstance(row, ImuMeasured))
-    for row in order:
+        assert in_order.update(row)
+    for row in sorted(rows, key=lambda row: row.time + rng.uniform(0.0, 0.02)):
         late.update(row)
     for time in (0.1, 0.2):
         ours, theirs = (known.fill(replace(State.start(plant.layout), time=time)) for known in (late, in_order))
         np.testing.assert_array_equal(ours.joint_q, theirs.joint_q)
         np.testing.assert_array_equal(ours.joint_qd, theirs.joint_qd)
+
+
+@pytest.mark.parametrize("wrong", [{"time": np.nan}, {"gyro": np.full(3, np.nan)}, {"name": "cat"}])
+def test_what_is_not_finite_or_of_another_robot_is_left_out(wrong):
+    plant = Plant(dog(), seed=0)
+    known = BaseEstimator("dog", plant.scene.estimate_base["dog"], plant.compiled)
+    measured = ImuMeasured("dog", 0.0, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    assert not known.update(replace(measured, **wrong))
+    assert known.history.at(0.0) is None
+    assert known.update(measured)
 
 
 def test_a_late_estimate_is_predicted_to_the_present():

@@ -247,4 +247,4 @@ def test_the_covariance_stays_symmetric_and_positive():
         places = np.r_[0:9, 9 + np.flatnonzero(standing), filter.size - 6 : filter.size]
         covariance = state.covariance[np.ix_(places, places)]
         np.testing.assert_allclose(covariance, covariance.T, atol=1e-9)
-    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+        assert np.linalg.eigvalsh(covariance).min() > -1e-12

@@ -43,7 +43,17 @@ def test_what_is_older_than_the_buffer_is_counted_and_left_out():
     history.insert(PoseMeasured("box", 2.0 - 2.0 * KEPT, np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])))
     assert history.too_late == 1
     np.testing.assert_array_equal(history.at(2.0).position, before.position)
-    assert len(history._times) <= 30 * KEPT + 2
+    assert len(history._measured) <= 30 * KEPT + 2
+
+
+def test_a_measurement_that_comes_again_counts_once():
+    once, twice, rows = History(PoseFilter(Estimate())), History(PoseFilter(Estimate())), list(measurements(2))
+    for k, row in enumerate(rows):
+        once.insert(row)
+        for again in (row, rows[max(k - 3, 0)]):
+            twice.insert(again)
+    np.testing.assert_array_equal(twice.at(2.0).position, once.at(2.0).position)
+    np.testing.assert_array_equal(twice.at(2.0).covariance, once.at(2.0).covariance)
 
 
 def test_the_past_is_told_from_what_was_measured_until_then():

@@ -115,16 +115,18 @@ class BaseEstimator:
         """Forget every measurement."""
         self.history.reset()
 
-    def update(self, measurement: Measurement) -> None:
-        """Take in what this robot's unit or joints show, if it is finite."""
+    def update(self, measurement: Measurement) -> bool:
+        """Take in what this robot's unit or joints show, if it is finite; return whether it was taken."""
         if not isinstance(measurement, ImuMeasured | JointsMeasured) or measurement.name != self.name:
-            return
+            return False
         if isinstance(measurement, ImuMeasured):
             numbers = measurement.gyro, measurement.accel
         else:
             numbers = measurement.q, measurement.qd, measurement.effort
-        if all(np.isfinite(part).all() for part in numbers):
+        taken = all(np.isfinite(part).all() for part in (measurement.time, *numbers))
+        if taken:
             self.history.insert(measurement)
+        return taken
 
     def fill(self, state: State) -> State:
         """The state with this robot's root and joints at its time; before the first measurement as it is."""

@@ -6,6 +6,8 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Generic, Protocol, TypeVar
 
+import numpy as np
+
 Estimate = TypeVar("Estimate")
 Measured = TypeVar("Measured")
 
@@ -30,10 +32,10 @@ class Filter(Protocol[Estimate, Measured]):
 
 
 class History(Generic[Estimate, Measured]):
-    """Ring buffer of measurements in the order of their times.
+    """Ring buffer of measurements of one thing, in the order of their times and of their kinds.
 
     A late one goes to its place and those after it are taken in again, so that the estimate is the one of measurements
-    that came in order (Bar-Shalom 2002 calls it reprocessing).
+    that came in order (Bar-Shalom 2002 calls it reprocessing). Of two of one kind and time the first counts.
 
     Args:
         filter: The filter.
@@ -45,7 +47,7 @@ class History(Generic[Estimate, Measured]):
 
     def reset(self) -> None:
         """Forget every measurement."""
-        self._times: list[float] = []
+        self._keys: list[tuple[float, float]] = []  # time and order
         self._measured: list[Measured] = []
         self._after: list[Estimate] = []
         self._whole = True  # whether the first measurement of all is among them
@@ -54,18 +56,21 @@ class History(Generic[Estimate, Measured]):
 
     def insert(self, measurement: Measured) -> None:
         """Take in a measurement."""
-        place = bisect_right(self._times, measurement.time)
+        key = (measurement.time, measurement.order)
+        place = bisect_right(self._keys, key)
         if place == 0 and not self._whole:
             self.too_late += 1
             return
-        self._times.insert(place, measurement.time)
+        if place and self._keys[place - 1] == key:
+            return
+        self._keys.insert(place, key)
         self._measured.insert(place, measurement)
         del self._after[place:]
         for taken in self._measured[place:]:
             self._after.append(self._with(taken))
-        while self._times[-1] - self._times[0] > KEPT:
+        while self._keys[-1][0] - self._keys[0][0] > KEPT:
             self._whole = False
-            for rows in (self._times, self._measured, self._after):
+            for rows in (self._keys, self._measured, self._after):
                 del rows[0]
 
     def _with(self, measurement: Measured) -> Estimate:
@@ -77,4 +82,4 @@ class History(Generic[Estimate, Measured]):
         """The estimate at a time [s] from what was measured until then, the first one before it; None without any."""
         if not self._after:
             return None
-        return self.filter.reach(self._after[max(bisect_right(self._times, time) - 1, 0)], time)
+        return self.filter.reach(self._after[max(bisect_right(self._keys, (time, np.inf)) - 1, 0)], time)

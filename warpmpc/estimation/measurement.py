@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 class PoseMeasured:
     """A measured pose in the world."""
 
+    order: ClassVar[int] = 0
+    """Place among measurements of one thing and time."""
     name: str
     """Object, or robot with a free root."""
     time: float
@@ -28,6 +30,8 @@ class PoseMeasured:
 class ImuMeasured:
     """Angular velocity and acceleration that an inertial measurement unit shows, in its own frame."""
 
+    order: ClassVar[int] = 0
+    """Place among measurements of one thing and time: before joints, which correct what it carries forward."""
     name: str
     """Robot."""
     time: float
@@ -42,6 +46,8 @@ class ImuMeasured:
 class JointsMeasured:
     """Joints of a robot with one axis each, as measured, in the layout's order."""
 
+    order: ClassVar[int] = 1
+    """Place among measurements of one thing and time."""
     name: str
     """Robot."""
     time: float
@@ -60,8 +66,8 @@ Measurement = PoseMeasured | ImuMeasured | JointsMeasured
 class Estimator(Protocol):
     """Source of parts of a state that nothing observes as they are."""
 
-    def update(self, measurement: Measurement) -> None:
-        """Take in a measurement; measurements of other things are left alone. It may be late or out of order."""
+    def update(self, measurement: Measurement) -> bool:
+        """Take in a measurement, late or out of order; return whether it is finite and of something estimated here."""
 
     def fill(self, state: State) -> State:
         """The state with what is estimated for its time in place of those parts."""

@@ -59,11 +59,14 @@ class PoseEstimator:
         if self._simulation is not None:
             self._simulation.reset()
 
-    def update(self, measurement: Measurement) -> None:
-        """Take in a pose of this thing that is finite."""
-        ours = isinstance(measurement, PoseMeasured) and measurement.name == self.name
-        if ours and np.isfinite(measurement.pose).all() and np.any(measurement.pose[3:]):
+    def update(self, measurement: Measurement) -> bool:
+        """Take in a pose of this thing, if its numbers are finite; return whether it was taken."""
+        if not isinstance(measurement, PoseMeasured) or measurement.name != self.name:
+            return False
+        taken = bool(np.isfinite([measurement.time, *measurement.pose]).all() and np.any(measurement.pose[3:]))
+        if taken:
             self._waiting.append(measurement)  # until it is known where the robot was then
+        return taken
 
     def fill(self, state: State) -> State:
         """The state with the pose and velocity of this thing at its time; those of its start before a measurement."""
@@ -106,10 +109,9 @@ class SceneEstimator:
         for part in self.parts:
             part.reset()
 
-    def update(self, measurement: Measurement) -> None:
-        """Take in a measurement."""
-        for part in self.parts:
-            part.update(measurement)
+    def update(self, measurement: Measurement) -> bool:
+        """Take in a measurement; return whether an estimator took it."""
+        return any(part.update(measurement) for part in self.parts)
 
     def fill(self, state: State) -> State:
         """The state with what is estimated for its time."""

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States with estimated poses where poses and clocks are not what they should be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import BOX, compiled, make_scene
+
+from warpmpc import State
+from warpmpc.estimation.measurement import PoseMeasured
+from warpmpc.estimation.pose_filter import LONGEST
+from warpmpc.robots.estimated import EstimatedRobot
+from warpmpc.scene.schema_estimate import Estimate
+
+SCENE = make_scene(object=[BOX]).model_copy(update={"estimate": {"box": Estimate(gate=None)}})
+
+
+class Driver:
+    """A robot whose state and measurements are what a test says."""
+
+    def __init__(self):
+        self.state, self.told = None, []
+
+    def observe(self):
+        return self.state
+
+    def measurements(self):
+        told, self.told = self.told, []
+        return told
+
+
+@pytest.fixture
+def driver():
+    return Driver()
+
+
+@pytest.fixture
+def robot(driver):
+    return EstimatedRobot(driver, SCENE, compiled(SCENE))
+
+
+def pose(time: float, x: float = 0.5) -> PoseMeasured:
+    return PoseMeasured("box", time, np.array([x, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]))
+
+
+def seen(robot, driver, time: float, *told: PoseMeasured) -> State | None:
+    driver.state, driver.told = replace(State.start(compiled(SCENE).layout), time=time), list(told)
+    return robot.observe()
+
+
+def box_x(state: State) -> float:
+    return float(state.joint_q[-7])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"pose": np.full(7, np.nan)}, {"pose": np.zeros(7)}, {"time": np.nan}, {"time": np.inf}, {"time": -np.inf}],
+)
+def test_poses_that_are_none_do_not_make_a_state_fresh(robot, driver, wrong):
+    assert seen(robot, driver, 5.0, replace(pose(5.0), **wrong)) is None
+    assert "a pose is" in robot.heard()[-1].missing
+    assert seen(robot, driver, 5.0, pose(5.0)).time == 5.0
+    for time in (5.1, 5.2, 5.5):
+        state = seen(robot, driver, time, replace(pose(time), **wrong))
+    assert state.time == 5.0 + LONGEST
+    assert box_x(state) == pytest.approx(0.5)
+
+
+def test_an_overtaken_pose_does_not_make_a_state_older(robot, driver):
+    seen(robot, driver, 5.2, pose(5.2))
+    assert seen(robot, driver, 5.4, pose(5.0)).time == 5.4
+    assert robot.heard()[-1].stamp == 5.2
+
+
+def test_a_pose_from_far_ahead_is_refused_and_those_before_it_stay(robot, driver):
+    seen(robot, driver, 5.0, pose(5.0))
+    seen(robot, driver, 5.1, pose(500.0, 3.0))
+    heard = robot.heard()[-1]
+    assert (heard.refused, heard.stamp) == (1, 5.0)
+    assert "494.900 s ahead of the robot's state" in heard.problem
+    state = seen(robot, driver, 5.2, pose(5.2, 0.6))
+    assert state.time == 5.2
+    assert box_x(state) == pytest.approx(0.6, abs=0.03)
+
+
+def test_after_a_clock_was_set_back_poses_count_anew(robot, driver):
+    for k in range(30):
+        seen(robot, driver, 100.0 + k / 30, pose(100.0 + k / 30))
+    assert seen(robot, driver, 1.0, pose(101.0)) is None  # one from before
+    for k in range(10):
+        state = seen(robot, driver, 1.1 + k / 30, pose(1.1 + k / 30, 0.9))
+    assert state.time == 1.1 + 9 / 30
+    assert box_x(state) == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_state_without_a_time_is_for_the_watchdog_to_see(robot, driver):
+    assert seen(robot, driver, np.nan) is None
+    seen(robot, driver, 5.0, pose(5.0))
+    assert np.isnan(seen(robot, driver, np.nan, pose(5.1)).time)
+    assert seen(robot, driver, 5.2).time == 5.2
