@@ -26,6 +26,7 @@ pytestmark = needs("rclpy")
 SCENE = make_scene(object=[BOX], scalar={"speed": 0.5})
 NUMBER = itertools.count()
 JOINTS = "sensor_msgs/JointState"
+TWIST = "geometry_msgs/Twist"
 POSE = "geometry_msgs/PoseStamped"
 
 
@@ -251,6 +252,23 @@ def test_a_twist_is_along_the_axes_of_the_base(wire, kind):
     driver.apply(np.array([0.1, 0.7, 0.3], dtype=np.float32))
     (command,) = until(lambda: list(robot.receive()))
     np.testing.assert_allclose(command.control, [0.7, -0.1, 0.3], atol=1e-6)
+
+
+def test_the_safe_command_is_one_without_a_heading(wire):
+    driver, robot = wire.driver(command={"type": TWIST, "heading": "base/yaw"}), wire.robot(command={"type": TWIST})
+    state = random_state(wire.layout, 0, 0.0)
+    moment = itertools.count()
+    meet(driver, lambda: robot.publish(State(state.joint_q, state.joint_qd, time=0.01 * next(moment))))
+    state.joint_q[2] = np.nan
+
+    def lost():
+        robot.publish(State(state.joint_q, state.joint_qd, time=0.01 * next(moment)))
+        return np.isnan(driver.observe().joint_q[2])
+
+    assert until(lost)
+    driver.apply(np.zeros(3, dtype=np.float32))
+    (command,) = until(lambda: list(robot.receive()))
+    np.testing.assert_array_equal(command.control, np.zeros(3))
 
 
 def test_others_hear_how_the_planner_does(wire):

@@ -46,6 +46,7 @@ class CommandCodec:
         self.type, self._layout, self._clock, self._file = settings.type, layout, clock, file
         self._message = message_class(str(settings.type))
         self._heading: int | None = None
+        self._angle = 0.0  # the last finite one that a twist was turned by
         match settings.type:
             case CommandType.TRAJECTORY:
                 self._point = message_class("trajectory_msgs/JointTrajectoryPoint")
@@ -77,10 +78,10 @@ class CommandCodec:
             case CommandType.TRAJECTORY:
                 self._fill(message, control[None], np.zeros(1), observed)
             case CommandType.TWIST:
-                self._set(message, self._turned(control, joint_q, -1.0))
+                self._set(message, self._to_base(control, joint_q))
             case CommandType.STAMPED_TWIST:
                 self._clock.write(observed, message.header.stamp)
-                self._set(message.twist, self._turned(control, joint_q, -1.0))
+                self._set(message.twist, self._to_base(control, joint_q))
         return message
 
     def write_plan(self, plan: Plan, now: float, observed: float) -> Message:
@@ -109,10 +110,10 @@ class CommandCodec:
             case CommandType.ARRAY:
                 return np.zeros(1), np.array(message.data)[None], None
             case CommandType.TWIST:
-                return np.zeros(1), self._turned(self._get(message), joint_q, 1.0)[None], None
+                return np.zeros(1), self._to_world(self._get(message), joint_q)[None], None
             case CommandType.STAMPED_TWIST:
                 stamp = self._clock.seconds(message.header.stamp)
-                return np.zeros(1), self._turned(self._get(message.twist), joint_q, 1.0)[None], stamp
+                return np.zeros(1), self._to_world(self._get(message.twist), joint_q)[None], stamp
         stamp = self._clock.seconds(message.header.stamp)
         names, points = list(message.joint_names), message.points
         rows = [np.asarray(getattr(point, self._field)) for point in points]
@@ -133,15 +134,17 @@ class CommandCodec:
             start.sec, start.nanosec = divmod(max(0, round(float(lapse) * 1e9)), 10**9)
             message.points.append(point)
 
-    def _turned(self, control: np.ndarray, joint_q: np.ndarray, sign: float) -> np.ndarray:
-        """A control whose first two values are turned by the base's heading, from the world's axes to its own at -1."""
+    def _to_base(self, control: np.ndarray, joint_q: np.ndarray) -> np.ndarray:
+        """A control along the base's axes, by its last finite heading: the safe command stays one whatever is measured."""
         if self._heading is None:
             return control
-        angle = sign * float(joint_q[self._heading])
-        turned = np.array(control, dtype=float)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turned[:2] = cosine * control[0] - sine * control[1], sine * control[0] + cosine * control[1]
-        return turned
+        if np.isfinite(angle := float(joint_q[self._heading])):
+            self._angle = angle
+        return _turned(control, -self._angle)
+
+    def _to_world(self, control: np.ndarray, joint_q: np.ndarray) -> np.ndarray:
+        """A control along the world's axes."""
+        return control if self._heading is None else _turned(control, float(joint_q[self._heading]))
 
     def _set(self, twist: Message, values: np.ndarray) -> None:
         for (part, axis), value in zip(self._axes, values, strict=True):
@@ -185,3 +188,11 @@ class CommandCodec:
 
     def _refuse(self, message: str, key: str, found: object, allowed: Any = None) -> Any:
         raise SceneError(message, key=f"command.{key}", file=self._file, found=found, allowed=allowed)
+
+
+def _turned(control: np.ndarray, angle: float) -> np.ndarray:
+    """A control whose first two values are turned by an angle [rad]."""
+    turned = np.array(control, dtype=float)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned[:2] = cosine * control[0] - sine * control[1], sine * control[0] + cosine * control[1]
+    return turned
