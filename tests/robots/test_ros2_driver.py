@@ -266,9 +266,12 @@ def test_the_safe_command_is_one_without_a_heading(wire):
         return np.isnan(driver.observe().joint_q[2])
 
     assert until(lost)
-    driver.apply(np.zeros(3, dtype=np.float32))
-    (command,) = until(lambda: list(robot.receive()))
-    np.testing.assert_array_equal(command.control, np.zeros(3))
+
+    def commanded():
+        driver.apply(np.zeros(3, dtype=np.float32))
+        return list(robot.receive())
+
+    np.testing.assert_array_equal(until(commanded)[-1].control, np.zeros(3))
 
 
 def test_others_hear_how_the_planner_does(wire):

@@ -135,7 +135,7 @@ class CommandCodec:
             message.points.append(point)
 
     def _to_base(self, control: np.ndarray, joint_q: np.ndarray) -> np.ndarray:
-        """A control along the base's axes, by its last finite heading: the safe command stays one whatever is measured."""
+        """A control along the base's axes, by the last finite heading: zeros stay zeros whatever is measured."""
         if self._heading is None:
             return control
         if np.isfinite(angle := float(joint_q[self._heading])):
