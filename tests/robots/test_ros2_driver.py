@@ -222,7 +222,8 @@ def test_goals_come_on_topics_and_weights_as_parameters(wire):
     assert (float(driver.task["distance"]), float(driver.task["speed"])) == (7.0, 0.25)
 
 
-def test_a_trajectory_is_the_plan_at_every_time(wire):
+@pytest.mark.parametrize("spline", SplineKind)
+def test_a_trajectory_is_the_plan_at_every_time(wire, spline):
     keys = {"command": {"type": "trajectory_msgs/JointTrajectory"}}
     driver, robot = wire.driver(**keys), wire.robot(**keys)
     moment = itertools.count()
@@ -230,13 +231,23 @@ def test_a_trajectory_is_the_plan_at_every_time(wire):
     rng, now = np.random.default_rng(0), driver.observe().time
     limits = wire.layout.control_lower, wire.layout.control_upper
     knots = rng.uniform(-1.0, 1.0, size=(6, 3)).astype(np.float32)
-    plan = Plan(knots, now + 0.04 * np.arange(6.0), SplineKind.LINEAR, *limits)
+    plan = Plan(knots, now + 0.4 * np.arange(6.0), spline, *limits)
     offset = robot._now - now  # the driver counts from the first stamp's second
-    driver.follow(plan, now + 0.01)
-    driver.follow(plan, now + 0.012)  # not sent again
-    (command,) = until(lambda: list(robot.receive()))
-    for ahead in np.linspace(0.01, 0.25, 9):
-        np.testing.assert_allclose(command.at(now + offset + ahead), plan.at(now + ahead), atol=1e-6)
+    begin = now + 0.01
+
+    def followed():
+        nonlocal begin
+        begin += 0.04
+        driver.follow(plan, begin)
+        return list(robot.receive())
+
+    command = until(followed)[-1]
+    driver.follow(plan, begin + 0.002)  # not sent again
+    time.sleep(0.05)
+    assert not list(robot.receive())
+    curved = spline in (SplineKind.CUBIC, SplineKind.BSPLINE)
+    for at in np.linspace(begin, plan.times[-1], 37)[:-1]:
+        np.testing.assert_allclose(command.at(at + offset), plan.at(at), atol=0.03 if curved else 1e-5)
     driver.apply(np.zeros(3, dtype=np.float32))
     (stop,) = until(lambda: list(robot.receive()))
     np.testing.assert_array_equal(stop.at(now + offset + 1.0), np.zeros(3))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...scene.errors import SceneError
+from ...scene.schema import SplineKind
 from .connection import message_class
 from .messages import Message, RosTime, floats
 from .settings import CommandSettings, CommandType, TrajectoryField
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from ...model.layout import Layout
     from ...planner.plan import Plan
 
+PIECES = 8
+"""Lines between two knots of a curved spline, at most."""
+JUMP = 1e-3
+"""Share of the time between two knots in which a control jumps from one to the next."""
 AXES = tuple(f"{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
 """Components of a twist."""
 _FIELD = {
@@ -84,15 +89,17 @@ class CommandCodec:
                 self._set(message.twist, self._to_base(control, joint_q))
         return message
 
-    def write_plan(self, plan: Plan, now: float, observed: float) -> Message:
-        """The message of a plan's controls from now on: that of now, and those at its knots.
+    def write_plan(self, plan: Plan, now: float, observed: float, control_dt: float) -> Message:
+        """The message of a plan's controls from now on, at points between which its receiver goes in lines.
 
         Args:
             plan: The plan.
             now: The robot's clock [s].
             observed: Time of the newest observation, from which the points' times count [s].
+            control_dt: Time of one planned control [s].
         """
-        times = np.append(now, plan.times[plan.times > now])
+        times = _corners(plan, control_dt)
+        times = np.append(now, times[times > now])
         message = self._message()
         self._fill(message, np.stack([plan.at(t) for t in times]), times - observed, observed)
         return message
@@ -188,6 +195,18 @@ class CommandCodec:
 
     def _refuse(self, message: str, key: str, found: object, allowed: Any = None) -> Any:
         raise SceneError(message, key=f"command.{key}", file=self._file, found=found, allowed=allowed)
+
+
+def _corners(plan: Plan, control_dt: float) -> np.ndarray:
+    """Times ``[n]`` [s] between which a plan is a line, or all but one."""
+    times, last = plan.times, len(plan.times) - 1
+    if last == 0 or plan.spline is SplineKind.LINEAR:
+        return times
+    intervals = np.diff(times)
+    if plan.spline is SplineKind.ZERO:
+        return np.sort(np.append(times, times[1:] - JUMP * intervals))
+    pieces = int(np.clip(np.ceil(intervals.max() / control_dt - 1e-6), 1, PIECES))
+    return np.interp(np.arange(pieces * last + 1) / pieces, np.arange(last + 1), times)
 
 
 def _turned(control: np.ndarray, angle: float) -> np.ndarray:

@@ -74,6 +74,7 @@ class Ros2Robot:
             self._connection.close()
             raise
         self.tell = self._diagnostics.note
+        self._control_dt = scene.timing.control_dt
         self._state: State | None = None
         self._plan: Plan | None = None
         self._sent = 0.0
@@ -103,7 +104,7 @@ class Ros2Robot:
         """
         if plan is not self._plan or now - self._sent >= REPEAT:
             self._plan, self._sent = plan, now
-            self._commands.publish(self._codec.write_plan(plan, now, self._state.time))
+            self._commands.publish(self._codec.write_plan(plan, now, self._state.time, self._control_dt))
 
     def close(self) -> None:
         """End the node."""
