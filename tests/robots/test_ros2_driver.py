@@ -196,6 +196,40 @@ def test_numbers_that_are_none_reach_the_watchdog(wire):
     assert until(lambda: np.isnan(driver.observe().joint_q[1]))
 
 
+def test_two_poses_of_one_time_leave_the_velocity(wire):
+    driver, node = wire.driver(pose=[{"name": "box", "topic": "box", "type": POSE}]), wire.node()
+    joints, box = node.publisher(JOINTS, "joint_states"), node.publisher(POSE, "box")
+
+    def send(x, moment):
+        from geometry_msgs.msg import PoseStamped
+
+        message = PoseStamped()
+        message.header.stamp, message.pose.position.x = box_odometry(moment).header.stamp, x
+        box.publish(message)
+        joints.publish(joint_state(["x", "y", "yaw"], np.zeros(3), moment=moment))
+
+    begin = meet(driver, lambda: send(0.0, 1.0)).time
+    send(0.2, 1.1)
+    assert until(partial(newer, driver, begin + 0.05)).joint_qd[3] == pytest.approx(2.0, abs=1e-5)
+    send(0.3, 1.1)
+    assert until(lambda: driver.observe().joint_q[3] == pytest.approx(0.3))
+    assert driver.observe().joint_qd[3] == pytest.approx(2.0, abs=1e-5)
+
+
+def test_joints_without_a_velocity_have_that_of_their_positions(wire):
+    driver, node = wire.driver(), wire.node()
+    joints, box = node.publisher(JOINTS, "joint_states"), node.publisher("nav_msgs/Odometry", "box/odometry")
+
+    def send(position, moment):
+        box.publish(box_odometry(moment))
+        joints.publish(joint_state(["x", "y", "yaw"], position, [np.nan, 5.0, np.nan], moment=moment))
+
+    begin = meet(driver, lambda: send([0.0, 0.0, 0.0], 1.0)).time
+    send([0.1, 0.2, -0.3], 1.1)
+    state = until(partial(newer, driver, begin + 0.05))
+    np.testing.assert_allclose(state.joint_qd[:3], [1.0, 5.0, -3.0], atol=1e-5)
+
+
 def test_goals_come_on_topics_and_weights_as_parameters(wire):
     from geometry_msgs.msg import PoseStamped
     from rclpy.parameter import Parameter
@@ -216,8 +250,9 @@ def test_goals_come_on_topics_and_weights_as_parameters(wire):
     values = {"weight.distance": 7.0, "scalar.speed": 0.25}
     results = ros.set_parameters([Parameter(name, value=value) for name, value in values.items()])
     assert all(result.successful for result in results)
-    (refused,) = ros.set_parameters([Parameter("weight.distance", value=float("nan"))])
-    assert not refused.successful
+    for value in (float("nan"), float("-inf"), 1e39):  # the last is none of single precision
+        (refused,) = ros.set_parameters([Parameter("weight.distance", value=value)])
+        assert not refused.successful
     driver.observe()
     assert (float(driver.task["distance"]), float(driver.task["speed"])) == (7.0, 0.25)
 

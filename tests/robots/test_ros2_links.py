@@ -80,6 +80,15 @@ def test_a_base_on_wheels_is_told_by_its_odometry():
     np.testing.assert_allclose(back.pose[3:], link.pose[3:], atol=1e-12)
 
 
+def test_the_heading_of_a_base_on_wheels_counts_its_turns():
+    layout = compile_scene(load_scene("omni_push_box")).layout
+    base = PlanarJoints(layout, ("base/x", "base/y", "base/yaw"))
+    for yaw in [*np.arange(0.0, 10.0, 0.7), *np.arange(10.0, -10.0, -0.7)]:
+        turn = Rotation.from_euler("z", yaw).as_quat()
+        assert np.isnan(base.numbers(Link(np.full(7, np.nan)))[0]).all()  # and a pose that is none changes nothing
+        assert base.numbers(Link(np.array([0.0, 0.0, 0.0, *turn])))[0][2] == pytest.approx(yaw)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_two_poses_tell_the_twist_between_them(seed):
     rng = np.random.default_rng(seed)

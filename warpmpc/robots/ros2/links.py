@@ -135,10 +135,17 @@ class PlanarJoints:
         self.q = np.array([layout.joint(name) for name in joints])
         coordinates = layout.dof_coord.tolist()
         self.qd = np.array([coordinates.index(q) for q in self.q])
+        self._yaw = float(layout.joint_q[self.q[2]])  # the last finite one
 
     def numbers(self, link: Link) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates ``[3]`` and velocities ``[3]`` of the joints; without a twist these are zero."""
-        q = np.array([*link.pose[:2], yaw_of(link.pose[3:])])
+        """Coordinates ``[3]`` and velocities ``[3]`` of the joints; without a twist these are zero.
+
+        The heading is the one nearest to that before: it counts turns from the scene's start.
+        """
+        yaw = yaw_of(link.pose[3:])
+        if np.isfinite(yaw):
+            self._yaw = yaw = yaw + 2.0 * np.pi * round((self._yaw - yaw) / (2.0 * np.pi))
+        q = np.array([*link.pose[:2], yaw])
         if link.twist is None:
             return q, np.zeros(3)
         turn = matrix(link.pose[3:])

@@ -136,9 +136,10 @@ class Observer:
                 continue
             coordinates, dofs = self._coordinates[here], self._dofs[here]
             lapse = stamp - newest.stamps[here]
-            if velocity is not None:
-                self._qd[dofs] = velocity
-            elif (later := lapse > 0.0).any():
+            told = np.zeros(len(here), dtype=bool) if velocity is None else np.isfinite(velocity)
+            if told.any():
+                self._qd[dofs[told]] = velocity[told]
+            if (later := ~told & (lapse > 0.0)).any():
                 self._qd[dofs[later]] = (position[later] - self._q[coordinates[later]]) / lapse[later]
             self._q[coordinates] = position
             newest.stamps[here] = stamp
@@ -203,4 +204,6 @@ class _PoseSource:
             link = Link(link.pose, difference(self._before, link, lapse))
         self._before = link
         coordinates, velocities = self._joint.numbers(link)
-        q[self._joint.q], qd[self._joint.qd] = coordinates, velocities
+        q[self._joint.q] = coordinates
+        if link.twist is not None or lapse != 0.0:  # two poses of one time tell no velocity
+            qd[self._joint.qd] = velocities

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 
 from ..heard import Heard
@@ -17,6 +17,9 @@ from .messages import RosTime, read_links
 if TYPE_CHECKING:
     from ...task.task import Task
     from .topics import Topics
+
+LARGEST = float(np.finfo(np.float32).max)
+"""Largest weight or scalar that a task has."""
 
 
 class TaskInputs:
@@ -64,8 +67,9 @@ class TaskInputs:
         """Take note of parameters, in the executor's thread."""
         ours = [(self._parameters[p.name], p) for p in parameters if p.name in self._parameters]
         for _, parameter in ours:
-            if not math.isfinite(parameter.value):
-                return SetParametersResult(successful=False, reason=f"{parameter.name} is a finite number")
+            if not abs(parameter.value) <= LARGEST:  # true of NaN, too
+                reason = f"{parameter.name} is a finite number of single precision, not {parameter.value}"
+                return SetParametersResult(successful=False, reason=reason)
         self._changes.extend((name, float(parameter.value)) for name, parameter in ours)
         return SetParametersResult(successful=True)
 
