@@ -6,10 +6,21 @@ import pytest
 from small_scenes import DISC, layout_of, make_scene
 
 from warpmpc.model.state import State
+from warpmpc.robots.drive_monitor import DriveMonitor
 from warpmpc.robots.safety import COMMANDS_TIMEOUT, TAKEOVER, Command, Safety
 
 TICK = 0.002
 GOOD = np.array([0.5, -0.2, 0.1])
+
+
+class Pushes:
+    """A safe command that is none."""
+
+    def release(self) -> None:
+        pass
+
+    def __call__(self, *_) -> np.ndarray:
+        return np.full(3, 0.2)
 
 
 class Robot:
@@ -17,15 +28,19 @@ class Robot:
 
     def __init__(self):
         scene = make_scene()
-        self.safety = Safety(scene, layout_of(scene))
+        self.safety, self.monitor = Safety(scene, layout_of(scene)), DriveMonitor(scene, layout_of(scene))
         self.state, self.now = State.start(layout_of(scene)), 3.0
 
     def hear(self, *controls, sender: str = "a", ahead: float = 0.0) -> np.ndarray:
         """A tick later, what the drives are given."""
         self.now += TICK
         commands = [Command(np.asarray(control, dtype=float), self.now + ahead, sender) for control in controls]
+        self.monitor.hear(commands, self.now)
         self.safety.take(commands, self.now)
-        return self.safety.command(State(self.state.joint_q, self.state.joint_qd, time=self.now), self.now)
+        state = State(self.state.joint_q, self.state.joint_qd, time=self.now)
+        control = self.safety.command(state, self.now)
+        self.monitor.check(control, state, self.now)
+        return control
 
     def refused(self) -> dict[str, int]:
         return {kind.value: count for kind, count in self.safety.refused.items()}
@@ -62,7 +77,7 @@ def test_bad_commands_are_refused_and_the_last_good_one_acts_until_it_is_old(rob
     assert robot.safety.safe_state <= COMMANDS_TIMEOUT
     assert list(robot.refused()) == [kind]
     np.testing.assert_allclose(robot.hear(GOOD), GOOD)
-    assert robot.safety.unsafe == 0
+    assert robot.monitor.unsafe == 0
 
 
 @pytest.mark.parametrize("ahead", [-2.0, -0.11, 0.11, 2.0, np.nan])
@@ -89,7 +104,7 @@ def test_a_second_sender_is_heard_only_long_after_the_first(robot):
     assert robot.now - begin == pytest.approx(TAKEOVER, abs=1.5 * TICK)
     robot.hear(GOOD)
     assert robot.refused()["foreign"] > 400
-    assert robot.safety.unsafe == 0
+    assert robot.monitor.unsafe == 0
 
 
 def test_a_command_that_comes_to_no_number_gives_way_to_the_safe_one(robot):
@@ -108,6 +123,28 @@ def test_a_state_that_is_no_number_gives_the_drives_no_nan():
     safety, state = Safety(scene, layout), State.start(layout)
     lost = State(state.joint_q * np.nan, state.joint_qd * np.nan, time=1.0)
     assert np.isfinite(safety.command(lost, 1.0)).all()
+
+
+def test_what_a_wrong_safety_gives_the_drives_is_found(robot, monkeypatch):
+    def count(**wrong) -> int:
+        """Unsafe ticks of a run in which one part of the safety is wrong, after good commands of one sender."""
+        robot.__init__()
+        with monkeypatch.context() as patch:
+            for name, value in wrong.items():
+                patch.setattr(robot.safety, name, value)
+            robot.hear(GOOD)
+            for tick in range(100):
+                robot.hear(GOOD if tick < 20 else -GOOD, sender="a" if tick < 20 else "b")
+            robot.hear(GOOD * 0.5, ahead=2.0, sender="a")
+            robot.hear(GOOD * np.nan)
+        return robot.monitor.unsafe
+
+    assert count() == 0
+    assert count(_age=lambda *_: 0.0) > 20  # what is old acts on
+    assert count(_refusal=lambda *_: None) > 20  # everybody commands
+    assert count(command=lambda *_: np.full(3, np.nan)) == 103
+    assert count(command=lambda *_: np.full(3, 1.5)) == 103
+    assert count(_safe=Pushes()) > 10
 
 
 def test_limits_are_kept_to_the_last_bit(robot):

@@ -132,7 +132,7 @@ class DrilledRobot(RobotProcess):
         safety = self.safety
         self._calm: float | None = None
         self._safe_since: float | None = None
-        self._before = Counter(safety.refused), safety.unsafe
+        self._before = Counter(safety.refused), self.monitor.unsafe
         self._start = self.now
         if name in FAULTS:
             self.transport.fault = name
@@ -152,7 +152,7 @@ class DrilledRobot(RobotProcess):
             return None
         # a planner that is gone has sent its last command before or after the order came
         last = self.safety.times[-1] if name == "watch" else self._start
-        refused, unsafe = self.safety.refused - self._before[0], self.safety.unsafe - self._before[1]
+        refused, unsafe = self.safety.refused - self._before[0], self.monitor.unsafe - self._before[1]
         return {
             "safe_s": None if self._safe_since is None else self._safe_since - last,
             "refused": {kind.value: count for kind, count in refused.items()},

@@ -13,6 +13,7 @@ from ..model.compiled import compile_scene
 from ..realtime.pace import Pace
 from ..scene.draw import draw_task
 from ..task.task import Task
+from .drive_monitor import DriveMonitor
 from .safety import Command, Refusal, Safety
 from .simulated import simulated_robot
 
@@ -58,7 +59,7 @@ class RobotReport:
     refused: dict[str, int]
     """Those that were refused, by reason."""
     unsafe: int
-    """Ticks at which the drives were given what they never should."""
+    """Ticks at which the drives were given what they never should, as :class:`DriveMonitor` finds."""
     safe_state: float
     """Longest time from the last good command to the safe one [s]; NaN where that never came."""
     period_ms: dict[str, float]
@@ -116,7 +117,7 @@ class RobotProcess:
         scene = draw_task(scene, seed)[0].model_copy(update={"estimate": {}})  # whoever commands it estimates
         compiled = compile_scene(scene)
         self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
-        self.safety = Safety(scene, self.plant.layout)
+        self.safety, self.monitor = Safety(scene, self.plant.layout), DriveMonitor(scene, self.plant.layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=False)
         self.transport = connect(self.plant.layout)
         self.control: np.ndarray | None = None
@@ -141,12 +142,16 @@ class RobotProcess:
         if measured:
             self.transport.tell([replace(m, time=start + m.time) for m in measured])
         self.transport.publish(replace(seen, time=start + seen.time))
-        self.safety.take(self.transport.receive(), now)
+        commands = list(self.transport.receive())
+        self.monitor.hear(commands, now)
+        self.safety.take(commands, now)
         if self._began is None and self.safety.commanded:
             self._began = now
         if self._began is None:
             return
-        self.control = self.safety.command(replace(plant.state, time=now), now)
+        state = replace(plant.state, time=now)
+        self.control = self.safety.command(state, now)
+        self.monitor.check(self.control, state, now)
         plant.apply(self.control)
         self._success |= plant.success
 
@@ -177,7 +182,7 @@ class RobotProcess:
             reason="goal reached" if self._success else why,
             received=safety.received,
             refused={kind.value: safety.refused[kind] for kind in Refusal},
-            unsafe=safety.unsafe,
+            unsafe=self.monitor.unsafe,
             safe_state=safety.safe_state,
             period_ms=_percentiles(np.diff(safety.times)),
             age_ms=_percentiles(safety.ages),

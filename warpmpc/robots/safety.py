@@ -78,8 +78,6 @@ class Safety:
     """Commands that came."""
     refused: Counter[Refusal]
     """Those of them that were refused."""
-    unsafe: int
-    """Ticks at which the drives were given what they never should: checked behind all else, so it counts mistakes."""
     safe_state: float
     """Longest time from the last good command to the safe one [s]; NaN where that never came."""
     ages: deque[float]
@@ -92,7 +90,7 @@ class Safety:
         self._lower, self._upper = layout.control_lower - beyond, layout.control_upper + beyond
         self._layout, self._tick = layout, 1.0 / scene.agent.rate
         self._safe = SafeCommands(scene, layout)
-        self.received, self.refused, self.unsafe = 0, Counter(), 0
+        self.received, self.refused = 0, Counter()
         self.safe_state = np.nan
         self.ages, self.times = deque(maxlen=LONGEST), deque(maxlen=LONGEST)
         self._good: Command | None = None
@@ -142,9 +140,7 @@ class Safety:
             if self._acting:
                 self.safe_state = float(np.fmax(self.safe_state, now - self.times[-1]))
         self._acting = acts
-        control = np.clip(control, self._layout.control_lower, self._layout.control_upper).astype(np.float32)
-        self._check(control, now)
-        return control
+        return np.clip(control, self._layout.control_lower, self._layout.control_upper).astype(np.float32)
 
     def _refusal(self, command: Command, now: float) -> Refusal | None:
         good = self._good
@@ -162,8 +158,3 @@ class Safety:
     def _age(self, command: Command, now: float) -> float:
         """Age of the last good command, whose time may be a little ahead."""
         return now - min(command.stamp, self.times[-1])
-
-    def _check(self, control: np.ndarray, now: float) -> None:
-        inside = (control >= self._lower).all() and (control <= self._upper).all()  # false where one is NaN
-        old = self._acting and now - self.times[-1] > COMMANDS_TIMEOUT
-        self.unsafe += not inside or old
