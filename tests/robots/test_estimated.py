@@ -10,7 +10,9 @@ from small_scenes import BOX, compiled, make_scene
 from warpmpc import State
 from warpmpc.estimation.measurement import PoseMeasured
 from warpmpc.estimation.pose_filter import LONGEST
+from warpmpc.robots.drivers import make_robot
 from warpmpc.robots.estimated import EstimatedRobot
+from warpmpc.scene.schema_base import EstimateBase
 from warpmpc.scene.schema_estimate import Estimate
 
 SCENE = make_scene(object=[BOX]).model_copy(update={"estimate": {"box": Estimate(gate=None)}})
@@ -51,6 +53,21 @@ def seen(robot, driver, time: float, *told: PoseMeasured) -> State | None:
 
 def box_x(state: State) -> float:
     return float(state.joint_q[-7])
+
+
+@pytest.mark.parametrize(
+    ("measures", "unused"), [(True, ["estimate_base.base"]), (False, ["estimate_base.base", "estimate.box"])]
+)
+def test_what_a_driver_does_not_measure_is_warned_of(monkeypatch, caplog, measures, unused):
+    made = Driver() if measures else object()
+    monkeypatch.setattr("warpmpc.robots.drivers.find_driver", lambda choice: lambda scene, **keys: made)
+    scene = SCENE.model_copy(update={"estimate_base": {"base": EstimateBase(feet=["base/tip"])}})
+    robot = make_robot("mine", scene, compiled=compiled(SCENE))
+    assert isinstance(robot, EstimatedRobot) == measures
+    assert caplog.messages == [f"{', '.join(unused)}: not used: the robot 'mine' does not measure what it needs"]
+    caplog.clear()
+    make_robot("mine", make_scene(), compiled=compiled(SCENE))
+    assert not caplog.messages
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,8 @@ def write_mcap(log: RunLog, path: Path) -> None:
 
     Topics: ``/joint_states``, ``/tf`` (all bodies, mocap bodies too), ``/odom/BODY`` of free joints, ``/scene`` (its
     shapes), ``/force/PAIR``, ``/goal_error/NAME``; ``/command``; ``/task/NAME``; ``/plan``, ``/plan/cost``,
-    ``/plan/cost/TERM``, ``/plan/beta``, ``/plan/eta``. Times are those of the simulation.
+    ``/plan/cost/TERM``, ``/plan/beta``, ``/plan/eta``. Times are those of the simulation,
+    or of the robot's clock.
 
     Args:
         log: The log, with its plans.

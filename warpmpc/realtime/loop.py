@@ -32,8 +32,8 @@ class Robot(Protocol):
     others of the planner. Where a robot is chosen by its name, there count besides:
     ``simulated``, true where it moves on by a tick with every command; ``use_sim_time``, true where its clock may run
     slower than this host's; ``done``, true where the driver ends the run; ``close()``; ``heard()``, the
-    :class:`~warpmpc.robots.heard.Heard` of each of its sources; ``measurements()``, those of
-    :mod:`warpmpc.estimation.measurement` that came since it was asked last, stamped by the robot's clock.
+    :class:`~warpmpc.robots.heard.Heard` of each of its sources; ``measurements()``, the
+    :class:`~warpmpc.estimation.measurement.PoseMeasured` since it was asked last, stamped by the robot's clock.
     """
 
     def observe(self) -> State | None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import time
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 
 from ..plant.simulated import SimulatedPlant
 from ..registry import ROBOTS
-from ..scene.errors import SceneError
+from ..scene.errors import SceneError, some
 from ..scene.load import read_toml
 from ..scene.types import Section
 from .estimated import EstimatedRobot
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from ..realtime.loop import Robot
     from ..scene.schema import Scene
     from .heard import Heard
+
+logger = logging.getLogger("warpmpc")
 
 FIRST_STATE = 10.0
 """Wall time for which a first state is waited for, where a driver has no ``connect_timeout`` [s]."""
@@ -112,6 +115,8 @@ def find_driver(choice: str) -> Callable[..., Robot]:
 def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
     """The robot of a choice ``NAME`` or ``NAME:FILE.toml``, with what the scene estimates from its measurements.
 
+    The log has a warning of what the scene estimates from something that the driver does not measure.
+
     Args:
         choice: Name of the driver, and its file.
         scene: The scene.
@@ -129,9 +134,14 @@ def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
         raise
     except (ValueError, OSError) as error:
         raise ValueError(f"the robot '{name}': {error}") from error
-    if scene.estimate and hasattr(robot, "measurements") and not isinstance(robot, SimulatedPlant):
-        return EstimatedRobot(robot, scene, keys["compiled"])  # a plant estimates by itself
-    return robot
+    if isinstance(robot, SimulatedPlant):
+        return robot  # it estimates by itself
+    measures = hasattr(robot, "measurements")
+    unused = [f"estimate_base.{entry}" for entry in scene.estimate_base]
+    unused += [] if measures else [f"estimate.{entry}" for entry in scene.estimate]
+    if unused:
+        logger.warning("%s: not used: the robot '%s' does not measure what it needs", some(unused), name)
+    return EstimatedRobot(robot, scene, keys["compiled"]) if scene.estimate and measures else robot
 
 
 def read_settings(section: type[S], path: Path | None) -> S:
