@@ -104,7 +104,13 @@ def test_a_data_set_has_the_successful_runs_and_an_export_has_all(folder, comman
         assert done.returncode == 2
         assert message in done.stderr
         assert len(done.stderr.splitlines()) == 1
-    assert not (folder / "b.hdf5").exists()
+    (folder / "run" / "results.jsonl").unlink()
+    bad = sorted((folder / "run").glob("*.runlog"))[-1]
+    bad.write_bytes(bad.read_bytes()[:200])
+    done = command("export", "run", "--hdf5", "b.hdf5", "--mcap", "b.mcap")
+    assert done.returncode == 2
+    assert bad.name in done.stderr
+    assert not list(folder.glob("b*"))
 
 
 @pytest.mark.slow

@@ -42,26 +42,29 @@ def export(path: Path, *, mcap: Path | None, hdf5: Path | None, minari: str | No
         from ..log.run_log import RunLog
         from ..record.replay import require_plans
 
-        for file in files:
+        seeds, episodes = [], []
+        for file in files:  # all are looked at before anything is written
             log = RunLog.load(file)
+            seeds.append(log.origin["seed"])
+            result = results.get(seeds[-1], {})
             try:
                 require_plans(log)
                 if not len(log.controls):
                     raise ValueError("the episode has no control: it began at its end")
+                if sets:
+                    episodes.append(demonstration(log, success=result.get("success"), reason=result.get("reason")))
             except ValueError as error:
                 raise ValueError(f"{file}: {error}") from None
-            seed = log.origin["seed"]
-            if mcap is not None:
-                from ..export.mcap_file import write_mcap
+        if mcap is not None:
+            from ..export.mcap_file import write_mcap
 
+            for file, seed in zip(files, seeds, strict=True):
                 one = mcap.with_stem(f"{mcap.stem}-{seed}") if len(files) > 1 else mcap
-                write_mcap(log, one)
+                write_mcap(RunLog.load(file), one)
                 print(one, file=out)
-            result = results.get(seed, {})
-            found = demonstration(log, success=result.get("success"), reason=result.get("reason")) if sets else None
-            for made in sets:
-                made.add(found)
         for made in sets:
+            for episode in episodes:
+                made.add(episode)
             made.close()
             print(f"{made.name}: {len(files)} episodes, {made.steps} steps", file=out)
     return SUCCESS
