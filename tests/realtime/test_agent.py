@@ -218,3 +218,16 @@ def test_a_loop_that_goes_on_begins_at_once(monkeypatch):
         fresh.run(lambda: True)
     assert len(calls) == 1  # before the first tick, never between two
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize(
+    ("sections", "key"),
+    [({"agent": {"slew": 2.0}}, r"agent\.slew"), ({"planner": {"method": "ilqg"}}, r"planner\.refine\.method")],
+)
+def test_a_driver_that_sends_plans_is_refused_what_plans_cannot_keep(sections, key):
+    scene = make_scene(**sections)
+    agent, robot = Agent(scene, layout_of(scene)), FaultyRobot(None)
+    RobotLoop(scene, robot, None, agent=agent)
+    robot.follow = lambda plan, now: None
+    with pytest.raises(SceneError, match=key):
+        RobotLoop(scene, robot, None, agent=agent)

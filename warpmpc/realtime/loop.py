@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from ..model.compiled import compile_scene
+from ..scene.errors import SceneError
+from ..scene.schema import Refinement
 from .agent import Agent, Fault
 from .messages import TimedObservation, TimedPlan
 from .pace import LONGEST, Pace, RobotClock
@@ -127,6 +129,9 @@ class RobotLoop:
             does. A real one does not: then ticks that are long past are left out.
         agent: Evaluates plans; the scene's if None.
         recorder: Takes note of every tick.
+
+    Raises:
+        SceneError: If the driver sends plans and the scene has what they cannot keep: ``agent.slew`` or feedback.
     """
 
     def __init__(
@@ -146,6 +151,8 @@ class RobotLoop:
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=not simulated)
         self._clock = RobotClock()
         self._follow, self._tell = getattr(robot, "follow", None), getattr(robot, "tell", None)
+        if self._follow is not None:
+            _check_plans_alone(scene)
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
@@ -254,3 +261,19 @@ class RobotLoop:
             age_ms=dict(zip(names, np.percentile(self._ages or [np.nan], [50, 99, 100]).tolist(), strict=True)),
             faults=tuple(self.agent.faults),
         )
+
+
+def _check_plans_alone(scene: Scene) -> None:
+    """Refuse what the agent does to a plan's controls, where the driver sends the plan itself.
+
+    Raises:
+        SceneError: If the scene has a slew, or a planner with feedback.
+    """
+    refine, slew = scene.planner.refine, scene.agent.slew
+    cure = "the driver sends plans: choose commands of single controls (such as std_msgs/Float64MultiArray), or"
+    if slew is not None:
+        message = f"does not hold for a trajectory; {cure} leave it out"
+        raise SceneError(message, key="agent.slew", file=scene.path, found=list(slew))
+    if refine is not None and refine.method is Refinement.ILQG:
+        message = f"has feedback, which a trajectory loses; {cure} another method"
+        raise SceneError(message, key="planner.refine.method", file=scene.path, found=refine.method.value)
