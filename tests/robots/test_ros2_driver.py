@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from needs import needs
+from needs import missing, needs
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import State
@@ -369,6 +369,12 @@ def test_a_file_that_does_not_fit_the_scene_is_told_by_its_key(wire, keys, key):
     with pytest.raises(SceneError) as error:
         wire.driver(**keys)
     assert error.value.key == key
+
+
+@pytest.mark.skipif(not missing("tf2_msgs"), reason="tf2_msgs is there")
+def test_transforms_need_a_ros_that_has_them(wire):
+    with pytest.raises(ValueError, match=r"ROS package tf2_msgs: source a ROS 2 that has it; PyPI has none"):
+        wire.driver(pose=[{"name": "box", "topic": "/tf", "type": "tf2_msgs/TFMessage"}])
 
 
 def test_a_topic_without_a_name_is_refused(wire):

@@ -40,8 +40,8 @@ def message_class(kind: str) -> type:
     try:
         return getattr(import_module(f"{package}.msg"), name)
     except ModuleNotFoundError:
-        pip = f"ros-{package.replace('_', '-')}"
-        raise ValueError(f"needs the ROS package {package}: source a ROS 2 that has it, or pip install {pip}") from None
+        found = "PyPI has none" if package == "tf2_msgs" else f"or pip install ros-{package.replace('_', '-')}"
+        raise ValueError(f"needs the ROS package {package}: source a ROS 2 that has it; {found}") from None
 
 
 class _Polled(CallbackGroup):
