@@ -246,6 +246,10 @@ def test_goals_come_on_topics_and_weights_as_parameters(wire):
 
     assert until(found)
     np.testing.assert_allclose(driver.task["goal"], [3.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    goal.header.frame_id, goal.pose.position.x = "map", 4.0
+    publisher.publish(goal)
+    assert until(lambda: driver.observe() or any("frame 'map'" in (heard.problem or "") for heard in driver.heard()))
+    assert driver.task["goal"][0] == 3.0
     ros = driver._connection.node
     values = {"weight.distance": 7.0, "scalar.speed": 0.25}
     results = ros.set_parameters([Parameter(name, value=value) for name, value in values.items()])
@@ -375,6 +379,13 @@ def test_a_file_that_does_not_fit_the_scene_is_told_by_its_key(wire, keys, key):
 def test_transforms_need_a_ros_that_has_them(wire):
     with pytest.raises(ValueError, match=r"ROS package tf2_msgs: source a ROS 2 that has it; PyPI has none"):
         wire.driver(pose=[{"name": "box", "topic": "/tf", "type": "tf2_msgs/TFMessage"}])
+
+
+def test_an_older_rclpy_does_not_tell_senders():
+    from warpmpc.robots.ros2.connection import sender
+
+    assert sender({"source_timestamp": 1}) == ""
+    assert sender({"publisher_gid": {"data": b"\x01\xff"}}) == "01ff"
 
 
 def test_a_topic_without_a_name_is_refused(wire):

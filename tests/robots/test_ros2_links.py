@@ -17,6 +17,8 @@ from warpmpc.robots.ros2.messages import JointOrder, RosTime, read_links, write_
 from warpmpc.robots.ros2.settings import Ros2Settings
 from warpmpc.robots.ros2.topics import Topics
 
+POSE = "geometry_msgs/PoseStamped"
+
 
 def body_link(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Link:
     """The pose of a body's frame and its twist along its own axes, as MuJoCo says."""
@@ -132,29 +134,37 @@ def nested(**fields):
 def test_links_are_read_from_each_type_of_message():
     point, turn = {"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 0.0, "y": 0.0, "z": 2.0, "w": 0.0}
     stamp = SimpleNamespace(sec=5, nanosec=0)
+    header = {"stamp": stamp, "frame_id": "world"}
     pose = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0])
     odometry = nested(
-        header={"stamp": stamp},
+        header=header,
         pose={"pose": {"position": point, "orientation": turn}},
         twist={"twist": {"linear": point, "angular": point}},
     )
     write_odometry(Link(pose, np.arange(6.0)), odometry)
-    ((at, link),) = read_links("nav_msgs/Odometry", odometry, "")
+    ((at, link),) = read_links("nav_msgs/Odometry", odometry, "", "world")
     assert at is stamp
     np.testing.assert_array_equal(link.pose, pose)
     np.testing.assert_array_equal(link.twist, np.arange(6.0))
-    here = nested(header={"stamp": stamp}, pose={"position": point, "orientation": turn})
-    ((_, link),) = read_links("geometry_msgs/PoseStamped", here, "")
+    here = nested(header=header, pose={"position": point, "orientation": turn})
+    ((_, link),) = read_links(POSE, here, "", "world")
     np.testing.assert_array_equal(link.pose, pose)
     assert link.twist is None
     moved = {"translation": point, "rotation": turn}
-    frames = [nested(header={"stamp": stamp}, child_frame_id=name, transform=moved) for name in ("cup", "box")]
-    ((_, link),) = read_links("tf2_msgs/TFMessage", SimpleNamespace(transforms=frames), "box")
+    frames = [nested(header=header, child_frame_id=name, transform=moved) for name in ("cup", "box")]
+    ((_, link),) = read_links("tf2_msgs/TFMessage", SimpleNamespace(transforms=frames), "box", "world")
     np.testing.assert_array_equal(link.pose, pose)
+    frames[0].header.frame_id = here.header.frame_id = odometry.header.frame_id = "map"
+    assert len(read_links("tf2_msgs/TFMessage", SimpleNamespace(transforms=frames), "box", "world")) == 1
+    elsewhere = {POSE: here, "nav_msgs/Odometry": odometry, "tf2_msgs/TFMessage": SimpleNamespace(transforms=frames)}
+    for kind, message in elsewhere.items():
+        with pytest.raises(ValueError, match=r"in the frame 'map', not 'world': .* set world = \"map\""):
+            read_links(kind, message, "cup", "world")
+        assert len(read_links(kind, message, "cup", "map")) == 1
     turn["z"] = 0.0
-    here = nested(header={"stamp": stamp}, pose={"position": point, "orientation": turn})
+    here = nested(header=header, pose={"position": point, "orientation": turn})
     with pytest.raises(ValueError, match="quaternion of a pose is zero"):
-        read_links("geometry_msgs/PoseStamped", here, "")
+        read_links(POSE, here, "", "world")
 
 
 def test_joints_that_no_message_tells_are_refused():

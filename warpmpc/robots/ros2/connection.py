@@ -83,7 +83,7 @@ class Inbox:
         subscription = self._subscription
         while (found := subscription.handle.take_message(subscription.msg_type, False)) is not None:
             message, info = found
-            yield message, info["publisher_gid"]["data"].hex()
+            yield message, sender(info)
 
     def silence(self) -> str:
         """A sentence about what may keep messages from coming."""
@@ -162,6 +162,11 @@ def _names(name: str) -> Iterator[None]:
         yield
     except (InvalidTopicNameException, InvalidNamespaceException, InvalidNodeNameException) as error:
         raise ValueError(f"'{name}' is no ROS name: {' '.join(str(error).split())}") from None
+
+
+def sender(info: dict[str, Any]) -> str:
+    """The sender of a message by what rclpy tells of it; the same for all where an older one does not tell."""
+    return info["publisher_gid"]["data"].hex() if info.get("publisher_gid") else ""
 
 
 def _nothing(message: object) -> None:

@@ -2,8 +2,8 @@
 """Poses and twists of links as ROS has them, and the joint coordinates that a state has instead.
 
 A ROS odometry message has the pose of the link's frame in the world, and the velocity of the link's origin and its
-angular velocity along the link's own axes (REP 105, nav_msgs/Odometry). A state has the velocity of the centre of mass
-and the angular velocity along the axes of the joint's anchor in the world.
+angular velocity along the link's own axes, child_frame_id in nav_msgs/Odometry. A state has the velocity of the centre
+of mass and the angular velocity along the axes of the joint's anchor in the world.
 """
 
 from __future__ import annotations

@@ -66,28 +66,34 @@ def write_transform(values: np.ndarray, transform: Message) -> None:
     p.x, p.y, p.z, q.x, q.y, q.z, q.w = map(float, values)
 
 
-def read_links(kind: str, message: Message, frame: str) -> list[tuple[Message, Link]]:
+def read_links(kind: str, message: Message, frame: str, world: str) -> list[tuple[Message, Link]]:
     """Stamps and links of a message; none where a tf message does not have the frame.
 
     Args:
         kind: Type of the message, ``package/Name``.
         message: The message.
         frame: Child frame in a tf message.
+        world: Frame of the scene's world.
 
     Raises:
-        ValueError: If a quaternion is zero.
+        ValueError: If a quaternion is zero, or a pose is in another frame; one without a frame is in the world's.
     """
+    if kind == "tf2_msgs/TFMessage":
+        found = [each for each in message.transforms if each.child_frame_id == frame]
+        for each in found:
+            _require(each.header.frame_id, world)
+        return [(each.header.stamp, Link(_pose(each.transform.translation, each.transform.rotation))) for each in found]
+    _require(message.header.frame_id, world)
     if kind == "nav_msgs/Odometry":
         v, w = message.twist.twist.linear, message.twist.twist.angular
         twist = np.array([v.x, v.y, v.z, w.x, w.y, w.z])
         return [(message.header.stamp, Link(read_pose(message.pose.pose), twist))]
-    if kind == "geometry_msgs/PoseStamped":
-        return [(message.header.stamp, Link(read_pose(message.pose)))]
-    return [
-        (each.header.stamp, Link(_pose(each.transform.translation, each.transform.rotation)))
-        for each in message.transforms
-        if each.child_frame_id == frame
-    ]
+    return [(message.header.stamp, Link(read_pose(message.pose)))]
+
+
+def _require(frame: str, world: str) -> None:
+    if frame not in ("", world):
+        raise ValueError(f"a pose is in the frame '{frame}', not '{world}': transform it, or set world = \"{frame}\"")
 
 
 def write_odometry(link: Link, message: Message) -> None:

@@ -73,11 +73,12 @@ class Observer:
         self._order = JointOrder(self._names)
         holds = [topics.settings.joints.hold] * len(joints)
         self._sources: list[_PoseSource] = []
+        world = topics.settings.world
         for name, (joint, pose) in topics.bodies.items():
-            self._sources.append(_PoseSource(connection, pose, name, len(holds), joint=joint))
+            self._sources.append(_PoseSource(connection, pose, name, len(holds), world, joint=joint))
             holds.append(pose.hold)
         for place, pose in topics.mocap.items():
-            self._sources.append(_PoseSource(connection, pose, pose.name, len(holds), mocap=place))
+            self._sources.append(_PoseSource(connection, pose, pose.name, len(holds), world, mocap=place))
             holds.append(pose.hold)
         self._newest = Newest(np.array(holds))
         self._joints: Inbox | None = None
@@ -177,18 +178,26 @@ class _PoseSource:
     """Poses of a body or of a mocap body."""
 
     def __init__(
-        self, connection: Connection, pose: Pose, name: str, part: int, *, joint=None, mocap: int | None = None
+        self,
+        connection: Connection,
+        pose: Pose,
+        name: str,
+        part: int,
+        world: str,
+        *,
+        joint=None,
+        mocap: int | None = None,
     ):
         several = pose.type is PoseType.TRANSFORMS  # other bodies', too
         self.inbox = Inbox(connection, str(pose.type), pose.topic, newest=not several)
         self.heard = Heard(self.inbox.topic, f"{pose.type} of {name}")
         self.part, self._joint, self._mocap = part, joint, mocap
-        self._kind, self._frame = str(pose.type), pose.frame or name
+        self._kind, self._frame, self._world = str(pose.type), pose.frame or name, world
         self._before: Link | None = None
 
     def read(self, message: Message) -> Iterator[tuple[Message, Link]]:
         """Stamps and links of a message."""
-        return read_links(self._kind, message, self._frame)
+        return read_links(self._kind, message, self._frame, self._world)
 
     def write(self, link: Link, lapse: float, q: np.ndarray, qd: np.ndarray, mocap: np.ndarray) -> None:
         """Write a link into coordinates ``[nq]``, velocities ``[nv]`` or mocap poses ``[nm, 7]``.

@@ -94,7 +94,7 @@ class Ros2Settings(Section):
     namespace: str = ""
     """Namespace of the node."""
     world: str = "world"
-    """Frame of the scene's world."""
+    """Frame of the scene's world; poses in another one are refused."""
     use_sim_time: Flag = False
     """Whether stamps are of a simulation's clock, on ``/clock``."""
     connect_timeout: Positive = 10.0

@@ -39,7 +39,7 @@ class TaskInputs:
 
     def __init__(self, task: Task, topics: Topics, connection: Connection):
         self._task, self._clock = task, RosTime()
-        self._poses = list(topics.task.values())
+        self._poses, self._world = list(topics.task.values()), topics.settings.world
         self._inboxes = [Inbox(connection, str(pose.type), pose.topic, reliable=True) for pose in self._poses]
         self.heard = [Heard(inbox.topic, f"{inbox.kind} of {pose.name}") for inbox, pose in self._of_poses()]
         names = {"scalar": task.scalar_name, "weight": task.weight_name}
@@ -57,7 +57,7 @@ class TaskInputs:
         for inbox, pose, heard in zip(self._inboxes, self._poses, self.heard, strict=True):
             for message, _ in inbox.take():
                 try:
-                    for stamp, link in read_links(inbox.kind, message, pose.frame or pose.name):
+                    for stamp, link in read_links(inbox.kind, message, pose.frame or pose.name, self._world):
                         self._task[pose.name] = link.pose
                         heard.note(self._clock.seconds(stamp))
                 except ValueError as error:
