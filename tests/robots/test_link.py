@@ -19,7 +19,7 @@ class Perfect:
     def publish(self, state):
         self.published.append(state.time)
 
-    def receive(self):
+    def receive(self, now):
         came, self.commands = self.commands, []
         return came
 
@@ -47,7 +47,7 @@ def through(monkeypatch, *, speed: float = 1.0, count: int = 2000, **faults) -> 
             faulty.publish(State(np.zeros(1), np.zeros(1), time=0.0))
         states += [(stamp, 0.002 * tick) for stamp in transport.published]
         transport.published = []
-        commands += [(command.stamp, 0.002 * tick) for command in faulty.receive()]
+        commands += [(command.stamp, 0.002 * tick) for command in faulty.receive(0.002 * tick)]
     return np.array(states), np.array(commands)
 
 

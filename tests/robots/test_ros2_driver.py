@@ -119,8 +119,9 @@ def test_states_and_commands_arrive_as_they_were(wire, kind):
         speeds = slice(None) if kind != POSE else slice(0, 3)  # poses tell the box's velocity by their differences
         np.testing.assert_allclose(found.joint_qd[speeds], sent.joint_qd[speeds], atol=1e-6)
     driver.apply(np.array([0.1, -0.2, 0.3], dtype=np.float32))
-    (command,) = until(lambda: list(robot.receive()))
+    (command,) = until(lambda: list(robot.receive(7.25)))  # published states are older, where a link delays them
     np.testing.assert_allclose(command.control, [0.1, -0.2, 0.3], atol=1e-7)
+    assert command.stamp == 7.25
 
 
 def box_odometry(moment=1.0):
@@ -271,24 +272,24 @@ def test_a_trajectory_is_the_plan_at_every_time(wire, spline):
     limits = wire.layout.control_lower, wire.layout.control_upper
     knots = rng.uniform(-1.0, 1.0, size=(6, 3)).astype(np.float32)
     plan = Plan(knots, now + 0.4 * np.arange(6.0), spline, *limits)
-    offset = robot._now - now  # the driver counts from the first stamp's second
+    offset = 0.01 * (next(moment) - 1) - now  # the driver counts from the first stamp's second
     begin = now + 0.01
 
     def followed():
         nonlocal begin
         begin += 0.04
         driver.follow(plan, begin)
-        return list(robot.receive())
+        return list(robot.receive(0.0))
 
     command = until(followed)[-1]
     driver.follow(plan, begin + 0.002)  # not sent again
     time.sleep(0.05)
-    assert not list(robot.receive())
+    assert not list(robot.receive(0.0))
     curved = spline in (SplineKind.CUBIC, SplineKind.BSPLINE)
     for at in np.linspace(begin, plan.times[-1], 37)[:-1]:
         np.testing.assert_allclose(command.at(at + offset), plan.at(at), atol=0.03 if curved else 1e-5)
     driver.apply(np.zeros(3, dtype=np.float32))
-    (stop,) = until(lambda: list(robot.receive()))
+    (stop,) = until(lambda: list(robot.receive(0.0)))
     np.testing.assert_array_equal(stop.at(now + offset + 1.0), np.zeros(3))
 
 
@@ -300,7 +301,7 @@ def test_a_twist_is_along_the_axes_of_the_base(wire, kind):
     moment = itertools.count()
     meet(driver, lambda: robot.publish(State(state.joint_q, state.joint_qd, time=0.01 * next(moment))))
     driver.apply(np.array([0.1, 0.7, 0.3], dtype=np.float32))
-    (command,) = until(lambda: list(robot.receive()))
+    (command,) = until(lambda: list(robot.receive(0.0)))
     np.testing.assert_allclose(command.control, [0.7, -0.1, 0.3], atol=1e-6)
 
 
@@ -319,7 +320,7 @@ def test_the_safe_command_is_one_without_a_heading(wire):
 
     def commanded():
         driver.apply(np.zeros(3, dtype=np.float32))
-        return list(robot.receive())
+        return list(robot.receive(0.0))
 
     np.testing.assert_array_equal(until(commanded)[-1].control, np.zeros(3))
 

@@ -76,7 +76,7 @@ def hear(transport, robot, send) -> list:
         assert time.monotonic() < until
         send()
         time.sleep(0.01)
-        came = list(transport.receive())
+        came = list(transport.receive(0.0))
     return came
 
 

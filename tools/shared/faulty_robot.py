@@ -56,9 +56,9 @@ class SpoiltTransport:
         """Send measurements as they are."""
         self.transport.tell(measurements)
 
-    def receive(self) -> Iterator[Command]:
+    def receive(self, now: float) -> Iterator[Command]:
         """Commands that came."""
-        return self.transport.receive()
+        return self.transport.receive(now)
 
     def close(self) -> None:
         """Close it."""

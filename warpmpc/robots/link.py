@@ -63,9 +63,9 @@ class FaultyLink:
         """Send measurements, sooner or later."""
         self._put(self._told, measurements)
 
-    def receive(self) -> Iterator[Command]:
+    def receive(self, now: float) -> Iterator[Command]:
         """Commands whose time has come."""
-        for command in self.transport.receive():
+        for command in self.transport.receive(now):
             self._put(self._commands, command)
         yield from self._due(self._commands)
 

@@ -37,8 +37,8 @@ class Transport(Protocol):
     def tell(self, measurements: Sequence[Measurement]) -> None:
         """Send measurements of sensors with rates of their own, of times on the clock of states."""
 
-    def receive(self) -> Iterable[Command]:
-        """Commands that came since the last call, in their order."""
+    def receive(self, now: float) -> Iterable[Command]:
+        """Commands that came since the last call, in their order; ``now`` [s] is the robot's clock."""
 
     def close(self) -> None:
         """Send and hear nothing any more."""
@@ -142,7 +142,7 @@ class RobotProcess:
         if measured:
             self.transport.tell([replace(m, time=start + m.time) for m in measured])
         self.transport.publish(replace(seen, time=start + seen.time))
-        commands = list(self.transport.receive())
+        commands = list(self.transport.receive(now))
         self.monitor.hear(commands, now)
         self.safety.take(commands, now)
         if self._began is None and self.safety.commanded:

@@ -237,7 +237,7 @@ class ZmqTransport:
         """Send measured poses, with the states that follow."""
         self._poses += [measured for measured in measurements if isinstance(measured, PoseMeasured)]
 
-    def receive(self) -> Iterator[Command]:
+    def receive(self, now: float) -> Iterator[Command]:
         """Commands that came since the last call, in their order; one that cannot be read has no values."""
         for message in _waiting(self._commands):
             try:

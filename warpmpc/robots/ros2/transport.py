@@ -56,23 +56,27 @@ class Ros2Transport:
         except ValueError:
             self._connection.close()
             raise
-        self._now, self._joint_q = 0.0, layout.joint_q
+        self._joint_q = layout.joint_q
 
     def publish(self, state: State) -> None:
         """Send what the robot measures."""
-        self._now, self._joint_q = float(state.time), state.joint_q
+        self._joint_q = state.joint_q
         for publish in self._publish:
             publish(state)
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
         """Send nothing more: states have poses as they were measured last."""
 
-    def receive(self) -> Iterator[Command]:
-        """Commands that came since the last call, in their order; those without a header count from now on."""
+    def receive(self, now: float) -> Iterator[Command]:
+        """Commands that came since the last call, in their order; those without a header count from now on.
+
+        Args:
+            now: The robot's clock [s]; published states may be older.
+        """
         for message, sender in self._commands.take():
             times, controls, stamp = self._codec.read(message, self._joint_q)
             trajectory = (times, controls) if len(times) > 1 else None
-            yield Command(controls[0], self._now if stamp is None else stamp, sender, trajectory)
+            yield Command(controls[0], now if stamp is None else stamp, sender, trajectory)
 
     def close(self) -> None:
         """End the node."""
