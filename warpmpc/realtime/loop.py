@@ -41,7 +41,7 @@ class Robot(Protocol):
     def observe(self) -> State | None:
         """The newest state, with its time, None before the first; returns at once.
 
-        Its arrays are copied, so they may be used again.
+        Its arrays are copied, so they may be used again. None later on is the last state once more, which grows old.
         """
 
     def apply(self, control: np.ndarray) -> None:
@@ -154,6 +154,7 @@ class RobotLoop:
         if self._follow is not None:
             _check_plans_alone(scene)
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
+        self._state: State | None = None
         self._number = -1
         self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
         self._ages: deque[float] = deque(maxlen=LONGEST)
@@ -170,9 +171,11 @@ class RobotLoop:
         """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
         self._ticks += 1
         seen = self.robot.observe()
-        if seen is None:
+        if seen is not None:
+            self._state = received(seen)
+        if self._state is None:
             return None
-        state = received(seen)
+        state = self._state
         self._clock.see(state.time, self.pace.now)
         timed = self.planner.newest()
         if timed is not None and timed.number != self._number:
