@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import weakref
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -21,9 +19,6 @@ if TYPE_CHECKING:
 
     from .parts import Parts
 
-_kernels: weakref.WeakValueDictionary[tuple, wp.Kernel] = weakref.WeakValueDictionary()
-"""Kernels that are loaded, by digest of their source and options."""
-
 
 class Steps:
     """Functions of a model's step; whoever calls them by their addresses keeps this object meanwhile.
@@ -39,22 +34,15 @@ class Steps:
 
     def __init__(self, parts: Parts, what: str):
         text = packed(parts.step_functions())
-        self._kernel = compile_made(partial(_kernel, text), options(parts.lanes), "cpu", 1, what, source=text)
+        self._kernel = compile_made(partial(_make, text), options(parts.lanes), "cpu", 1, what, source=text)
         self.address = wp.zeros(len(CALLS), dtype=wp.uint64, device="cpu")
         """Addresses of :data:`~.parts.CALLS` ``[4]``."""
         Launcher("cpu")(self._kernel, 1, [], [self.address])
 
 
-def _kernel(text: str, *, options: Mapping[str, object]) -> wp.Kernel:
-    """The kernel that tells the addresses; the one that is loaded, if it is."""
-    digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-    key = digest, *sorted(options.items())
-    if (kernel := _kernels.get(key)) is None:
-        kernel = _kernels[key] = _make(text, options)
-    return kernel
+def _make(text: str, *, options: Mapping[str, object]) -> wp.Kernel:
+    """The kernel that tells the addresses; Warp makes one of a text."""
 
-
-def _make(text: str, options: Mapping[str, object]) -> wp.Kernel:
     @wp.func_native(text)
     def write_addresses(address: wp.array[wp.uint64]): ...
 
