@@ -97,7 +97,7 @@ class FusedPhysics:
         self._steps: Steps | None = None
 
     def source(self, *, added: AddedCode | None = None, knots: int = 1) -> str:
-        """Source of a rollout; on a CPU its steps are compiled apart. Parameters of the worlds are known then.
+        """Source of a rollout, where parameters of the worlds are known; for registers its steps are compiled apart.
 
         Args:
             added: Statements that evaluate rollouts on the way.
@@ -112,7 +112,7 @@ class FusedPhysics:
             parts = RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).parts()
         except OutOfRange as error:
             raise refusal(error, self._scene, self.world, self.layout) from error
-        if wp.get_device(self.device).is_cuda:
+        if shared or wp.get_device(self.device).is_cuda:
             return parts.whole()
         self._steps = Steps(parts, f"the physics of {self._scene.name}")
         return packed(parts.rollouts())
