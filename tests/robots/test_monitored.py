@@ -7,7 +7,7 @@ import numpy as np
 from drills import Scripted
 from small_scenes import compiled, layout_of, make_scene
 
-from warpmpc import RobotLoop, State, Task
+from warpmpc import RobotLoop, RunLog, RunRecorder, State, Task
 from warpmpc.realtime.agent import Agent
 from warpmpc.realtime.watchdog import FaultKind
 from warpmpc.robots.monitored import MonitoredRobot
@@ -48,7 +48,11 @@ def at(x: float, time: float) -> State:
 
 def looped(driver) -> tuple[MonitoredRobot, RobotLoop]:
     robot = MonitoredRobot(SCENE, driver, task=Task(SCENE), compiled=compiled(SCENE))
-    return robot, RobotLoop(SCENE, robot, Scripted(), simulated=True, agent=Agent(SCENE, layout_of(SCENE)))
+    return robot, loop_of(robot)
+
+
+def loop_of(robot: MonitoredRobot, **kwargs) -> RobotLoop:
+    return RobotLoop(SCENE, robot, Scripted(), simulated=True, agent=Agent(SCENE, layout_of(SCENE)), **kwargs)
 
 
 def ticks(loop: RobotLoop, driver: Driver, first: float, count: int, x: float = 0.0) -> None:
@@ -115,3 +119,18 @@ def test_the_end_is_found_in_what_is_observed_and_numbers_that_are_none_do_not_e
     centre = layout_of(SCENE).body_name.index("base/base_link")
     np.testing.assert_allclose(robot.body_q[centre, 0], 0.28, atol=1e-6)
     assert robot.error.position < 0.05
+
+
+def test_a_log_has_each_command_in_the_state_that_it_was_sent_in(tmp_path):
+    driver = Driver()
+    robot = MonitoredRobot(SCENE, driver, task=Task(SCENE), compiled=compiled(SCENE))
+    driver.state = at(0.0, 5.0)
+    robot.observe()
+    recorder = RunRecorder(robot, path=tmp_path / "run.runlog")
+    ticks(loop_of(robot, recorder=recorder), driver, 5.0, 6)
+    recorder.close()
+    log = RunLog.load(tmp_path / "run.runlog")
+    assert len(log.controls) == 5  # the sixth has no state after it
+    np.testing.assert_array_equal(log.states.joint_q[:-1], log.controls.seen_q)
+    np.testing.assert_array_equal(log.states.time[:-1], log.controls.seen_time)
+    assert log.states.time[-1] == 5.01

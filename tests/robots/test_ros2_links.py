@@ -10,9 +10,10 @@ from newton import JointType
 from scipy.spatial.transform import Rotation
 
 from warpmpc import MujocoStates, SceneError, State, load_scene
+from warpmpc.estimation.free_joints import free_joints
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.mujoco_model import make_world
-from warpmpc.robots.ros2.links import FreeJoint, Link, PlanarJoints, difference, free_joints
+from warpmpc.robots.ros2.links import FloatingBody, Link, PlanarJoints, difference
 from warpmpc.robots.ros2.messages import JointOrder, RosTime, read_links, write_odometry
 from warpmpc.robots.ros2.settings import Ros2Settings
 from warpmpc.robots.ros2.topics import Topics
@@ -50,7 +51,7 @@ def test_odometry_is_what_mujoco_says_of_the_body(name):
         for joint in joints.values():
             body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, layout.body_name[layout.joint_child[joint]])
             body = body if body >= 0 else _free_body(model, data, state, layout, joint)
-            free, wanted = FreeJoint(layout, joint), body_link(model, data, body)
+            free, wanted = FloatingBody(layout, joint), body_link(model, data, body)
             found = free.link(state.joint_q[free.q], state.joint_qd[free.qd])
             np.testing.assert_allclose(found.pose[:3], wanted.pose[:3], atol=1e-5)
             assert abs(found.pose[3:] @ wanted.pose[3:]) == pytest.approx(1.0, abs=1e-6)

@@ -99,8 +99,8 @@ def run(job: Run) -> dict:
 
     episode, errors = Episode(job.scene, seed=job.seed, device="cpu"), []
     plant, known = episode.plant, warpmpc.load_scene(job.task)
-    joints = [FreeJoint(plant.layout, name, key="estimate") for name in known.plant.sensor.pose]
-    bases = [BaseErrors(FreeJoint(plant.layout, name, key="estimate_base")) for name in known.estimate_base]
+    joints = [FreeJoint.of(plant.layout, name, key="estimate") for name in known.plant.sensor.pose]
+    bases = [BaseErrors(FreeJoint.of(plant.layout, name, key="estimate_base")) for name in known.estimate_base]
     observe = episode.observe
 
     def watched() -> warpmpc.State:

@@ -101,10 +101,10 @@ class BaseEstimator:
     def __init__(self, name: str, estimate: EstimateBase, compiled: CompiledScene):
         key, layout = f"estimate_base.{name}", compiled.layout
         self.name, self._legs = name, Legs(name, estimate, compiled)
-        self._joint = FreeJoint(layout, name, key=key)
+        self._joint = FreeJoint.of(layout, name, key=key)
         joints = one_axis_joints(layout, name, key=key)
         self._q, self._qd = layout.joint_q_start[joints], layout.joint_qd_start[joints]
-        position, quaternion = self._joint.pose(layout.joint_q.astype(float))
+        position, quaternion = self._joint.pose(layout.joint_q[self._joint.q])
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, np.roll(quaternion, 1))
         start = position, rotation.reshape(3, 3)

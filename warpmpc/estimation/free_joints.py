@@ -6,40 +6,49 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from newton import JointType
 
 from ..scene.errors import SceneError
-from .rotation import inverse, multiply, rotate
+from .rotation import cross, inverse, multiply, rotate
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
 
-FREE = 4
-"""newton.JointType.FREE"""
-
 
 class FreeJoint:
-    """The free joint of an object or of a robot's root.
+    """The free joint of a body.
 
     Args:
         layout: State layout.
-        name: The object or robot.
-        key: Key of the scene that names it.
-
-    Raises:
-        SceneError: If there is no such thing, or it is not free.
+        joint: Index of the joint.
     """
 
-    def __init__(self, layout: Layout, name: str, *, key: str):
-        free = {e.name: e.joints[0] for e in layout.entities if e.joints and layout.joint_type[e.joints[0]] == FREE}
-        if name not in free:
-            raise SceneError("no object, or robot with a free root, of this name", key=key, found=name, allowed=free)
-        self.joint = free[name]
-        first, velocity = int(layout.joint_q_start[self.joint]), int(layout.joint_qd_start[self.joint])
+    def __init__(self, layout: Layout, joint: int):
+        self.joint = joint
+        first, velocity = int(layout.joint_q_start[joint]), int(layout.joint_qd_start[joint])
         self.q, self.qd = slice(first, first + 7), slice(velocity, velocity + 6)
         """The joint's places in coordinates and velocities."""
-        self._parent = layout.joint_pose_parent[self.joint].astype(float)
-        self._child = layout.joint_pose_child[self.joint].astype(float)
-        self._com = layout.body_com[layout.joint_child[self.joint]].astype(float)
+        self._parent = np.asarray(layout.joint_pose_parent[joint], dtype=float)
+        self._child = np.asarray(layout.joint_pose_child[joint], dtype=float)
+        self._com = np.asarray(layout.body_com[layout.joint_child[joint]], dtype=float)
+
+    @classmethod
+    def of(cls, layout: Layout, name: str, *, key: str) -> FreeJoint:
+        """The free joint of an object or of a robot's root.
+
+        Args:
+            layout: State layout.
+            name: The object or robot.
+            key: Key of the scene that names it.
+
+        Raises:
+            SceneError: If there is no such thing, or it is not free.
+        """
+        roots = {e.name: int(e.joints[0]) for e in layout.entities if e.joints}
+        free = {root: joint for root, joint in roots.items() if layout.joint_type[joint] == JointType.FREE}
+        if name not in free:
+            raise SceneError("no object, or robot with a free root, of this name", key=key, found=name, allowed=free)
+        return cls(layout, free[name])
 
     def coordinates(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Joint coordinates ``[7]`` of the body's position ``[3]`` and quaternion ``[4]`` in the world."""
@@ -48,9 +57,9 @@ class FreeJoint:
         at = rotate(back, position - self._parent[:3]) + rotate(turn, self._child[:3])
         return np.r_[at, multiply(turn, self._child[3:])]
 
-    def pose(self, joint_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position ``[3]`` and quaternion ``[4]`` of the body in the world in a state's joint coordinates ``[nq]``."""
-        q = joint_q[self.q]
+    def pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position ``[3]`` and quaternion ``[4]`` of the body in the world of the joint's coordinates ``[7]``."""
+        q = np.asarray(q, dtype=float)
         rotation = multiply(multiply(self._parent[3:], q[3:]), inverse(self._child[3:]))
         at = self._parent[:3] + rotate(self._parent[3:], q[:3]) - rotate(rotation, self._child[:3])
         return at, rotation
@@ -64,5 +73,26 @@ class FreeJoint:
             angular: Its angular velocity in the world ``[3]`` [rad/s].
         """
         back = inverse(self._parent[3:])
-        of_com = linear + np.cross(angular, rotate(rotation, self._com))
+        of_com = linear + cross(angular, rotate(rotation, self._com))
         return np.r_[rotate(back, of_com), rotate(back, angular)]
+
+    def twist(self, rotation: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity of the body's origin ``[3]`` [m/s] and angular velocity ``[3]`` [rad/s] in the world.
+
+        Args:
+            rotation: Quaternion of the body ``[4]``.
+            qd: Joint velocities ``[6]``.
+        """
+        qd = np.asarray(qd, dtype=float)
+        angular = rotate(self._parent[3:], qd[3:])
+        return rotate(self._parent[3:], qd[:3]) - cross(angular, rotate(rotation, self._com)), angular
+
+
+def free_joints(layout: Layout) -> dict[str, int]:
+    """Free joints of robots and objects by the entity's name; ``entity/body`` where it has several."""
+    found: dict[str, int] = {}
+    for entity in layout.entities:
+        free = [j for j in entity.joints if layout.joint_type[j] == JointType.FREE]
+        for j in free:
+            found[entity.name if len(free) == 1 else layout.body_name[layout.joint_child[j]]] = int(j)
+    return found

@@ -45,7 +45,7 @@ def imu_mount(
         SceneError: If the robot has no free root, or the frame does not exist or moves against it.
     """
     layout, model = compiled.layout, world.model
-    root = layout.joint_child[FreeJoint(layout, robot, key=key).joint]
+    root = layout.joint_child[FreeJoint.of(layout, robot, key=key).joint]
     if frame is None:
         return np.zeros(3), np.eye(3)
     f = layout.frame(frame, key=f"{key}.frame")

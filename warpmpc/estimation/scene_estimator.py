@@ -38,7 +38,7 @@ class PoseEstimator:
 
     def __init__(self, name: str, estimate: Estimate | None, scene: Scene, compiled: CompiledScene):
         key = f"plant.sensor.pose.{name}" if estimate is None else f"estimate.{name}"
-        self.name, self._joint = name, FreeJoint(compiled.layout, name, key=key)
+        self.name, self._joint = name, FreeJoint.of(compiled.layout, name, key=key)
         self._simulation: ThingSimulation | None = None
         self.history: History[PoseEstimate, PoseMeasured]
         if estimate is None:

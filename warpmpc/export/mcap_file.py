@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mcap.writer import Writer
 
+from ..estimation.free_joints import free_joints
 from ..log.files import replacing
 from ..model.compiled import compile_scene
 from ..record.replay import logged_scene, require_plans
-from ..robots.ros2.links import FreeJoint, free_joints
+from ..robots.ros2.links import FloatingBody
 from ..task.task import Task
 from . import ros_messages as ros
 from .demonstration import task_values
@@ -72,7 +73,7 @@ def write_mcap(log: RunLog, path: Path) -> None:
 def _states(log: RunLog, layout: Layout) -> Iterator[Stamped]:
     axes = np.flatnonzero(layout.dof_coord >= 0)
     names = [layout.dof_name[dof] for dof in axes]
-    free = {layout.body_name[layout.joint_child[j]]: FreeJoint(layout, j) for j in free_joints(layout).values()}
+    free = {layout.body_name[layout.joint_child[j]]: FloatingBody(layout, j) for j in free_joints(layout).values()}
     for state in log.states:
         time = float(state.time)
         yield (

@@ -38,7 +38,7 @@ class SimulatedImu:
         self._sensor, self._seed = sensor, seed
         key = f"plant.sensor.imu.{name}"
         self._arm, self._axes = imu_mount(compiled, world, name, sensor.frame, key=key)
-        joint = FreeJoint(compiled.layout, name, key=key).joint
+        joint = FreeJoint.of(compiled.layout, name, key=key).joint
         self._q, self._qd = 1 + int(world.joint_q[joint]), 1 + world.model.nq + int(world.joint_qd[joint])
         self._gravity = world.model.opt.gravity.copy()
         self.reset()

@@ -58,7 +58,7 @@ class SimulatedPose:
     def __init__(self, name: str, sensor: PoseSensor, compiled: CompiledScene, world: MujocoWorld, seed: list[int]):
         self.name, self.rate, self.delay = name, sensor.rate, sensor.delay
         self._sensor, self._seed = sensor, seed
-        self._first = 1 + int(world.joint_q[FreeJoint(compiled.layout, name, key=f"plant.sensor.pose.{name}").joint])
+        self._first = 1 + int(world.joint_q[FreeJoint.of(compiled.layout, name, key=f"plant.sensor.pose.{name}").joint])
         self.reset()
 
     def reset(self) -> None:

@@ -73,6 +73,10 @@ class RunRecorder:
             origin = {**provenance(controller), "from_start": controller.info is None, **(details or {})}
         self._clouds: dict[str, np.ndarray] = {}
         self._count = 0
+        # a driver's robot is in the state of a tick during it, a plant in that after it: its log ends with the state in
+        # which the last command was sent, and without that command
+        self._moves_when_observed = getattr(plant, "moves_when_observed", False)
+        self._ticked = False
         self._last_fault: tuple = ()  # of the newest fault
         path = None if path is None else Path(path)
         self._writer = RunLogWriter(path, tables, names=names, origin=origin, background=controller is None)
@@ -120,6 +124,9 @@ class RunRecorder:
             late: How late the tick was, in wall time [s].
             faults: What went wrong so far, the newest last.
         """
+        if self._moves_when_observed and self._ticked:
+            self._take_state(self._plant.forces)
+        self._ticked = True
         layout, nothing = self._plant.layout, np.nan
         act, mocap = (a if b is None else b for a, b in ((layout.act, seen.act), (layout.mocap, seen.mocap)))
         parts = zip(self._shapes.items(), (seen.joint_q, seen.joint_qd, act, mocap), strict=True)
@@ -145,7 +152,8 @@ class RunRecorder:
                 self._writer.add(
                     "faults", **dict(zip(("index", "kind", "why", "start", "end", "count"), row, strict=True))
                 )
-        self._take_state(self._plant.forces)
+        if not self._moves_when_observed:
+            self._take_state(self._plant.forces)
 
     @property
     def run_log(self) -> RunLog:

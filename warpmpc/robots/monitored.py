@@ -45,6 +45,8 @@ class MonitoredRobot:
     """None: contact forces are not observed."""
     forces = np.zeros((0, 3))
     """Forces on them ``[0, 3]``."""
+    moves_when_observed = True
+    """Its state is the last observation: it does not move on in :meth:`apply`, as a plant does."""
 
     def __init__(
         self, scene: Scene, robot: Robot, *, task: Task, terms: Sequence[UserTerm] = (), compiled: CompiledScene

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from newton import JointType
 
+from ...estimation.free_joints import free_joints
 from ...scene.errors import SceneError
-from .links import FreeJoint, PlanarJoints, free_joints
+from .links import FloatingBody, PlanarJoints
 from .settings import Joints, Pose, PoseType, Ros2Settings
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Topics:
     settings: Ros2Settings
     joints: dict[int, str]
     """Single joint axes, by their velocity's place in the state: the robot's name for each."""
-    bodies: dict[str, tuple[FreeJoint | PlanarJoints, Pose]]
+    bodies: dict[str, tuple[FloatingBody | PlanarJoints, Pose]]
     """Bodies whose pose is heard."""
     mocap: dict[int, Pose]
     """Mocap bodies whose pose is heard, by their place."""
@@ -63,7 +64,7 @@ class Topics:
                 message = "the scene has no pose of this name; a base on wheels has planar = [x, y, yaw]"
                 raise SceneError(message, key=f"pose.{name}", file=file, found=name, allowed=known)
         bodies = {
-            name: (FreeJoint(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
+            name: (FloatingBody(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
             for name, joint in free.items()
         }
         elsewhere: set[int] = set()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from ..safety import Command
 from .commands import CommandCodec
 from .connection import Connection, Inbox, message_class
-from .links import FreeJoint, Link, PlanarJoints
+from .links import FloatingBody, Link, PlanarJoints
 from .messages import RosTime, floats, write_odometry, write_pose, write_transform
 from .settings import Pose, PoseType, Ros2Settings
 from .topics import Topics
@@ -145,5 +145,5 @@ class Ros2Transport:
         return publish
 
 
-def _link(joint: FreeJoint | PlanarJoints, state: State) -> Link:
+def _link(joint: FloatingBody | PlanarJoints, state: State) -> Link:
     return joint.link(state.joint_q[joint.q], state.joint_qd[joint.qd])
