@@ -49,8 +49,10 @@ def test_what_is_imported_is_declared():
         name for place in ("warpmpc", "kernels") for file in (ROOT / place).rglob("*.py") for name in _roots(file)
     }
     foreign = imported - set(sys.stdlib_module_names) - {"warpmpc", "pydantic_core"}  # which pydantic pins
-    lacking = {
-        name for name in foreign if not declared & {name, *(o.lower().replace("_", "-") for o in owners.get(name, ()))}
+    lacking = {  # packages of ROS begin with its name on PyPI
+        name
+        for name in foreign
+        if not declared & {o.lower().replace("_", "-") for o in (name, f"ros-{name}", *owners.get(name, ()))}
     }
     assert {"mujoco", "numpy", "warp"} <= foreign
     assert lacking == set()
