@@ -150,18 +150,40 @@ def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_da
     assert again[2] == size
 
 
-def test_headers_of_an_environment_that_is_gone_are_not_read(run, tmp_path):
-    other, kernels = tmp_path / "other", tmp_path / "kernels"
-    warp = Path(wp.__file__).parent
-    shutil.copytree(warp, other / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples", "__pycache__"))
-    (other / "warp" / "bin").symlink_to(warp / "bin")
-    kernels.mkdir()
-    done = run(kernels, env={**os.environ, "PYTHONPATH": str(other)})
-    assert ANSWER in done.stdout, done.stderr
-    shutil.rmtree(other)
+@pytest.fixture
+def other(tmp_path):
+    """A folder with a Warp of its own."""
+    folder, warp = tmp_path / "other", Path(wp.__file__).parent
+    shutil.copytree(warp, folder / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples", "__pycache__"))
+    (folder / "warp" / "bin").symlink_to(warp / "bin")
+    return folder
+
+
+def compiled_quietly(run, kernels: Path, **options) -> None:
+    """Compile the kernel, whether or not it is there; nothing is said of headers."""
     for kernel in kernels.glob("wp_*"):
         shutil.rmtree(kernel)
-    done = run(kernels)
+    done = run(kernels, **options)
     assert ANSWER in done.stdout, done.stderr
     assert "(compiled)" in done.stdout
     assert "precompiled" not in done.stderr
+
+
+def test_headers_of_an_environment_that_is_gone_are_not_read(run, other, tmp_path):
+    kernels = tmp_path / "kernels"
+    kernels.mkdir()
+    compiled_quietly(run, kernels, env={**os.environ, "PYTHONPATH": str(other)})
+    shutil.rmtree(other)
+    compiled_quietly(run, kernels)
+
+
+def test_headers_of_an_environment_that_was_made_anew_are_compiled_again(run, other, tmp_path):
+    kernels, options = tmp_path / "kernels", {"env": {**os.environ, "PYTHONPATH": str(other)}}
+    kernels.mkdir()
+    compiled_quietly(run, kernels, **options)
+    (first,) = (kernels / "headers").iterdir()
+    for header in (other / "warp" / "native").rglob("*.h"):
+        os.utime(header)
+    compiled_quietly(run, kernels, **options)
+    (second,) = (kernels / "headers").iterdir()
+    assert second != first

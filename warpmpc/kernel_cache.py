@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 import threading
 from contextlib import suppress
@@ -103,14 +104,19 @@ def _headers(runtime: Runtime) -> str | None:
     """Folder of the headers that every source begins with, compiled, which takes longer than most kernels.
 
     Warp makes them anew in every thread of every process. It writes them under another name first, and makes those
-    that are damaged or out of date again. They are read with the headers themselves, which are gone with an
-    environment that is deleted: every installation of Warp has a folder of its own.
+    that are damaged again. They are read with the headers themselves, which are gone with an environment that is
+    deleted, and of another time in one that is made anew: every installation of Warp has a folder of its own.
     """
     if runtime.llvm is None or not wp.config.cache_kernels:
         return _own_headers(runtime)
-    installed = hashlib.sha256(str(Path(wp.__file__).parent).encode()).hexdigest()[:12]
-    folder = Path(wp.config.kernel_cache_dir) / "headers" / installed
+    warp = Path(wp.__file__).parent
+    place = hashlib.sha256(str(warp).encode()).hexdigest()[:12]
+    all_headers = Path(wp.config.kernel_cache_dir) / "headers"
     try:
+        folder = all_headers / f"{place}-{(warp / 'native' / 'builtin.h').stat().st_mtime_ns}"
+        if not folder.exists():
+            for former in all_headers.glob(f"{place}-*"):
+                shutil.rmtree(former, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # whoever compiles hears of it
         return _own_headers(runtime)

@@ -32,3 +32,9 @@ def test_helpers_have_names_of_their_own():
     folder = TESTS.parent / "tools"
     tools = {file.stem for file in folder.glob("*.py")} | {file.parent.name for file in folder.glob("*/__init__.py")}
     assert not helpers & tools
+
+
+def test_no_two_files_of_tests_have_the_same_name():
+    """They are modules without packages: pytest would collect one of them alone."""
+    names = [file.stem for file in TESTS.rglob("test_*.py")]
+    assert {name for name in names if names.count(name) > 1} == set()
