@@ -105,7 +105,7 @@ def test_bodies_whose_mass_is_off_their_origin_keep_the_velocity_of_their_mass()
     plant = make_plant(estimate=VELOCITY | {"gate": None})
     layout = plant.layout.replace(body_com=plant.layout.body_com + np.array([0.2, 0.0, 0.0], np.float32))
     estimator = PoseEstimator("box", Estimate(**VELOCITY), plant.scene, plant.compiled)
-    estimator._joint = type(estimator._joint)(layout, "box", key="")
+    estimator._joint = type(estimator._joint).of(layout, "box", key="")
     for k in range(90):
         turn = Rotation.from_rotvec([0.0, 0.0, k / 30])
         estimator.update(PoseMeasured("box", k / 30, np.r_[0.0, 0.0, 1.0, turn.as_quat()]))

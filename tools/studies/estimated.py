@@ -21,9 +21,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass
+from datetime import date
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -31,6 +33,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 from shared.base_errors import BaseErrors
+from shared.files import put_group
 from shared.machine import machine
 
 import warpmpc
@@ -47,6 +50,7 @@ SCENES = {"omni_push_box:measured": (0.5, 1.0), "hand_cube:measured": (1.0, 20.0
 BASES = ("go2_walk:estimated",)
 """Scenes whose base is estimated."""
 STATES = ("true", "measured", "constant_velocity", "estimated")
+COLUMNS = ["scene", "states", "reached", "goals or time", "error", "otherwise"]
 OFF = ("position", "rotation")
 """Errors of things."""
 
@@ -125,14 +129,14 @@ def run(job: Run) -> dict:
     }
 
 
-def lines(jobs: list[Run], records: Records) -> list[str]:
-    """The table in Markdown, a line for each scene and kind of states with the episodes that are done."""
+def rows(jobs: list[Run], records: Records) -> list[list[str]]:
+    """Cells of the table, a row for each scene and kind of states with the episodes that are done."""
     cells: dict[tuple[str, str], list[dict]] = {}
     for job in jobs:
         done = cells.setdefault((job.task, job.strategy), [])
         if record := records.by_key.get(job.key(run.__name__)):
             done.append(record)
-    out = ["| scene | states | reached | goals or time | error | otherwise |", "|---|---|---|---|---|---|"]
+    out = []
     for (task, kind), done in cells.items():
         passed, goals = [r["time"] for r in done if r["success"]], [r["reached"] for r in done]
         figure = f"{np.median(passed):.1f} s" if passed else "-"
@@ -146,7 +150,7 @@ def lines(jobs: list[Run], records: Records) -> list[str]:
             error = f"{1e3 * place:.1f} mm, {np.degrees(turn):.1f}°"
         ends = Counter(r["reason"] for r in done if not r["success"])
         otherwise = ", ".join(f"{count} {reason}" for reason, count in ends.most_common()) or "-"
-        out.append(f"| `{task}` | {kind} | {len(passed)} of {len(done)} | {figure} | {error} | {otherwise} |")
+        out.append([f"`{task}`", kind, f"{len(passed)} of {len(done)}", figure, error, otherwise])
     return out
 
 
@@ -166,6 +170,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
     parser.add_argument("--limit", type=float, default=DAY, help="stop after so many seconds")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="put the figures there, as docs/data has them")
     args, now = parser.parse_args(arguments), time.monotonic()
     jobs = [
         Run(task=task, strategy=kind, overrides=tuple(args.overrides), seed=seed)
@@ -177,7 +182,12 @@ def main(arguments: list[str]) -> int:
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     with workers:
         whole = gather(run, jobs, records, workers, until=now + args.limit)
-    here = machine()
-    seeds = f"seeds {args.seeds.start} to {args.seeds.stop - 1}"
-    print(f"{here['cpu']}, {here['cores']} cores, {seeds}", "", *lines(jobs, records), sep="\n")
+    here, found = machine(), rows(jobs, records)
+    about = f"{here['cpu']}, {here['cores']} cores, seeds {args.seeds.start} to {args.seeds.stop - 1}"
+    print(about, "", *(f"| {' | '.join(row)} |" for row in (COLUMNS, ["---"] * len(COLUMNS), *found)), sep="\n")
+    if args.json:
+        command = shlex.join(["python", "tools/study.py", "estimated", *arguments])
+        put_group(
+            args.json, COLUMNS, {"machine": about, "date": date.today().isoformat(), "command": command, "rows": found}
+        )
     return 0 if whole else 1

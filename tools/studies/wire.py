@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from shared.files import write_json
+from shared.files import put_group
 from shared.wire import PROGRAM, TRANSPORTS, Drill, Planner
 
 SCENES = ("cartpole_swingup", "omni_push_box")
@@ -188,13 +188,6 @@ def _spread(found: Sequence[dict[str, float]]) -> str:
     return f"{middle['p50']:.0f}/{middle['p99']:.0f}/{largest:.0f}" if largest > UNTOLD else "-"
 
 
-def _put(file: Path, columns: list[str], group: dict[str, Any]) -> None:
-    """Put rows into a file of figures, in place of those of the same command."""
-    groups = json.loads(file.read_text(encoding="utf-8"))["groups"] if file.exists() else []
-    groups = [old for old in groups if old["command"] != group["command"]]
-    write_json(file, {"columns": columns, "groups": [*groups, *([group] if group["rows"] else [])]})
-
-
 def main(arguments: list[str]) -> int:
     """Print the tables; the exit code is 1 if anything was unsafe."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -228,7 +221,7 @@ def main(arguments: list[str]) -> int:
             "command": " ".join(["python tools/study.py wire", *arguments]),
         }
         for name, columns, rows in (("wire_runs", RUNS, told), ("wire_faults", FAULTS, faults)):
-            _put(options.json / f"{name}.json", columns, {**facts, "rows": rows})
+            put_group(options.json / f"{name}.json", columns, {**facts, "rows": rows})
     return int(unsafe > 0)
 
 

@@ -6,13 +6,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from newton import JointType
 
 from ..scene.errors import SceneError
 from .rotation import cross, inverse, multiply, rotate
 
 if TYPE_CHECKING:
     from ..model.layout import Layout
+
+FREE = 4
+"""newton.JointType.FREE; Newton takes long to import."""
 
 
 class FreeJoint:
@@ -45,7 +47,7 @@ class FreeJoint:
             SceneError: If there is no such thing, or it is not free.
         """
         roots = {e.name: int(e.joints[0]) for e in layout.entities if e.joints}
-        free = {root: joint for root, joint in roots.items() if layout.joint_type[joint] == JointType.FREE}
+        free = {root: joint for root, joint in roots.items() if layout.joint_type[joint] == FREE}
         if name not in free:
             raise SceneError("no object, or robot with a free root, of this name", key=key, found=name, allowed=free)
         return cls(layout, free[name])
@@ -92,7 +94,7 @@ def free_joints(layout: Layout) -> dict[str, int]:
     """Free joints of robots and objects by the entity's name; ``entity/body`` where it has several."""
     found: dict[str, int] = {}
     for entity in layout.entities:
-        free = [j for j in entity.joints if layout.joint_type[j] == JointType.FREE]
+        free = [j for j in entity.joints if layout.joint_type[j] == FREE]
         for j in free:
             found[entity.name if len(free) == 1 else layout.body_name[layout.joint_child[j]]] = int(j)
     return found
