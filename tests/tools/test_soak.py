@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import pytest
-from benches import soak
+from benches import soak, soak_wire
 from small_scenes import make_scene
 
 TENTHS = [soak.Tenth(plans=k, memory=500.0, p50=2.0, p99=3.0, worst=9.0, faults=0) for k in range(1, 11)]
@@ -26,3 +26,30 @@ def test_thousands_of_plans_leave_memory_as_it_is():
     assert all(0.0 < tenth.p50 <= tenth.p99 <= tenth.worst for tenth in tenths)
     assert soak.complaints(tenths, growth=5.0, slower=float("inf")) == []  # cores are shared: times are not judged
     assert tenths[-1].faults == 0
+
+
+def test_a_robot_whose_memory_grows_after_its_lists_are_full_is_found():
+    def tenths(growth: float) -> list[soak_wire.Tenth]:
+        times = {"p50": 0.0, "p99": 0.2, "max": 1.0}
+        return [
+            soak_wire.Tenth(
+                360.0 * k,
+                500.0 + 8.0 * min(k, 3) + growth * max(k - 3, 0),
+                400.0,
+                300.0,
+                72_000 * k,
+                18_000 * k,
+                times,
+                times,
+                0,
+            )
+            for k in range(1, 11)
+        ]
+
+    robot = {"received": 720_000, "refused": {"stale": 0}, "unsafe": 0}
+    assert soak_wire.complaints(tenths(0.1), robot, growth=5.0) == []
+    (grown,) = soak_wire.complaints(tenths(1.0), robot, growth=5.0)
+    assert grown == "memory of the robot's process grew by 7.0 MB"
+    assert "524.0 at 18 min, 524.7 at the end" in soak_wire.row("cart", tenths(0.1), robot)[5]
+    bad = soak_wire.complaints(tenths(0.1), robot | {"refused": {"stale": 2}, "unsafe": 1}, growth=5.0)
+    assert bad == ["the robot refused commands: {'stale': 2}", "1 unsafe commands"]

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""Control a robot over ROS 2 for long: no fault, and memory stays as it is.
 
-    python tools/bench.py soak_wire cartpole_swingup --seconds 3600 --json soak.json
+    python tools/bench.py soak_wire cartpole_swingup --seconds 3600 --json docs/data/soak.json
 
 The robot is `warpmpc robot SCENE --ros2` in a process of its own, the planner another, agent and driver are here, as in
 `warpmpc run --real-time --robot ros2`; but the run goes on after its goal. Prints a line every tenth of the way:
 resident memory of the three processes, ticks, lateness of ticks, age of observations, faults. Exit code 1 if there was
-a fault, the robot refused a command or had an unsafe one, or a process grew by more than --growth after that.
+a fault, the robot refused a command or had an unsafe one, or a process grew by more than --growth after the tenth at
+whose end the lists of newest ticks, observations and commands were full.
 """
 
 from __future__ import annotations
@@ -15,24 +16,29 @@ import argparse
 import json
 import os
 import resource
+import shlex
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
-from shared.files import write_json
+from shared.files import put_group
+from shared.machine import machine
 
 from warpmpc import PlannerProcess, RobotLoop, load_scene
 from warpmpc.model.compiled import compile_scene
+from warpmpc.realtime.pace import LONGEST
 from warpmpc.robots.drivers import await_state, make_robot
 from warpmpc.scene.schema import Scene
 from warpmpc.task.task import Task
 
 TENTHS = 10
+COLUMNS = ["scene", "ticks", "plans", "faults", "late p99/max [ms]", "memory of robot, agent, planner [MB]", "robot"]
 PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
 
 
@@ -118,9 +124,9 @@ def complaints(tenths: list[Tenth], robot: dict[str, Any], *, growth: float) -> 
     Args:
         tenths: All of them.
         robot: The robot's report.
-        growth: Memory that may be added by each process after the first tenth [MB].
+        growth: Memory that may be added by each process after :func:`full` [MB].
     """
-    first, last = tenths[0], tenths[-1]
+    first, last = full(tenths), tenths[-1]
     found = []
     for process in ("robot", "agent", "planner"):
         more = getattr(last, f"{process}_mb") - getattr(first, f"{process}_mb")
@@ -136,13 +142,31 @@ def complaints(tenths: list[Tenth], robot: dict[str, Any], *, growth: float) -> 
     return found
 
 
+def full(tenths: list[Tenth]) -> Tenth:
+    """The tenth at whose end the lists of newest ticks, observations and commands are full, or the first."""
+    return next((tenth for tenth in tenths if tenth.ticks >= LONGEST), tenths[0])
+
+
+def row(scene: str, tenths: list[Tenth], robot: dict[str, Any]) -> list[str]:
+    """Cells of the table."""
+    first, last = full(tenths), tenths[-1]
+    memory = (
+        f"{getattr(first, name):.1f} at {first.seconds / 60:.0f} min, {getattr(last, name):.1f} at the end"
+        for name in ("robot_mb", "agent_mb", "planner_mb")
+    )
+    late = max(tenth.jitter_ms["p99"] for tenth in tenths), max(tenth.jitter_ms["max"] for tenth in tenths)
+    told = f"{robot['received']} commands, {sum(robot['refused'].values())} refused, {robot['unsafe']} unsafe"
+    counts = (f"{last.ticks:,}", f"{last.plans:,}", str(last.faults))
+    return [f"`{scene}`", *counts, f"{late[0]:.2f}/{late[1]:.1f}", "; ".join(memory), told]
+
+
 def main(arguments: list[str]) -> int:
     """Run and print; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default="cartpole_swingup", help="scene, or scene:variant")
     parser.add_argument("--seconds", type=float, default=3600.0)
     parser.add_argument("--growth", type=float, default=5.0, help="[MB]")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the data")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="put the figures there, as docs/data has them")
     parser.add_argument("--set", action="append", default=["engine.threads=1"], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     scene = load_scene(options.scene, overrides=options.set)
@@ -151,8 +175,14 @@ def main(arguments: list[str]) -> int:
     print(json.dumps(robot))
     print(*(found or ["no fault, memory is as it was"]), sep="\n")
     if options.json:
-        data = {"scene": options.scene, "tenths": [asdict(tenth) for tenth in tenths], "robot": robot}
-        write_json(options.json, data | {"complaints": found})
+        here = machine()
+        group = {
+            "machine": f"{here['cpu']}, {here['cores']} cores",
+            "date": date.today().isoformat(),
+            "command": shlex.join(["python", "tools/bench.py", "soak_wire", *arguments]),
+            "rows": [row(options.scene, tenths, robot)],
+        }
+        put_group(options.json, COLUMNS, group)
     return 1 if found else 0
 
 
