@@ -151,7 +151,7 @@ class DrilledRobot(RobotProcess):
         if now - self._start < float(more[0]):
             return None
         # a planner that is gone has sent its last command before or after the order came
-        last = self.safety.times[-1] if name == "watch" else self._start
+        last = self.safety.times.last if name == "watch" else self._start
         refused, unsafe = self.safety.refused - self._before[0], self.monitor.unsafe - self._before[1]
         return {
             "safe_s": None if self._safe_since is None else self._safe_since - last,

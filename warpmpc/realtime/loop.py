@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import gc
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -17,7 +16,7 @@ from ..scene.errors import SceneError
 from ..scene.schema import Refinement
 from .agent import Agent, Fault
 from .messages import TimedObservation, TimedPlan
-from .pace import LONGEST, Pace, RobotClock
+from .pace import NewestNumbers, Pace, RobotClock, percentiles
 from .signals import Signals
 from .watchdog import received
 
@@ -156,9 +155,9 @@ class RobotLoop:
         self._last = np.zeros(len(self.agent.layout.control_name), dtype=np.float32)
         self._state: State | None = None
         self._number = -1
-        self._latencies: deque[tuple[float, float]] = deque(maxlen=LONGEST)
-        self._ages: deque[float] = deque(maxlen=LONGEST)
-        self._plans, self._ticks = 0, 0
+        self._latency_ms, self._plan_ms, self._age_ms = NewestNumbers(), NewestNumbers(), NewestNumbers()
+        self.plans, self.ticks = 0, 0
+        """Plans and ticks so far."""
         self.wall = 0.0
         """Wall time spent in :meth:`run` [s]."""
 
@@ -169,7 +168,7 @@ class RobotLoop:
 
     def tick(self) -> np.ndarray | None:
         """Observe, tell the planner, command; returns the control ``[nu]`` that was sent, None where none was."""
-        self._ticks += 1
+        self.ticks += 1
         seen = self.robot.observe()
         if seen is not None:
             self._state = received(seen)
@@ -180,10 +179,11 @@ class RobotLoop:
         timed = self.planner.newest()
         if timed is not None and timed.number != self._number:
             self._number = timed.number
-            self._plans += 1
-            self._latencies.append((1e3 * timed.latency, timed.plan_ms))
+            self.plans += 1
+            self._latency_ms.append(1e3 * timed.latency)
+            self._plan_ms.append(timed.plan_ms)
         now = self.now
-        self._ages.append(1e3 * (now - state.time))
+        self._age_ms.append(1e3 * (now - state.time))
         control = self.agent.command(state, timed, now)
         if self.agent.trusts_observation:
             self.planner.observe(TimedObservation(state, self._last, self.agent.following))
@@ -196,8 +196,7 @@ class RobotLoop:
         if self._tell is not None:
             self._tell(timed, now=now, fault=self.agent.fault)
         if self._recorder is not None:
-            late = self.pace.late[-1] if self.pace.late else 0.0
-            following, faults = self.agent.following, self.agent.faults
+            late, following, faults = self.pace.late.last, self.agent.following, self.agent.faults
             self._recorder.tick(control, timed, seen=state, now=now, following=following, late=late, faults=faults)
         return control
 
@@ -213,7 +212,7 @@ class RobotLoop:
         Raises:
             SystemExit: On SIGTERM or SIGHUP, where the program does not handle them itself.
         """
-        if not self._ticks:  # a loop that goes on has no time for it
+        if not self.ticks:  # a loop that goes on has no time for it
             gc.collect()
         gc.freeze()  # collecting what was built before takes longer than a tick
         start = time.monotonic()
@@ -248,20 +247,17 @@ class RobotLoop:
 
     def report(self) -> RealTimeReport:
         """Report on the run so far."""
-        found = np.array(self._latencies or [(np.nan, np.nan)])
-        latency, plan = np.percentile(found, [50, 99, 100], axis=0).T.tolist()
-        names = ("p50", "p99", "max")
         return RealTimeReport(
-            ticks=self._ticks,
+            ticks=self.ticks,
             rate=self.scene.agent.rate,
             jitter_ms=self.pace.jitter_ms(),
             missed=self.pace.missed,
             slipped=self.pace.slipped,
-            plans=self._plans,
-            plan_rate=self._plans / self.wall if self.wall else 0.0,
-            latency_ms=dict(zip(names, latency, strict=True)),
-            plan_ms=dict(zip(names, plan, strict=True)),
-            age_ms=dict(zip(names, np.percentile(self._ages or [np.nan], [50, 99, 100]).tolist(), strict=True)),
+            plans=self.plans,
+            plan_rate=self.plans / self.wall if self.wall else 0.0,
+            latency_ms=percentiles(self._latency_ms.values()),
+            plan_ms=percentiles(self._plan_ms.values()),
+            age_ms=percentiles(self._age_ms.values()),
             faults=tuple(self.agent.faults),
         )
 

@@ -5,15 +5,43 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
 LONGEST = 200_000
-"""Newest ticks whose lateness is kept."""
+"""NewestNumbers numbers of a series that are kept."""
 WINDOW = 1.0
-"""Newest observations that the robot's clock is read from, and how far ahead of it they may be [s]."""
+"""NewestNumbers observations that the robot's clock is read from, and how far ahead of it they may be [s]."""
 BEHIND = 0.1
 """Wall time by which a simulated robot may be behind and still catch up [s]; beyond it, its clock slips."""
+
+
+class NewestNumbers:
+    """The newest numbers of a series, in memory that is taken at once."""
+
+    last = 0.0
+    """The newest; 0 before the first."""
+
+    def __init__(self):
+        self._values, self._count = np.full(LONGEST, np.nan), 0
+
+    def append(self, value: float) -> None:
+        """Take note of a number."""
+        self._values[self._count % LONGEST] = self.last = value
+        self._count += 1
+
+    def values(self) -> np.ndarray:
+        """The numbers that are kept ``[n]``, the newest last."""
+        if self._count <= LONGEST:
+            return self._values[: self._count]
+        return np.roll(self._values, -(self._count % LONGEST))
+
+
+def percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """``p50``, ``p99`` and ``max`` of numbers ``[n]``; NaN of none."""
+    found = np.percentile(values, [50, 99, 100]).tolist() if len(values) else [np.nan] * 3
+    return dict(zip(("p50", "p99", "max"), found, strict=True))
 
 
 class Pace:
@@ -33,7 +61,8 @@ class Pace:
 
     def __init__(self, period: float, *, speed: float = 1.0, skip: bool = True):
         self.period, self.speed, self.skip = period, speed, skip
-        self.late: deque[float] = deque(maxlen=LONGEST)
+        self.late = NewestNumbers()
+        """Lateness of ticks [s]."""
         self.missed, self.slipped = 0, 0.0
         self._tick = 0
         self._begin: float | None = None  # when tick 0 was due, on the monotonic clock [s]
@@ -70,8 +99,7 @@ class Pace:
 
     def jitter_ms(self) -> dict[str, float]:
         """Lateness of ticks [ms]: ``p50``, ``p99``, ``max``; NaN before the first."""
-        values = np.percentile(list(self.late) or [np.nan], [50, 99, 100]) * 1e3
-        return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
+        return percentiles(1e3 * self.late.values())
 
 
 class RobotClock:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from ..model.compiled import compile_scene
-from ..realtime.pace import Pace
+from ..realtime.pace import Pace, percentiles
 from ..scene.draw import draw_task
 from ..task.task import Task
 from .drive_monitor import DriveMonitor
@@ -184,16 +184,11 @@ class RobotProcess:
             refused={kind.value: safety.refused[kind] for kind in Refusal},
             unsafe=self.monitor.unsafe,
             safe_state=safety.safe_state,
-            period_ms=_percentiles(np.diff(safety.times)),
-            age_ms=_percentiles(safety.ages),
+            period_ms=percentiles(1e3 * np.diff(safety.times.values())),
+            age_ms=percentiles(1e3 * safety.ages.values()),
             jitter_ms=self.pace.jitter_ms(),
             slipped=self.pace.slipped,
         )
-
-
-def _percentiles(seconds: Collection[float]) -> dict[str, float]:
-    values = 1e3 * np.percentile(list(seconds) or [np.nan], [50, 99, 100])
-    return dict(zip(("p50", "p99", "max"), values.tolist(), strict=True))
 
 
 def _numbers(values: dict[str, float]) -> dict[str, float | None]:

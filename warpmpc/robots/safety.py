@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..realtime.pace import LONGEST
+from ..realtime.pace import NewestNumbers
 from ..realtime.safe import SafeCommands
 from ..realtime.watchdog import BEYOND, SLACK
 
@@ -80,9 +80,9 @@ class Safety:
     """Those of them that were refused."""
     safe_state: float
     """Longest time from the last good command to the safe one [s]; NaN where that never came."""
-    ages: deque[float]
+    ages: NewestNumbers
     """Ages of the newest good commands when they came [s]: from observation to command, both ways."""
-    times: deque[float]
+    times: NewestNumbers
     """When they came, on the robot's clock [s]."""
 
     def __init__(self, scene: Scene, layout: Layout):
@@ -92,7 +92,7 @@ class Safety:
         self._safe = SafeCommands(scene, layout)
         self.received, self.refused = 0, Counter()
         self.safe_state = np.nan
-        self.ages, self.times = deque(maxlen=LONGEST), deque(maxlen=LONGEST)
+        self.ages, self.times = NewestNumbers(), NewestNumbers()
         self._good: Command | None = None
         self._acting = False
 
@@ -138,13 +138,13 @@ class Safety:
             control = self._safe(state, now)
             control = np.where(np.isfinite(control), control, 0.0)  # such as where physics diverged
             if self._acting:
-                self.safe_state = float(np.fmax(self.safe_state, now - self.times[-1]))
+                self.safe_state = float(np.fmax(self.safe_state, now - self.times.last))
         self._acting = acts
         return np.clip(control, self._layout.control_lower, self._layout.control_upper).astype(np.float32)
 
     def _refusal(self, command: Command, now: float) -> Refusal | None:
         good = self._good
-        if good is not None and command.sender != good.sender and now - self.times[-1] < TAKEOVER:
+        if good is not None and command.sender != good.sender and now - self.times.last < TAKEOVER:
             return Refusal.FOREIGN
         if command.control.shape != (self._layout.nu,):
             return Refusal.SIZE
@@ -157,4 +157,4 @@ class Safety:
 
     def _age(self, command: Command, now: float) -> float:
         """Age of the last good command, whose time may be a little ahead."""
-        return now - min(command.stamp, self.times[-1])
+        return now - min(command.stamp, self.times.last)
