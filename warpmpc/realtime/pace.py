@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 LONGEST = 200_000
-"""NewestNumbers numbers of a series that are kept."""
+"""Newest numbers of a series that are kept."""
 WINDOW = 1.0
-"""NewestNumbers observations that the robot's clock is read from, and how far ahead of it they may be [s]."""
+"""Newest observations that the robot's clock is read from, and how far ahead of it they may be [s]."""
 BEHIND = 0.1
 """Wall time by which a simulated robot may be behind and still catch up [s]; beyond it, its clock slips."""
 
