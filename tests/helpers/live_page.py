@@ -93,12 +93,12 @@ def click_until(page, name, condition, role="button"):
             time.sleep(0.02)
 
 
-def press(slider, key, *, until):
-    """Press a key on a slider or a switch, again where the page did not take it: it may be drawn anew just then."""
+def press(part, key, *, until):
+    """Press a key on a slider, a switch or a list, again where the page did not take it: it may be drawn anew just then."""
     end = time.monotonic() + 40.0
     while not until():
         assert time.monotonic() < end, "the page does not take it"
-        slider.press(key, timeout=WAIT)
+        part.press(key, timeout=WAIT)
         pause = time.monotonic() + 1.0
         while not until() and time.monotonic() < pause:
             time.sleep(0.02)

@@ -221,7 +221,7 @@ def test_a_slider_changes_the_cost_and_is_saved(page, session):
 def test_another_strategy_plans(page, session):
     click(page, "Planner", "tab")
     option = page.get_by_role("option", name="cem", exact=True)
-    click_until(page, "method", option.is_visible, "combobox")
+    press(page.get_by_role("combobox", name="method", exact=True), "ArrowDown", until=option.is_visible)
     click_until(page, "cem", lambda: session.controller.scene.planner.method.value == "cem", "option")
     until(lambda: session.snapshot.steps > 3)
     assert not session.snapshot.message
