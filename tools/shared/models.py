@@ -119,6 +119,16 @@ def g1() -> mujoco.MjModel:
     return g1_spec().compile()
 
 
+def warp_humanoid_spec() -> mujoco.MjSpec:
+    """The humanoid of MuJoCo Warp's own benchmark, as its file has it."""
+    return mujoco.MjSpec.from_file(str(_file("mujoco_warp", "test_data/humanoid/humanoid.xml")))
+
+
+def warp_humanoid() -> mujoco.MjModel:
+    """The model of :func:`warp_humanoid_spec`."""
+    return warp_humanoid_spec().compile()
+
+
 def hand_spec() -> mujoco.MjSpec:
     """The Shadow hand of gymnasium-robotics, as its file has it."""
     return mujoco.MjSpec.from_file(str(_file("gymnasium_robotics", "envs/assets/hand/reach.xml")))
@@ -157,7 +167,7 @@ def model_of(scene: warpmpc.Scene) -> mujoco.MjModel:
 
 
 OWN = {"quadruped": quadruped, "humanoid": humanoid, "arm_with_box": arm_with_box}
-OTHERS = {"hand": hand, "hand_with_block": hand_with_block, "g1": g1}
+OTHERS = {"hand": hand, "hand_with_block": hand_with_block, "g1": g1, "warp_humanoid": warp_humanoid}
 """Models of files that are installed beside this project."""
 SCENES = (
     "omni_push_box",
