@@ -50,7 +50,7 @@ def run(*arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
             **os.environ,
             "LD_PRELOAD": " ".join(libraries()),
             "ASAN_OPTIONS": "detect_leaks=0:detect_odr_violation=0",
-            "PYTHONPATH": str(Path(__file__).parent),
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]),
             "SANITIZED_CACHE": cache,
         }
         command = [sys.executable, __file__, *arguments]
