@@ -93,7 +93,8 @@ class Replay:
     different sequences at once; recordings wait for each other.
 
     Args:
-        sequence: Launches with the same arguments at every call; nothing else may happen in it.
+        sequence: Launches with the same arguments at every call; nothing else may happen in it. Its arrays must be held
+            elsewhere: a recorded launch does not hold them.
         blocks: Whether it launches kernels that work in blocks. On the CPU Warp keeps one storage for the blocks of a
             module, so that no two threads may run such kernels at once.
         device: Warp device of all of them.

@@ -189,6 +189,7 @@ class BatchVectorEnv(VectorEnv):
         self._wide = wp.full((worlds, size + SPARE), np.nan, dtype=float, device=device)
         self._observation = self._wide[:, :size]
         rest = wp.array(self._rest, device=device)
+        self._kept = view, rest  # recorded launches do not hold their arrays
         kernel = _kernel(observe, tuple(rewards), tuple(terminations))
         compile_kernel(kernel, device, 256, "the rewards of an environment")
         launch = Launcher(device)
