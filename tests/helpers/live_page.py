@@ -94,7 +94,7 @@ def click_until(page, name, condition, role="button"):
 
 
 def press(part, key, *, until):
-    """Press a key on a slider, a switch or a list, again where the page did not take it: it may be drawn anew just then."""
+    """Press a key on a slider, a switch or a list, again where the page did not take it: it may be drawn anew."""
     end = time.monotonic() + 40.0
     while not until():
         assert time.monotonic() < end, "the page does not take it"

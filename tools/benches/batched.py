@@ -30,7 +30,7 @@ import numpy as np
 import warp as wp
 from rich.console import Console
 from rich.table import Table
-from shared.files import write_json
+from shared.files import put_group, write_json
 from shared.machine import machine
 from shared.models import (
     FULL,
@@ -269,28 +269,33 @@ def many_threads(
     return rows
 
 
+FORMS = {"worlds": "{}", "warpmpc_us": "{:.3f}", "ratio": "{:.1f}"}
+"""Figures of the documentation's table, and how they are written."""
+COLUMNS = ["model", "other", "worlds", "warpmpc [µs a world-step]", "times as fast"]
+
+
 def figures(report: dict[str, Any]) -> dict[str, Any]:
-    """The table of the documentation."""
+    """A group of rows of the documentation's table, one for each model and other simulator."""
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for r in report["results"]:
+        found.setdefault((r["model"], f"{r['other']} {r['version']}"), []).append(r)
     rows = [
-        [r["model"], str(r["worlds"]), f"{r['other']} {r['version']}", f"{r['warpmpc_us']:.3f}", f"{r['other_us']:.3f}"]
-        + [f"{r['ratio']:.1f}"]
-        for r in report["results"]
+        [*names, *(", ".join(form.format(r[key]) for r in part) for key, form in FORMS.items())]
+        for names, part in found.items()
     ]
     threads = max(r["threads"] for r in report["results"])
-    columns = ["model", "worlds", "other", f"{threads} threads [µs a world-step]", "other [µs]", "ratio"]
-    told = {"machine": f"{threads} threads of {report['machine']['cpu']}", "date": report["date"]}
-    return {"columns": columns, "groups": [told | {"command": report["command"], "rows": rows}]}
+    told = {"machine": f"{threads} thread{'s' * (threads > 1)} of {report['machine']['cpu']}", "date": report["date"]}
+    return told | {"command": report["command"], "rows": rows}
 
 
 def picture(results: list[dict[str, Any]], path: Path) -> None:
-    """A panel for each model that was stepped by MuJoCo Warp: times of a step of all worlds over their number."""
+    """A panel for each model: times of a step of all worlds over their number, here and on MuJoCo Warp's device."""
     from matplotlib.figure import Figure
 
-    rows = [r for r in results if r["other"].startswith("MuJoCo Warp")]
-    models = list(dict.fromkeys(r["model"] for r in rows))
+    models = list(dict.fromkeys(r["model"] for r in results))
     figure = Figure(figsize=(3.2 * len(models), 2.8), layout="constrained")
     for axes, name in zip(np.ravel(figure.subplots(1, len(models), squeeze=False)), models, strict=True):
-        mine = sorted((r for r in rows if r["model"] == name), key=lambda r: r["worlds"])
+        mine = sorted((r for r in results if r["model"] == name), key=lambda r: r["worlds"])
         worlds = [r["worlds"] for r in mine]
         for label, key in ((f"warpmpc, {mine[0]['threads']} threads", "warpmpc_us"), (mine[0]["other"], "other_us")):
             axes.loglog(worlds, [1e-3 * r[key] * r["worlds"] for r in mine], marker=".", label=label)
@@ -340,5 +345,6 @@ def main(arguments: Sequence[str]) -> None:
                 write_json(options.json, report)
     Console(width=150).print(table)
     if options.docs:
-        write_json(options.docs / "data" / "batched.json", figures(report))
-        picture(report["results"], options.docs / "batched.png")
+        put_group(options.docs / "data" / "batched.json", COLUMNS, figures(report))
+        if options.mujoco_warp:
+            picture(report["results"], options.docs / "batched.png")

@@ -29,7 +29,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from shared.files import write_json
+from shared.files import put_group
 from shared.intervals import mean
 from shared.machine import machine
 
@@ -183,5 +183,5 @@ def main(arguments: list[str]) -> int:
     if args.json:
         command = shlex.join(["python", "tools/study.py", "imitation", *arguments])
         group = {"machine": about, "date": date.today().isoformat(), "command": command, "rows": found}
-        write_json(args.json, {"columns": COLUMNS, "groups": [group]})
+        put_group(args.json, COLUMNS, group)
     return 0 if whole else 1
