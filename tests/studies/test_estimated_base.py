@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from shared.base_errors import BaseErrors
-from studies.estimated import BASES, Run, lines, run
+from studies.estimated import BASES, FILTERS, SCENES, Run, rows, run
 
 import warpmpc
 from warpmpc.run.records import Records
@@ -53,13 +53,21 @@ def test_true_states_are_neither_measured_nor_late():
         assert estimated.model_copy(update=others) == true
 
 
+def test_a_measured_scene_is_run_with_both_filters_and_has_one_of_them():
+    for task in SCENES:
+        own = warpmpc.load_scene(task).estimate
+        runs = [Run(task=task, strategy=model.value, overrides=(), seed=0).scene.estimate for model in FILTERS]
+        assert [{part.model for part in found.values()} for found in runs] == [{model} for model in FILTERS]
+        assert own in runs
+
+
 def test_the_table_has_what_was_seen_of_a_base(tmp_path):
     record = {"success": True, "reason": "goal reached", "time": 10.0, "reached": None}
     record |= {"tilt": 0.01, "velocity": 0.02, "drift": 0.1, "yaw": 0.05, "way": 5.0}
     records = Records(tmp_path / "estimated.jsonl")
     job = Run(task=BASES[0], strategy="estimated", overrides=(), seed=0)
     records.add(job.key(run.__name__), record)
-    row = lines([job], records)[-1]
-    assert "1 of 1" in row
-    assert "tilt 0.57°, 2.0 cm/s" in row
-    assert "2.0 % (to 2.0) of the way, yaw 2.9°" in row
+    ((*_, reached, _, error, _),) = rows([job], records)
+    assert reached == "1 of 1"
+    assert "tilt 0.57°, 2.0 cm/s" in error
+    assert "2.0 % (to 2.0) of the way, yaw 2.9°" in error
