@@ -24,6 +24,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -156,10 +157,10 @@ def _outcome(title: str, transport: str, answer: dict[str, Any]) -> Outcome:
     return Outcome(title, transport, answer["safe_s"], answer["unsafe"], answer["refused"])
 
 
-def lossy(transport: str, *, seeds: range, speed: float) -> Iterator[Outcome]:
+def lossy(transport: str, *, seeds: range, speed: float, changes: Sequence[str]) -> Iterator[Outcome]:
     """Run a scene over links with faults."""
     for title, link in LINKS.items():
-        pairs = [run_pair(LOSSY, transport, seed, speed=speed, link=link) for seed in seeds]
+        pairs = [run_pair(LOSSY, transport, seed, speed=speed, link=link, changes=changes) for seed in seeds]
         reports = [report for _, report in pairs]
         reached = sum(result["success"] and report["success"] for result, report in pairs)
         refused = sum((Counter(report["refused"]) for report in reports), Counter())
@@ -207,10 +208,10 @@ def main(arguments: list[str]) -> int:
             told.append(row)
             unsafe += bad
             print(" | ".join(row), flush=True)
-        outcomes = [
-            *(lossy(transport, seeds=seeds, speed=speed) if "links" in options.part else ()),
-            *(drill(transport, speed=speed) if "drill" in options.part else ()),
-        ]
+        outcomes = chain(
+            lossy(transport, seeds=seeds, speed=speed, changes=options.set) if "links" in options.part else (),
+            drill(transport, speed=speed) if "drill" in options.part else (),
+        )
         for outcome in outcomes:
             faults.append(outcome.row())
             unsafe += outcome.unsafe
