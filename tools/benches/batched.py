@@ -128,11 +128,9 @@ class Other(Protocol):
 
     def run(self) -> dict[str, Any]:
         """Step from the start: ``seconds``, ``world_steps`` and, unless states are its own, ``qpos`` ``[8, nq]``."""
-        ...
 
     def close(self) -> None:
         """Give back what it holds."""
-        ...
 
 
 class Elsewhere:
