@@ -172,20 +172,16 @@ class Elsewhere:
 
 
 class OnDevice:
-    """MuJoCo Warp's steps of the same worlds, one CUDA graph.
+    """MuJoCo Warp's steps on a device.
 
     Args:
-        model: The model.
-        q: Coordinates at the start ``[W, nq]``.
-        v: Velocities at the start ``[W, nv]``.
-        u: Controls, held ``[W, nu]``.
-        steps: Number of steps.
-        device: Warp device.
+        steps: The steps.
+        count: How many world-steps they are.
     """
 
-    def __init__(self, model: mujoco.MjModel, q: np.ndarray, v: np.ndarray, u: np.ndarray, steps: int, device: str):
-        self.kind, self.version = f"MuJoCo Warp, {wp.get_device(device).name}", version("mujoco-warp")
-        self._steps, self._count = WarpSteps(model, q, v, u, steps=steps, device=device), len(q) * steps
+    def __init__(self, steps: WarpSteps, count: int):
+        self.kind, self.version = f"MuJoCo Warp, {wp.get_device(steps.device).name}", version("mujoco-warp")
+        self._steps, self._count = steps, count
 
     def run(self) -> dict[str, Any]:
         """Step from the start."""
@@ -244,7 +240,7 @@ def many_threads(
         other: Other
         with tempfile.TemporaryDirectory() as folder:
             if kind == "mujoco_warp":
-                other = OnDevice(model, q, v, u, steps, where)
+                other = OnDevice(WarpSteps(model, q, v, u, steps=steps, device=where), worlds * steps)
             elif kind == "mjbatch":
                 other = Elsewhere(where, kind, told | hand_over(name, model, Path(folder), q=q, v=v, u=u))
             else:
