@@ -76,21 +76,31 @@ def without_note(page):
     page.locator(".mantine-Notification-closeButton").first.click(force=True, timeout=WAIT)
 
 
-def click(page, name, role="button"):
-    """Click at a button, a tab or another part of the page by its name."""
-    page.get_by_role(role, name=name, exact=True).click(force=True, timeout=WAIT)
-
-
 def click_until(page, name, condition, role="button"):
-    """Click as :func:`click`, again where nothing came of it: a part that is drawn anew just then takes no click."""
+    """Click at a button, a tab or another part of the page by its name, again where nothing came of it.
+
+    A part that is drawn anew just then takes no click.
+
+    Returns:
+        Number of clicks.
+    """
     end = time.monotonic() + 40.0
+    clicks = 0
     while not condition():
         assert time.monotonic() < end, f"a click at {name} does nothing"
+        clicks += 1
         with suppress(TimeoutError):  # what it did may have renamed the button
             page.get_by_role(role, name=name, exact=True).click(force=True, timeout=2e3)
         pause = time.monotonic() + 3.0
         while not condition() and time.monotonic() < pause:
             time.sleep(0.02)
+    return clicks
+
+
+def show(page, name):
+    """Open a tab of the page by its name."""
+    tab = page.get_by_role("tab", name=name, exact=True)
+    click_until(page, name, lambda: tab.get_attribute("aria-selected", timeout=WAIT) == "true", "tab")
 
 
 def press(part, key, *, until):

@@ -11,7 +11,7 @@ from swinging import write_swinging
 pytest.importorskip("viser", reason=reason("viser"))
 pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 
-from live_page import WAIT, click, launched, opened, press, serving, until, without_note
+from live_page import WAIT, launched, opened, press, serving, show, until, without_note
 
 from warpmpc.live.readouts import model_facts
 from warpmpc.live.session import Session
@@ -64,7 +64,7 @@ def number(pattern, text):
 
 
 def test_joints_and_sensors_move_as_the_plants(page, session):
-    click(page, "State", "tab")
+    show(page, "State")
     until(lambda: session.snapshot.steps > 20)
     session.pause()
     until(lambda: session.snapshot.paused)
@@ -83,7 +83,7 @@ def test_joints_and_sensors_move_as_the_plants(page, session):
 
 
 def test_settings_are_those_of_both_models_and_follow_the_planner(page, session):
-    click(page, "Model", "tab")
+    show(page, "Model")
     until(lambda: rows(page) == [list(row) for row in model_facts(session.controller, session.plant)])
     session.set_key("planner.samples", "24")
     until(lambda: ["worlds", "24", "1"] in rows(page))
@@ -123,7 +123,7 @@ def cost_of_lift(session):
 def test_a_norms_slider_changes_the_terms_cost_and_goes_back(page, session):
     session.pause()
     until(lambda: session.snapshot.paused)
-    click(page, "Cost", "tab")
+    show(page, "Cost")
     slider = page.get_by_role("slider").nth(len(session.scene.cost))  # below the weights
     slider.wait_for(timeout=WAIT)
     p = 0.1
