@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import signal
 import sys
 from pathlib import Path
 
@@ -23,8 +24,9 @@ def run(package: str, about: str, arguments: list[str]) -> int:
 
     Returns:
         The exit code: the subcommand's own, else 0; 1 when an episode's process died every time, 2 for bad input, 130
-        for Ctrl-C.
+        for Ctrl-C, 143 where it is terminated, which ends what it started, too.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     found, program = subcommands(package), Path(sys.argv[0]).name
     name = arguments[0] if arguments else "--help"
     if name in ("-h", "--help"):
