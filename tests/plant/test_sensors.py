@@ -7,6 +7,7 @@ from small_scenes import make_scene
 
 from warpmpc import Plant, SceneError
 from warpmpc.plant.simulated import SimulatedPlant
+from warpmpc.robots.process import RobotProcess
 
 PUSH = np.array([0.6, 0.0, 0.0], dtype=np.float32)
 BOX = {"name": "box", "shape": "box", "size": (0.2, 0.2, 0.2), "mass": 1.0, "position": (0.6, 0.0, 0.1)}
@@ -97,6 +98,14 @@ def test_before_the_first_measurement_it_is_at_its_start():
     plant = Plant(pushed({**EXACT, "delay": 0.2}, estimate=NOISE))
     run(plant, steps=2)
     np.testing.assert_array_equal(box_of(plant.observe())[0], plant.layout.joint_q[-7:])
+
+
+def test_what_nothing_measures_is_not_estimated():
+    scene = make_scene(object=[BOX], estimate={"box": NOISE})
+    for make in (Plant, lambda scene: RobotProcess(scene, None)):
+        with pytest.raises(SceneError, match=r"add \[plant.sensor.pose.box\]") as caught:
+            make(scene)
+        assert caught.value.key == "estimate.box"
 
 
 @pytest.mark.parametrize("section", ["estimate", "plant.sensor.pose"])

@@ -82,6 +82,6 @@ def test_robots_in_another_process_reach_their_goals(scene, seed):
 @pytest.mark.slow
 @needs("rclpy")
 @pytest.mark.parametrize("transport", ["ros2", "ros2-trajectory"])
-@pytest.mark.parametrize("scene", ["omni_push_box", "panda_reach_pose", "quadruped_walk"])
+@pytest.mark.parametrize("scene", ["omni_push_box", "omni_push_box:measured", "panda_reach_pose", "quadruped_walk"])
 def test_robots_behind_topics_reach_their_goals(scene, transport):
     check_goal(scene, transport, 1, changes=["engine.threads=1"])

@@ -18,7 +18,7 @@ from .setup import SUCCESS, RunArguments, begin, results_only, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
     from ..model.layout import Layout
@@ -41,8 +41,9 @@ def robot(
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                connect = _linked(_transport(**transport), seed=seed, speed=speed, **link)
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
+                transport_of = _transport(estimated=scene.estimate, **transport)
+                connect = _linked(transport_of, seed=seed, speed=speed, **link)
                 begin(scene, "cpu")
                 from ..robots.process import RobotProcess
 
@@ -97,8 +98,16 @@ def listen(arguments: RunArguments, choice: str) -> int:
     return SUCCESS
 
 
-def _transport(*, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[[Layout], Transport]:
+def _transport(
+    *, zmq: int | None, ros2: bool, topics: Path | None, estimated: Collection[str]
+) -> Callable[[Layout], Transport]:
     """The transport that was asked for.
+
+    Args:
+        zmq: Port of ZeroMQ, None for none.
+        ros2: Whether topics were asked for.
+        topics: The driver's file.
+        estimated: Bodies that whoever commands the robot estimates.
 
     Raises:
         ValueError: If none was, or two, or it is not installed.
@@ -116,7 +125,7 @@ def _transport(*, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[
         from ..robots.ros2.settings import Ros2Settings
         from ..robots.ros2.transport import Ros2Transport
 
-        return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics)
+        return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics, estimated=estimated)
     from ..robots.zeromq import ZmqTransport
 
     return partial(ZmqTransport, port=zmq)

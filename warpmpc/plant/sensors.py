@@ -12,6 +12,7 @@ import numpy as np
 from ..estimation.free_joints import FreeJoint
 from ..estimation.measurement import Measurement, PoseMeasured
 from ..estimation.rotation import exp, multiply
+from ..scene.errors import SceneError
 from .robot_sensors import SimulatedImu, SimulatedJoints
 
 if TYPE_CHECKING:
@@ -21,6 +22,18 @@ if TYPE_CHECKING:
 
 SLACK = 1e-6
 """Tolerance of lapses of time [s]: times are sums of steps."""
+
+
+def require_sensors(scene: Scene) -> None:
+    """Require that the simulated plant measures what is estimated from measured poses.
+
+    Raises:
+        SceneError: If it does not: what is estimated would stay at its start.
+    """
+    for name in scene.estimate:
+        if name not in scene.plant.sensor.pose:
+            message = f"the simulated plant does not measure its pose: add [plant.sensor.pose.{name}]"
+            raise SceneError(message, key=f"estimate.{name}", file=scene.path)
 
 
 class Sensor(Protocol):

@@ -22,7 +22,7 @@ from ..task.task import Task
 from .camera import DepthCamera
 from .motion import Motions
 from .perturbation import Perturbation
-from .sensors import Sensors
+from .sensors import Sensors, require_sensors
 from .worlds import Worlds
 
 if TYPE_CHECKING:
@@ -61,7 +61,8 @@ class SimulatedPlant:
         world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
 
     Raises:
-        SceneError: If things stand deep inside each other at the start, or a kick has the wrong number of values.
+        SceneError: If things stand deep inside each other at the start, a kick has the wrong number of values, or
+            nothing measures what is estimated.
         ValueError: If the task has several environments.
     """
 
@@ -92,6 +93,7 @@ class SimulatedPlant:
         self._sensors = Sensors(scene, self.compiled, self.world, seed)
         self.estimator = SceneEstimator(scene, self.compiled)
         """Estimates what the plant's sensors measure."""
+        require_sensors(scene)
         self.measured: list[Measurement] = []
         """Measurements that were new in the last observation."""
         self._delay = round(scene.plant.delay / scene.timing.control_dt)

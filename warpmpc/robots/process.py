@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..model.compiled import compile_scene
+from ..plant.sensors import require_sensors
 from ..realtime.pace import Pace, percentiles
 from ..scene.draw import draw_task
 from ..task.task import Task
@@ -114,6 +115,7 @@ class RobotProcess:
         speed: float = 1.0,
         terms: Sequence[UserTerm] = (),
     ):
+        require_sensors(scene)
         scene = draw_task(scene, seed)[0].model_copy(update={"estimate": {}})  # whoever commands it estimates
         compiled = compile_scene(scene)
         self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)

@@ -10,6 +10,7 @@ from ...task.task import Task
 from .commands import CommandCodec
 from .connection import Connection
 from .diagnostics import Diagnostics
+from .measured import MeasuredPoses
 from .messages import RosTime
 from .observer import Observer
 from .task_inputs import TaskInputs
@@ -18,6 +19,7 @@ from .topics import Topics
 if TYPE_CHECKING:
     import numpy as np
 
+    from ...estimation.measurement import Measurement
     from ...model.compiled import CompiledScene
     from ...model.state import State
     from ...planner.plan import Plan
@@ -60,13 +62,14 @@ class Ros2Robot:
     ):
         self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
         layout, clock, task = compiled.layout, RosTime(), Task(scene) if task is None else task
-        topics = Topics.of(layout, settings, task, config)
+        topics = Topics.of(layout, settings, task, config, estimated=scene.estimate)
         self._codec = CommandCodec(layout, settings.command, clock, config)
         if self._codec.takes_plans:
             self.follow = self._follow
         self._connection = Connection(settings.node, settings.namespace, use_sim_time=settings.use_sim_time)
         try:
             self._observer = Observer(layout, topics, self._connection, clock)
+            self._measured = MeasuredPoses(topics, self._connection, clock)
             self._inputs = TaskInputs(task, topics, self._connection)
             self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
             self._diagnostics = Diagnostics(self._connection, settings.diagnostics, scene.name)
@@ -82,13 +85,18 @@ class Ros2Robot:
 
     def heard(self) -> list[Heard]:
         """Messages of each topic that the state needs, and of those of the task that spoke."""
-        return [*self._observer.heard(), *(heard for heard in self._inputs.heard if heard.count or heard.refused)]
+        needed = [*self._observer.heard(), *self._measured.heard()]
+        return [*needed, *(heard for heard in self._inputs.heard if heard.count or heard.refused)]
 
     def observe(self) -> State | None:
         """The newest state, None before every part of it was heard."""
         self._inputs.take()
         self._state = self._observer.observe()
         return self._state
+
+    def measurements(self) -> list[Measurement]:
+        """Measured poses that came since the last call."""
+        return [*self._measured.take()]
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""

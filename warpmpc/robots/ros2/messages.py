@@ -30,6 +30,16 @@ class RosTime:
             self._epoch = stamp.sec * 10**9
         return 1e-9 * (stamp.sec * 10**9 + stamp.nanosec - self._epoch)
 
+    def given(self, stamp: Message) -> float:
+        """Time of a stamp that is needed [s].
+
+        Raises:
+            ValueError: If it is zero, as in messages without a time.
+        """
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            raise ValueError("a message has no time: its sender is to fill in header.stamp")
+        return self.seconds(stamp)
+
     def write(self, seconds: float, stamp: Message) -> None:
         """Write a time [s] into a stamp."""
         stamp.sec, stamp.nanosec = divmod(max(0, round(seconds * 1e9) + (self._epoch or 0)), 10**9)

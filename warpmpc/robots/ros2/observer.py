@@ -125,7 +125,7 @@ class Observer:
         heard, newest, changed = self._heard[0], self._newest, False
         for message, _ in self._joints.take():
             try:
-                stamp = self._stamp(message.header.stamp)
+                stamp = self._clock.given(message.header.stamp)
                 here, position, velocity = self._order.read(message)
             except ValueError as error:
                 heard.refuse(str(error))
@@ -155,7 +155,7 @@ class Observer:
         newest, part, changed = self._newest, source.part, False
         for message, _ in source.inbox.take():
             try:
-                found = [(self._stamp(stamp), link) for stamp, link in source.read(message)]
+                found = [(self._clock.given(stamp), link) for stamp, link in source.read(message)]
             except ValueError as error:
                 source.heard.refuse(str(error))
                 continue
@@ -167,11 +167,6 @@ class Observer:
                 newest.stamps[part] = stamp
                 changed = True
         return changed
-
-    def _stamp(self, stamp: Message) -> float:
-        if stamp.sec == 0 and stamp.nanosec == 0:
-            raise ValueError("a message has no time: its sender is to fill in header.stamp")
-        return self._clock.seconds(stamp)
 
 
 class _PoseSource:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,11 +36,21 @@ class Topics:
     """Bodies whose pose is heard."""
     mocap: dict[int, Pose]
     """Mocap bodies whose pose is heard, by their place."""
+    measured: dict[str, Pose]
+    """Measured poses of things that are estimated."""
     task: dict[str, Pose]
     """Poses of the task that may be heard."""
 
     @classmethod
-    def of(cls, layout: Layout, settings: Ros2Settings, task: Task | None, file: Path | None = None) -> Topics:
+    def of(
+        cls,
+        layout: Layout,
+        settings: Ros2Settings,
+        task: Task | None,
+        file: Path | None = None,
+        *,
+        estimated: Collection[str] = (),
+    ) -> Topics:
         """Topics of a scene.
 
         Args:
@@ -47,6 +58,7 @@ class Topics:
             settings: What the file says.
             task: The task, whose poses may be heard; none of them if None.
             file: The file, for errors.
+            estimated: Bodies that are estimated from measured poses.
         """
         balls = [
             name for name, kind in zip(layout.joint_name, layout.joint_type, strict=True) if kind == JointType.BALL
@@ -66,7 +78,9 @@ class Topics:
         bodies = {
             name: (FloatingBody(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
             for name, joint in free.items()
+            if name not in estimated
         }
+        measured = {name: _pose(given, name) for name in free if name in estimated}
         elsewhere: set[int] = set()
         for name, pose in planar.items():
             try:
@@ -75,14 +89,15 @@ class Topics:
                 raise _from_scene(error, f"pose.{name}.planar", file) from None
             bodies[name] = (moved, pose)
             elsewhere |= set(moved.qd.tolist())
-        mocap = {
-            i: given.get(name) or Pose(name=name, topic=f"{name}/pose", type=PoseType.POSE)
-            for i, name in enumerate(layout.mocap_name)
-            if name not in task_poses
-        }
-        topics = {name: "goal_pose" if name == "goal" else f"{name}/pose" for name in task_poses}
-        poses = {name: given.get(name) or Pose(name=name, topic=topics[name], type=PoseType.POSE) for name in topics}
-        return cls(settings, _joints(layout, settings.joints, elsewhere, file), bodies, mocap, poses)
+        mocap = {i: _pose(given, name) for i, name in enumerate(layout.mocap_name) if name not in task_poses}
+        poses = {name: _pose(given, name) for name in task_poses}
+        return cls(settings, _joints(layout, settings.joints, elsewhere, file), bodies, mocap, measured, poses)
+
+
+def _pose(given: dict[str, Pose], name: str) -> Pose:
+    """The source of a pose without a velocity: what the file says, or its default."""
+    topic = "goal_pose" if name == "goal" else f"{name}/pose"
+    return given.get(name) or Pose(name=name, topic=topic, type=PoseType.POSE)
 
 
 def _joints(layout: Layout, joints: Joints, elsewhere: set[int], file: Path | None) -> dict[int, str]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...estimation.measurement import PoseMeasured
 from ..safety import Command
 from .commands import CommandCodec
 from .connection import Connection, Inbox, message_class
@@ -37,21 +38,25 @@ class Ros2Transport:
         layout: State layout.
         settings: Topics.
         file: File of the settings, for errors.
+        estimated: Bodies of which only measured poses are sent.
 
     Raises:
         SceneError: If the settings do not fit the scene.
         ValueError: If a topic's name is none, or the package of its messages is missing.
     """
 
-    def __init__(self, layout: Layout, settings: Ros2Settings, file: Path | None = None):
+    def __init__(
+        self, layout: Layout, settings: Ros2Settings, file: Path | None = None, *, estimated: Collection[str] = ()
+    ):
         self._clock = RosTime(time.time_ns())
-        topics = Topics.of(layout, settings, None, file)
+        topics = Topics.of(layout, settings, None, file, estimated=estimated)
         self.joints: dict[str, int] = {name: dof for dof, name in topics.joints.items()}
         """Joints that are published: places of their velocities in the state by name."""
         self._codec = CommandCodec(layout, settings.command, self._clock, file)
         self._connection = Connection(NODE, settings.namespace)
         try:
             self._publish: list[Callable[[State], None]] = [*self._publishers(layout, topics)]
+            self._measured = {name: self._pose_publisher(pose, topics) for name, pose in topics.measured.items()}
             self._commands = Inbox(self._connection, str(settings.command.type), settings.command.topic, reliable=True)
         except ValueError:
             self._connection.close()
@@ -65,7 +70,10 @@ class Ros2Transport:
             publish(state)
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
-        """Send nothing more: states have poses as they were measured last."""
+        """Send measured poses of what is estimated; states have the others as they were measured last."""
+        for measured in measurements:
+            if isinstance(measured, PoseMeasured) and (publish := self._measured.get(measured.name)) is not None:
+                publish(measured.time, Link(measured.pose))
 
     def receive(self, now: float) -> Iterator[Command]:
         """Commands that came since the last call, in their order; those without a header count from now on.
@@ -87,9 +95,11 @@ class Ros2Transport:
         if topics.joints:
             yield self._joint_publisher(layout, topics)
         for joint, pose in topics.bodies.values():
-            yield self._pose_publisher(pose, topics, lambda state, joint=joint: _link(joint, state))
+            publish = self._pose_publisher(pose, topics)
+            yield lambda state, publish=publish, joint=joint: publish(state.time, _link(joint, state))
         for place, pose in topics.mocap.items():
-            yield self._pose_publisher(pose, topics, lambda state, place=place: Link(state.mocap[place].astype(float)))
+            publish = self._pose_publisher(pose, topics)
+            yield lambda state, publish=publish, i=place: publish(state.time, Link(state.mocap[i].astype(float)))
 
     def _clock_publisher(self) -> Callable[[State], None]:
         publisher = self._connection.publisher("rosgraph_msgs/Clock", "/clock")
@@ -118,8 +128,8 @@ class Ros2Transport:
 
         return publish
 
-    def _pose_publisher(self, pose: Pose, topics: Topics, find: Callable[[State], Link]) -> Callable[[State], None]:
-        """Publish a link, found in states."""
+    def _pose_publisher(self, pose: Pose, topics: Topics) -> Callable[[float, Link], None]:
+        """Publish links of times [s]."""
         publisher = self._connection.publisher(str(pose.type), pose.topic)
         message = message_class(str(pose.type))()
         stamped = message
@@ -130,9 +140,8 @@ class Ros2Transport:
             stamped.child_frame_id = pose.frame or pose.name
         stamped.header.frame_id = topics.settings.world
 
-        def publish(state: State) -> None:
-            self._clock.write(state.time, stamped.header.stamp)
-            link = find(state)
+        def publish(at: float, link: Link) -> None:
+            self._clock.write(at, stamped.header.stamp)
             match pose.type:
                 case PoseType.ODOMETRY:
                     write_odometry(link, message)

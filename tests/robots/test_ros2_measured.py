@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured poses of what a scene estimates, over real ROS 2 in this process."""
+
+import itertools
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from needs import needs
+from small_scenes import BOX, compiled, make_scene
+
+from warpmpc import State
+from warpmpc.estimation.measurement import PoseMeasured
+from warpmpc.robots.estimated import EstimatedRobot
+from warpmpc.robots.ros2.settings import Ros2Settings
+from warpmpc.scene.schema_estimate import Estimate
+
+pytestmark = needs("rclpy")
+
+SCENE = make_scene(object=[BOX]).model_copy(update={"estimate": {"box": Estimate(gate=None)}})
+NUMBER = itertools.count()
+
+
+@pytest.fixture
+def ends():
+    """A driver of the scene and the robot's end of its topics."""
+    from warpmpc.robots.ros2.driver import Ros2Robot
+    from warpmpc.robots.ros2.transport import Ros2Transport
+
+    layout = compiled(SCENE).layout
+    settings = Ros2Settings(namespace=f"measured_{os.getpid()}_{next(NUMBER)}", diagnostics="diagnostics")
+    driver = Ros2Robot(SCENE, compiled=compiled(SCENE), settings=settings)
+    robot = Ros2Transport(layout, settings, estimated=SCENE.estimate)
+    yield driver, robot
+    robot.close()
+    driver.close()
+
+
+def measured(at: float, x: float) -> PoseMeasured:
+    return PoseMeasured("box", at, np.array([x, 0.2, 0.15, 0.0, 0.0, 0.6, 0.8]))
+
+
+def told(driver, send, seconds=5.0):
+    """Measurements that a driver has, sent until they come, for nodes take their time to find each other."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        send()
+        time.sleep(0.01)
+        if found := driver.measurements():
+            return found
+    return []
+
+
+def test_measured_poses_come_with_the_time_at_which_they_were_measured(ends):
+    driver, robot = ends
+    state = State.start(compiled(SCENE).layout)
+    moment = itertools.count()
+
+    def met():
+        robot.publish(replace(state, time=1e-3 * next(moment)))
+        return driver.observe()
+
+    begin = time.monotonic()
+    while (seen := met()) is None and time.monotonic() < begin + 5.0:
+        time.sleep(0.01)
+    assert seen is not None, "joints are enough for a state: the box is measured"
+    offset = seen.time - 1e-3 * (next(moment) - 1)  # the driver's seconds count from another one
+    assert told(driver, lambda: robot.tell([measured(0.5, 0.0)]))
+    time.sleep(0.1)
+    driver.measurements()
+    robot.tell([measured(0.9, 0.3)])
+    robot.publish(replace(state, time=1.0))
+    time.sleep(0.1)
+    (found,) = driver.measurements()
+    np.testing.assert_allclose(found.pose, measured(0.0, 0.3).pose, atol=1e-7)
+    later = driver.observe()
+    assert later.time - found.time == pytest.approx(0.1, abs=2e-3)
+    assert later.time == pytest.approx(1.0 + offset, abs=0.02)
+
+
+def test_a_box_is_estimated_from_its_topic_and_a_pose_without_a_time_is_refused(ends):
+    driver, robot = ends
+    from geometry_msgs.msg import PoseStamped
+
+    estimated = EstimatedRobot(driver, SCENE, compiled(SCENE))
+    start = State.start(compiled(SCENE).layout)
+    assert any("box/pose" in heard.source for heard in estimated.heard())
+    ticks = itertools.count()
+
+    def tick():
+        now = 0.01 * next(ticks)
+        robot.tell([measured(now, 0.5 * now)])
+        robot.publish(replace(start, time=now))
+        time.sleep(0.005)
+        return estimated.observe(), now
+
+    begin = time.monotonic()
+    while tick()[0] is None and time.monotonic() < begin + 5.0:
+        pass
+    for _ in range(100):
+        seen, now = tick()
+    joint = compiled(SCENE).layout.nq - 7
+    assert seen.joint_q[joint] == pytest.approx(0.5 * now, abs=0.02), "it moves at half a metre a second"
+    np.testing.assert_allclose(seen.joint_qd[-6:-3], [0.5, 0.0, 0.0], atol=0.1)
+    publisher = driver._connection.publisher("geometry_msgs/PoseStamped", "box/pose")
+    message = PoseStamped()
+    message.pose.orientation.w = 1.0
+    (heard,) = [heard for heard in driver.heard() if heard.source.endswith("box/pose")]
+    end = time.monotonic() + 5.0
+    while not heard.refused and time.monotonic() < end:
+        publisher.publish(message)
+        time.sleep(0.01)
+        estimated.observe()
+    assert "header.stamp" in heard.problem
