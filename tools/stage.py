@@ -15,14 +15,14 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from warpmpc.controller.rollout_paths import BEST_COLOR
 from warpmpc.model.layout import IDENTITY, WORLD
 from warpmpc.record.recorder import CLOUD_COLOR
-from warpmpc.record.rollout_paths import BEST_COLOR
 from warpmpc.record.scene_picture import triangles_of
 from warpmpc.record.shapes import DEFAULT_COLOR, resized, shown_shapes, thinned
 
 if TYPE_CHECKING:
-    from warpmpc.live.rollouts import RolloutPaths
+    from warpmpc.controller.rollout_paths import RolloutPaths
     from warpmpc.model.layout import ShapeInfo
     from warpmpc.plant.plant import Plant
 

@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 from small_scenes import make_scene
 
-from warpmpc import PlannerProcess, RobotLoop, SceneError, simulated_robot
+from warpmpc import PlannerProcess, RobotLoop, SceneError, State, simulated_robot
+from warpmpc.controller.rollout_paths import FAN
 from warpmpc.realtime import process
+from warpmpc.realtime.messages import TimedObservation
 
 SPEED = 0.1
 """The robot's seconds in a second: tests share their cores with others."""
@@ -146,3 +149,34 @@ def test_a_planner_is_less_urgent_than_a_loop_of_real_time_priority():
     finally:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     assert found == (os.SCHED_RR, 9)
+
+
+def test_paths_of_rollouts_are_recorded_when_they_are_asked_for():
+    scene = make_scene(plant={"randomize": False}, engine={"threads": 1})
+    with PlannerProcess(scene, speed=SPEED, engine="mujoco", device="cpu") as planner:
+        start = State.start(planner.layout)
+        moved = replace(start, joint_q=start.joint_q + np.float32([0.3, -0.2, 0.0]), time=1.0)
+
+        def plan(number):
+            """Observe until so many plans were made since."""
+            before = planner.newest().number if planner.newest() else -1
+            deadline = time.monotonic() + 60.0
+            while (planner.newest().number if planner.newest() else -1) < before + number:
+                assert time.monotonic() < deadline
+                planner.observe(TimedObservation(moved, np.zeros(3, dtype=np.float32), True))
+                time.sleep(0.01)
+
+        plan(3)
+        assert planner.paths() is None, "nobody had asked"
+        plan(3)
+        paths = planner.paths()
+        plan(3)
+        assert planner.paths() is not None
+    assert paths.best.shape[1:] == (scene.planner.horizon + 1, 3)
+    assert paths.others.shape[1:] == paths.best.shape
+    assert paths.colors.shape == (len(paths.others), 3)
+    assert len(paths.others) == min(FAN, scene.planner.samples)
+    np.testing.assert_allclose(paths.best[0, 0, :2], moved.joint_q[:2], atol=0.05)
+    goal = np.array(scene.goal.position[:2])
+    ends = np.linalg.norm(paths.others[:, 0, -1, :2] - goal, axis=-1)
+    assert np.linalg.norm(paths.best[0, -1, :2] - goal) <= np.median(ends)

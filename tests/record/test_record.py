@@ -15,13 +15,13 @@ from rerun.error_utils import RerunWarning
 from small_scenes import DISC, layout_of, make_scene
 
 from warpmpc.controller.controller import Controller
+from warpmpc.controller.rollout_paths import COLORS
 from warpmpc.model.compiled import compile_scene
 from warpmpc.model.layout import ShapeInfo, rotate
 from warpmpc.model.state import State
 from warpmpc.plant.plant import Plant
 from warpmpc.record.recorder import ROWS, Recorder
 from warpmpc.record.rerun_shapes import draw_shape
-from warpmpc.record.rollout_paths import COLORS
 from warpmpc.record.shapes import FORCE_LENGTH, ContactPoints
 from warpmpc.record.switch import RecordingSwitch
 from warpmpc.scene.load import load_scene

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..controller.rollout_paths import BEST_COLOR
 from ..model.heightfields import heightfields
 from ..model.layout import WORLD
 from ..record.meshes import mesh_of
-from ..record.rollout_paths import BEST_COLOR
 from ..record.shapes import (
     DEFAULT_COLOR,
     FORCE_COLOR,

@@ -3,28 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..record.rollout_paths import acting_frames, choose_rollouts, paths_of
+from ..controller.rollout_paths import RolloutPaths, acting_frames, see_rollouts
 from .forecast import Forecast, Forecaster
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller
-
-
-@dataclass(frozen=True)
-class RolloutPaths:
-    """Paths of the acting frames."""
-
-    best: np.ndarray
-    """The cheapest rollout ``[F, T+1, 3]`` [m]."""
-    others: np.ndarray
-    """Others ``[n, F, T+1, 3]`` [m]."""
-    colors: np.ndarray
-    """Colours of the others by cost ``[n, 3]``, 0 to 255."""
 
 
 class ShownRollouts:
@@ -37,7 +24,7 @@ class ShownRollouts:
 
     def __init__(self, controller: Controller):
         self._controller = controller
-        self._body, self._place = acting_frames(controller)
+        self._frames = acting_frames(controller.scene, controller.layout)
         self._forecaster = Forecaster(controller)
         self.clear()
 
@@ -47,15 +34,11 @@ class ShownRollouts:
 
     def update(self) -> None:
         """See what the last plan came to."""
-        controller = self._controller
-        worlds, packed = choose_rollouts(controller)
-        if not len(worlds):
+        found = see_rollouts(self._controller, self._frames)
+        if found is None:
             self.clear()
             return
-        seen = controller.engine.record(worlds)
-        paths = paths_of(seen.body_q[:, :, self._body], self._place)  # [1+n, F, T+1, 3]
-        colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
-        self.paths = RolloutPaths(paths[0], paths[1:], colors)
+        seen, self.paths = found
         self.forecast = self._forecaster(seen)
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..controller.rollout_paths import RolloutPaths
     from .forecast import Forecast
     from .foresight import Foreseen
     from .plan_rate import PlanRate
-    from .rollouts import RolloutPaths
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..controller.rollout_paths import FAN, RolloutPaths
 from ..model.state import State
 from ..planner.feedback import Feedback
 from ..planner.plan import Plan
@@ -56,6 +57,30 @@ class TimedPlan:
     """True if a rollout survived; else the plan is not to be followed."""
     eta: float = np.nan
     """Effective number of samples η."""
+
+
+class PathsCodec:
+    """Turns paths of rollouts into arrays and back.
+
+    Args:
+        frames: Acting frames.
+        steps: Steps of a rollout.
+        fan: Sampled rollouts beside the cheapest one, at most.
+    """
+
+    def __init__(self, frames: int, steps: int, fan: int = FAN):
+        self.fan, self.capacity = fan, 3 + 3 * fan + 3 * (1 + fan) * frames * (steps + 1)
+
+    def encode(self, paths: RolloutPaths) -> np.ndarray:
+        """Numbers of paths."""
+        return np.concatenate([paths.others.shape[:3], paths.colors.ravel(), paths.best.ravel(), paths.others.ravel()])
+
+    def decode(self, message: np.ndarray) -> RolloutPaths:
+        """The paths that numbers tell."""
+        count, frames, places = message[:3].astype(int)
+        colors, ways = np.split(message[3:], [3 * count])
+        ways = ways.reshape(1 + count, frames, places, 3).astype(np.float32)
+        return RolloutPaths(ways[0], ways[1:], colors.reshape(count, 3).astype(np.uint8))
 
 
 class ObservationCodec:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from ..compiling import native_output
+from ..controller.rollout_paths import RolloutPaths, acting_frames, see_rollouts
 from ..log.run_log import planner_files, read_planners
 from ..model.compiled import CompiledScene, compile_scene
 from ..planner.feedback import StateSpace
@@ -24,12 +25,12 @@ from ..scene.errors import SceneError
 from ..scene.schema import Refinement
 from ..task.task import Task, task_layout
 from .latest_value import LatestValue
-from .messages import ObservationCodec, PlanCodec, TimedObservation, TimedPlan
+from .messages import ObservationCodec, PathsCodec, PlanCodec, TimedObservation, TimedPlan
 from .plan_logger import PlanLogger
 from .stderr_tail import StderrTail
 
 if TYPE_CHECKING:
-    from ctypes import c_ulong
+    from ctypes import c_byte, c_ulong
     from multiprocessing.connection import Connection
 
     from ..cost.term import UserTerm
@@ -67,6 +68,16 @@ class _Order:
     """Run log beside which plans are noted."""
     life: int = 0
     """Planners before this one."""
+
+
+@dataclass(frozen=True)
+class ShownPaths:
+    """Paths of rollouts on their way to whoever asked for them."""
+
+    value: LatestValue
+    """The newest."""
+    wanted: c_byte
+    """Whether somebody asks."""
 
 
 class PlannerProcess:
@@ -125,6 +136,9 @@ class PlannerProcess:
         self._observed = LatestValue(self._context, self._observations.capacity)
         self._planned = LatestValue(self._context, self._plans.capacity)
         self._beats = self._context.RawValue("L")  # heartbeats
+        frames = acting_frames(scene, self.compiled.layout)
+        self._paths = PathsCodec(len(frames[0]), scene.planner.horizon)
+        self._shown = ShownPaths(LatestValue(self._context, self._paths.capacity), self._context.RawValue("b"))
         self._heartbeat_timeout = HEARTBEAT_TIMEOUT + scene.agent.plan_timeout / speed
         self._longest_start: float | None = None  # the first takes the time that it takes: it may compile
         self._timed: TimedPlan | None = None
@@ -179,6 +193,15 @@ class PlannerProcess:
             self._timed = self._plans.decode(message)
         return self._timed
 
+    def paths(self) -> RolloutPaths | None:
+        """Paths of rollouts, those of one of the plans since the last call; None where there are none yet.
+
+        A planner that was asked records the rollouts of its next plan, after it has sent that.
+        """
+        self._shown.wanted.value = True
+        message = self._shown.value.read()
+        return None if message is None else self._paths.decode(message)
+
     def _check_log(self) -> None:
         """Tell where notes of plans are missing; that the robot ran is worth more."""
         try:
@@ -193,7 +216,7 @@ class PlannerProcess:
         self._ready, theirs = self._context.Pipe(duplex=False)
         self._stderr = StderrTail(self._context)
         order, self._order = self._order, replace(self._order, life=self._order.life + 1)
-        arguments = (order, self._observed, self._planned, self._beats, theirs, self._stderr.writer)
+        arguments = (order, self._observed, self._planned, self._shown, self._beats, theirs, self._stderr.writer)
         self._process = self._context.Process(target=_plan, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
@@ -262,7 +285,13 @@ class PlannerProcess:
 
 
 def _plan(
-    order: _Order, observed: LatestValue, planned: LatestValue, beats: c_ulong, ready: Connection, stderr: Connection
+    order: _Order,
+    observed: LatestValue,
+    planned: LatestValue,
+    shown: ShownPaths,
+    beats: c_ulong,
+    ready: Connection,
+    stderr: Connection,
 ) -> None:
     """Plan in the process: its parent alone hears it, it leaves Ctrl-C to its parent and does not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -285,6 +314,8 @@ def _plan(
         task = controller.task.block.shape[1]
         observations = ObservationCodec(controller.layout, task)
         plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
+        frames = acting_frames(scene, controller.layout)
+        paths = PathsCodec(len(frames[0]), scene.planner.horizon)
         notes = None if order.log is None else PlanLogger(controller, order.log, order.life)
         planning = Planning(controller, speed=order.speed, number=planned.sent, logger=notes)
         ready.send(None)
@@ -298,6 +329,9 @@ def _plan(
 
     def publish(timed: TimedPlan) -> None:
         planned.write(plans.encode(timed))
+        if shown.wanted.value and (found := see_rollouts(controller, frames, paths.fan)) is not None:
+            shown.wanted.value = False
+            shown.value.write(paths.encode(found[1]))
 
     def stopped() -> bool:
         beats.value += 1

@@ -14,11 +14,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from ..controller.rollout_paths import (
+    BEST_COLOR,
+    FAN,
+    LANE,
+    LANE_LENGTH,
+    acting_frames,
+    choose_rollouts,
+    paths_of,
+    predicted_lanes,
+)
 from ..plant.simulated import CONTACT_FORCE
 from ..task.goal import GOAL
 from .blueprint import blueprint
 from .rerun_shapes import body_path, entity_path
-from .rollout_paths import BEST_COLOR, FAN, LANE, LANE_LENGTH, acting_frames, choose_rollouts, paths_of, predicted_lanes
 from .run_recorder import turning
 from .scene_drawing import draw_scene, indexes_of, open_recording, send_curves
 from .shapes import FORCE_COLOR, ContactPoints, arrows, scene_bounds, thinned
@@ -77,7 +86,7 @@ class Recorder:
         self._dt = scene.timing.control_dt
         self._poses: dict[str, np.ndarray] = {}
         self._clouds: dict[str, np.ndarray] = {}
-        self._frames = acting_frames(controller)
+        self._frames = acting_frames(controller.scene, controller.layout)
         self._points = [ContactPoints(self._layout, pair.first, pair.second) for pair in plant.pairs]
         self._turning = turning(scene)
         self._bodies = [body_path(self._layout, body) for body in range(self._layout.nb)]

@@ -123,6 +123,7 @@ def run_real_time(
         await_state(driver, name)
         options = {"engine": engine, "device": device, "terms": terms, "speed": speed, "log": log}
         planner = stack.enter_context(PlannerProcess(drawn, **options, **common))
+        getattr(driver, "show_paths", lambda source: None)(planner.paths)
         if not plant:
             run.observe()  # the recorder begins with a state
         made_recorder = recorder(run) if recorder else None

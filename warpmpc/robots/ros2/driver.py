@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from .diagnostics import Diagnostics
 from .measured import MeasuredPoses
 from .messages import RosTime
 from .observer import Observer
+from .rollout_markers import RolloutMarkers
 from .task_inputs import TaskInputs
 from .topics import Topics
 
@@ -72,16 +74,28 @@ class Ros2Robot:
             self._measured = MeasuredPoses(topics, self._connection, clock)
             self._inputs = TaskInputs(task, topics, self._connection)
             self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
+            rollouts = self._rollouts(settings)
             self._diagnostics = Diagnostics(self._connection, settings.diagnostics, scene.name)
         except ValueError:
             self._connection.close()
             raise
         self.tell = self._diagnostics.note
+        if rollouts is not None:
+            self.show_paths = rollouts.follow
         self._control_dt = scene.timing.control_dt
         self._state: State | None = None
         self._plan: Plan | None = None
         self._sent = 0.0
         self._connection.start()
+
+    def _rollouts(self, settings: Ros2Settings) -> RolloutMarkers | None:
+        """Markers of rollouts; None where their package is missing, which others than PyPI may lack."""
+        try:
+            return RolloutMarkers(self._connection, settings.rollouts, settings.world)
+        except ValueError:
+            if find_spec("visualization_msgs") is None:
+                return None
+            raise
 
     def heard(self) -> list[Heard]:
         """Messages of each topic that the state needs, and of those of the task that spoke."""

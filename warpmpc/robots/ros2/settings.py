@@ -102,6 +102,9 @@ class Ros2Settings(Section):
     diagnostics: str = "/diagnostics"
     """Topic of diagnostic_msgs/DiagnosticArray, twice a second: plans, their rate, latency and η, the fault if there is
     one."""
+    rollouts: str = "rollouts"
+    """Topic of visualization_msgs/MarkerArray: paths of the cheapest rollout and of sampled ones, while somebody
+    listens."""
     joints: Joints = Joints()
     """Joints that the robot measures."""
     pose: Annotated[tuple[Pose, ...], OneOrMore] = ()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,10 @@ import numpy as np
 from ..model.layout import rotate
 
 if TYPE_CHECKING:
-    from ..controller.controller import Controller
+    from ..model.layout import Layout
+    from ..model.trajectory import Trajectory
+    from ..scene.schema import Scene
+    from .controller import Controller
 
 FAN = 24
 """Sampled rollouts to draw."""
@@ -32,6 +36,38 @@ def _color_table(size: int = 256) -> np.ndarray:
 
 
 COLORS = _color_table()
+
+
+@dataclass(frozen=True)
+class RolloutPaths:
+    """Paths of the acting frames."""
+
+    best: np.ndarray
+    """The cheapest rollout ``[F, T+1, 3]`` [m]."""
+    others: np.ndarray
+    """Others ``[n, F, T+1, 3]`` [m]."""
+    colors: np.ndarray
+    """Colours of the others by cost ``[n, 3]``, 0 to 255."""
+
+
+def see_rollouts(
+    controller: Controller, frames: tuple[np.ndarray, np.ndarray], fan: int = FAN
+) -> tuple[Trajectory, RolloutPaths] | None:
+    """Rollouts of the last plan, the cheapest first, and their paths; None where none survived.
+
+    Args:
+        controller: The controller, of one environment, which has planned.
+        frames: As :func:`acting_frames`.
+        fan: Others, at most.
+    """
+    worlds, packed = choose_rollouts(controller, fan)
+    if not len(worlds):
+        return None
+    body, place = frames
+    seen = controller.engine.record(worlds)
+    paths = paths_of(seen.body_q[:, :, body], place)  # [1+n, F, T+1, 3]
+    colors = np.stack([(packed >> shift) & 0xFF for shift in (24, 16, 8)], axis=1).astype(np.uint8)
+    return seen, RolloutPaths(paths[0], paths[1:], colors)
 
 
 def choose_rollouts(controller: Controller, fan: int = FAN) -> tuple[np.ndarray, np.ndarray]:
@@ -56,9 +92,8 @@ def choose_rollouts(controller: Controller, fan: int = FAN) -> tuple[np.ndarray,
     return worlds, COLORS[(cheap * (len(COLORS) - 1)).astype(int)]
 
 
-def acting_frames(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
+def acting_frames(scene: Scene, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Body ``[F]`` and place in it ``[F, 3]`` of the goal's target and of what the robots act with."""
-    layout, scene = controller.layout, controller.scene
     names = [] if scene.goal is None else [scene.goal.target]
     for robot in scene.robot:
         last = layout.body_name[layout.entity(robot.name).bodies[-1]]
