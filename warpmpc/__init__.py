@@ -58,8 +58,9 @@ if TYPE_CHECKING:
     from .robots.simulated import simulated_robot
     from .run.batch import run_batch
     from .run.choose_engine import choose_engine
-    from .run.episode import EpisodeResult, run_episode
+    from .run.episode import run_episode
     from .run.fit_samples import fit_samples
+    from .run.result import EpisodeResult
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.schema import Scene

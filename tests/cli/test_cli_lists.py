@@ -10,7 +10,7 @@ import tomllib
 import pytest
 from program import SCENE, warpmpc
 
-from warpmpc.run.episode import EpisodeResult
+from warpmpc.run.result import EpisodeResult
 
 
 def test_version():

@@ -13,10 +13,10 @@ from warpmpc.plant.plant import Plant
 from warpmpc.run.episode import (
     Episode,
     EpisodeInterrupted,
-    EpisodeResult,
     compile_shared,
     run_episode,
 )
+from warpmpc.run.result import EpisodeResult
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.load import load_scene
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from warpmpc.run import kept as module
-from warpmpc.run.episode import EpisodeResult
 from warpmpc.run.kept import KeptResults
+from warpmpc.run.result import EpisodeResult
 from warpmpc.scene.load import load_scene
 
 SCENES = Path(load_scene("omni_push_box").path).parent

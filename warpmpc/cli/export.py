@@ -13,7 +13,7 @@ from .setup import SUCCESS, results_only, start_warp, user_errors
 if TYPE_CHECKING:
     from ..export.data_sets import DataSet
     from ..log.run_log import RunLog
-    from ..run.episode import EpisodeResult
+    from ..run.result import EpisodeResult
 
 
 def export(path: Path, *, mcap: Path | None, hdf5: Path | None, minari: str | None) -> int:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..log.run_log import RunLog
-    from ..run.episode import Episode, EpisodeResult, Recorder
+    from ..run.episode import Episode, Recorder
+    from ..run.result import EpisodeResult
     from ..scene.schema import Scene
     from .export import SuccessfulRuns
 

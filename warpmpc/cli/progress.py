@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..controller.controller import Controller
     from ..plant.batch import PlantBatch
     from ..plant.plant import Plant
-    from ..run.episode import EpisodeResult
+    from ..run.result import EpisodeResult
 
 PERIOD = 0.1
 """Time between updates of a bar [s]; it is drawn between plans, never during one."""

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from ..doctor.diagnose import Diagnosis
     from ..doctor.steps import StepError
     from ..model.layout import Layout
-    from ..run.episode import Episode, EpisodeResult
+    from ..run.episode import Episode
+    from ..run.result import EpisodeResult
 
 PIPE_WIDTH = 160
 """Width of tables that go into a pipe or file, unless ``COLUMNS`` says another."""

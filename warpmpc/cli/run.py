@@ -19,8 +19,9 @@ from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, results
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ..run.episode import Episode, EpisodeResult
+    from ..run.episode import Episode
     from ..run.kept import KeptResults
+    from ..run.result import EpisodeResult
     from .outputs import Outputs
     from .run_folder import RunFolder
 

@@ -22,8 +22,8 @@ from .setup import FAILURE, RunArguments, Setup, user_errors
 
 if TYPE_CHECKING:
     from ..log.run_log import RunLog
-    from ..run.episode import EpisodeResult
     from ..run.kept import KeptResults
+    from ..run.result import EpisodeResult
 
 
 def portable(source: str, setup: Setup) -> str:

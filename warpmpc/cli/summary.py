@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..run.episode import EpisodeResult
+    from ..run.result import EpisodeResult
 
 
 def summary(results: Sequence[EpisodeResult]) -> str:

@@ -15,8 +15,9 @@ from ..scene.errors import SceneError
 from ..scene.overrides import split_key
 from ..task.task import Task
 from .choose_engine import with_samples
-from .episode import EpisodeResult, EpisodeStats, watched
+from .episode import EpisodeStats, watched
 from .fit_samples import fit_to_machine
+from .result import EpisodeResult
 
 if TYPE_CHECKING:
     from ..controller.controller import Controller

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from ..origin import code_digest
 from .code import scene_digest
-from .episode import EpisodeResult
 from .records import Records
+from .result import EpisodeResult
 
 if TYPE_CHECKING:
     from ..scene.schema import Scene

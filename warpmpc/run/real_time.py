@@ -18,8 +18,9 @@ from ..robots.monitored import MonitoredRobot
 from ..scene.draw import draw_task
 from ..task.task import Task
 from .choose_engine import with_samples
-from .episode import Result, compile_shared, plain, watched
+from .episode import compile_shared, watched
 from .fit_samples import fit_to_machine
+from .result import Result, plain
 
 if TYPE_CHECKING:
     from ..plant.plant import Plant

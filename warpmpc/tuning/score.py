@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from ..controller.controller import Controller
     from ..plant.plant import Plant
-    from ..run.episode import EpisodeResult
+    from ..run.result import EpisodeResult
     from ..scene.schema import Scene
 
 GRAZE_FORCE = 5.0
