@@ -17,6 +17,7 @@ viser = pytest.importorskip("viser", reason=reason("viser"))
 pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 
 from live_page import WAIT, click_until, launched, opened, press, serving, show, until, without_note  # noqa: E402
+from post_scene import POST  # noqa: E402
 
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.live.plots import FORESIGHT  # noqa: E402
@@ -25,51 +26,6 @@ from warpmpc.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
 
 FAST = ["engine.name=fused", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
-POST = """
-[timing]
-control_dt = 0.04
-
-[engine]
-name = "mujoco"
-threads = 1
-
-[[robot]]
-name = "base"
-asset = "point_robot.urdf"
-ground_contact = false
-frames.centre = { link = "base_link" }
-drive = { damping = 300.0, effort_limit = 200.0, limit = 1.0 }
-
-[[obstacle]]
-name = "post"
-shape = "cylinder"
-size = [0.3, 0.3]
-position = [1.0, 0.0, 0.15]
-movable = true
-
-[goal]
-frame = "base/centre"
-position = [1.0, 0.0]
-
-[[cost]]
-term = "distance"
-between = ["base/centre", "goal"]
-planar = true
-
-[[cost]]
-term = "contact_force"
-between = ["base", "obstacles"]
-weight = 10.0
-
-[planner]
-samples = 32
-horizon = 10
-dt = 0.04
-
-[success]
-distance = 0.05
-"""
-"""The goal is in the middle of a post that can be moved; touching it costs."""
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.filterwarnings("error::DeprecationWarning"),
