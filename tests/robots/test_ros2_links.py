@@ -103,19 +103,23 @@ def test_two_poses_tell_the_twist_between_them(seed):
     np.testing.assert_allclose(difference(before, after, dt), twist, atol=1e-9)
 
 
-def message(names, position, velocity=()):
-    return SimpleNamespace(name=list(names), position=position, velocity=velocity)
+def message(names, position, velocity=(), effort=()):
+    return SimpleNamespace(name=list(names), position=position, velocity=velocity, effort=effort)
 
 
 def test_joints_come_in_any_order_and_among_others():
     order = JointOrder(["a", "b", "c"])
-    here, position, velocity = order.read(message("xcab", [9.0, 3.0, 1.0, 2.0], [0.9, 0.3, 0.1, 0.2]))
+    numbers = [9.0, 3.0, 1.0, 2.0], [0.9, 0.3, 0.1, 0.2], [90.0, 30.0, 10.0, 20.0]
+    here, position, velocity, effort = order.read(message("xcab", *numbers))
     assert dict(zip(here.tolist(), position, strict=True)) == {0: 1.0, 1: 2.0, 2: 3.0}
     assert dict(zip(here.tolist(), velocity, strict=True)) == {0: 0.1, 1: 0.2, 2: 0.3}
-    here, position, velocity = order.read(message("b", [5.0]))
-    assert (here.tolist(), position.tolist(), velocity) == ([1], [5.0], None)
+    assert dict(zip(here.tolist(), effort, strict=True)) == {0: 10.0, 1: 20.0, 2: 30.0}
+    here, position, velocity, effort = order.read(message("b", [5.0]))
+    assert (here.tolist(), position.tolist(), velocity, effort) == ([1], [5.0], None, None)
     with pytest.raises(ValueError, match="2 names, 1 positions"):
         order.read(message("ab", [5.0]))
+    with pytest.raises(ValueError, match="2 positions, 0 velocities, 1 efforts"):
+        order.read(message("ab", [5.0, 6.0], [], [1.0]))
 
 
 def test_time_stamps_keep_their_nanoseconds():

@@ -1,21 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured poses of what a scene estimates, over real ROS 2 in this process."""
+"""Measurements of what a scene estimates, over real ROS 2 in this process."""
 
 import itertools
 import os
+import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimated_dog import dog, trot
 from needs import needs
+from scipy.spatial.transform import Rotation
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import State
 from warpmpc.estimation.measurement import PoseMeasured
+from warpmpc.model.compiled import compile_scene
+from warpmpc.robots.drivers import make_robot
 from warpmpc.robots.estimated import EstimatedRobot
+from warpmpc.robots.process import RobotProcess
 from warpmpc.robots.ros2.settings import Ros2Settings
+from warpmpc.scene.draw import draw_task
+from warpmpc.scene.errors import SceneError
 from warpmpc.scene.schema_estimate import Estimate
+from warpmpc.task.task import Task
 
 pytestmark = needs("rclpy")
 
@@ -114,3 +123,76 @@ def test_a_box_is_estimated_from_its_topic_and_a_pose_without_a_time_is_refused(
         time.sleep(0.01)
         estimated.observe()
     assert "header.stamp" in heard.problem
+
+
+@pytest.fixture
+def walker(tmp_path):
+    """A quadruped that ticks in a thread, its driver with what the scene estimates, and its true states by time."""
+    from warpmpc.robots.ros2.transport import Ros2Transport
+
+    scene, namespace, over = draw_task(dog(), 0)[0], f"dog_{os.getpid()}_{next(NUMBER)}", threading.Event()
+    settings = Ros2Settings(namespace=namespace, diagnostics="diagnostics")
+    file = tmp_path / "dog.toml"
+    file.write_text(f'namespace = "{namespace}"\ndiagnostics = "diagnostics"\n')
+    process = RobotProcess(scene, lambda layout: Ros2Transport(layout, settings, bases=scene.estimate_base), speed=0.2)
+    robot = make_robot(f"ros2:{file}", scene, task=Task(scene), compiled=compile_scene(scene))
+    true = []
+
+    def ended():
+        if process._began is not None:
+            seconds = process._began + process.plant.time
+            true.append((1e-9 * process.transport._clock._epoch + seconds, process.plant.state))
+        return over.is_set()
+
+    thread = threading.Thread(target=process.run, args=[ended])
+    thread.start()
+    yield process.plant, robot, true
+    over.set()
+    thread.join(30.0)
+    robot.close()
+
+
+def test_a_base_is_estimated_from_its_unit_and_joints(walker, caplog):
+    plant, robot, true = walker
+    assert isinstance(robot, EstimatedRobot), "nothing is left unused"
+    assert not caplog.messages
+    end, states = time.monotonic() + 60.0, []
+    while robot.observe() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not any("odometry" in heard.source for heard in robot.heard())
+    while plant.time < 1.2 and time.monotonic() < end:
+        robot.apply(trot(plant))
+        states.append(robot.observe())
+        time.sleep(0.004)
+    assert plant.time >= 1.2, [heard.missing for heard in robot.heard()]
+    epoch, when, errors = 1e-9 * robot._observer._clock._epoch, np.array([moment for moment, _ in true]), []
+    for seen in states:
+        near = np.argmin(np.abs(when - epoch - seen.time))
+        if abs(when[near] - epoch - seen.time) > 0.01:
+            continue  # before it was commanded
+        there = true[near][1]
+        turn = Rotation.from_quat(there.joint_q[3:7]).inv() * Rotation.from_quat(seen.joint_q[3:7])
+        errors.append([turn.magnitude(), *np.abs(seen.joint_q - there.joint_q)])
+    assert len(errors) > 50
+    errors = np.array(errors)
+    assert np.median(errors[:, 0]) < np.radians(4.0)
+    assert np.median(errors[:, 1:4], axis=0).max() < 0.05
+    assert np.median(errors[:, 8:], axis=0).max() < 0.05
+
+
+def test_an_estimated_base_needs_all_joints_and_a_unit_that_the_scene_has():
+    from warpmpc.robots.ros2.topics import Topics
+
+    scene = dog()
+    layout, bases = compile_scene(scene).layout, scene.estimate_base
+    joints = [name for name in layout.dof_name if name.startswith("dog/")]
+    unmeasured = Ros2Settings(joints={"unmeasured": joints[-1:]})
+    with pytest.raises(SceneError, match="from all its joints"):
+        Topics.of(layout, unmeasured, None, bases=bases)
+    other = Ros2Settings(imu=[{"name": "cat", "topic": "imu"}])
+    with pytest.raises(SceneError, match="estimates no base of this name"):
+        Topics.of(layout, other, None, bases=bases)
+    found = Topics.of(layout, Ros2Settings(imu=[{"name": "dog", "topic": "imu/data"}]), None, bases=bases)
+    assert found.bases["dog"].imu == "imu/data"
+    assert len(found.bases["dog"].joints) == 12
+    assert not found.bodies

@@ -45,7 +45,7 @@ class SpoiltTransport:
 
     def __init__(self, transport: Transport):
         self.transport, self._joints = transport, dict(transport.joints)
-        self.fault = "watch"
+        self.fault, self.measures = "watch", transport.measures
 
     def publish(self, state: State) -> None:
         """Send a state, spoilt."""

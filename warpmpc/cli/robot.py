@@ -18,11 +18,12 @@ from .setup import SUCCESS, RunArguments, begin, results_only, user_errors
 from .terms import load_terms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable
     from pathlib import Path
 
     from ..model.layout import Layout
     from ..robots.process import Transport
+    from ..scene.schema import Scene
 
 LISTEN = 3.0
 """Wall time for which a check listens after the first state [s]."""
@@ -42,7 +43,7 @@ def robot(
         try:
             with user_errors():
                 scene = load_scene(arguments.source, overrides=arguments.overrides)
-                transport_of = _transport(estimated=scene.estimate, **transport)
+                transport_of = _transport(scene, **transport)
                 connect = _linked(transport_of, seed=seed, speed=speed, **link)
                 begin(scene, "cpu")
                 from ..robots.process import RobotProcess
@@ -98,16 +99,14 @@ def listen(arguments: RunArguments, choice: str) -> int:
     return SUCCESS
 
 
-def _transport(
-    *, zmq: int | None, ros2: bool, topics: Path | None, estimated: Collection[str]
-) -> Callable[[Layout], Transport]:
+def _transport(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[[Layout], Transport]:
     """The transport that was asked for.
 
     Args:
+        scene: The scene, parts of which whoever commands the robot estimates.
         zmq: Port of ZeroMQ, None for none.
         ros2: Whether topics were asked for.
         topics: The driver's file.
-        estimated: Bodies that whoever commands the robot estimates.
 
     Raises:
         ValueError: If none was, or two, or it is not installed.
@@ -125,7 +124,8 @@ def _transport(
         from ..robots.ros2.settings import Ros2Settings
         from ..robots.ros2.transport import Ros2Transport
 
-        return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics, estimated=estimated)
+        estimated = {"estimated": scene.estimate, "bases": scene.estimate_base}
+        return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics, **estimated)
     from ..robots.zeromq import ZmqTransport
 
     return partial(ZmqTransport, port=zmq)

@@ -51,12 +51,12 @@ class SimulatedImu:
         self._last: tuple[float, Rotation, np.ndarray] | None = None
 
     def measure(self, row: np.ndarray, time: float, control: np.ndarray) -> ImuMeasured | None:
-        """Measure in a physics state, None where it is lost or the first."""
+        """Measure in a physics state, None where it is lost, the first, or not later than the one before."""
         rotation = Rotation.from_quat(np.roll(row[self._q + 3 : self._q + 7], -1))  # MuJoCo's are (w, x, y, z)
         linear, angular = row[self._qd : self._qd + 3], row[self._qd + 3 : self._qd + 6]
         velocity = linear + rotation.apply(np.cross(angular, self._arm))
         last, self._last = self._last, (time, rotation, velocity)
-        if last is None:
+        if last is None or time <= last[0]:
             return None
         noise, dt, before = self._sensor.noise, time - last[0], last[1]
         turn = (before.inv() * rotation).as_rotvec()

@@ -168,10 +168,14 @@ class SimulatedPlant:
         """Measurements of sensors that became known since this was asked last, for an estimator of your own."""
         return self._sensors.known(self.time)
 
-    def measure(self) -> list[Measurement]:
-        """Measure once more with every sensor, apart from their rates: what stands still has measurements, too."""
+    def measure(self, time: float) -> list[Measurement]:
+        """Measure once more with every sensor, apart from their rates: what stands still has measurements, too.
+
+        Args:
+            time: Time of the measurements [s].
+        """
         i, engine = self._index, self._engine
-        return self._sensors.once(engine.initial[i], self.time, engine.control[i, -1])
+        return self._sensors.once(engine.initial[i], time, engine.control[i, -1])
 
     def _observed(self) -> State:
         """The state before anything is estimated: with noise, and ``delay`` old."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 
+from ..estimation.measurement import ImuMeasured, PoseMeasured
 from ..plant.simulated import SimulatedPlant
 from ..registry import ROBOTS
 from ..scene.errors import SceneError, some
@@ -136,12 +137,19 @@ def make_robot(choice: str, scene: Scene, **keys: object) -> Robot:
         raise ValueError(f"the robot '{name}': {error}") from error
     if isinstance(robot, SimulatedPlant):
         return robot  # it estimates by itself
-    measures = hasattr(robot, "measurements")
-    unused = [f"estimate_base.{entry}" for entry in scene.estimate_base]
-    unused += [] if measures else [f"estimate.{entry}" for entry in scene.estimate]
+    unused, used = [], scene
+    for key, kind in (("estimate_base", ImuMeasured), ("estimate", PoseMeasured)):
+        if kind not in measured_kinds(robot):
+            unused += [f"{key}.{entry}" for entry in getattr(scene, key)]
+            used = used.model_copy(update={key: {}})
     if unused:
         logger.warning("%s: not used: the robot '%s' does not measure what it needs", some(unused), name)
-    return EstimatedRobot(robot, scene, keys["compiled"]) if scene.estimate and measures else robot
+    return EstimatedRobot(robot, used, keys["compiled"]) if used.estimate or used.estimate_base else robot
+
+
+def measured_kinds(robot: Robot) -> tuple[type, ...]:
+    """Kinds of a driver's measurements: poses, where it has measurements and does not say of which."""
+    return getattr(robot, "measures", (PoseMeasured,) if hasattr(robot, "measurements") else ())
 
 
 def read_settings(section: type[S], path: Path | None) -> S:

@@ -51,6 +51,11 @@ class FaultyLink:
         self._told: list[tuple[float, int, Sequence[Measurement]]] = []
         self._commands: list[tuple[float, int, Command]] = []
 
+    @property
+    def measures(self) -> tuple[type, ...]:
+        """Kinds of measurements that the transport sends."""
+        return self.transport.measures
+
     def publish(self, state: State) -> None:
         """Send a state, sooner or later, and those that are due."""
         self._put(self._states, state)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from ..estimation.measurement import ImuMeasured, PoseMeasured
 from ..model.compiled import compile_scene
 from ..plant.sensors import require_sensors
 from ..realtime.pace import Pace, percentiles
 from ..scene.draw import draw_task
-from ..task.task import Task
+from ..task.task import Task, task_layout
 from .drive_monitor import DriveMonitor
 from .safety import Command, Refusal, Safety
 from .simulated import simulated_robot
@@ -31,6 +32,9 @@ STILL = 0.05
 
 class Transport(Protocol):
     """Carries states and commands between a robot and whoever commands it; every call returns at once."""
+
+    measures: tuple[type, ...]
+    """Kinds of measurements that it sends."""
 
     def publish(self, state: State) -> None:
         """Send what the robot measures; the stamp is ``state.time``."""
@@ -116,12 +120,20 @@ class RobotProcess:
         terms: Sequence[UserTerm] = (),
     ):
         require_sensors(scene)
-        scene = draw_task(scene, seed)[0].model_copy(update={"estimate": {}})  # whoever commands it estimates
+        scene = draw_task(scene, seed)[0]
         compiled = compile_scene(scene)
-        self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
-        self.safety, self.monitor = Safety(scene, self.plant.layout), DriveMonitor(scene, self.plant.layout)
+        layout = task_layout(compiled.layout, scene)
+        self.transport = connect(layout)
+        kinds = {"estimate": PoseMeasured, "estimate_base": ImuMeasured}
+        elsewhere = {key: {} for key, kind in kinds.items() if kind in self.transport.measures}
+        scene = scene.model_copy(update=elsewhere)  # whoever commands it estimates
+        try:
+            self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
+        except BaseException:
+            self.transport.close()
+            raise
+        self.safety, self.monitor = Safety(scene, layout), DriveMonitor(scene, layout)
         self.pace = Pace(1.0 / scene.agent.rate, speed=speed, skip=False)
-        self.transport = connect(self.plant.layout)
         self.control: np.ndarray | None = None
         """What the drives were given last ``[nu]``; None before the first good command."""
         self._began: float | None = None  # when the first good command came
@@ -138,17 +150,18 @@ class RobotProcess:
         plant, now = self.plant, self.now
         seen = plant.observe()
         start = now if self._began is None else self._began
-        measured = plant.measured
+        measured = [replace(m, time=start + m.time) for m in plant.measured]
         if self._began is None and now >= self._measured + STILL:
-            self._measured, measured = now, plant.measure()
+            self._measured, measured = now, plant.measure(now)
         if measured:
-            self.transport.tell([replace(m, time=start + m.time) for m in measured])
+            self.transport.tell(measured)
         self.transport.publish(replace(seen, time=start + seen.time))
         commands = list(self.transport.receive(now))
         self.monitor.hear(commands, now)
         self.safety.take(commands, now)
         if self._began is None and self.safety.commanded:
             self._began = now
+            self.transport.tell(plant.measure(now))  # units show means, which are not to reach back to where it stood
         if self._began is None:
             return
         state = replace(plant.state, time=now)

@@ -142,6 +142,9 @@ class ZmqRobot:
         SceneError: If an address is none.
     """
 
+    measures = (PoseMeasured,)
+    """Kinds of its measurements."""
+
     def __init__(
         self, scene: Scene, *, compiled: CompiledScene, settings: ZmqSettings, config: Path | None = None, **_: object
     ):
@@ -209,6 +212,9 @@ class ZmqTransport:
     Raises:
         ValueError: If a port is taken.
     """
+
+    measures = (PoseMeasured,)
+    """Kinds of measurements that it sends."""
 
     def __init__(self, layout: Layout, port: int, host: str = "127.0.0.1"):
         self._codec, self._names = StateCodec(layout), layout.control_name

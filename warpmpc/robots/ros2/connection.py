@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 DEPTH = 10
-"""Messages that wait between two looks, at most; older ones are dropped."""
+"""Messages that wait between two looks, at most, where nothing else is said; older ones are dropped."""
 SWITCH = 2e-4
 """Time for which a thread may keep Python's lock while another one waits [s]."""
 CLOSING = 2.0
@@ -65,13 +65,13 @@ class Inbox:
         kind: Message type, ``package/Name``.
         topic: Topic, in the node's namespace where it is relative.
         reliable: Whether what is lost on the way is sent again; sensors' messages are not.
-        newest: Whether the newest message is all that counts, for it tells everything.
+        depth: Messages that wait between two looks, at most; one where the newest tells everything.
     """
 
-    def __init__(self, connection: Connection, kind: str, topic: str, *, reliable: bool = False, newest: bool = False):
+    def __init__(self, connection: Connection, kind: str, topic: str, *, reliable: bool = False, depth: int = DEPTH):
         self.kind, self._node = kind, connection.node
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        qos = QoSProfile(depth=1 if newest else DEPTH, reliability=reliability)
+        qos = QoSProfile(depth=depth, reliability=reliability)
         with _names(topic):
             self._subscription = self._node.create_subscription(
                 message_class(kind), topic, _nothing, qos, callback_group=connection.polled

@@ -7,11 +7,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...estimation.measurement import ImuMeasured, JointsMeasured, PoseMeasured
 from ...task.task import Task
 from .commands import CommandCodec
 from .connection import Connection
 from .diagnostics import Diagnostics
-from .measured import MeasuredPoses
+from .measured import MeasuredBases, MeasuredPoses
 from .messages import RosTime
 from .observer import Observer
 from .rollout_markers import RolloutMarkers
@@ -52,6 +53,9 @@ class Ros2Robot:
         ValueError: If a topic's name is none, or the package of its messages is missing.
     """
 
+    measures = (PoseMeasured, ImuMeasured, JointsMeasured)
+    """Kinds of its measurements."""
+
     def __init__(
         self,
         scene: Scene,
@@ -64,14 +68,14 @@ class Ros2Robot:
     ):
         self.connect_timeout, self.use_sim_time = settings.connect_timeout, settings.use_sim_time
         layout, clock, task = compiled.layout, RosTime(), Task(scene) if task is None else task
-        topics = Topics.of(layout, settings, task, config, estimated=scene.estimate)
+        topics = Topics.of(layout, settings, task, config, estimated=scene.estimate, bases=scene.estimate_base)
         self._codec = CommandCodec(layout, settings.command, clock, config)
         if self._codec.takes_plans:
             self.follow = self._follow
         self._connection = Connection(settings.node, settings.namespace, use_sim_time=settings.use_sim_time)
         try:
             self._observer = Observer(layout, topics, self._connection, clock)
-            self._measured = MeasuredPoses(topics, self._connection, clock)
+            self._measured = [kind(topics, self._connection, clock) for kind in (MeasuredPoses, MeasuredBases)]
             self._inputs = TaskInputs(task, topics, self._connection)
             self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
             rollouts = self._rollouts(settings)
@@ -99,7 +103,7 @@ class Ros2Robot:
 
     def heard(self) -> list[Heard]:
         """Messages of each topic that the state needs, and of those of the task that spoke."""
-        needed = [*self._observer.heard(), *self._measured.heard()]
+        needed = [*self._observer.heard(), *(heard for source in self._measured for heard in source.heard())]
         return [*needed, *(heard for heard in self._inputs.heard if heard.count or heard.refused)]
 
     def observe(self) -> State | None:
@@ -109,8 +113,8 @@ class Ros2Robot:
         return self._state
 
     def measurements(self) -> list[Measurement]:
-        """Measured poses that came since the last call."""
-        return [*self._measured.take()]
+        """Measurements that came since the last call."""
+        return [measured for source in self._measured for measured in source.take()]
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""

@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured poses of things that a scene estimates, from their topics."""
+"""Measurements of what a scene estimates, from their topics: poses of things, units and joints of robots."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ...estimation.measurement import PoseMeasured
+import numpy as np
+
+from ...estimation.measurement import ImuMeasured, JointsMeasured, PoseMeasured
 from ..heard import Heard
 from .connection import Connection, Inbox
-from .messages import RosTime, read_links
+from .messages import JointOrder, Message, RosTime, read_links
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .topics import Topics
+
+WAITING = 200
+"""Messages of units and joints that wait between two looks, at most: each carries the estimate forward."""
 
 
 class MeasuredPoses:
@@ -55,3 +62,73 @@ class MeasuredPoses:
                     heard.note(measured.time)
                 found += told
         return found
+
+
+class MeasuredBases:
+    """Measurements of inertial units and joints of robots whose base is estimated.
+
+    Args:
+        topics: Which topic tells what.
+        connection: The node.
+        clock: Turns stamps into seconds.
+
+    Raises:
+        ValueError: If a topic's name is none, or the package of its messages is missing.
+    """
+
+    def __init__(self, topics: Topics, connection: Connection, clock: RosTime):
+        self._clock = clock
+        self._units, self._joints = [], []
+        for name, base in topics.bases.items():
+            unit = Inbox(connection, "sensor_msgs/Imu", base.imu, depth=WAITING)
+            self._units.append((name, unit, Heard(unit.topic, unit.kind)))
+            joints = Inbox(connection, "sensor_msgs/JointState", topics.settings.joints.topic, depth=WAITING)
+            about = Heard(joints.topic, f"{joints.kind} of all joints of {name}, with their efforts")
+            self._joints.append((name, joints, about, JointOrder(base.joints), len(base.joints)))
+
+    def heard(self) -> list[Heard]:
+        """Messages of each topic; of a silent one its problem says why."""
+        for _, inbox, heard, *_ in (*self._units, *self._joints):
+            if not heard.count and not heard.refused:
+                heard.problem = inbox.silence()
+        return [entry[2] for entry in (*self._units, *self._joints)]
+
+    def take(self) -> list[ImuMeasured | JointsMeasured]:
+        """Measurements that came since the last call; returns at once."""
+        found: list[ImuMeasured | JointsMeasured] = []
+        for name, inbox, heard in self._units:
+            for message, _ in inbox.take():
+                self._take(heard, found, lambda message=message, name=name: self._of_unit(name, message))
+        for name, inbox, heard, order, count in self._joints:
+            for message, _ in inbox.take():
+                self._take(heard, found, lambda m=message, n=name, o=order, c=count: self._of_joints(n, m, o, c))
+        return found
+
+    @staticmethod
+    def _take(heard: Heard, found: list, read: Callable[[], ImuMeasured | JointsMeasured | None]) -> None:
+        """Read a message into what was found, and note it, or why it is refused."""
+        try:
+            measured = read()
+        except ValueError as error:
+            heard.refuse(str(error))
+            return
+        if measured is not None:
+            heard.note(measured.time)
+            found.append(measured)
+
+    def _of_unit(self, name: str, message: Message) -> ImuMeasured:
+        spin, force = message.angular_velocity, message.linear_acceleration
+        gyro, accel = np.array([spin.x, spin.y, spin.z]), np.array([force.x, force.y, force.z])
+        return ImuMeasured(name, self._clock.given(message.header.stamp), gyro, accel)
+
+    def _of_joints(self, name: str, message: Message, order: JointOrder, count: int) -> JointsMeasured | None:
+        """Measurement of the joints; None where the message is about others, too few to be all of them."""
+        here, position, velocity, effort = order.read(message)
+        if len(here) < count:
+            return None
+        if velocity is None or effort is None:
+            lacking = "velocities" if velocity is None else "efforts"
+            raise ValueError(f"a message has no {lacking}: the base of {name} is estimated from them")
+        q, qd, forces = np.zeros((3, count))
+        q[here], qd[here], forces[here] = position, velocity, effort
+        return JointsMeasured(name, self._clock.given(message.header.stamp), q, qd, forces)

@@ -127,21 +127,25 @@ class JointOrder:
         """Names in the newest message."""
         self._there = self._here = np.zeros(0, dtype=int)
 
-    def read(self, message: Message) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Places of the joints that a sensor_msgs/JointState has, their positions, and velocities if it has these.
+    def read(self, message: Message) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Places of the joints that a sensor_msgs/JointState has, their positions, velocities and efforts.
+
+        The latter two are None where it has none.
 
         Raises:
-            ValueError: If it has not one position, or one velocity, for each name.
+            ValueError: If it has not one position, velocity or effort for each name.
         """
         if message.name != self.names:
             found = [(i, self._wanted[name]) for i, name in enumerate(message.name) if name in self._wanted]
             self._there, self._here = np.array(found, dtype=int).reshape(-1, 2).T
             self.names = list(message.name)
-        position, velocity = np.asarray(message.position), np.asarray(message.velocity)
-        if len(position) != len(self.names) or len(velocity) not in (0, len(self.names)):
-            sizes = f"{len(self.names)} names, {len(position)} positions, {len(velocity)} velocities"
-            raise ValueError(f"a message has {sizes}: one of each is needed for each name")
-        return self._here, position[self._there], velocity[self._there] if len(velocity) else None
+        numbers = [np.asarray(part) for part in (message.position, message.velocity, message.effort)]
+        sizes = [len(part) for part in numbers]
+        if sizes[0] != len(self.names) or not {*sizes[1:]} <= {0, len(self.names)}:
+            found = "{} positions, {} velocities, {} efforts".format(*sizes)
+            raise ValueError(f"a message has {len(self.names)} names, {found}: one of each is needed for each name")
+        position, *others = numbers
+        return self._here, position[self._there], *(part[self._there] if len(part) else None for part in others)
 
 
 def floats(values: np.ndarray) -> array:

@@ -11,7 +11,7 @@ import numpy as np
 from ...model.state import State
 from ...scene.errors import some
 from ..heard import Heard
-from .connection import Connection, Inbox
+from .connection import DEPTH, Connection, Inbox
 from .links import Link, difference
 from .messages import JointOrder, Message, RosTime, read_links
 from .settings import Pose, PoseType
@@ -126,7 +126,7 @@ class Observer:
         for message, _ in self._joints.take():
             try:
                 stamp = self._clock.given(message.header.stamp)
-                here, position, velocity = self._order.read(message)
+                here, position, velocity, _ = self._order.read(message)
             except ValueError as error:
                 heard.refuse(str(error))
                 continue
@@ -184,7 +184,7 @@ class _PoseSource:
         mocap: int | None = None,
     ):
         several = pose.type is PoseType.TRANSFORMS  # other bodies', too
-        self.inbox = Inbox(connection, str(pose.type), pose.topic, newest=not several)
+        self.inbox = Inbox(connection, str(pose.type), pose.topic, depth=DEPTH if several else 1)
         self.heard = Heard(self.inbox.topic, f"{pose.type} of {name}")
         self.part, self._joint, self._mocap = part, joint, mocap
         self._kind, self._frame, self._world = str(pose.type), pose.frame or name, world

@@ -68,6 +68,15 @@ class Pose(Section):
     """As for joints [s]."""
 
 
+class Imu(Section):
+    """Inertial measurement unit of a robot whose base the scene estimates."""
+
+    name: str
+    """The robot."""
+    topic: str
+    """Topic of sensor_msgs/Imu, whose orientation is not used."""
+
+
 class CommandSettings(Section):
     """Commands to the robot."""
 
@@ -109,5 +118,7 @@ class Ros2Settings(Section):
     """Joints that the robot measures."""
     pose: Annotated[tuple[Pose, ...], OneOrMore] = ()
     """Sources of poses; those of the scene that are not named have their own default."""
+    imu: Annotated[tuple[Imu, ...], OneOrMore] = ()
+    """Inertial measurement units; those of estimated bases that are not named have ``NAME/imu``."""
     command: CommandSettings = CommandSettings()
     """Commands to the robot."""

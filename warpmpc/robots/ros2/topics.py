@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from newton import JointType
 
 from ...estimation.free_joints import free_joints
+from ...estimation.legs import one_axis_joints
 from ...scene.errors import SceneError
 from .links import FloatingBody, PlanarJoints
 from .settings import Joints, Pose, PoseType, Ros2Settings
@@ -19,6 +20,16 @@ if TYPE_CHECKING:
 
     from ...model.layout import Layout
     from ...task.task import Task
+
+
+@dataclass(frozen=True)
+class Base:
+    """Topics by which a robot's base is estimated."""
+
+    imu: str
+    """Topic of its inertial measurement unit."""
+    joints: tuple[str, ...]
+    """The robot's own names of its joints of one axis, in the layout's order."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class Topics:
     """Mocap bodies whose pose is heard, by their place."""
     measured: dict[str, Pose]
     """Measured poses of things that are estimated."""
+    bases: dict[str, Base]
+    """Robots whose base is estimated."""
     task: dict[str, Pose]
     """Poses of the task that may be heard."""
 
@@ -50,6 +63,7 @@ class Topics:
         file: Path | None = None,
         *,
         estimated: Collection[str] = (),
+        bases: Collection[str] = (),
     ) -> Topics:
         """Topics of a scene.
 
@@ -59,6 +73,7 @@ class Topics:
             task: The task, whose poses may be heard; none of them if None.
             file: The file, for errors.
             estimated: Bodies that are estimated from measured poses.
+            bases: Robots whose base is estimated from an inertial measurement unit.
         """
         balls = [
             name for name, kind in zip(layout.joint_name, layout.joint_type, strict=True) if kind == JointType.BALL
@@ -78,7 +93,7 @@ class Topics:
         bodies = {
             name: (FloatingBody(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
             for name, joint in free.items()
-            if name not in estimated
+            if name not in estimated and name not in bases
         }
         measured = {name: _pose(given, name) for name in free if name in estimated}
         elsewhere: set[int] = set()
@@ -91,13 +106,33 @@ class Topics:
             elsewhere |= set(moved.qd.tolist())
         mocap = {i: _pose(given, name) for i, name in enumerate(layout.mocap_name) if name not in task_poses}
         poses = {name: _pose(given, name) for name in task_poses}
-        return cls(settings, _joints(layout, settings.joints, elsewhere, file), bodies, mocap, measured, poses)
+        joints = _joints(layout, settings.joints, elsewhere, file)
+        based = _bases(layout, settings, bases, joints, file)
+        return cls(settings, joints, bodies, mocap, measured, based, poses)
 
 
 def _pose(given: dict[str, Pose], name: str) -> Pose:
     """The source of a pose without a velocity: what the file says, or its default."""
     topic = "goal_pose" if name == "goal" else f"{name}/pose"
     return given.get(name) or Pose(name=name, topic=topic, type=PoseType.POSE)
+
+
+def _bases(
+    layout: Layout, settings: Ros2Settings, names: Collection[str], joints: dict[int, str], file: Path | None
+) -> dict[str, Base]:
+    """Topics of estimated bases."""
+    given, found = {imu.name: imu.topic for imu in settings.imu}, {}
+    for name in given:
+        if name not in names:
+            message = "the scene estimates no base of this name: leave it out, or add [estimate_base]"
+            raise SceneError(message, key=f"imu.{name}", file=file, found=name, allowed=names)
+    for name in names:
+        dofs = layout.joint_qd_start[one_axis_joints(layout, name, key=f"estimate_base.{name}")].tolist()
+        if unmeasured := [layout.dof_name[dof] for dof in dofs if dof not in joints]:
+            message = f"the base of {name} is estimated from all its joints"
+            raise SceneError(message, key="joints.unmeasured", file=file, found=unmeasured)
+        found[name] = Base(given.get(name, f"{name}/imu"), tuple(joints[dof] for dof in dofs))
+    return found
 
 
 def _joints(layout: Layout, joints: Joints, elsewhere: set[int], file: Path | None) -> dict[int, str]:

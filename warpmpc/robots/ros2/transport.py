@@ -7,16 +7,16 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ...estimation.measurement import PoseMeasured
+from ...estimation.measurement import ImuMeasured, JointsMeasured, PoseMeasured
 from ..safety import Command
 from .commands import CommandCodec
 from .connection import Connection, Inbox, message_class
 from .links import FloatingBody, Link, PlanarJoints
 from .messages import RosTime, floats, write_odometry, write_pose, write_transform
 from .settings import Pose, PoseType, Ros2Settings
-from .topics import Topics
+from .topics import Base, Topics
 
 if TYPE_CHECKING:
     from ...estimation.measurement import Measurement
@@ -39,24 +39,36 @@ class Ros2Transport:
         settings: Topics.
         file: File of the settings, for errors.
         estimated: Bodies of which only measured poses are sent.
+        bases: Robots of which only measurements of units and joints are sent.
 
     Raises:
         SceneError: If the settings do not fit the scene.
         ValueError: If a topic's name is none, or the package of its messages is missing.
     """
 
+    measures = (PoseMeasured, ImuMeasured, JointsMeasured)
+    """Kinds of measurements that it sends."""
+
     def __init__(
-        self, layout: Layout, settings: Ros2Settings, file: Path | None = None, *, estimated: Collection[str] = ()
+        self,
+        layout: Layout,
+        settings: Ros2Settings,
+        file: Path | None = None,
+        *,
+        estimated: Collection[str] = (),
+        bases: Collection[str] = (),
     ):
         self._clock = RosTime(time.time_ns())
-        topics = Topics.of(layout, settings, None, file, estimated=estimated)
-        self.joints: dict[str, int] = {name: dof for dof, name in topics.joints.items()}
+        topics = Topics.of(layout, settings, None, file, estimated=estimated, bases=bases)
+        told = {name for base in topics.bases.values() for name in base.joints}
+        self.joints: dict[str, int] = {name: dof for dof, name in topics.joints.items() if name not in told}
         """Joints that are published: places of their velocities in the state by name."""
         self._codec = CommandCodec(layout, settings.command, self._clock, file)
         self._connection = Connection(NODE, settings.namespace)
         try:
             self._publish: list[Callable[[State], None]] = [*self._publishers(layout, topics)]
             self._measured = {name: self._pose_publisher(pose, topics) for name, pose in topics.measured.items()}
+            self._bases = {name: self._base_publishers(base, topics) for name, base in topics.bases.items()}
             self._commands = Inbox(self._connection, str(settings.command.type), settings.command.topic, reliable=True)
         except ValueError:
             self._connection.close()
@@ -70,10 +82,13 @@ class Ros2Transport:
             publish(state)
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
-        """Send measured poses of what is estimated; states have the others as they were measured last."""
+        """Send measurements of what is estimated; states have the other poses as they were measured last."""
         for measured in measurements:
-            if isinstance(measured, PoseMeasured) and (publish := self._measured.get(measured.name)) is not None:
-                publish(measured.time, Link(measured.pose))
+            if isinstance(measured, PoseMeasured):
+                if (publish := self._measured.get(measured.name)) is not None:
+                    publish(measured.time, Link(measured.pose))
+            elif (publishers := self._bases.get(measured.name)) is not None:
+                publishers[type(measured)](measured)
 
     def receive(self, now: float) -> Iterator[Command]:
         """Commands that came since the last call, in their order; those without a header count from now on.
@@ -92,7 +107,7 @@ class Ros2Transport:
 
     def _publishers(self, layout: Layout, topics: Topics) -> Iterator[Callable[[State], None]]:
         yield self._clock_publisher()
-        if topics.joints:
+        if self.joints:
             yield self._joint_publisher(layout, topics)
         for joint, pose in topics.bodies.values():
             publish = self._pose_publisher(pose, topics)
@@ -127,6 +142,28 @@ class Ros2Transport:
             publisher.publish(message)
 
         return publish
+
+    def _base_publishers(self, base: Base, topics: Topics) -> dict[type, Callable[[Any], None]]:
+        """Publish what a unit and joints show, by the kind of the measurement."""
+        kinds = "sensor_msgs/Imu", "sensor_msgs/JointState"
+        names = base.imu, topics.settings.joints.topic
+        unit, joints = (self._connection.publisher(kind, topic) for kind, topic in zip(kinds, names, strict=True))
+        imu, state = (message_class(kind)() for kind in kinds)
+        imu.orientation_covariance[0] = -1.0  # it tells no orientation
+        state.name = list(base.joints)
+
+        def publish_unit(measured: ImuMeasured) -> None:
+            self._clock.write(measured.time, imu.header.stamp)
+            for vector, values in ((imu.angular_velocity, measured.gyro), (imu.linear_acceleration, measured.accel)):
+                vector.x, vector.y, vector.z = map(float, values)
+            unit.publish(imu)
+
+        def publish_joints(measured: JointsMeasured) -> None:
+            self._clock.write(measured.time, state.header.stamp)
+            state.position, state.velocity, state.effort = map(floats, (measured.q, measured.qd, measured.effort))
+            joints.publish(state)
+
+        return {ImuMeasured: publish_unit, JointsMeasured: publish_joints}
 
     def _pose_publisher(self, pose: Pose, topics: Topics) -> Callable[[float, Link], None]:
         """Publish links of times [s]."""
