@@ -5,11 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimated_dog import dog
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import State
-from warpmpc.estimation.measurement import PoseMeasured
+from warpmpc.estimation.base_estimator import LONGEST as LONGEST_BASE
+from warpmpc.estimation.measurement import ImuMeasured, JointsMeasured, PoseMeasured
 from warpmpc.estimation.pose_filter import LONGEST
+from warpmpc.model.compiled import compile_scene
 from warpmpc.robots.drivers import make_robot
 from warpmpc.robots.estimated import EstimatedRobot
 from warpmpc.scene.schema_base import EstimateBase
@@ -116,3 +119,55 @@ def test_a_state_without_a_time_is_for_the_watchdog_to_see(robot, driver):
     seen(robot, driver, 5.0, pose(5.0))
     assert np.isnan(seen(robot, driver, np.nan, pose(5.1)).time)
     assert seen(robot, driver, 5.2).time == 5.2
+
+
+class Walker(Driver):
+    """A quadruped that stands still and says what a test says."""
+
+    measures = (PoseMeasured, ImuMeasured, JointsMeasured)
+
+    def __init__(self, layout):
+        super().__init__()
+        self.start, self.sent = State.start(layout), 0
+
+    def apply(self, control):
+        self.sent += 1
+
+    def stand(self, *times):
+        """Be at the last of some times [s], and measure at all of them."""
+        q = self.start.joint_q[7:]
+        for moment in times:
+            self.told += [
+                ImuMeasured("dog", moment, np.zeros(3), np.array([0.0, 0.0, 9.81])),
+                JointsMeasured("dog", moment, q, np.zeros(12), np.zeros(12)),
+            ]
+        self.state = replace(self.start, time=times[-1])
+
+
+def test_a_unit_that_was_silent_begins_anew_before_the_first_command_alone(caplog):
+    scene = dog()
+    driver = Walker(compile_scene(scene).layout)
+    robot = EstimatedRobot(driver, scene, compile_scene(scene))
+
+    def height():
+        return float(robot.observe().joint_q[2])
+
+    driver.state = replace(driver.start, time=0.0)
+    assert robot.observe() is None, "nothing was measured"
+    start = float(driver.start.joint_q[2])
+    driver.stand(0.0, 0.05)
+    assert height() == pytest.approx(start, abs=0.01)
+    driver.stand(20.0, 20.05)  # as long as a planner takes to start
+    assert height() == pytest.approx(start, abs=0.01)
+    assert robot.observe().time == pytest.approx(20.05)
+    driver.state = replace(driver.start, time=20.5)
+    assert robot.observe().time <= 20.05 + LONGEST_BASE + 1e-6, "the watchdog sees that it is old"
+    driver.stand(20.55, 20.6)
+    assert robot.observe().time == pytest.approx(20.6)
+    robot.apply(np.zeros(12))
+    driver.stand(23.0, 23.05)
+    assert robot.observe().time == pytest.approx(20.6)
+    assert [line for line in caplog.messages if "was silent" in line]
+    driver.stand(23.1, 23.15)
+    assert robot.observe().time == pytest.approx(20.6), "nobody knows where it is"
+    assert driver.sent == 1

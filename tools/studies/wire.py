@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.files import put_group
+from shared.machine import machine
 from shared.wire import PROGRAM, TRANSPORTS, Drill, Planner
 
 SCENES = ("cartpole_swingup", "omni_push_box")
@@ -217,7 +218,9 @@ def main(arguments: list[str]) -> int:
             unsafe += outcome.unsafe
             print(" | ".join(faults[-1]), flush=True)
     if options.json is not None:
+        here = machine()
         facts = {
+            "machine": f"{here['cpu']}, {here['cores']} cores",
             "date": datetime.date.today().isoformat(),
             "command": " ".join(["python tools/study.py wire", *arguments]),
         }

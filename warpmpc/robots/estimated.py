@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +19,11 @@ from .heard import Heard
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
     from ..model.state import State
+    from ..planner.plan import Plan
     from ..realtime.loop import Robot
     from ..scene.schema import Scene
+
+logger = logging.getLogger("warpmpc")
 
 AHEAD = 0.25
 """Time by which a measurement may be ahead of the state [s]."""
@@ -47,8 +51,9 @@ class EstimatedRobot:
     Where nothing was measured for longer than an estimate goes on without (``LONGEST`` of its filter), the state's
     time stands still, so that the agent's watchdog sees an observation that is too old. A measurement that is ahead of
     the state by more than :data:`AHEAD` is refused. A state that goes back by more than :data:`KEPT` tells of a clock
-    that was set: everything is forgotten; so it is where an inertial measurement unit was silent for as long, as before
-    the planner was ready.
+    that was set: everything is forgotten. An inertial measurement unit that was silent for as long carries no estimate
+    forward: before the first command the robot is where the scene begins, as while the planner starts; after it nobody
+    knows where it is, and the state stays old.
 
     Args:
         robot: Driver with ``measurements()``.
@@ -74,6 +79,9 @@ class EstimatedRobot:
                 self._sources[name, kind] = source
         self._state: State | None = None
         self._time = -np.inf
+        self._commanded = self._lost = False
+        if hasattr(robot, "follow"):
+            self.follow = self._follow
 
     def __getattr__(self, name: str) -> Any:
         """Everything that drivers may have besides."""
@@ -89,7 +97,12 @@ class EstimatedRobot:
         if state is None or not np.isfinite(state.time):
             return None if self._state is None else state  # the watchdog tells of it
         told = self._robot.measurements()
-        if state.time < self._time - KEPT or self._fell_silent(told):
+        if (silent := self._silent(told)) is not None and self._commanded and not self._lost:
+            self._lost = True
+            logger.error("the unit of %s was silent for over %g s: where it is is not known; run anew", silent, KEPT)
+        if self._lost:
+            return self._state
+        if state.time < self._time - KEPT or silent is not None:
             self._estimator.reset()
             self._state = None
             for source in self._sources.values():
@@ -105,13 +118,22 @@ class EstimatedRobot:
         self._time = state.time
         return self._state
 
-    def _fell_silent(self, told: list[Measurement]) -> bool:
-        """Return whether a unit speaks again that was silent for too long to carry the estimate forward."""
+    def apply(self, control: np.ndarray) -> None:
+        """Send a control ``[nu]``."""
+        self._commanded = True
+        self._robot.apply(control)
+
+    def _follow(self, plan: Plan, now: float) -> None:
+        self._commanded = True
+        self._robot.follow(plan, now)
+
+    def _silent(self, told: list[Measurement]) -> str | None:
+        """The robot whose unit speaks again after it was silent for too long, None for none."""
         for (name, kind), source in self._sources.items():
             times = [measured.time for measured in told if isinstance(measured, kind) and measured.name == name]
             if kind is ImuMeasured and times and min(times) > source.newest + KEPT > -np.inf:
-                return True
-        return False
+                return name
+        return None
 
     def _take(self, source: Source, measured: Measurement, now: float) -> None:
         """Take in a measurement that may be as its numbers and its time are; note it, or why it is refused."""
