@@ -16,11 +16,13 @@ import argparse
 import copy
 import json
 import logging
+import shlex
 import subprocess
 import sys
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +31,15 @@ import mujoco.rollout
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from shared.files import write_json
+from shared.files import put_group, write_json
 from shared.machine import machine
 from shared.packages import load_file, package_files
 
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics import rollout
 
+COLUMNS = ["package", "models", "compared", "without some sensors", "refused", "p50: median", "p99: median", "worst"]
+"""Heads of the table about packages."""
 SECONDS, TIMES, WORLDS = 0.4, 4, 48
 """Length of the way that states are taken from [s], how many of each world, and worlds."""
 EDGE = 3e-7
@@ -147,19 +151,9 @@ def in_process(name: str) -> dict[str, Any]:
 def print_results(results: list[dict[str, Any]]) -> None:
     """Print what came of each package, the models that are furthest apart, and what was refused and why."""
     console = Console(width=150)
-    table = Table(
-        "package", "models", "compared", "without some sensors", "refused", "p50: median", "p99: median", "worst"
-    )
-    packages = {r["model"].split("/")[0]: [] for r in results if "unloaded" not in r}
-    for r in results:
-        if "unloaded" not in r:
-            packages[r["model"].split("/")[0]].append(r)
-    for package, rows in packages.items():
-        done = [r for r in rows if "apart" in r]
-        counts = [len(rows), len(done), sum("sensors" in r for r in done), len(rows) - len(done)]
-        p50, p99 = ([r["apart"][p] for r in done] for p in ("p50", "p99"))
-        figures = [f"{x:.0e}" for x in (np.median(p50), np.median(p99), max(p99))] if done else ["", "", ""]
-        table.add_row(package, *map(str, counts), *figures)
+    table = Table(*COLUMNS)
+    for row in summary(results):
+        table.add_row(*row)
     console.print(table)
     table = Table("furthest apart", "dofs", "p50", "p99", "tolerance p99", "rounding p99", "depth p50 [m]")
     done = sorted((r for r in results if "apart" in r), key=lambda r: -r["apart"]["p99"])
@@ -171,6 +165,22 @@ def print_results(results: list[dict[str, Any]]) -> None:
         console.print(f"refused, {count}: {why}", markup=False)
 
 
+def summary(results: list[dict[str, Any]]) -> list[list[str]]:
+    """Rows of a table about packages, of :data:`COLUMNS`."""
+    packages: dict[str, list[dict[str, Any]]] = {}
+    for r in results:
+        if "unloaded" not in r:
+            packages.setdefault(r["model"].split("/")[0], []).append(r)
+    table = []
+    for package, rows in packages.items():
+        done = [r for r in rows if "apart" in r]
+        counts = [len(rows), len(done), sum("sensors" in r for r in done), len(rows) - len(done)]
+        p50, p99 = ([r["apart"][p] for r in done] for p in ("p50", "p99"))
+        figures = [f"{x:.0e}" for x in (np.median(p50), np.median(p99), max(p99))] if done else ["", "", ""]
+        table.append([package, *map(str, counts), *figures])
+    return table
+
+
 def main(arguments: list[str]) -> None:
     """Compare models and print tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -179,6 +189,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--minutes", type=float, default=np.inf, help="begin no more models after so many")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--docs", type=Path, metavar="FOLDER", help="put the packages' table there, as packages.json")
     options = parser.parse_args(arguments)
     if options.one:
         print(json.dumps(compare(options.one)))
@@ -198,4 +209,16 @@ def main(arguments: list[str]) -> None:
                 if options.json:
                     rows = [results[n] for n in sorted(results)]
                     write_json(options.json, {"machine": before, "results": rows})
-    print_results([results[n] for n in sorted(results)])
+    found = [results[n] for n in sorted(results)]
+    print_results(found)
+    if options.docs:
+        command = shlex.join(["python", "tools/bench.py", "packages", *arguments])
+        group = {
+            "machine": f"{before['cpu']}, {before['cores']} cores",
+            "date": date.today().isoformat(),
+            "command": command,
+            "rows": summary(found),
+        }
+        if left := len(package_files()) - len(results):
+            group["note"] = f"{left} of {len(package_files())} files were not reached"
+        put_group(options.docs / "packages.json", COLUMNS, group)

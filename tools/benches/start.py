@@ -6,13 +6,15 @@
 
 As from a wheel where ``tools/bench.py shipped`` has been run before, else as from a checkout.
 
-Each scene is started three times: with empty caches (the first command on a machine), as a new one where another scene
-was run before, and again. Times are those at which a terminal shows something; caches are thrown away.
+Each scene is started four times: with empty caches (the first command on a machine), as a new one where another scene
+was run before, again, and with one cost term more. Times are those at which a terminal shows something; caches are
+thrown away.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import pty
 import re
@@ -28,6 +30,8 @@ from rich.console import Console
 from rich.table import Table
 from shared.files import write_json
 from shared.machine import machine
+
+from warpmpc.scene.load import load_scene
 
 OTHERS = Path(__file__).parents[1] / "others"
 SCENES = ("panda_reach", "quadruped_walk", str(OTHERS / "fetch_push.toml"))
@@ -73,8 +77,23 @@ def start(source: str, cache: Path, options: list[str]) -> dict[str, float]:
     return seen | {"processor": now.ru_utime + now.ru_stime - used.ru_utime - used.ru_stime}
 
 
+def with_another_term(source: str) -> list[str]:
+    """Options that give a scene a cost term more, which costs next to nothing."""
+    cost = [entry.model_dump(mode="json", exclude_unset=True) for entry in load_scene(source).cost]
+    return ["--set", f"cost={inline([*cost, {'term': 'control_effort', 'name': 'another', 'weight': 1e-6}])}"]
+
+
+def inline(value: object) -> str:
+    """A value as TOML on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {inline(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return json.dumps(value)
+
+
 def main(arguments: list[str]) -> None:
-    """Start scene after scene, three times each."""
+    """Start scene after scene, four times each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=SCENES, help="scenes (default: three)")
     parser.add_argument("--engine", default="auto")
@@ -91,8 +110,10 @@ def main(arguments: list[str]) -> None:
         for source in given.scenes:
             empty, new = Path(folder) / "empty", Path(folder) / "new"
             shutil.copytree(used, new)
-            for name, cache in (("machine's first", empty), ("new scene", new), ("again", new)):
-                found = start(source, cache, options)
+            starts = (("machine's first", empty), ("new scene", new), ("again", new), ("another term", new))
+            for name, cache in starts:
+                more = with_another_term(source) if name == "another term" else []
+                found = start(source, cache, [*options, *more])
                 rows.append({"scene": Path(source).stem, "start": name, "seconds": found})
                 cells = [f"{found[part]:.1f}" if part in found else "-" for part in ("line", "compiled", "motion")]
                 table.add_row(Path(source).stem, name, *cells, f"{found['processor']:.1f}")
