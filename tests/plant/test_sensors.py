@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from small_scenes import make_scene
 
-from warpmpc import Plant, SceneError
+from warpmpc import Plant, SceneError, load_scene
 from warpmpc.plant.simulated import SimulatedPlant
 from warpmpc.robots.process import RobotProcess
+from warpmpc.scene.schema import EstimateBase
 
 PUSH = np.array([0.6, 0.0, 0.0], dtype=np.float32)
 BOX = {"name": "box", "shape": "box", "size": (0.2, 0.2, 0.2), "mass": 1.0, "position": (0.6, 0.0, 0.1)}
@@ -106,6 +107,11 @@ def test_what_nothing_measures_is_not_estimated():
         with pytest.raises(SceneError, match=r"add \[plant.sensor.pose.box\]") as caught:
             make(scene)
         assert caught.value.key == "estimate.box"
+    scene = load_scene("quadruped_walk").model_copy(
+        update={"estimate_base": {"dog": EstimateBase(feet=["dog/fr_foot"])}}
+    )
+    with pytest.raises(SceneError, match=r"add \[plant.sensor.imu.dog\]"):
+        Plant(scene)
 
 
 @pytest.mark.parametrize("section", ["estimate", "plant.sensor.pose"])

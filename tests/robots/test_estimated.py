@@ -144,10 +144,70 @@ class Walker(Driver):
         self.state = replace(self.start, time=times[-1])
 
 
-def test_a_unit_that_was_silent_begins_anew_before_the_first_command_alone(caplog):
+@pytest.fixture
+def walker():
+    """A quadruped, and what estimates its base."""
     scene = dog()
     driver = Walker(compile_scene(scene).layout)
-    robot = EstimatedRobot(driver, scene, compile_scene(scene))
+    return driver, EstimatedRobot(driver, scene, compile_scene(scene))
+
+
+def test_a_unit_far_ahead_is_refused_and_changes_nothing(walker):
+    driver, robot = walker
+    driver.stand(20.0, 20.05)
+    robot.observe()
+    robot.apply(np.zeros(12))
+    for wrong in (500.0, np.inf, np.nan):
+        driver.stand(20.1)
+        driver.told.append(ImuMeasured("dog", wrong, np.zeros(3), np.array([0.0, 0.0, 9.81])))
+        assert robot.observe().time == pytest.approx(20.1)
+    assert not robot.done
+    assert "ahead" in robot.heard()[0].problem or "finite" in robot.heard()[0].problem
+
+
+def test_a_gap_between_measurements_that_come_together_is_seen(walker):
+    driver, robot = walker
+    driver.stand(20.0, 20.05)
+    robot.observe()
+    robot.apply(np.zeros(12))
+    driver.stand(20.1, 24.0)
+    assert robot.observe().time == pytest.approx(20.05)
+    assert robot.done
+
+
+def test_a_clock_that_is_set_back_ends_the_run_of_a_base_that_was_commanded(walker, caplog):
+    driver, robot = walker
+    driver.stand(20.0, 20.05)
+    robot.observe()
+    driver.stand(5.0, 5.05)
+    assert robot.observe().time == pytest.approx(5.05), "it was not commanded yet"
+    robot.apply(np.zeros(12))
+    driver.stand(1.0, 1.05)
+    assert robot.observe().time == pytest.approx(5.05)
+    assert robot.done
+    assert "the clock was set back" in caplog.text
+
+
+def test_two_things_are_estimated_again_after_the_clock_was_set_back(driver):
+    boxes = [BOX, BOX | {"name": "other", "position": (0.0, 2.0, 0.3)}]
+    scene = make_scene(object=boxes).model_copy(
+        update={"estimate": {name: Estimate(gate=None) for name in ("box", "other")}}
+    )
+    robot = EstimatedRobot(driver, scene, compiled(scene))
+    start = State.start(compiled(scene).layout)
+
+    def tick(time, name):
+        driver.state, driver.told = replace(start, time=time), [replace(pose(time), name=name)]
+        return robot.observe()
+
+    tick(100.0, "box")
+    assert tick(100.01, "other") is not None
+    tick(1.0, "box")
+    assert tick(1.01, "other").time == pytest.approx(1.01)
+
+
+def test_a_unit_that_was_silent_begins_anew_before_the_first_command_alone(walker, caplog):
+    driver, robot = walker
 
     def height():
         return float(robot.observe().joint_q[2])
@@ -167,7 +227,8 @@ def test_a_unit_that_was_silent_begins_anew_before_the_first_command_alone(caplo
     robot.apply(np.zeros(12))
     driver.stand(23.0, 23.05)
     assert robot.observe().time == pytest.approx(20.6)
-    assert [line for line in caplog.messages if "was silent" in line]
+    assert "the unit or joints of dog were silent" in caplog.text
+    assert robot.done
     driver.stand(23.1, 23.15)
     assert robot.observe().time == pytest.approx(20.6), "nobody knows where it is"
     assert driver.sent == 1

@@ -196,3 +196,52 @@ def test_an_estimated_base_needs_all_joints_and_a_unit_that_the_scene_has():
     assert found.bases["dog"].imu == "imu/data"
     assert len(found.bases["dog"].joints) == 12
     assert not found.bodies
+    with pytest.raises(SceneError, match="estimated from a unit and joints"):
+        Topics.of(layout, Ros2Settings(pose=[{"name": "dog", "topic": "odom"}]), None, bases=bases)
+
+
+def test_a_pose_without_a_type_has_that_of_its_use():
+    from warpmpc.robots.ros2.topics import Topics
+
+    layout, settings = compiled(SCENE).layout, Ros2Settings(pose=[{"name": "box", "topic": "camera/box"}])
+    assert str(Topics.of(layout, settings, None, estimated=["box"]).measured["box"].type) == "geometry_msgs/PoseStamped"
+    assert str(Topics.of(layout, settings, None).bodies["box"][1].type) == "nav_msgs/Odometry"
+
+
+def test_units_and_joints_that_tell_too_little_are_refused():
+    from sensor_msgs.msg import Imu, JointState
+
+    from warpmpc.robots.ros2.connection import Connection
+    from warpmpc.robots.ros2.measured import MeasuredBases
+    from warpmpc.robots.ros2.messages import RosTime
+    from warpmpc.robots.ros2.topics import Topics
+
+    scene = dog()
+    settings = Ros2Settings(namespace=f"short_{os.getpid()}")
+    topics = Topics.of(compile_scene(scene).layout, settings, None, bases=scene.estimate_base)
+    names = list(topics.bases["dog"].joints)
+    connection, other = Connection("driver", settings.namespace), Connection("robot", settings.namespace)
+    try:
+        bases = MeasuredBases(topics, connection, RosTime())
+        unit, joints = (
+            other.publisher(kind, topic)
+            for kind, topic in (("sensor_msgs/Imu", "dog/imu"), ("sensor_msgs/JointState", "joint_states"))
+        )
+        blind, part, lazy = Imu(), JointState(), JointState()
+        blind.linear_acceleration_covariance[0] = -1.0
+        part.name, part.position = names[:3], [0.0] * 3
+        lazy.name, lazy.position, lazy.velocity = names, [0.0] * 12, [0.0] * 12
+        for publisher, message, words in (
+            (unit, blind, "covariance of -1"),
+            (joints, part, "not all"),
+            (joints, lazy, "no efforts"),
+        ):
+            message.header.stamp.sec, end = 5, time.monotonic() + 10.0
+            while not any(words in (heard.problem or "") for heard in bases.heard()):
+                assert time.monotonic() < end, words
+                publisher.publish(message)
+                time.sleep(0.01)
+                assert not bases.take()
+    finally:
+        connection.close()
+        other.close()

@@ -60,8 +60,8 @@ def test_a_robot_whose_planner_stops_or_is_killed_is_safe_soon(pair):
     assert json.dumps(report, allow_nan=False)
 
 
-def check_goal(scene: str, transport: str, seed: int, **keys) -> None:
-    result, report = run_pair(scene, transport, seed, speed=SPEED, **keys)
+def check_goal(scene: str, transport: str, seed: int, *, speed: float = SPEED, **keys) -> None:
+    result, report = run_pair(scene, transport, seed, speed=speed, **keys)
     assert (result["success"], report["success"]) == (True, True), (result, report)
     assert report["unsafe"] == 0
     assert report["received"] > 20  # trajectories come less often than ticks
@@ -85,3 +85,9 @@ def test_robots_in_another_process_reach_their_goals(scene, seed):
 @pytest.mark.parametrize("scene", ["omni_push_box", "omni_push_box:measured", "panda_reach_pose", "quadruped_walk"])
 def test_robots_behind_topics_reach_their_goals(scene, transport):
     check_goal(scene, transport, 1, changes=["engine.threads=1"])
+
+
+@pytest.mark.slow
+@needs("rclpy")
+def test_a_quadruped_walks_by_its_unit_and_joints_behind_topics():
+    check_goal("go2_walk:estimated", "ros2", 0, speed=0.1, changes=["engine.threads=1", "agent.rate=200"])

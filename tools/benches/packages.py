@@ -203,12 +203,16 @@ def main(arguments: list[str]) -> None:
         return in_process(name) if time.monotonic() < end else None
 
     with ThreadPoolExecutor(options.jobs) as pool:
-        for future in as_completed([pool.submit(unless_late, name) for name in names]):
-            if found := future.result():
-                results[found["model"]] = found
-                if options.json:
-                    rows = [results[n] for n in sorted(results)]
-                    write_json(options.json, {"machine": before, "results": rows})
+        try:
+            for future in as_completed([pool.submit(unless_late, name) for name in names]):
+                if found := future.result():
+                    results[found["model"]] = found
+                    if options.json:
+                        rows = [results[n] for n in sorted(results)]
+                        write_json(options.json, {"machine": before, "results": rows})
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     found = [results[n] for n in sorted(results)]
     print_results(found)
     if options.docs:
@@ -219,6 +223,7 @@ def main(arguments: list[str]) -> None:
             "command": command,
             "rows": summary(found),
         }
-        if left := len(package_files()) - len(results):
-            group["note"] = f"{left} of {len(package_files())} files were not reached"
+        wanted = [n for n in package_files() if n.startswith(tuple(options.only))]
+        if left := sum(n not in results for n in wanted):
+            group["note"] = f"{left} of {len(wanted)} files were not reached"
         put_group(options.docs / "packages.json", COLUMNS, group)

@@ -25,15 +25,19 @@ SLACK = 1e-6
 
 
 def require_sensors(scene: Scene) -> None:
-    """Require that the simulated plant measures what is estimated from measured poses.
+    """Require that the simulated plant measures what is estimated.
 
     Raises:
-        SceneError: If it does not: what is estimated would stay at its start.
+        SceneError: If it does not: what is estimated would stay at its start, or be what is there.
     """
-    for name in scene.estimate:
-        if name not in scene.plant.sensor.pose:
-            message = f"the simulated plant does not measure its pose: add [plant.sensor.pose.{name}]"
-            raise SceneError(message, key=f"estimate.{name}", file=scene.path)
+    sensor = scene.plant.sensor
+    needed = [("estimate", name, "pose", sensor.pose) for name in scene.estimate]
+    for name in scene.estimate_base:
+        needed += [("estimate_base", name, "imu", sensor.imu), ("estimate_base", name, "joints", sensor.joints)]
+    for key, name, kind, there in needed:
+        if name not in there:
+            message = f"the simulated plant does not measure it: add [plant.sensor.{kind}.{name}]"
+            raise SceneError(message, key=f"{key}.{name}", file=scene.path)
 
 
 class Sensor(Protocol):

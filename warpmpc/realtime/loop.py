@@ -33,8 +33,10 @@ class Robot(Protocol):
     others of the planner. Where a robot is chosen by its name, there count besides:
     ``simulated``, true where it moves on by a tick with every command; ``use_sim_time``, true where its clock may run
     slower than this host's; ``done``, true where the driver ends the run; ``close()``; ``heard()``, the
-    :class:`~warpmpc.robots.heard.Heard` of each of its sources; ``measurements()``, the
-    :class:`~warpmpc.estimation.measurement.PoseMeasured` since it was asked last, stamped by the robot's clock.
+    :class:`~warpmpc.robots.heard.Heard` of each of its sources; ``measurements()``, the measurements
+    (:mod:`warpmpc.estimation.measurement`) since it was asked last, stamped by the robot's clock; ``measures``, their
+    types, poses alone where left out; ``show_paths(source)``, for drivers that show what ``source()`` has of
+    :class:`~warpmpc.controller.rollout_paths.RolloutPaths`.
     """
 
     def observe(self) -> State | None:

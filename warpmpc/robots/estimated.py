@@ -52,8 +52,8 @@ class EstimatedRobot:
     time stands still, so that the agent's watchdog sees an observation that is too old. A measurement that is ahead of
     the state by more than :data:`AHEAD` is refused. A state that goes back by more than :data:`KEPT` tells of a clock
     that was set: everything is forgotten. An inertial measurement unit that was silent for as long carries no estimate
-    forward: before the first command the robot is where the scene begins, as while the planner starts; after it nobody
-    knows where it is, and the state stays old.
+    forward, nor does one whose clock was set: before the first command the robot is where the scene begins, as while
+    the planner starts; after it nobody knows where it is, the state stays old, and the run is over.
 
     Args:
         robot: Driver with ``measurements()``.
@@ -79,6 +79,7 @@ class EstimatedRobot:
                 self._sources[name, kind] = source
         self._state: State | None = None
         self._time = -np.inf
+        self._bases = bool(scene.estimate_base)
         self._commanded = self._lost = False
         if hasattr(robot, "follow"):
             self.follow = self._follow
@@ -97,16 +98,20 @@ class EstimatedRobot:
         if state is None or not np.isfinite(state.time):
             return None if self._state is None else state  # the watchdog tells of it
         told = self._robot.measurements()
-        if (silent := self._silent(told)) is not None and self._commanded and not self._lost:
-            self._lost = True
-            logger.error("the unit of %s was silent for over %g s: where it is is not known; run anew", silent, KEPT)
+        silent = self._silence(told, state.time)
+        if state.time < self._time - KEPT or silent is not None:
+            why = "the clock was set back" if silent is None else f"the unit or joints of {silent[0]} were silent"
+            if self._bases and self._commanded and not self._lost:
+                self._lost = True
+                logger.error("%s by over %g s: where the robot is is not known; run anew", why, KEPT)
+            if not self._lost:
+                self._estimator.reset()
+                self._state, self._time = None, state.time
+                for source in self._sources.values():
+                    source.newest = -np.inf
+                told = told if silent is None else [measured for measured in told if measured.time >= silent[1]]
         if self._lost:
             return self._state
-        if state.time < self._time - KEPT or silent is not None:
-            self._estimator.reset()
-            self._state = None
-            for source in self._sources.values():
-                source.newest = -np.inf
         for measurement in told:
             if (source := self._sources.get((measurement.name, type(measurement)))) is not None:
                 self._take(source, measurement, state.time)
@@ -118,6 +123,11 @@ class EstimatedRobot:
         self._time = state.time
         return self._state
 
+    @property
+    def done(self) -> bool:
+        """Return whether the run is over: where nobody knows where the robot is, or by the driver's own word."""
+        return self._lost or bool(getattr(self._robot, "done", False))
+
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""
         self._commanded = True
@@ -127,12 +137,16 @@ class EstimatedRobot:
         self._commanded = True
         self._robot.follow(plan, now)
 
-    def _silent(self, told: list[Measurement]) -> str | None:
-        """The robot whose unit speaks again after it was silent for too long, None for none."""
+    def _silence(self, told: list[Measurement], now: float) -> tuple[str, float] | None:
+        """The robot whose unit was silent for too long, and when it spoke again [s]; None for none."""
         for (name, kind), source in self._sources.items():
-            times = [measured.time for measured in told if isinstance(measured, kind) and measured.name == name]
-            if kind is ImuMeasured and times and min(times) > source.newest + KEPT > -np.inf:
-                return name
+            if kind is not ImuMeasured:
+                continue
+            own = [measured.time for measured in told if isinstance(measured, kind) and measured.name == name]
+            known = np.sort([t for t in (source.newest, *own) if np.isfinite(t) and t <= now + AHEAD])
+            gaps = np.flatnonzero(np.diff(known) > KEPT)
+            if len(gaps):
+                return name, float(known[gaps[-1] + 1])
         return None
 
     def _take(self, source: Source, measured: Measurement, now: float) -> None:

@@ -117,15 +117,19 @@ class MeasuredBases:
             found.append(measured)
 
     def _of_unit(self, name: str, message: Message) -> ImuMeasured:
+        if -1.0 in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0]):
+            raise ValueError("a message says by a covariance of -1 that it lacks angular velocity or acceleration")
         spin, force = message.angular_velocity, message.linear_acceleration
         gyro, accel = np.array([spin.x, spin.y, spin.z]), np.array([force.x, force.y, force.z])
         return ImuMeasured(name, self._clock.given(message.header.stamp), gyro, accel)
 
     def _of_joints(self, name: str, message: Message, order: JointOrder, count: int) -> JointsMeasured | None:
-        """Measurement of the joints; None where the message is about others, too few to be all of them."""
+        """Measurement of the joints; None where the message is about others."""
         here, position, velocity, effort = order.read(message)
-        if len(here) < count:
+        if not len(here):
             return None
+        if len(np.unique(here)) < count:
+            raise ValueError(f"a message has joints of {name}, but not all, each once: its base is estimated from all")
         if velocity is None or effort is None:
             lacking = "velocities" if velocity is None else "efforts"
             raise ValueError(f"a message has no {lacking}: the base of {name} is estimated from them")

@@ -44,7 +44,7 @@ class RolloutMarkers:
         self._array, self._marker = (message_class(f"visualization_msgs/{name}") for name in ("MarkerArray", "Marker"))
         self._point = message_class("geometry_msgs/Point")
         self._publisher = connection.publisher("visualization_msgs/MarkerArray", topic)
-        self._node, self._world = connection.node, world
+        self._node, self._world, self._heard = connection.node, world, False
 
     def follow(self, source: Callable[[], RolloutPaths | None]) -> None:
         """Publish what a function finds, such as :meth:`~warpmpc.PlannerProcess.paths`."""
@@ -52,7 +52,9 @@ class RolloutMarkers:
         self._node.create_timer(PERIOD, lambda: self._publish(source), clock=clock)
 
     def _publish(self, source: Callable[[], RolloutPaths | None]) -> None:
-        if self._publisher.get_subscription_count() and (paths := source()) is not None:
+        heard, self._heard = self._heard, self._publisher.get_subscription_count() > 0
+        paths = source() if self._heard else None
+        if heard and paths is not None:  # what is found first may be from when somebody listened before
             self._publisher.publish(self._array(markers=list(self._markers(paths))))
 
     def _markers(self, paths: RolloutPaths) -> Iterator[Any]:

@@ -57,8 +57,9 @@ class Pose(Section):
     """Its name in the scene."""
     topic: str
     """Topic."""
-    type: PoseType = PoseType.ODOMETRY
-    """Type of the messages; without velocities, the mean ones between two poses are taken."""
+    type: PoseType | None = None
+    """Type of the messages: odometry for bodies, poses for what is estimated and for the task, where left out. Without
+    velocities, the mean ones between two poses are taken."""
     frame: str = ""
     """Child frame in tf messages; the name where left out."""
     planar: tuple[str, str, str] | None = None

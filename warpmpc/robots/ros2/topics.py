@@ -87,17 +87,22 @@ class Topics:
         planar = {name: pose for name, pose in given.items() if pose.planar is not None}
         known = {*free, *planar, *layout.mocap_name, *task_poses}
         for name in given:
+            if name in bases:
+                message = "its base is estimated from a unit and joints: leave it out, or the scene's estimate_base"
+                raise SceneError(message, key=f"pose.{name}", file=file, found=name)
             if name not in known and task is not None:
                 message = "the scene has no pose of this name; a base on wheels has planar = [x, y, yaw]"
                 raise SceneError(message, key=f"pose.{name}", file=file, found=name, allowed=known)
         bodies = {
-            name: (FloatingBody(layout, joint), given.get(name) or Pose(name=name, topic=f"{name}/odometry"))
+            name: (FloatingBody(layout, joint), _typed(own, PoseType.ODOMETRY))
             for name, joint in free.items()
+            for own in [given.get(name) or Pose(name=name, topic=f"{name}/odometry")]
             if name not in estimated and name not in bases
         }
         measured = {name: _pose(given, name) for name in free if name in estimated}
         elsewhere: set[int] = set()
         for name, pose in planar.items():
+            pose = _typed(pose, PoseType.ODOMETRY)
             try:
                 moved = PlanarJoints(layout, pose.planar)
             except SceneError as error:
@@ -114,7 +119,12 @@ class Topics:
 def _pose(given: dict[str, Pose], name: str) -> Pose:
     """The source of a pose without a velocity: what the file says, or its default."""
     topic = "goal_pose" if name == "goal" else f"{name}/pose"
-    return given.get(name) or Pose(name=name, topic=topic, type=PoseType.POSE)
+    return _typed(given.get(name) or Pose(name=name, topic=topic), PoseType.POSE)
+
+
+def _typed(pose: Pose, kind: PoseType) -> Pose:
+    """A source with a type: a given one if it has none."""
+    return pose if pose.type is not None else pose.model_copy(update={"type": kind})
 
 
 def _bases(
