@@ -212,7 +212,7 @@ def test_units_and_joints_that_tell_too_little_are_refused():
     from sensor_msgs.msg import Imu, JointState
 
     from warpmpc.robots.ros2.connection import Connection
-    from warpmpc.robots.ros2.measured import MeasuredBases
+    from warpmpc.robots.ros2.measured import Measurements
     from warpmpc.robots.ros2.messages import RosTime
     from warpmpc.robots.ros2.topics import Topics
 
@@ -222,7 +222,7 @@ def test_units_and_joints_that_tell_too_little_are_refused():
     names = list(topics.bases["dog"].joints)
     connection, other = Connection("driver", settings.namespace), Connection("robot", settings.namespace)
     try:
-        bases = MeasuredBases(topics, connection, RosTime())
+        bases = Measurements(topics, connection, RosTime())
         unit, joints = (
             other.publisher(kind, topic)
             for kind, topic in (("sensor_msgs/Imu", "dog/imu"), ("sensor_msgs/JointState", "joint_states"))

@@ -176,7 +176,7 @@ class OnDevice:
 
     Args:
         steps: The steps.
-        count: How many world-steps they are.
+        count: Number of world-steps.
     """
 
     def __init__(self, steps: WarpSteps, count: int):

@@ -105,7 +105,7 @@ def _transport(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | None
     Args:
         scene: The scene, parts of which whoever commands the robot estimates.
         zmq: Port of ZeroMQ, None for none.
-        ros2: Whether topics were asked for.
+        ros2: True where topics were asked for.
         topics: The driver's file.
 
     Raises:

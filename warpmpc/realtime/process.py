@@ -77,7 +77,7 @@ class ShownPaths:
     value: LatestValue
     """The newest."""
     wanted: c_byte
-    """Whether somebody asks."""
+    """True while somebody asks."""
 
 
 class PlannerProcess:

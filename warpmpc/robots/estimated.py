@@ -36,9 +36,9 @@ class Source:
     heard: Heard
     """Those that came."""
     what: str
-    """What one is called."""
+    """Name of one."""
     wrong: str
-    """What one is that cannot be used, and the cure."""
+    """Fault of one that cannot be used, and the cure."""
     hold: float
     """Time for which an estimate goes on without one [s]."""
     newest: float = -np.inf
@@ -100,10 +100,12 @@ class EstimatedRobot:
         told = self._robot.measurements()
         silent = self._silence(told, state.time)
         if state.time < self._time - KEPT or silent is not None:
-            why = "the clock was set back" if silent is None else f"the unit or joints of {silent[0]} were silent"
+            why = (
+                "the clock was set back by" if silent is None else f"the unit or joints of {silent[0]} were silent for"
+            )
             if self._bases and self._commanded and not self._lost:
                 self._lost = True
-                logger.error("%s by over %g s: where the robot is is not known; run anew", why, KEPT)
+                logger.error("%s over %g s: where the robot is is not known; run anew", why, KEPT)
             if not self._lost:
                 self._estimator.reset()
                 self._state, self._time = None, state.time

@@ -12,7 +12,7 @@ from ...task.task import Task
 from .commands import CommandCodec
 from .connection import Connection
 from .diagnostics import Diagnostics
-from .measured import MeasuredBases, MeasuredPoses
+from .measured import Measurements
 from .messages import RosTime
 from .observer import Observer
 from .rollout_markers import RolloutMarkers
@@ -75,7 +75,7 @@ class Ros2Robot:
         self._connection = Connection(settings.node, settings.namespace, use_sim_time=settings.use_sim_time)
         try:
             self._observer = Observer(layout, topics, self._connection, clock)
-            self._measured = [kind(topics, self._connection, clock) for kind in (MeasuredPoses, MeasuredBases)]
+            self._measured = Measurements(topics, self._connection, clock)
             self._inputs = TaskInputs(task, topics, self._connection)
             self._commands = self._connection.publisher(str(settings.command.type), settings.command.topic)
             rollouts = self._rollouts(settings)
@@ -103,7 +103,7 @@ class Ros2Robot:
 
     def heard(self) -> list[Heard]:
         """Messages of each topic that the state needs, and of those of the task that spoke."""
-        needed = [*self._observer.heard(), *(heard for source in self._measured for heard in source.heard())]
+        needed = [*self._observer.heard(), *self._measured.heard()]
         return [*needed, *(heard for heard in self._inputs.heard if heard.count or heard.refused)]
 
     def observe(self) -> State | None:
@@ -114,7 +114,7 @@ class Ros2Robot:
 
     def measurements(self) -> list[Measurement]:
         """Measurements that came since the last call."""
-        return [measured for source in self._measured for measured in source.take()]
+        return self._measured.take()
 
     def apply(self, control: np.ndarray) -> None:
         """Send a control ``[nu]``."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,14 +16,16 @@ from .messages import JointOrder, Message, RosTime, read_links
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ...estimation.measurement import Measurement
+    from .settings import Pose
     from .topics import Topics
 
 WAITING = 200
 """Messages of units and joints that wait between two looks, at most: each carries the estimate forward."""
 
 
-class MeasuredPoses:
-    """Measured poses, stamped with the time at which they were measured; they may be late or out of order.
+class Measurements:
+    """Measurements, stamped with the time at which they were made; they may be late or out of order.
 
     Args:
         topics: Which topic tells what.
@@ -35,26 +38,34 @@ class MeasuredPoses:
 
     def __init__(self, topics: Topics, connection: Connection, clock: RosTime):
         self._clock, self._world = clock, topics.settings.world
-        self._sources = []
+        self._sources: list[tuple[Inbox, Heard, Callable[[Message], list[Measurement]]]] = []
         for name, pose in topics.measured.items():
             inbox = Inbox(connection, str(pose.type), pose.topic)
-            self._sources.append((name, pose, inbox, Heard(inbox.topic, f"{pose.type} of {name}")))
+            self._add(inbox, f"{pose.type} of {name}", partial(self._of_pose, name, pose))
+        for name, base in topics.bases.items():
+            unit = Inbox(connection, "sensor_msgs/Imu", base.imu, depth=WAITING)
+            self._add(unit, unit.kind, partial(self._of_unit, name))
+            joints = Inbox(connection, "sensor_msgs/JointState", topics.settings.joints.topic, depth=WAITING)
+            read = partial(self._of_joints, name, JointOrder(base.joints), len(base.joints))
+            self._add(joints, f"{joints.kind} of all joints of {name}, with their efforts", read)
+
+    def _add(self, inbox: Inbox, content: str, read: Callable[[Message], list[Measurement]]) -> None:
+        self._sources.append((inbox, Heard(inbox.topic, content), read))
 
     def heard(self) -> list[Heard]:
         """Messages of each topic; of a silent one its problem says why."""
-        for _, _, inbox, heard in self._sources:
+        for inbox, heard, _ in self._sources:
             if not heard.count and not heard.refused:
                 heard.problem = inbox.silence()
-        return [heard for *_, heard in self._sources]
+        return [heard for _, heard, _ in self._sources]
 
-    def take(self) -> list[PoseMeasured]:
-        """Poses that came since the last call; returns at once."""
+    def take(self) -> list[Measurement]:
+        """Measurements that came since the last call; returns at once."""
         found = []
-        for name, pose, inbox, heard in self._sources:
+        for inbox, heard, read in self._sources:
             for message, _ in inbox.take():
                 try:
-                    links = read_links(str(pose.type), message, pose.frame or name, self._world)
-                    told = [PoseMeasured(name, self._clock.given(stamp), link.pose) for stamp, link in links]
+                    told = read(message)
                 except ValueError as error:
                     heard.refuse(str(error))
                     continue
@@ -63,71 +74,22 @@ class MeasuredPoses:
                 found += told
         return found
 
+    def _of_pose(self, name: str, pose: Pose, message: Message) -> list[Measurement]:
+        links = read_links(str(pose.type), message, pose.frame or name, self._world)
+        return [PoseMeasured(name, self._clock.given(stamp), link.pose) for stamp, link in links]
 
-class MeasuredBases:
-    """Measurements of inertial units and joints of robots whose base is estimated.
-
-    Args:
-        topics: Which topic tells what.
-        connection: The node.
-        clock: Turns stamps into seconds.
-
-    Raises:
-        ValueError: If a topic's name is none, or the package of its messages is missing.
-    """
-
-    def __init__(self, topics: Topics, connection: Connection, clock: RosTime):
-        self._clock = clock
-        self._units, self._joints = [], []
-        for name, base in topics.bases.items():
-            unit = Inbox(connection, "sensor_msgs/Imu", base.imu, depth=WAITING)
-            self._units.append((name, unit, Heard(unit.topic, unit.kind)))
-            joints = Inbox(connection, "sensor_msgs/JointState", topics.settings.joints.topic, depth=WAITING)
-            about = Heard(joints.topic, f"{joints.kind} of all joints of {name}, with their efforts")
-            self._joints.append((name, joints, about, JointOrder(base.joints), len(base.joints)))
-
-    def heard(self) -> list[Heard]:
-        """Messages of each topic; of a silent one its problem says why."""
-        for _, inbox, heard, *_ in (*self._units, *self._joints):
-            if not heard.count and not heard.refused:
-                heard.problem = inbox.silence()
-        return [entry[2] for entry in (*self._units, *self._joints)]
-
-    def take(self) -> list[ImuMeasured | JointsMeasured]:
-        """Measurements that came since the last call; returns at once."""
-        found: list[ImuMeasured | JointsMeasured] = []
-        for name, inbox, heard in self._units:
-            for message, _ in inbox.take():
-                self._take(heard, found, lambda message=message, name=name: self._of_unit(name, message))
-        for name, inbox, heard, order, count in self._joints:
-            for message, _ in inbox.take():
-                self._take(heard, found, lambda m=message, n=name, o=order, c=count: self._of_joints(n, m, o, c))
-        return found
-
-    @staticmethod
-    def _take(heard: Heard, found: list, read: Callable[[], ImuMeasured | JointsMeasured | None]) -> None:
-        """Read a message into what was found, and note it, or why it is refused."""
-        try:
-            measured = read()
-        except ValueError as error:
-            heard.refuse(str(error))
-            return
-        if measured is not None:
-            heard.note(measured.time)
-            found.append(measured)
-
-    def _of_unit(self, name: str, message: Message) -> ImuMeasured:
+    def _of_unit(self, name: str, message: Message) -> list[Measurement]:
         if -1.0 in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0]):
             raise ValueError("a message says by a covariance of -1 that it lacks angular velocity or acceleration")
         spin, force = message.angular_velocity, message.linear_acceleration
         gyro, accel = np.array([spin.x, spin.y, spin.z]), np.array([force.x, force.y, force.z])
-        return ImuMeasured(name, self._clock.given(message.header.stamp), gyro, accel)
+        return [ImuMeasured(name, self._clock.given(message.header.stamp), gyro, accel)]
 
-    def _of_joints(self, name: str, message: Message, order: JointOrder, count: int) -> JointsMeasured | None:
-        """Measurement of the joints; None where the message is about others."""
+    def _of_joints(self, name: str, order: JointOrder, count: int, message: Message) -> list[Measurement]:
+        """Measurement of the joints; none where the message is about others."""
         here, position, velocity, effort = order.read(message)
         if not len(here):
-            return None
+            return []
         if len(np.unique(here)) < count:
             raise ValueError(f"a message has joints of {name}, but not all, each once: its base is estimated from all")
         if velocity is None or effort is None:
@@ -135,4 +97,4 @@ class MeasuredBases:
             raise ValueError(f"a message has no {lacking}: the base of {name} is estimated from them")
         q, qd, forces = np.zeros((3, count))
         q[here], qd[here], forces[here] = position, velocity, effort
-        return JointsMeasured(name, self._clock.given(message.header.stamp), q, qd, forces)
+        return [JointsMeasured(name, self._clock.given(message.header.stamp), q, qd, forces)]
