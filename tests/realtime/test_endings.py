@@ -14,6 +14,8 @@ import pytest
 from drills import MOVE, drill
 from small_scenes import DISC
 
+from warpmpc.realtime.signals import NAMES, STOPS
+
 PROGRAM = """
 import sys
 from pathlib import Path
@@ -32,9 +34,15 @@ loop.run(lambda: False)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_program_that_is_told_to_end_sends_the_safe_command_last(number, tmp_path):
-    commands = tmp_path / "commands"
+def wait_for(condition) -> None:
+    """Wait for a condition, half a minute at most."""
+    deadline = time.monotonic() + 30.0
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+def driving(commands: Path, number: int) -> subprocess.Popen:
+    """A program that drives, writes its commands into a file, and handles a signal as the system does."""
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "helpers")}
     program = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(commands)],
@@ -46,9 +54,17 @@ def test_a_program_that_is_told_to_end_sends_the_safe_command_last(number, tmp_p
     )
     while program.stdout.readline() not in ("driving\n", ""):
         pass
-    deadline = time.monotonic() + 30.0
-    while not (commands.exists() and commands.read_text().count("\n") > 20) and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: commands.exists() and commands.read_text().count("\n") > 20)
+    return program
+
+
+ENDS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT, signal.SIGINT])
+def test_a_program_that_is_told_to_end_sends_the_safe_command_last(number, tmp_path):
+    commands = tmp_path / "commands"
+    program = driving(commands, number)
     program.send_signal(number)
     _, errors = program.communicate(timeout=30)
     sent = np.loadtxt(commands)
@@ -56,6 +72,43 @@ def test_a_program_that_is_told_to_end_sends_the_safe_command_last(number, tmp_p
     assert not sent[-1].any()
     assert program.returncode == (-signal.SIGINT if number == signal.SIGINT else 128 + number)
     assert ("Traceback" in errors) == (number == signal.SIGINT)  # as Python tells of Ctrl-C
+
+
+def test_ctrl_z_stops_the_program_after_the_safe_command_and_it_goes_on(tmp_path):
+    commands = tmp_path / "commands"
+    program = driving(commands, signal.SIGTSTP)
+    program.send_signal(signal.SIGTSTP)
+    _, status = os.waitpid(program.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status)
+    sent = np.loadtxt(commands)
+    np.testing.assert_allclose(sent[-2], MOVE)
+    assert not sent[-1].any()
+    program.send_signal(signal.SIGCONT)
+    wait_for(lambda: len(np.loadtxt(commands)) > len(sent) + 20)
+    np.testing.assert_allclose(np.loadtxt(commands)[-1], MOVE)
+    program.send_signal(signal.SIGTERM)
+    program.communicate(timeout=30)
+    assert not np.loadtxt(commands)[-1].any()
+
+
+@pytest.mark.parametrize("number", [*ENDS, signal.SIGRTMIN + 3], ids=str)
+def test_every_signal_that_ends_a_program_ends_the_loop(number):
+    loop, robot, _ = drill()
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(SystemExit):
+            loop.run(until(10, lambda: signal.raise_signal(number)))
+    finally:
+        signal.signal(number, before)
+    assert not robot.sent[-1][1].any()
+
+
+def test_no_signal_that_ends_a_program_is_left_out():
+    kept = {signal.SIGKILL, signal.SIGSTOP, signal.SIGCONT, signal.SIGCHLD, signal.SIGURG, signal.SIGWINCH}
+    faults = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS}
+    stops = {getattr(signal, name) for name in STOPS}
+    known = {*ENDS, *kept, *faults, *stops}
+    assert [number for number in signal.valid_signals() if number < signal.SIGRTMIN and number not in known] == []
 
 
 class Enough(Exception):

@@ -134,3 +134,19 @@ def test_a_log_has_each_command_in_the_state_that_it_was_sent_in(tmp_path):
     np.testing.assert_array_equal(log.states.joint_q[:-1], log.controls.seen_q)
     np.testing.assert_array_equal(log.states.time[:-1], log.controls.seen_time)
     assert log.states.time[-1] == 5.01
+
+
+def test_a_run_whose_robot_is_gone_ends_at_its_timeout(monkeypatch):
+    driver, clock = Driver(), [100.0]
+    monkeypatch.setattr("warpmpc.robots.monitored.time.monotonic", lambda: clock[0])
+    robot, _ = looped(driver)
+    driver.state = at(0.0, 3.0)
+    for _ in range(5):
+        robot.observe()
+        assert not robot.done
+        clock[0] += 0.2 * SCENE.timing.timeout
+    clock[0] += 1.0
+    robot.observe()
+    assert robot.done
+    assert robot.reason.startswith("timeout: no new state from the robot for")
+    assert not robot.success

@@ -393,3 +393,21 @@ def test_an_older_rclpy_does_not_tell_senders():
 def test_a_topic_without_a_name_is_refused(wire):
     with pytest.raises(ValueError, match="'no name' is no ROS name"):
         wire.driver(joints={"topic": "no name"})
+
+
+def test_a_trajectory_that_is_too_long_is_not_read(wire):
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    keys = {"command": {"type": "trajectory_msgs/JointTrajectory"}}
+    driver, robot = wire.driver(**keys), wire.robot(**keys)
+    meet(driver, lambda moment=itertools.count(): robot.publish(random_state(wire.layout, 0, 0.01 * next(moment))))
+
+    def sent(points: int):
+        message = driver._codec._message()
+        message.joint_names = driver._codec._names
+        message.points = [JointTrajectoryPoint(velocities=[0.0] * 3) for _ in range(points)]
+        driver._commands.publish(message)
+        return list(robot.receive(0.0))
+
+    assert until(lambda: sent(100))[-1].controls.shape == (100, 3)
+    assert until(lambda: [command for command in sent(20_000) if command.control.shape == (0,)])

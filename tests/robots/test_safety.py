@@ -107,16 +107,6 @@ def test_a_second_sender_is_heard_only_long_after_the_first(robot):
     assert robot.monitor.unsafe == 0
 
 
-def test_a_command_that_comes_to_no_number_gives_way_to_the_safe_one(robot):
-    robot.hear(GOOD)
-    robot.now += TICK
-    spoilt = Command(GOOD, robot.now, "a", (np.array([-np.inf, np.inf]), np.stack([GOOD, -GOOD])))
-    robot.safety.take([spoilt], robot.now)
-    state = State(robot.state.joint_q, robot.state.joint_qd, time=robot.now)
-    np.testing.assert_array_equal(robot.safety.command(state, robot.now), np.zeros(3))
-    np.testing.assert_allclose(robot.hear(GOOD), GOOD)
-
-
 def test_a_state_that_is_no_number_gives_the_drives_no_nan():
     scene = make_scene(robot=[DISC | {"drive": {"mode": "position", "stiffness": 9.0, "damping": 6.0, "limit": 1.0}}])
     layout = layout_of(scene)
@@ -150,3 +140,12 @@ def test_what_a_wrong_safety_gives_the_drives_is_found(robot, monkeypatch):
 def test_limits_are_kept_to_the_last_bit(robot):
     assert np.abs(robot.hear(np.full(3, 1.0005))).max() <= 1.0
     assert robot.refused() == {}
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.02, 0.01], [0.0, np.nan, 0.02], [-np.inf, 0.0, np.inf]])
+def test_a_trajectory_whose_times_do_not_go_on_is_refused(robot, times):
+    times, controls = robot.now + np.array(times), np.tile(GOOD, (3, 1))
+    robot.safety.take([Command(GOOD, robot.now, "a", (times, controls))], robot.now)
+    assert robot.refused()["times"] == 1
+    assert not robot.safety.commanded
+    np.testing.assert_allclose(robot.hear(GOOD), GOOD)

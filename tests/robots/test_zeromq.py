@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import zmq
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import SceneError
@@ -15,7 +16,7 @@ from warpmpc.estimation.measurement import PoseMeasured
 from warpmpc.estimation.pose_filter import LONGEST
 from warpmpc.model.state import State
 from warpmpc.robots.drivers import await_state, make_robot
-from warpmpc.robots.zeromq import StateCodec, ZmqTransport
+from warpmpc.robots.zeromq import MOST, TOLD, StateCodec, ZmqTransport
 from warpmpc.scene.schema_estimate import Estimate
 
 SCENE = make_scene(object=[BOX])
@@ -224,3 +225,33 @@ def test_measured_poses_are_estimated_from_and_old_ones_make_an_old_state(config
     finally:
         transport.close()
         robot.close()
+
+
+def test_a_flood_of_commands_is_read_in_part(ends):
+    transport, _ = ends
+    context = zmq.Context()
+    flood = context.socket(zmq.PUB)
+    flood.connect(transport._commands.last_endpoint.decode())
+    message = json.dumps({"time": 1.0, "sender": "flood", "control": {}}).encode()
+    deadline = time.monotonic() + 5.0
+    while not list(transport.receive(1.0)) and time.monotonic() < deadline:
+        flood.send(message)
+    for _ in range(500):
+        flood.send(message)
+    time.sleep(0.1)
+    assert 0 < len(list(transport.receive(1.0))) <= MOST
+    context.destroy(linger=0)
+
+
+def test_measured_poses_that_nobody_asks_for_are_not_kept_for_ever(ends):
+    transport, robot = ends
+    meet(transport, robot, a_state(0))
+    for n in range(20):
+        poses = [PoseMeasured("box", 5.0 + n + k / 500.0, np.eye(7)[6]) for k in range(120)]
+        state = replace(a_state(0), time=5.0 + n)
+        transport.tell(poses)
+        deadline = time.monotonic() + 5.0
+        while robot.observe().time != state.time and time.monotonic() < deadline:
+            transport.publish(state)
+            time.sleep(0.002)
+    assert len(robot.measurements()) <= TOLD

@@ -205,14 +205,15 @@ class RobotLoop:
     def run(self, until: Callable[[], bool]) -> RealTimeReport:
         """Tick until told to stop; whatever ends it, the last command is the safe one.
 
-        In the main thread, which alone hears signals, that holds for Ctrl-C, SIGTERM and SIGHUP, too. It takes more
-        than a tick where ``agent.slew`` or a brake does.
+        In the main thread, which alone hears signals, that holds for every signal that can be handled. A signal that
+        stops the program, as Ctrl-Z does, stops it after the safe command; it goes on when it is continued. The safe
+        command takes more than a tick where ``agent.slew`` or a brake does.
 
         Args:
             until: Whether to stop, asked after every tick.
 
         Raises:
-            SystemExit: On SIGTERM or SIGHUP, where the program does not handle them itself.
+            SystemExit: On a signal that ends a program, where the program does not handle it itself.
         """
         if not self.ticks:  # a loop that goes on has no time for it
             gc.collect()
@@ -222,7 +223,7 @@ class RobotLoop:
         with Signals() as signals:
             try:
                 try:
-                    self._tick_until(until)
+                    self._tick_until(until, signals)
                 finally:
                     signals.hold()
             finally:
@@ -231,21 +232,29 @@ class RobotLoop:
                 self._stop()
         return self.report()
 
-    def _tick_until(self, until: Callable[[], bool]) -> None:
+    def _tick_until(self, until: Callable[[], bool], signals: Signals) -> None:
         while True:
             self.tick()
             if until():
                 return
             self.pace.wait()
+            if signals.stopped:
+                self._rest()
+                signals.suspend()
+                self.pace.start()
 
     def _stop(self) -> None:
+        """Send the safe command, and end what the driver has."""
+        self._rest()
+        getattr(self.robot, "stop", lambda: None)()
+
+    def _rest(self) -> None:
         """Send the safe command, at ticks until it is the one that may stay."""
         for count, safe in enumerate(self.agent.stop()):
             if count:
                 self.pace.wait()
             self._last = safe
             self.robot.apply(safe)
-        getattr(self.robot, "stop", lambda: None)()
 
     def report(self) -> RealTimeReport:
         """Report on the run so far."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from ..realtime.loop import Robot
     from ..scene.schema import Scene
     from ..task.goal import GoalError
+
+SILENT = 1.0
+"""Time without a new state from which on this host's clock counts, too [s]."""
 
 
 class MonitoredRobot:
@@ -62,6 +67,7 @@ class MonitoredRobot:
         self._monitor = Monitor(scene, task=task, terms=terms, compiled=compiled)
         self._control: np.ndarray | None = None
         self._start: float | None = None
+        self._stamp, self._came = math.nan, math.inf  # time of the newest state, and when it came, on this host
         self.state = State.start(self.layout)
         """The last observation that was finite and of the right size; the scene's start before."""
         self.time = 0.0
@@ -76,6 +82,8 @@ class MonitoredRobot:
         if not (self._fits(state) and np.isfinite(state.time)):
             return state  # the watchdog tells of it
         self._start = state.time if self._start is None else self._start
+        if state.time != self._stamp:
+            self._stamp, self._came = state.time, time.monotonic()
         self.time = state.time - self._start
         self._monitor.update(state, self._control)
         if np.isfinite(state.joint_q).all() and np.isfinite(state.joint_qd).all():
@@ -125,6 +133,9 @@ class MonitoredRobot:
             return "goal reached"
         if self._monitor.failure is not None:
             return f"failed: {self._monitor.failure}"
+        silence = time.monotonic() - self._came
         if self.time >= self.scene.timing.timeout:
             return "timeout"
+        if silence > SILENT and self.time + silence >= self.scene.timing.timeout:
+            return f"timeout: no new state from the robot for {silence:.0f} s"
         return "ended by the robot" if getattr(self.robot, "done", False) else "running"

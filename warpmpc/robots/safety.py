@@ -58,6 +58,7 @@ class Refusal(StrEnum):
     NAN = "nan"
     SIZE = "size"
     LIMITS = "limits"
+    TIMES = "times"
     STALE = "stale"
     FOREIGN = "foreign"
 
@@ -65,7 +66,7 @@ class Refusal(StrEnum):
 class Safety:
     """Stands between commands and drives; knows nothing of plans.
 
-    A command is refused that is not finite, of the wrong size, outside the limits, older than
+    A command is refused that is not finite, of the wrong size, outside the limits, with times that go back, older than
     :data:`COMMANDS_TIMEOUT` or as far ahead of the robot's clock, older than one before it, or from another sender
     than the one that commands. The newest good one acts until it is too old; then the drives' safe command does.
 
@@ -150,6 +151,9 @@ class Safety:
             return Refusal.SIZE
         if not np.isfinite(command.controls).all() or not np.isfinite(command.stamp):
             return Refusal.NAN
+        times = np.zeros(1) if command.trajectory is None else command.trajectory[0]
+        if not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
+            return Refusal.TIMES
         if (command.controls < self._lower).any() or (command.controls > self._upper).any():
             return Refusal.LIMITS
         overtaken = good is not None and command.sender == good.sender and command.stamp < good.stamp

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 import uuid
+from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,8 +34,14 @@ if TYPE_CHECKING:
     from ..model.layout import Layout
     from ..scene.schema import Scene
 
+TOLD = 1000
+"""Measured poses that are kept until they are asked for."""
 REPEATED = 0.25
 """Age until which a measured pose goes with every state: those who hear the newest state alone miss none [s]."""
+MOST = 20
+"""Messages that are read in a tick at most; others wait."""
+LARGEST = 1_000_000
+"""Size of a message at most [bytes]: the connection of a longer one is closed."""
 BACK = 1.0
 """Time by which a state may be older than the newest and count as overtaken, not as of a clock that was set [s]."""
 
@@ -153,6 +160,7 @@ class ZmqRobot:
         self._context, self._sender = zmq.Context(), uuid.uuid4().hex[:8]
         self._states, self._commands = self._context.socket(zmq.SUB), self._context.socket(zmq.PUB)
         self._states.setsockopt(zmq.CONFLATE, 1)  # the newest alone: nothing waits while the planner starts
+        self._states.setsockopt(zmq.MAXMSGSIZE, LARGEST)
         self._states.subscribe(b"")
         for socket, key in ((self._states, "states"), (self._commands, "commands")):
             address = getattr(settings, key)
@@ -164,7 +172,7 @@ class ZmqRobot:
                 raise SceneError(message, key=key, file=config, found=address) from None
         self._heard = Heard(settings.states, "states")
         self._newest: State | None = None
-        self._told: list[Measurement] = []
+        self._told: deque[Measurement] = deque(maxlen=TOLD)
         self._known: set[tuple[str, float]] = set()  # poses of the last message
 
     def heard(self) -> list[Heard]:
@@ -188,7 +196,8 @@ class ZmqRobot:
 
     def measurements(self) -> list[Measurement]:
         """Measured poses that came since the last call, as :meth:`observe` took them in."""
-        told, self._told = self._told, []
+        told = list(self._told)
+        self._told.clear()
         return told
 
     def apply(self, control: np.ndarray) -> None:
@@ -222,6 +231,7 @@ class ZmqTransport:
         self._context = zmq.Context()
         self._states, self._commands = self._context.socket(zmq.PUB), self._context.socket(zmq.SUB)
         self._commands.subscribe(b"")
+        self._commands.setsockopt(zmq.MAXMSGSIZE, LARGEST)
         for socket, number in ((self._states, port), (self._commands, port + 1)):
             try:
                 socket.bind(f"tcp://{host}:{number}")
@@ -260,9 +270,9 @@ class ZmqTransport:
 
 
 def _waiting(socket: zmq.Socket) -> Iterator[bytes]:
-    """Messages that are waiting."""
+    """Messages that are waiting, :data:`MOST` of them at most."""
     try:
-        while True:
+        for _ in range(MOST):
             yield socket.recv(zmq.NOBLOCK)
     except zmq.Again:
         return

@@ -17,10 +17,13 @@ from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 
 DEPTH = 10
 """Messages that wait between two looks, at most, where nothing else is said; older ones are dropped."""
+LARGEST = 65536
+"""Size of a message that is read, at most [bytes]: a trajectory of some hundred points; longer ones take many ticks."""
 SWITCH = 2e-4
 """Time for which a thread may keep Python's lock while another one waits [s]."""
 CLOSING = 2.0
@@ -58,7 +61,7 @@ class _Polled(CallbackGroup):
 
 
 class Inbox:
-    """Messages of a topic, taken by whoever asks; an executor would spend more on each than there is time in a tick.
+    """Messages of a topic, taken on request; an executor would spend more on each than there is time in a tick.
 
     Args:
         connection: The node.
@@ -69,7 +72,7 @@ class Inbox:
     """
 
     def __init__(self, connection: Connection, kind: str, topic: str, *, reliable: bool = False, depth: int = DEPTH):
-        self.kind, self._node = kind, connection.node
+        self.kind, self._node, self._depth = kind, connection.node, depth
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         qos = QoSProfile(depth=depth, reliability=reliability)
         with _names(topic):
@@ -79,11 +82,18 @@ class Inbox:
         self.topic = self._subscription.topic_name
 
     def take(self) -> Iterator[tuple[Any, str]]:
-        """Messages that came since the last call and who sent them, in their order."""
+        """Messages that came since the last call and who sent them, in their order; at most as many as may wait.
+
+        One of more than :data:`LARGEST` bytes is empty.
+        """
         subscription = self._subscription
-        while (found := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+        for _ in range(self._depth):
+            found = subscription.handle.take_message(subscription.msg_type, True)
+            if found is None:
+                return
             message, info = found
-            yield message, sender(info)
+            kind = subscription.msg_type
+            yield deserialize_message(message, kind) if len(message) <= LARGEST else kind(), sender(info)
 
     def silence(self) -> str:
         """A sentence about what may keep messages from coming."""
