@@ -400,7 +400,8 @@ def test_a_trajectory_that_is_too_long_is_not_read(wire):
 
     keys = {"command": {"type": "trajectory_msgs/JointTrajectory"}}
     driver, robot = wire.driver(**keys), wire.robot(**keys)
-    meet(driver, lambda moment=itertools.count(): robot.publish(random_state(wire.layout, 0, 0.01 * next(moment))))
+    moment = itertools.count()
+    meet(driver, lambda: robot.publish(random_state(wire.layout, 0, 0.01 * next(moment))))
 
     def sent(points: int):
         message = driver._codec._message()

@@ -26,7 +26,8 @@ class Signals:
 
     The first signal whose handler raises is the last one heard, so that nothing interrupts the ``finally`` clauses;
     :meth:`hold` does that for an end without a signal. What came too late then is heard after the block. Ignored
-    signals stay ignored. Signals of :data:`STOPS` are noted: :meth:`suspend` stops the program. In other threads than the main one nothing is done: they hear no signals.
+    signals stay ignored. Signals of :data:`STOPS` are noted: :meth:`suspend` stops the program. In other threads than
+    the main one nothing is done: they hear no signals.
     """
 
     def __init__(self):
