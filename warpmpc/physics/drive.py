@@ -11,8 +11,8 @@ import numpy as np
 from ..bake.lines import Lines, Operand, Vector, function, literal, text
 from .base import BALL, FREE, packed, rotation
 from .constraint_rows import small_rotation
-from .limits import bounds, within
-from .tables import ints
+from .limits import UNBOUNDED, bounds, within
+from .tables import floats, ints
 
 if TYPE_CHECKING:
     from .base import Structure
@@ -46,10 +46,13 @@ class Drive:
         self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
         m = self.mj
         self._implicit = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        self._stages = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
         self._force: dict[int, list] = {i: [] for i in range(m.nv)}
         self._damped: dict[int, list] = {i: [] for i in range(m.nv)}
         self._spread: dict[tuple[int, int], list] = {}
         """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
+        self._acts: dict[int, tuple[float, np.ndarray]] = {}
+        """How much an activation changes in a step of Euler's, over its exact change; and its bounds."""
 
     def spreads(self, first: int) -> dict[tuple[int, int], int]:
         """Numbers of the entries among six degrees of freedom from the first on, once all is written."""
@@ -58,11 +61,15 @@ class Drive:
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        return {"SPREAD": len(self._spread), "ACTS": self.mj.na}
+        return {"SPREAD": len(self._spread), "ACTS": self.mj.na, "RUNGE_KUTTA": int(self._stages)}
 
     def tables(self) -> list[str]:
         """Definitions of tables."""
-        return [ints("spread_place", [packed(i, j) for i, j in self._spread], "short")] if self._spread else []
+        out = [ints("spread_place", [packed(i, j) for i, j in self._spread], "short")] if self._spread else []
+        if self._stages and self._acts:
+            rows = [self._acts[i] for i in range(self.mj.na)]
+            out += [floats("act_plain", [row[0] for row in rows]), floats("act_range", [row[1] for row in rows])]
+        return out
 
     def write(self) -> str:
         """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
@@ -86,7 +93,7 @@ class Drive:
             damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[i])
             if damping:
                 terms.append((-damping, f"w.v[{i}]"))
-            if damping and (self._implicit or not self.model.off("EULERDAMP")):
+            if damping and not self._stages and (self._implicit or not self.model.off("EULERDAMP")):
                 self._damped[i].append(damping)
             lines.add(f"w.fs[{i}] = {text(lines.sum(*terms, *pulls[i]))};")
             rate = lines.sum(*self._damped[i])
@@ -202,15 +209,19 @@ class Drive:
         """Input of an actuator with a state of its own, whose next value is kept for the end of the step."""
         m, i = self.mj, int(self.mj.actuator_actadr[a])
         kind, tau, step = int(m.actuator_dyntype[a]), max(float(m.actuator_dynprm[a, 0]), 1e-15), float(m.opt.timestep)
-        before = f"w.act[{i}]"
+        before, share, plain = f"w.act[{i}]", step / tau, 1.0
         if kind == int(DYN.mjDYN_INTEGRATOR):
             after = lines.sum(before, (step, control))
         else:
-            share = step / tau if kind == int(DYN.mjDYN_FILTER) else float(-np.expm1(-step / tau))
+            if kind == int(DYN.mjDYN_FILTEREXACT):
+                share = float(-np.expm1(-share))
+                plain = step / tau / share
             after = lines.sum(before, (share, lines.sum(control, (-1.0, before))))
-        if m.actuator_actlimited[a]:
-            after = clamp(lines, after, m.actuator_actrange[a])
-        lines.add(f"w.act_next[{i}] = {text(after)};")
+        limits = m.actuator_actrange[a] if m.actuator_actlimited[a] else np.array([-UNBOUNDED, UNBOUNDED])
+        bounded = clamp(lines, after, limits)
+        self._acts[i] = plain, within(limits)
+        lines.add(f"w.act_next[{i}] = {text(after if self._stages else bounded)};")
+        after = bounded
         return after if m.actuator_actearly[a] else before
 
 

@@ -74,7 +74,7 @@ _DISABLED = (
     | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
 )
 """Flags that change nothing here, or that are heeded."""
-_INTEGRATORS = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+_INTEGRATORS = tuple(int(getattr(mujoco.mjtIntegrator, f"mjINT_{name}")) for name in ("EULER", "RK4", "IMPLICITFAST"))
 _AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _TRANSMISSIONS = tuple(
@@ -99,7 +99,7 @@ _EQUALITIES = (CONNECT, WELD, JOINT, TENDON)
 _WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
-    "integrators other than euler and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
+    "integrators other than Euler, RK4 and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
     "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
     "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
     "armatures of tendons along sites": lambda p: any(
@@ -138,7 +138,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
     "fluid (density, viscosity) in implicit steps": lambda p: (
-        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator != _INTEGRATORS[0]
+        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator == _INTEGRATORS[2]
     ),
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()

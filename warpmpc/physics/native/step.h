@@ -29,11 +29,11 @@ FN void collide(World& w) {
     COLLISIONS
     gather(w);
 }
-INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in its own frame
+INLINE void turn(T* q, V3 omega, float time) {  // a quaternion by an angular velocity in its own frame
     const T speed = VSQRT(dot(omega, omega));
-    const T half = 0.5f * TIMESTEP * speed;
+    const T half = 0.5f * time * speed;
     SINCOS_HALF
-    const T scale = speed > 1e-9f ? sine / speed : splat(0.5f * TIMESTEP);
+    const T scale = speed > 1e-9f ? sine / speed : splat(0.5f * time);
     const V3 o = omega * scale;
     const T a = q[0], x = q[1], y = q[2], z = q[3];
     const T na = a * cosine - x * o.x - y * o.y - z * o.z, nx = a * o.x + x * cosine + y * o.z - z * o.y;
@@ -44,7 +44,22 @@ INLINE void turn(T* q, V3 omega) {  // a quaternion by an angular velocity in it
     q[2] = ny * inv;
     q[3] = nz * inv;
 }
-FN void integrate(World& w, I alone) {
+// Coordinates, moved on at velocities v for a time
+INLINE void displace(World& w, const T* v, float time) {
+    EACH(k, SCALARS) w.q[scalar_q[k]] += time * v[scalar_dof[k]];
+    EACH(k, TURNING) {
+        T* q = w.q + turning_q[k];
+        const T* rate = v + turning_dof[k];
+        if (turning_free[k]) {
+            for (int i = 0; i < 3; ++i) q[i] += time * rate[i];
+            turn(q + 3, load(rate + 3), time);
+        } else
+            turn(q, load(rate), time);
+    }
+    SYNC
+}
+// Accelerations of all forces, into w.search: with those that resist velocity implicit, where the integrator has them so
+FN void respond(World& w) {
 #if COOPERATE
     EACH(i, NH) w.h[i] = w.mm[i];
     SYNC
@@ -63,28 +78,9 @@ FN void integrate(World& w, I alone) {
 #endif
     gyroscopic(w);
     SYNC
-    EACH(i, NV) {
-        w.v[i] += TIMESTEP * w.search[i];
-        w.x[i] = alone ? w.search[i] : w.x[i];
-    }
-    SYNC
-#if ACTS
-    EACH(i, ACTS) w.act[i] = w.act_next[i];
-#endif
-    EACH(k, SCALARS) w.q[scalar_q[k]] += TIMESTEP * w.v[scalar_dof[k]];
-    EACH(k, TURNING) {
-        T* q = w.q + turning_q[k];
-        const T* v = w.v + turning_dof[k];
-        if (turning_free[k]) {
-            for (int i = 0; i < 3; ++i) q[i] += TIMESTEP * v[i];
-            turn(q + 3, load(v + 3));
-        } else
-            turn(q, load(v));
-    }
-    SYNC
 }
-// A step; before it everything has been moved to where the coordinates say, after it again
-FN void step(World& w) {
+// Forces, and the constraints' with them; lanes that nothing constrains
+INLINE I push(World& w) {
 #if TENDONS
     stretch(w);
 #endif
@@ -102,14 +98,82 @@ FN void step(World& w) {
     dry(w);
 #endif
     SYNC
-    I alone = untied(w);  // lanes that nothing constrains
+    I alone = untied(w);
     for (int n = 0; n < w.contacts; ++n) alone &= VNOT(w.con[n].weight > 0.0f);
     for (int k = 0; k < w.limits; ++k) alone &= VNOT(w.lweight[k] > 0.0f);
     if (VANY(VNOT(alone))) {
         newton(w, alone);
         add_forces(w);
     }
-    integrate(w, alone);
+    return alone;
+}
+// Where the solver begins next: at accelerations that nothing constrained
+INLINE void keep_start(World& w, I alone) {
+    EACH(i, NV) w.x[i] = alone ? w.search[i] : w.x[i];
+}
+// A step; before it everything has been moved to where the coordinates say, after it again
+#if RUNGE_KUTTA
+INLINE void copy(const T* from, T* to, int count) {
+    EACH(i, count) to[i] = from[i];
+}
+// Runge-Kutta of order 4: accelerations at the start, at two midpoints and at an end, each with all constraints. As in
+// MuJoCo the solver begins at those of the step before, and activations keep to their bounds at the end alone.
+FN void step(World& w) {
+    copy(w.q, w.begun_q, NQ);
+    copy(w.v, w.begun_v, NV);
+    copy(w.x, w.begun_x, NV);
+#if ACTS
+    copy(w.act, w.begun_act, ACTS);
+#endif
+    for (int stage = 0; stage < 4; ++stage) {
+        const I alone = push(w);
+        respond(w);
+        const float share = stage % 3 ? 1.0f / 3.0f : 1.0f / 6.0f, ahead = stage == 2 ? 1.0f : 0.5f;
+        EACH(i, NV) {
+            w.mean_v[i] = (stage ? w.mean_v[i] : zero()) + share * w.v[i];
+            w.mean_a[i] = (stage ? w.mean_a[i] : zero()) + share * w.search[i];
+        }
+#if ACTS
+        EACH(i, ACTS) {
+            const T more = w.act_next[i] - w.act[i];
+            w.mean_act[i] = (stage ? w.mean_act[i] : zero()) + share * more;
+            w.act[i] = w.begun_act[i] + ahead * act_plain[i] * more;
+        }
+#endif
+        copy(w.begun_q, w.q, NQ);
+        SYNC
+        if (stage == 3) {
+            keep_start(w, alone);
+            break;
+        }
+        displace(w, w.v, ahead * TIMESTEP);
+        EACH(i, NV) w.v[i] = w.begun_v[i] + ahead * TIMESTEP * w.search[i];
+        copy(w.begun_x, w.x, NV);
+        SYNC
+        move(w);
+        SYNC
+    }
+    displace(w, w.mean_v, TIMESTEP);
+    EACH(i, NV) w.v[i] = w.begun_v[i] + TIMESTEP * w.mean_a[i];
+#if ACTS
+    EACH(i, ACTS) w.act[i] = between(w.begun_act[i] + w.mean_act[i], act_range[2 * i], act_range[2 * i + 1]);
+#endif
+    SYNC
     move(w);
     SYNC
 }
+#else
+FN void step(World& w) {
+    const I alone = push(w);
+    respond(w);
+    EACH(i, NV) w.v[i] += TIMESTEP * w.search[i];
+    keep_start(w, alone);
+    SYNC
+#if ACTS
+    EACH(i, ACTS) w.act[i] = w.act_next[i];
+#endif
+    displace(w, w.v, TIMESTEP);
+    move(w);
+    SYNC
+}
+#endif

@@ -79,6 +79,12 @@ struct World {
 #if ACTS
     T act[ACTS], act_next[ACTS];  // activations of actuators, and those after the step
 #endif
+#if RUNGE_KUTTA
+    T begun_q[NQ], begun_v[NV], begun_x[NV], mean_v[NV], mean_a[NV];  // the step's start, and means over its stages
+#if ACTS
+    T begun_act[ACTS], mean_act[ACTS];
+#endif
+#endif
 #if SPREAD
     T spread[SPREAD];            // what an implicit step adds to the mass matrix off its diagonal
 #endif

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each integrator against MuJoCo C: single steps from states that it visits, and short rollouts.
+
+The model has contacts, limits, tendons, a free body, forces that depend on velocity, and activations of every kind.
+"""
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import pytest
+from fused_models import controls, starts
+from fused_steps import public_differences, turned, visit
+
+from warpmpc.physics import rollout
+
+ARM = """
+<mujoco>
+  <option timestep="0.005" integrator="{integrator}" iterations="100" tolerance="1e-10"/>
+  <worldbody>
+    <geom type="plane" size="3 3 .1"/>
+    <body pos="0 0 .5">
+      <joint name="a" axis="0 1 0" damping=".2" armature=".01" range="-60 60"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
+      <site name="a" pos=".15 0 .05"/>
+      <body pos=".3 0 0">
+        <joint name="b" type="ball" damping=".05" armature=".01"/>
+        <geom type="capsule" fromto="0 0 0 .25 .05 0" size=".03"/>
+        <body pos=".25 .05 0">
+          <joint name="c" axis="1 0 0" damping=".02" armature=".01" stiffness="1"/>
+          <joint name="d" type="slide" axis="0 0 1" damping="2" armature=".02" range="-.1 .1" frictionloss=".2"/>
+          <geom type="box" size=".1 .05 .04"/>
+        </body>
+      </body>
+      <body pos="0 .2 0">
+        <joint name="e" axis="1 1 0" damping=".1" armature=".02"/>
+        <geom type="capsule" fromto="0 0 0 0 .3 0" size=".03"/>
+        <site name="e" pos="0 .2 .05"/>
+      </body>
+    </body>
+    <body pos="-.3 0 .12" euler="20 10 0">
+      <freejoint/>
+      <geom type="box" size=".15 .1 .05"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="s" stiffness="20" damping=".8" springlength=".1"><site site="a"/><site site="e"/></spatial>
+    <fixed name="f" damping=".1"><joint joint="a" coef=".5"/><joint joint="c" coef="-1"/></fixed>
+  </tendon>
+  <actuator>
+    <motor joint="a" gear="4"/>
+    <position joint="c" kp="3" kv=".3"/>
+    <general tendon="s" dyntype="filter" dynprm=".03" gainprm="5" biastype="affine" biasprm="0 -5 -1"/>
+    <general joint="d" dyntype="filterexact" dynprm=".02" actrange="-.2 .3" actlimited="true" gainprm="20"/>
+    <intvelocity joint="e" kp="6" kv=".2" actrange="-.05 .05"/>
+    <general tendon="f" dyntype="filterexact" dynprm=".05" actearly="true" gaintype="affine" gainprm="1 0 -.3"/>
+  </actuator>
+</mujoco>
+"""
+INTEGRATORS = ["Euler", "implicitfast", "RK4"]
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_steps_and_rollouts_are_those_of_mujoco(integrator):
+    model = mujoco.MjModel.from_xml_string(ARM.format(integrator=integrator))
+    worlds, steps = 16, 50
+    q, v = starts(model, worlds, seed=1)
+    control = controls(model, steps, worlds, seed=2)
+    states = visit([model], q, v, control, every=2)
+    found = public_differences(model, states)
+    assert (states.rows > 0).mean() > 0.5
+    steady = states.edge < 1e-4
+    assert steady.mean() > 0.9, found
+    most = found.v.max(axis=1)[steady]
+    assert np.median(most) <= 5e-6, found
+    assert np.percentile(most, 99) <= 1e-4, found
+
+    start = np.hstack([np.zeros((worlds, 1)), q, v, 0.1 * np.ones((worlds, model.na))])
+    both = []
+    for pool in (rollout.Rollout(fall_back=False), mujoco.rollout.Rollout()):
+        with pool:
+            both.append(pool.rollout(model, mujoco.MjData(model), start, control.swapaxes(0, 1))[0])
+    own, reference = (x[:, -1, 1 : 1 + model.nq] for x in both)
+    apart = turned(model, own, reference)
+    assert np.median(apart) <= 1e-4, apart
+    np.testing.assert_allclose(both[0][..., 0], both[1][..., 0], rtol=1e-6)
+    np.testing.assert_allclose(both[0][..., -model.na :], both[1][..., -model.na :], atol=2e-4)
