@@ -7,6 +7,7 @@ compiles them, ``rollout`` runs them. Nothing here knows of scenes, costs or lay
 """
 
 from . import rollout
+from .mujoco_batch import Batch
 from .simulator import BatchSimulator
 
-__all__ = ["BatchSimulator", "rollout"]
+__all__ = ["Batch", "BatchSimulator", "rollout"]

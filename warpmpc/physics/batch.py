@@ -18,6 +18,7 @@ from ..compiling import compile_kernel
 from ..kernels.worlds.launch import TAPS
 from ..launch import Launcher, Replay
 from ..thread_pool import PARTS, ThreadPool
+from .data_fields import field_width
 from .kernel import WARP, RolloutWork, options
 from .missing import missing
 from .model import PhysicsModel
@@ -82,15 +83,17 @@ class BatchRollout:
         model: The model.
         worlds: Number of worlds W.
         steps: Controls T of every world.
-        substeps: Physics steps per control.
+        substeps: Physics steps per control, or of each.
+        held: Whether all controls of a world are one that is held.
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each; ``gravity`` may be among them.
         settable: Whether :meth:`set_arrays` takes any numbers, even where all worlds begin alike.
+        fields: Fields of ``MjData`` (:mod:`.data_fields`) that are handed out, in :attr:`sensordata` side by side.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
         mocap: Whether controls go on with the positions of all mocap bodies, then their quaternions.
         device: Warp device.
         threads: Threads on a CPU.
-        sensors_before: Whether sensors are read before each control, as in MuJoCo's step, rather than after it.
+        sensors_before: Whether fields are those before each control, as in MuJoCo's step, rather than after it.
         in_place: Whether worlds go on from where they ended; T is 1 then.
 
     Raises:
@@ -103,9 +106,11 @@ class BatchRollout:
         worlds: int,
         steps: int,
         *,
-        substeps: int = 1,
+        substeps: int | Sequence[int] = 1,
+        held: bool = False,
         arrays: Mapping[str, np.ndarray] | None = None,
         settable: bool = False,
+        fields: Sequence[str] = ("sensordata",),
         bodies: Sequence[int] = (),
         pairs: Sequence[tuple[int, int]] = (),
         mocap: bool = False,
@@ -118,6 +123,7 @@ class BatchRollout:
             raise ValueError(f"the physics of warpmpc has no {lack}: change that in the model, or step it with mujoco")
         self.mj, self.worlds, self.steps, self.threads = model, worlds, steps, threads
         self._bodies, self._pairs, self._settable, self._mocap = tuple(bodies), tuple(pairs), settable, mocap
+        self.fields, self._held = tuple(fields), held
         self.device = wp.get_device(device)
         on_gpu = self.device.is_cuda
         self._lanes = 1 if on_gpu else native_lanes()
@@ -146,29 +152,34 @@ class BatchRollout:
         if self._settable and self.worlds == 1:  # one row would be that of all worlds
             arrays = {name: np.repeat(values, 2, axis=0) for name, values in (arrays or {}).items()}
         physics = PhysicsModel(self.mj, arrays, settable=self._settable, decided=self._decided)
-        state_map, code = write_outputs(physics, bodies=self._bodies, pairs=self._pairs, mocap=self._mocap)
+        handed = {"fields": self.fields, "bodies": self._bodies, "pairs": self._pairs}
+        state_map, code = write_outputs(physics, **handed, mocap=self._mocap)
         parts = RolloutSource(physics, state_map, native_lanes(), self._sharing > 1, code).parts()
         self._decided = physics.columns.decisions if self._settable else None
         return parts, physics
 
-    def _fill(self, physics: PhysicsModel, substeps: int, *, sensors_before: bool, in_place: bool) -> None:
+    def _fill(
+        self, physics: PhysicsModel, substeps: int | Sequence[int], *, sensors_before: bool, in_place: bool
+    ) -> None:
         m, work, out, worlds, steps = self.mj, self.work, self.outputs, self.worlds, self.steps
 
         def zeros(*dims: int, dtype: type = float) -> wp.array:
             return wp.zeros(dims, dtype=dtype, device=self.device)
 
         self.state = zeros(worlds, steps, 1 + m.nq + m.nv + m.na, dtype=wp.float64)
-        self.sensordata = zeros(worlds, steps, m.nsensordata, dtype=wp.float64)
+        width = sum(field_width(m, name) for name in self.fields)
+        self.sensordata = zeros(worlds, steps, width, dtype=wp.float64)
         start = self.state.shape[0], self.state.shape[2]
         work.initial = self.state.reshape(start) if in_place else zeros(*start, dtype=wp.float64)
         columns = m.nu + (7 * m.nmocap if self._mocap else 0)
-        work.knots, work.domains, work.records = zeros(1, worlds, steps, columns), 1, 0
+        work.knots, work.domains, work.records = zeros(1, worlds, 1 if self._held else steps, columns), 1, 0
         tap = np.zeros((1, steps, int(TAPS)), dtype=np.int32)
-        tap[0, :, 0] = np.arange(steps)  # a control is its own knot
+        tap[0, :, 0] = 0 if self._held else np.arange(steps)  # a control is its own knot
         work.tap = wp.array(tap, device=self.device)
         work.share = wp.full(tap.shape, 1.0, dtype=float, device=self.device)
         work.lower, work.upper = (wp.full(columns, x, dtype=float, device=self.device) for x in (-np.inf, np.inf))
-        work.substeps = wp.full(steps, substeps, dtype=int, device=self.device)
+        substeps = np.broadcast_to(substeps, steps).astype(np.int32)
+        work.substeps = wp.array(substeps, dtype=int, device=self.device)
         work.diverged, work.overflow = zeros(worlds, dtype=int), zeros(worlds, dtype=int)
         work.given = wp.array(physics.given, dtype=float, device=self.device)
         work.par = zeros(max(1, len(physics.columns.values)), worlds)

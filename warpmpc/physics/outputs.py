@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..bake.lines import Lines, text
+from .data_fields import field_bodies, field_values
 from .frames import Frame, Frames
 from .parts import AddedCode
 from .sensors import Sensors
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 class Outputs:
     """Places that rollouts write to, and accelerations that their solver begins with."""
 
-    address: wp.array[wp.uint64]  # [2] of states [W, T, 1+nq+nv+na] and of sensor readings [W, T, nsensordata], doubles
-    before: int  # whether sensors are read before each control, as in MuJoCo's step, rather than after it
+    address: wp.array[wp.uint64]  # [2] of states [W, T, 1+nq+nv+na] and of fields [W, T, F], doubles
+    before: int  # whether fields are those before each control, as in MuJoCo's step, rather than after it
     warmstart: wp.array2d[float]  # [W, nv] accelerations that the solver begins with, then those it ends with; or empty
     poses: wp.array3d[float]  # [W, bodies, 7] positions and quaternions (w, x, y, z) at the end
     force: wp.array3d[float]  # [W, pairs, 3] mean forces of watched pairs over the last control [N]
@@ -33,6 +34,7 @@ class Outputs:
 def write_outputs(
     model: PhysicsModel,
     *,
+    fields: Sequence[str] = ("sensordata",),
     bodies: Sequence[int] = (),
     pairs: Sequence[tuple[int, int]] = (),
     mocap: bool = False,
@@ -41,6 +43,7 @@ def write_outputs(
 
     Args:
         model: The model.
+        fields: Fields of ``MjData`` that are handed out, one after the other.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
         mocap: Whether behind the controls of a step stand the positions of all mocap bodies, then their quaternions.
@@ -49,9 +52,9 @@ def write_outputs(
         What the rollout keeps, and the statements.
     """
     m, sensors = model.mj, Sensors(model)
-    kept = sorted((sensors.bodies | set(bodies)) - {0})
+    kept = sorted((field_bodies(sensors, fields) | set(bodies)) - {0})
     rows = {body: row for row, body in enumerate(kept)}
-    readings = _read(sensors, rows) if m.nsensordata else ""
+    readings = _read(sensors, fields, rows)
     code = AddedCode(
         start=_START.replace("TIMESTEP", repr(float(m.opt.timestep))),
         before=f"{_MOCAP.replace('CTRLS', str(m.nu)) if mocap else ''}\nif (live && o.before) {{\n{readings}\n}}",
@@ -65,17 +68,18 @@ def write_outputs(
     return plain, code
 
 
-def _read(sensors: Sensors, rows: dict[int, int]) -> str:
-    """Statements that write what all sensors read."""
-    m, lines = sensors.mj, Lines("o")
-    values = sensors.write(Frames(m, lines, rows))
-    count = m.nsensordata
+def _read(sensors: Sensors, fields: Sequence[str], rows: dict[int, int]) -> str:
+    """Statements that write all numbers of fields."""
+    lines = Lines("o")
+    values = field_values(sensors, fields, Frames(sensors.mj, lines, rows))
+    count = len(values)
+    if not count:
+        return ""
     to = f"double* const to = (double*)(size_t)o.address.data[1] + ((size_t)row * steps + at) * {count};"
-    times = (
-        f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + NUMBER] = now(l, o.before ? at : at + 1);"
-    )
     puts = (
-        times.replace("NUMBER", str(n)) if value is None else f"PUT(to, steps * {count}, {n}, {value})"
+        f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + {n}] = now(l);"
+        if value is None
+        else f"PUT(to, steps * {count}, {n}, (T)({text(value)}))"
         for n, value in enumerate(values)
     )
     return "\n".join((to, *lines.statements, *puts))
@@ -111,7 +115,8 @@ def _watched(model: PhysicsModel, pairs: Sequence[tuple[int, int]]) -> list[Watc
 _START = """
 double begun[lanes];  // where worlds go on in place their start is written over
 for (int l = 0; l < lanes; ++l) begun[l] = ((const double*)k.initial.data)[(size_t)world[l] * k.initial.shape[1]];
-const auto now = [&](int l, int n) { return begun[l] + TIMESTEP * n * k.substeps.data[0]; };  // after n controls
+int passed = 0;  // physics steps
+const auto now = [&](int l) { return begun[l] + TIMESTEP * passed; };
 if (o.warmstart.shape[0]) {
     for (int l = 0; l < lanes; ++l)
         EACH(i, NV) LANE(w.x[i], l) = ((const float*)o.warmstart.data)[(size_t)world[l] * NV + i];
@@ -120,9 +125,10 @@ if (o.warmstart.shape[0]) {
 """
 _MOCAP = """
 if (live) {
+    const int knot = k.tap.data[(size_t)at * k.tap.shape[2]];
     EACH(i, 7 * NMOCAP) {
         const int from = CTRLS + (i % 7 < 3 ? i / 7 * 3 + i % 7 : 3 * NMOCAP + i / 7 * 4 + i % 7 - 3);
-        w.mocap[i] = VGATHER(theta + at * controls + from, lane_at);
+        w.mocap[i] = VGATHER(theta + knot * controls + from, lane_at);
     }
     SYNC
     PLACE_WORLD(w);
@@ -134,7 +140,8 @@ _STATE = """
 {
     const int width = 1 + NQ + NV + ACTS;
     double* const to = (double*)(size_t)o.address.data[0] + ((size_t)row * steps + at) * width;
-    for (int l = 0; l < count; ++l) to[(size_t)l * steps * width] = now(l, at + 1);
+    passed += k.substeps.data[at];
+    for (int l = 0; l < count; ++l) to[(size_t)l * steps * width] = now(l);
     EACH(i, NQ) PUT(to, steps * width, 1 + i, w.q[i])
     EACH(i, NV) PUT(to, steps * width, 1 + NQ + i, w.v[i])
 #if ACTS

@@ -160,9 +160,9 @@ class _Ready:
         """Roll out into arrays of the caller."""
         batch = self._batch(worlds, steps, arrays, mocap=mocap)
         work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
-        _put(work.initial, initial_state)
-        _put(work.knots, np.zeros(work.knots.shape[1:]) if control is None else control)
-        _put(out.warmstart, np.zeros(out.warmstart.shape) if warmstart is None else warmstart)
+        put(work.initial, initial_state)
+        put(work.knots, np.zeros(work.knots.shape[1:]) if control is None else control)
+        put(out.warmstart, np.zeros(out.warmstart.shape) if warmstart is None else warmstart)
         direct = [_direct(x) and on_cpu for x in (state, sensordata)]
         own = batch.state, batch.sensordata
         given = state, sensordata
@@ -215,7 +215,7 @@ def _direct(array: np.ndarray | None) -> bool:
     return isinstance(array, np.ndarray) and array.dtype == np.float64 and array.flags.c_contiguous
 
 
-def _put(to: wp.array, values: np.ndarray) -> None:
+def put(to: wp.array, values: np.ndarray) -> None:
     """Copy into an array of a device, rounding where that has single precision."""
     if to.device.is_cpu:
         to.numpy()[...] = np.reshape(values, to.shape)

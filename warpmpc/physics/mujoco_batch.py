@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``mujoco.batch`` with simulations in the lanes of a register: the same class, arguments and arrays.
+
+    from warpmpc.physics import Batch  # in place of: from mujoco.batch import Batch
+
+    batch = Batch(model, nsim=1024, nthread=8)
+    qpos, ctrl, xpos = batch.bind("qpos"), batch.bind("ctrl"), batch.bind("xpos")
+    ctrl[:] = policy(qpos)
+    batch.step()
+
+Steps are in single precision; rows of the state and bound fields are doubles, as MuJoCo's.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+from collections import OrderedDict
+from collections.abc import Iterable
+from itertools import pairwise
+
+import mujoco
+import mujoco.batch
+import numpy as np
+import warp as wp
+
+from .batch import BatchRollout
+from .callbacks import callbacks
+from .data_fields import field_width, unwritten_field
+from .missing import missing
+from .rollout import MODELS, put
+from .state_rows import FIELDS, Record, StateRows
+
+logger = logging.getLogger("warpmpc")
+VARYING = (
+    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0",
+    "geom_friction", "geom_size", "geom_aabb", "geom_rbound", "actuator_acc0", "actuator_gainprm", "actuator_biasprm",
+    "opt.gravity",
+)  # fmt: skip
+"""Fields of a model that simulations may have of their own."""
+
+
+class Batch(mujoco.batch.Batch):
+    """Simulations of a model, as :class:`mujoco.batch.Batch`.
+
+    MuJoCo itself takes the steps for which this physics lacks something, with a line in the log that names it. Where
+    that is an output alone, it takes the last substep of a call. It also takes the steps of simulations that diverge.
+
+    Args:
+        model: The model.
+        nsim: Number of simulations.
+        nthread: Threads; 0 for one for each core.
+        persistent: As MuJoCo's; it takes all steps then.
+        device: Warp device of the steps.
+        fall_back: Whether MuJoCo takes steps. If not, what this physics lacks is an error.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        nsim: int,
+        nthread: int = 0,
+        persistent: bool = False,
+        *,
+        device: wp.DeviceLike = "cpu",
+        fall_back: bool = True,
+    ):
+        super().__init__(model, nsim, nthread, persistent)
+        object.__setattr__(self, "_b", _Native(self._b, copy.copy(model), device, fall_back=fall_back))
+
+
+class _Native:
+    """Receiver of the arrays that MuJoCo's class has checked.
+
+    Args:
+        mujoco_batch: MuJoCo's own.
+        model: The model, which nobody else changes.
+        device: Warp device.
+        fall_back: Whether MuJoCo takes the steps that this physics lacks something for.
+    """
+
+    def __init__(self, mujoco_batch: object, model: mujoco.MjModel, device: wp.DeviceLike, *, fall_back: bool):
+        self._mujoco, self._model, self._device, self._fall_back = mujoco_batch, model, device, fall_back
+        self._threads = max(1, min(mujoco_batch.nthread, len(os.sched_getaffinity(0))))
+        self._status = mujoco_batch.status()
+        self._rows = StateRows(model, mujoco_batch)
+        self._outputs: dict[str, np.ndarray] = {}
+        self._expanded: dict[str, np.ndarray] = {}
+        self._arrays: dict[str, np.ndarray] = {}
+        self._own_models = False
+        self._told: set[str] = set()
+        self._ready: OrderedDict[tuple, tuple[BatchRollout, dict[str, np.ndarray]]] = OrderedDict()
+        self._lack = missing(model) or ("history in its state" if model.nhistory else None)
+        if mujoco_batch.persistent:
+            self._lack = "data that persist between calls"
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._mujoco, name)
+
+    def output(self, name: str) -> np.ndarray | None:
+        """Memory of a field that every call writes; the name is remembered."""
+        memory = self._mujoco.output(name)
+        if memory is not None:
+            self._outputs[name] = memory
+        return memory
+
+    def expand(self, name: str) -> np.ndarray | None:
+        """Memory of a field of the model with values of each simulation; the name is remembered."""
+        memory = self._mujoco.expand(name)
+        if memory is not None:
+            self._expanded[name] = memory
+        return memory
+
+    def set_const(self, ids: np.ndarray | None = None) -> int:
+        """Derive fields of the model from others, for each simulation."""
+        failed = self._mujoco.set_const(ids)
+        for name in VARYING:
+            memory = self._mujoco.expanded(name)
+            if memory is not None:
+                self._expanded[name] = memory
+        return failed
+
+    def set_models(self, models: object) -> None:
+        """Let simulations run on models of the caller."""
+        self._mujoco.set_models(models)
+        self._own_models = models is not None
+
+    def step(self, ids: np.ndarray | None = None, nstep: int = 1, stage: int = 0) -> int:
+        """Advance simulations; returns how many failed."""
+        own, why = int(nstep), self._lacks()
+        if why:
+            own = 0
+        elif why := self._unwritten(self._outputs) or ("stages after a step" if stage else None):
+            own -= 1
+        if why:
+            self._say(why, "the last substep of a call" if own > 0 else "steps")
+        if own < 1:
+            return self._mujoco.step(ids, nstep, stage)
+        chosen, before = self._chosen(ids), self._rows.all.copy() if own < nstep else None
+        batch = self._batch(2, self._outputs if own == nstep else (), held=True)
+        put(batch.work.substeps, np.array([own - 1, 1]))
+        bad = self._advance(batch, chosen, self._rows.controls(chosen, None, 0))
+        failed = self._mujoco.step(_ids(bad), own, 0) if bad.any() else 0
+        if own == nstep:
+            return failed
+        failed += self._mujoco.step(ids, nstep - own, stage)
+        lost = chosen & (self._status != 0)
+        self._rows.all[lost] = before[lost]
+        return failed
+
+    def rollout(
+        self, ids: np.ndarray | None, nstep: int, control: np.ndarray | None, control_spec: int, records: list[Record]
+    ) -> int:
+        """Advance simulations and record after each substep; returns how many failed."""
+        rows, chosen = self._rows, self._chosen(ids)
+        fields = {*self._outputs, *(name for name, _, _ in records if name is not None and name not in FIELDS)}
+        own = nstep > 0 and rows.fit(int(chosen.sum()), nstep, control, control_spec, records)
+        if own and (why := self._lacks() or self._unwritten(fields) or rows.refused(control, control_spec, records)):
+            self._say(why, "rollouts")
+            own = False
+        if not own:  # what does not fit is MuJoCo's to complain about
+            return self._mujoco.rollout(ids, nstep, control, control_spec, records)
+        batch, controls = self._batch(nstep, fields, held=control is None), rows.controls(chosen, control, control_spec)
+        bad = self._advance(batch, chosen, controls)
+        states, values = batch.state.numpy(), self._fields(batch)
+        for name, bits, to in records:
+            whole = values[name] if name in values else rows.record(rows.bits(name, bits), states, controls)
+            to[...] = whole[chosen].reshape(to.shape)
+        if not bad.any():
+            return 0
+        again = bad[chosen]
+        parts = [(name, bits, np.ascontiguousarray(to[again])) for name, bits, to in records]
+        control = None if control is None else np.ascontiguousarray(control[again])
+        failed = self._mujoco.rollout(_ids(bad), nstep, control, control_spec, parts)
+        for (_, _, to), (_, _, part) in zip(records, parts, strict=True):
+            to[again] = part
+        return failed
+
+    def _advance(self, batch: BatchRollout, chosen: np.ndarray, controls: dict[str, np.ndarray]) -> np.ndarray:
+        """Roll chosen simulations out and move their rows; returns the mask of those whose steps are MuJoCo's."""
+        self._rows.load(batch, controls)
+        batch.run()
+        lost = ~(np.abs(controls["CTRL"]) < mujoco.mjMAXVAL).all(axis=(1, 2))
+        lost |= (batch.work.diverged.numpy() | batch.work.overflow.numpy()) != 0
+        kept = chosen & ~lost
+        if (bad := chosen & lost).any():
+            logger.info("%d of %d simulations are stepped by MuJoCo: they diverge", bad.sum(), len(bad))
+        self._status[chosen] = 0
+        where = slice(None) if kept.all() else kept
+        self._rows.store(batch, batch.state.numpy(), controls, where)
+        for name, values in self._fields(batch).items():
+            if name in self._outputs:
+                self._outputs[name].view(np.float64)[where] = values[where, -1]
+        return bad
+
+    def _fields(self, batch: BatchRollout) -> dict[str, np.ndarray]:
+        """Fields that rollouts handed out, ``[W, T, ...]`` each."""
+        edges = np.cumsum([0, *(field_width(self._model, name) for name in batch.fields)]).tolist()
+        values = batch.sensordata.numpy()
+        return {name: values[..., a:b] for name, (a, b) in zip(batch.fields, pairwise(edges), strict=True)}
+
+    def _chosen(self, ids: np.ndarray | None) -> np.ndarray:
+        """Mask of simulations."""
+        chosen = np.full(self._mujoco.nsim, ids is None)
+        if ids is not None:
+            chosen[ids] = True
+        return chosen
+
+    def _lacks(self) -> str | None:
+        """Return what this physics lacks for a call, in a few words."""
+        if self._own_models:
+            return "models of the caller (set_models)"
+        return self._lack or callbacks() or self._rows.lacking() or self._differing()
+
+    def _unwritten(self, names: Iterable[str]) -> str | None:
+        """Return what this physics lacks to write fields of MuJoCo's data."""
+        return next((why for name in sorted(names) if (why := unwritten_field(self._model, name))), None)
+
+    def _say(self, why: str, what: str) -> None:
+        """Log once what MuJoCo does, or raise an error."""
+        if not self._fall_back:
+            raise ValueError(f"the physics of warpmpc has no {why}")
+        if (why, what) not in self._told:
+            logger.warning("%s of a batch are MuJoCo's own: the physics of warpmpc has no %s", what, why)
+        self._told.add((why, what))
+
+    def _differing(self) -> str | None:
+        """Take over what simulations have of their own; return what they may not."""
+        for name, memory in self._expanded.items():
+            option = name.removeprefix("opt.")
+            nominal = np.asarray(getattr(self._model.opt if option != name else self._model, option))
+            kind = (np.float64 if nominal.dtype.kind == "f" else np.int32) if option != name else nominal.dtype
+            values = memory.view(kind)
+            known = self._arrays.get(option, nominal[None]).reshape(-1, nominal.size)[:, : values.shape[1]]
+            if (values == known).all():
+                continue
+            if name not in VARYING:
+                return f"worlds that differ in {name}"
+            self._arrays[option] = values.reshape(len(values), *nominal.shape).copy()
+        return None
+
+    def _batch(self, steps: int, fields: Iterable[str], *, held: bool) -> BatchRollout:
+        """Rollouts that hand fields out, ready for the simulations' own numbers."""
+        key = steps, tuple(sorted(fields)), held, tuple(sorted(self._arrays))
+        arrays = {name: self._arrays[name] for name in key[3]}
+        if key in self._ready and any(self._ready[key][1][name] is not arrays[name] for name in arrays):
+            try:
+                self._ready[key][0].set_arrays(arrays)
+                self._ready[key] = self._ready[key][0], arrays
+            except ValueError:  # other numbers are zero now: another source
+                del self._ready[key]
+        if key not in self._ready:
+            where = {"device": self._device, "threads": self._threads}
+            made = BatchRollout(
+                self._model,
+                self._mujoco.nsim,
+                steps,
+                held=held,
+                fields=key[1],
+                bodies=range(self._model.nbody),
+                arrays=arrays or None,
+                settable=bool(arrays),
+                mocap=self._model.nmocap > 0,
+                **where,
+            )
+            self._ready[key] = made, arrays
+        self._ready.move_to_end(key)
+        while len(self._ready) > MODELS:
+            self._ready.popitem(last=False)
+        return self._ready[key][0]
+
+
+def _ids(chosen: np.ndarray) -> np.ndarray:
+    return np.flatnonzero(chosen).astype(np.int32)
