@@ -112,6 +112,7 @@ class FusedPhysics:
             parts = RolloutSource(self.model, self.map, native_lanes(), shared, added, knots).parts()
         except OutOfRange as error:
             raise refusal(error, self._scene, self.world, self.layout) from error
+        self.model.warn()
         if shared or wp.get_device(self.device).is_cuda:
             return parts.whole()
         self._steps = Steps(parts, f"the physics of {self._scene.name}")

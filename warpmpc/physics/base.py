@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,11 +11,12 @@ import mujoco
 import numpy as np
 
 from ..bake.lines import Matrix, Operand, Vector
-from .rows import Rows
+from .rows import REFERENCE, Rows, mixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+logger = logging.getLogger("warpmpc")
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
     int(getattr(GEOM, f"mjGEOM_{kind}"))
@@ -112,6 +114,7 @@ class Structure:
         decided: Sequence[bool] | None = None,
     ):
         self.mj, self.columns = model, Columns(arrays or {}, settable=settable, decided=decided)
+        self._mixed: set[tuple[float, ...]] = set()
 
     def off(self, part: str) -> bool:
         """Return whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
@@ -124,6 +127,13 @@ class Structure:
         if self.off("GRAVITY"):
             return NOTHING[:]
         return [self.columns.operand(self.array("gravity")[:, k]) for k in range(3)]
+
+    @property
+    def explicit(self) -> bool:
+        """Return whether velocities follow from the solver's accelerations, since no damping is implicit."""
+        m, kinds = self.mj, mujoco.mjtIntegrator
+        damped = (m.dof_damping > 0.0).any() and not self.off("EULERDAMP") and not self.off("DAMPER")
+        return m.opt.integrator == int(kinds.mjINT_RK4) or (m.opt.integrator == int(kinds.mjINT_EULER) and not damped)
 
     @property
     def passive(self) -> bool:
@@ -207,7 +217,14 @@ class Structure:
 
     def rows(self, solref: np.ndarray, solimp: np.ndarray) -> Rows:
         """Soft constraint parameters with this model's options."""
+        if mixed(solref):
+            self._mixed.add(tuple(float(x) for x in solref))
         return Rows.of(solref, solimp, float(self.mj.opt.timestep), safe=not self.off("REFSAFE"))
+
+    def warn(self) -> None:
+        """Log what MuJoCo warns of, once the source of the model is written."""
+        for solref in sorted(self._mixed):
+            logger.warning("solref %g %g mixes its two formats: %g %g in its place, as in MuJoCo", *solref, *REFERENCE)
 
     @cached_property
     def standing(self) -> list[int]:

@@ -131,6 +131,7 @@ class BatchRollout:
         self._sharing = WARP if shared else 1
         self._decided: list[bool] | None = None
         parts, physics = self._write(arrays)
+        physics.warn()
         self._text, self._launch = _Text(parts.whole()), Launcher(self.device)
         text = self._text if on_gpu else _Text(packed(parts.rollouts()))
         self._kernel = _kernel(text, native_lanes(), self._sharing)

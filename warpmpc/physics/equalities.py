@@ -14,10 +14,12 @@ import mujoco
 import numpy as np
 
 from .limits import UNBOUNDED, bounds
-from .rows import Rows
+from .mobility import floor
+from .rows import LEAST, Rows
 
 if TYPE_CHECKING:
     from .base import Structure
+    from .mobility import Mobility
 
 CONNECT, WELD, JOINT, TENDON = (
     int(kind)
@@ -48,6 +50,16 @@ class Constraint:
     """Least derivative of the cost by the row, which is the force with the other sign [N]."""
     high: float = FREELY
     """The largest."""
+    points: tuple[tuple[int, np.ndarray], ...] = ()
+    """Bodies that are connected or welded, and where, in their frames."""
+
+    def floors(self, mobility: Mobility) -> list[float]:
+        """Least regularization of each row."""
+        if not self.points:
+            return [LEAST] * len(self.inverse)
+        moved = floor(*(mobility.point(body, mobility.place(body, at)) for body, at in self.points))
+        turned = floor(*(mobility.turn(body) for body, _ in self.points))
+        return ([moved] * 3 + [turned] * 3)[: len(self.inverse)]
 
 
 def find_constraints(model: Structure) -> list[Constraint]:
@@ -100,4 +112,9 @@ def _equality(model: Structure, e: int) -> Constraint:
     bodies, weights = ends(m, e), model.array("body_invweight0")
     dofs = tuple(sorted(model.body_dofs[bodies[0]] | model.body_dofs[bodies[1]]))
     moved, turned = (weights[:, bodies[0], k] + weights[:, bodies[1], k] for k in (0, 1))
-    return Constraint("equality", e, dofs, rows, (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3)
+    if int(m.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        at = m.site_pos[[first, second]]
+    else:
+        at = m.eq_data[e, :6].reshape(2, 3)[:: 1 if kind == CONNECT else -1]
+    inverse = (moved,) * 3 if kind == CONNECT else (moved,) * 3 + (turned,) * 3
+    return Constraint("equality", e, dofs, rows, inverse, points=tuple(zip(bodies, at, strict=True)))

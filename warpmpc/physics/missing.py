@@ -10,6 +10,7 @@ import numpy as np
 
 from .base import BALL, FREE, GEOM, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE
 from .equalities import CONNECT, JOINT, TENDON, WELD
+from .mobility import singular
 from .model import COLLIDES, MOST_POWER, PhysicsModel
 from .tendons import fixed
 
@@ -161,5 +162,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         p.mj.opt.disableflags & ~int(_DISABLED) or p.mj.opt.enableflags
     ),
     "models of more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
+    "double precision for a nearly singular mass matrix (armatures mend it)": lambda p: singular(p.mj),
 }
 """What this engine lacks, and how to see that a model has it."""

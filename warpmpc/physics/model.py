@@ -14,7 +14,8 @@ from .base import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, HINGE, MESH, PLANE,
 from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
 from .limits import bounds
-from .rows import Rows
+from .mobility import LEVER, Mobility, floor
+from .rows import LEAST, Rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -125,13 +126,36 @@ class PhysicsModel(Structure):
             "BOUND": self.array("geom_rbound").max(axis=0),
             "FRICTION": np.array([pair.friction[0, : self.frictions] for pair in self.pairs]),
             "PAIR_INVERSE": np.array([pair.inverse[0] for pair in self.pairs]),
+            "PAIR_FLOOR": self._pair_floors,
             "LIMIT_INVERSE": np.array([inverse[m.jnt_dofadr[j]] for j in self.limited]),
             "CONSTRAINT_INVERSE": np.array([values[0] for one in self.constraints for values in one.inverse]),
+            "CONSTRAINT_FLOOR": np.array([x for one in self.constraints for x in one.floors(self.mobility)]),
             "DRY_INVERSE": inverse[self.dry],
             "TOLERANCE": np.array([2.0 * tolerance * float(m.stat.meaninertia) * max(1, m.nv)]),
             "POSE": np.hstack([data.geom_xpos, data.geom_xmat])[self.standing],
             **self._heights,
         }
+
+    @property
+    def _pair_floors(self) -> np.ndarray:
+        """Least regularization of each pair, by how light its normal is, and its tangents where it slides."""
+        out = []
+        for pair in self.pairs:
+            centre = 3.0 * self.mj.body_invweight0[self.mj.geom_bodyid[list(pair.geoms)], 0].sum()
+            light = sum(self.mobility.geom(g) for g in pair.geoms)
+            if not pair.slides:
+                light = 0.0 if centre > LEVER * light else light
+            elif self.elliptic:
+                light *= max(1.0, float(self.mj.opt.impratio))
+            else:
+                light *= min(1.0, float(pair.friction[:, 0].min()) ** 2)
+            out.append(floor(light, centre))
+        return np.array(out)
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """Inverse inertias of points, where the model starts."""
+        return Mobility(self.mj)
 
     @cached_property
     def given(self) -> np.ndarray:
@@ -186,9 +210,8 @@ class PhysicsModel(Structure):
             condim, solref, solimp = m.geom_condim[g], m.geom_solref[g], m.geom_solimp[g]
             mu = friction[:, g][:, _FRICTIONS]
         else:
-            weights = m.geom_solmix[a], m.geom_solmix[b]
-            total = sum(weights)
-            mix = weights[0] / total if total > 1e-15 else 0.5
+            weights = [w if w >= LEAST else 0.0 for w in (m.geom_solmix[a], m.geom_solmix[b])]
+            mix = weights[0] / sum(weights) if any(weights) else 0.5
             condim = max(m.geom_condim[a], m.geom_condim[b])
             mu = np.maximum(friction[:, a], friction[:, b])[:, _FRICTIONS]
             both = m.geom_solref[a], m.geom_solref[b]

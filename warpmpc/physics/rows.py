@@ -9,6 +9,15 @@ import numpy as np
 
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
 """Bounds of an impedance (MuJoCo, "Solver parameters")."""
+LEAST = 1e-15
+"""What MuJoCo takes for zero (``mjMINVAL``)."""
+REFERENCE = (0.02, 1.0)
+"""Time constant [s] and damping ratio where nothing is said."""
+
+
+def mixed(solref: np.ndarray) -> bool:
+    """Return whether one number of a reference is positive and the other is not: neither of its two formats."""
+    return bool((solref[0] > 0.0) != (solref[1] > 0.0))
 
 
 @dataclass(frozen=True)
@@ -29,17 +38,22 @@ class Rows:
 
     @classmethod
     def of(cls, solref: np.ndarray, solimp: np.ndarray, timestep: float, *, safe: bool) -> Rows:
-        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``)."""
+        """Stiffness and damping from the reference, which no time constant below two steps may have (``refsafe``).
+
+        A reference of mixed format is replaced by the default, an impedance without width is the mean of its bounds.
+        """
         least, most, width, middle, power = solimp
-        most = float(np.clip(most, LEAST_IMPEDANCE, MOST_IMPEDANCE))
+        least, most, middle = (float(np.clip(x, LEAST_IMPEDANCE, MOST_IMPEDANCE)) for x in (least, most, middle))
+        if mixed(solref):
+            solref = REFERENCE
         if solref[0] > 0.0:
             constant = max(solref[0], 2.0 * timestep) if safe else solref[0]
             stiffness, damping = 1.0 / (most * constant * solref[1]) ** 2, 2.0 / (most * constant)
         else:
             stiffness, damping = -solref[0] / most**2, -solref[1] / most
-        least = float(np.clip(least, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        middle = float(np.clip(middle, LEAST_IMPEDANCE, MOST_IMPEDANCE))
-        shape = least, most, max(float(width), 1e-15), middle
+        if width <= LEAST:
+            least = most = 0.5 * (least + most)
+        shape = least, most, max(float(width), LEAST), middle
         return cls(float(stiffness), float(damping), shape, max(1.0, float(power)))
 
     @property

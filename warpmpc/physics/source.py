@@ -43,6 +43,8 @@ MOST_CONTACTS = 64
 """Contacts that there is room for at most: what touches at once is far less than what could."""
 ROUGHLY = 0.3
 """Share of the slope that a line search may leave: more exact ones save no iterations."""
+FEW_ITERATIONS = 20
+"""Below so many iterations the solver goes MuJoCo's way, step for step, since it may end before the minimum."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
 
@@ -187,6 +189,8 @@ class RolloutSource:
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
             "ITERATIONS": int(m.opt.iterations),
+            "FEW": int(m.opt.iterations < FEW_ITERATIONS),
+            "EXPLICIT": int(model.explicit),
             "LINE_SEARCH": int(m.opt.ls_iterations),
             "ROUGHLY": literal(max(ROUGHLY, float(m.opt.ls_tolerance))),
             "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),

@@ -308,7 +308,7 @@ FN void meet(World& w, int pair, const Shapes& s, I near) {
 FN void convex(World& w, int pair, int g1, int g2, int kind1, int kind2, I near) {
     Shapes s;
     shapes_of(w, g1, g2, kind1, kind2, s);
-    meet(w, pair, s, near);
+    meet(w, pair, s, near & (dot(s.p, s.p) > 1e-12f));  // MuJoCo finds nothing where the centres are one
 }
 
 FN void sphere_ellipsoid(World& w, int pair, int g1, int g2, I near) { convex(w, pair, g1, g2, SPHERE, ELLIPSOID, near); }

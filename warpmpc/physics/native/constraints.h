@@ -10,7 +10,7 @@ INLINE void constraint(World& w, int k, T distance, T measure, T rate, T curving
     const T imp = impedance(constraint_impedance + SOFT * k, measure);
     const int at = constraint_inverse_at[k];
     const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_CONSTRAINT_INVERSE + k]);
-    w.constraint_weight[k] = on ? row_weight(inverse, imp) : zero();
+    w.constraint_weight[k] = on ? row_weight(inverse, imp, w.given[GIVEN_CONSTRAINT_FLOOR + k]) : zero();
     w.constraint_ref[k] = on ? -constraint_damping[k] * rate - constraint_stiffness[k] * imp * distance - curving : zero();
     w.constraint_s[k] = zero();
 }
@@ -31,7 +31,7 @@ FN void dry(World& w) {
     EACH(k, DRY) {
         const int at = dry_inverse_at[k];
         const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_DRY_INVERSE + k]);
-        w.dry_weight[k] = row_weight(inverse, splat(dry_impedance[k]));
+        w.dry_weight[k] = row_weight(inverse, splat(dry_impedance[k]), 1e-15f);
         w.dry_ref[k] = -dry_damping[k] * w.v[dry_dof[k]];
         w.dry_s[k] = zero();
     }

@@ -19,7 +19,8 @@ INLINE T impedance(const float* p, T distance) {
     const T o = 1.0f - x, low = x * x * (1.0f / p[3]), high = 1.0f - o * o * (1.0f / (1.0f - p[3]));
     return p[0] + (x > p[3] ? high : low) * (p[1] - p[0]);
 }
-INLINE T row_weight(T inverse, T imp) { return 1.0f / VMAX(inverse * (1.0f - imp) / imp, splat(1e-15f)); }
+// One over the regularization of a row, which is never below a floor that single precision needs
+INLINE T row_weight(T inverse, T imp, float floor) { return 1.0f / VMAX(inverse * (1.0f - imp) / imp, splat(floor)); }
 INLINE T pair_inverse(const World& w, int pair) {
     const int at = pair_inverse_at[pair];
     return at >= 0 ? w.par[at] : splat(w.given[GIVEN_PAIR_INVERSE + pair]);
@@ -45,7 +46,7 @@ INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T*
     const T beyond = distance - pair_margin[pair];
     const T imp = impedance(pair_impedance + SOFT * pair, beyond);
     const float k = pair_stiffness[pair], damping = pair_damping[pair];
-    c.weight = lanes ? row_weight(pair_inverse(w, pair), imp) : c.weight;
+    c.weight = lanes ? row_weight(pair_inverse(w, pair), imp, w.given[GIVEN_PAIR_FLOOR + pair]) : c.weight;
     set_friction(w, c, pair, lanes);
     for (int i = 0; i < ROWS; ++i) {
         const T ref = -damping * v[i] - (i ? zero() : k * imp * beyond);
@@ -212,7 +213,7 @@ FN void limit(World& w) {
         const T inverse = at >= 0 ? w.par[at] : splat(w.given[GIVEN_LIMIT_INVERSE + k]);
         w.ldof[n] = i;
         w.lside[n] = side;
-        w.lweight[n] = m ? row_weight(inverse, imp) : zero();
+        w.lweight[n] = m ? row_weight(inverse, imp, 1e-15f) : zero();
         w.lref[n] = m ? -limit_damping[k] * side * w.v[i] - limit_stiffness[k] * imp * beyond : zero();
         w.ls[n] = zero();
     }

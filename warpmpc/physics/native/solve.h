@@ -170,9 +170,12 @@ INLINE void contact_force(const Contact& c, T* f) {
     derive(c, second, first);
     for (int i = 0; i < PUSH; ++i) f[i] = -first[i];
 }
-// All forces: the constraints' are added to the others'
-FN void add_forces(World& w) {
-#if COOPERATE
+// All forces: the constraints' are added to the others'. Where the solver comes to the minimum these are what the
+// accelerations ask for, which has less rounding than the rows: there stiff ones multiply that of their distances.
+FN void add_forces(World& w, I alone) {
+#if !FEW
+    EACH(i, NV) w.fs[i] += alone ? zero() : w.ma[i];
+#elif COOPERATE
     EACH(n, w.contacts) contact_force(w.con[n], w.con[n].push);
     SYNC
     add_contacts(w, nullptr, w.fs);
@@ -184,7 +187,11 @@ FN void add_forces(World& w) {
         for (int k = 0; k < c.count; ++k) w.fs[group_dof[c.group * NNZ + k]] += first_of(c, f, k);
     }
 #endif
+#if FEW
     EACH(k, w.limits) w.fs[w.ldof[k]] -= w.lside[k] * w.lweight[k] * VMIN(w.la[k], zero());
     SYNC
     add_ties(w, nullptr, w.fs, -1.0f);
+#else
+    SYNC
+#endif
 }

@@ -59,8 +59,19 @@ INLINE void displace(World& w, const T* v, float time) {
     SYNC
 }
 // Accelerations of all forces, into w.search: with those that resist velocity implicit, where the integrator has them so
-FN void respond(World& w) {
+FN void respond(World& w, I alone) {
+#if EXPLICIT
+    if (VANY(alone)) {
 #if COOPERATE
+        EACH(i, NH) w.h[i] = w.mm[i];
+        SYNC
+        solve_lanes(w.h, w.fs, w.search, 1.0f);
+#else
+        solve_tree(w.mm, w.fs, w.search, 1.0f);
+#endif
+    }
+    EACH(i, NV) w.search[i] = alone ? w.search[i] : w.x[i];
+#elif COOPERATE
     EACH(i, NH) w.h[i] = w.mm[i];
     SYNC
 #if SPREAD
@@ -103,7 +114,9 @@ INLINE I push(World& w) {
     for (int k = 0; k < w.limits; ++k) alone &= VNOT(w.lweight[k] > 0.0f);
     if (VANY(VNOT(alone))) {
         newton(w, alone);
-        add_forces(w);
+#if !EXPLICIT
+        add_forces(w, alone);
+#endif
     }
     return alone;
 }
@@ -127,7 +140,7 @@ FN void step(World& w) {
 #endif
     for (int stage = 0; stage < 4; ++stage) {
         const I alone = push(w);
-        respond(w);
+        respond(w, alone);
         const float share = stage % 3 ? 1.0f / 3.0f : 1.0f / 6.0f, ahead = stage == 2 ? 1.0f : 0.5f;
         EACH(i, NV) {
             w.mean_v[i] = (stage ? w.mean_v[i] : zero()) + share * w.v[i];
@@ -165,7 +178,7 @@ FN void step(World& w) {
 #else
 FN void step(World& w) {
     const I alone = push(w);
-    respond(w);
+    respond(w, alone);
     EACH(i, NV) w.v[i] += TIMESTEP * w.search[i];
     keep_start(w, alone);
     SYNC

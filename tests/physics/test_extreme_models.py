@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models at the edges of single precision roll out as in MuJoCo, as far as rounding lets them, or are refused."""
+
+import logging
+
+import mujoco
+import pytest
+from extreme_models import MODELS, apart
+from hypothesis import HealthCheck, Phase, given, note, settings
+
+from warpmpc.physics.missing import missing
+
+ROUNDING = 1e-3
+"""Difference of coordinates that is left to single precision where MuJoCo itself is calm, after 50 steps [m, rad]."""
+quiet = settings(deadline=None, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+WHEEL = """<body pos="0 0 .099"><joint name="turn" axis="0 1 0" damping=".01"/>
+  <geom type="sphere" size=".1" mass="1"/></body>"""
+TURNTABLE = """<geom type="box" size=".25 .25 .05" pos="1 0 .05"/><body pos="1 0 .128">
+  <joint axis="0 0 1" damping=".05"/><geom type="cylinder" size=".2 .03" mass="2"/></body>"""
+KNOB = """<geom type="box" size=".02 .3 .3" pos="0 1 1"/><body pos="0 1 1"><joint axis="1 0 0"/>
+  <geom type="cylinder" size=".05 .04" euler="0 90 0" mass=".5"/></body>"""
+BOX = '<body pos="0 0 .12" euler="3 5 0"><freejoint/><geom type="box" size=".1 .08 .06" mass="1.3" {0}/></body>'
+CASES = {
+    "joints through centres of mass": WHEEL + TURNTABLE,
+    "centres that are one": KNOB,
+    "no friction": BOX.format('friction="0 0 0"'),
+    "ice": BOX.format('friction=".001 0 0"'),
+    "impedance without width": BOX.format('solimp=".5 .99 0" priority="1"'),
+    "mixed reference": BOX.format('solref="-100 1" priority="1"'),
+    "no damping": BOX.format('solref=".02 0" priority="1"'),
+    "no time": BOX.format('solref="0 1" priority="1"'),
+}
+
+
+def scene(bodies: str) -> mujoco.MjModel:
+    """A model of bodies on a floor without friction of its own."""
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep=".004"/><worldbody><geom type="plane" size="3 3 .1" friction="0 0 0"/>{bodies}'
+        "</worldbody></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_edges_of_single_precision(name, caplog):
+    with caplog.at_level(logging.WARNING, logger="warpmpc"):
+        found = apart(scene(CASES[name]))
+    assert found.worst <= ROUNDING, found
+    lines = [r.getMessage() for r in caplog.records if "solref" in r.getMessage()]
+    assert len(lines) == ('solref="' in CASES[name])
+
+
+def check(text: str) -> None:
+    model = mujoco.MjModel.from_xml_string(text)
+    if missing(model) is None:
+        found = apart(model)
+        note(str(found))
+        assert found.worst <= ROUNDING, text
+
+
+@settings(quiet, max_examples=5)
+@given(MODELS)
+def test_drawn_models_roll_out_as_in_mujoco(text):
+    check(text)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@settings(quiet, max_examples=100)
+@given(MODELS)
+def test_many_drawn_models_roll_out_as_in_mujoco(text):
+    check(text)
+
+
+TWO = '<body><joint axis="0 1 0" {0}/><joint axis="0 1 0"/><geom size=".05" pos=".2 0 0" mass="{1}"/></body>'
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
+def test_singular_mass_matrices_are_refused(mass):
+    assert "singular" in missing(scene(TWO.format("", mass)))
+    assert missing(scene(TWO.format(f'armature="{1e-3 * mass}"', mass))) is None
