@@ -21,7 +21,7 @@ from ..model.randomize import batched_arrays
 from ..model.trajectory import Trajectory
 from ..physics.batch import shares
 from ..physics.kernel import WARP, RolloutWork, make_kernel
-from ..physics.missing import missing
+from ..physics.missing import missing, tell_differences
 from ..physics.model import PhysicsModel
 from ..physics.source import RolloutSource
 from ..physics.steps import Steps
@@ -76,6 +76,7 @@ class FusedPhysics:
         if lack := missing(world.model):
             allowed = ["auto", "mujoco", "newton"]
             raise SceneError(f"the engine fused has no {lack}", key="engine.name", file=scene.path, allowed=allowed)
+        tell_differences(world.model)
         self.world, self.layout = world, compiled.layout
         on_gpu = wp.get_device(device).is_cuda
         self.sharing = WARP if on_gpu and shares(world.model, shape.worlds) else 1

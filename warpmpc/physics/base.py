@@ -26,6 +26,8 @@ FREE, BALL, SLIDE, HINGE = (int(getattr(JOINT, f"mjJNT_{kind}")) for kind in ("F
 WRAP_JOINT, WRAP_PULLEY, WRAP_SITE = (
     int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("JOINT", "PULLEY", "SITE")
 )
+MOST_GROUP = 30
+"""Of actuators that can be disabled."""
 NOTHING: Vector = [0.0, 0.0, 0.0]
 IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
@@ -120,6 +122,12 @@ class Structure:
         """Return whether a flag of the options disables a part of the physics, ``SPRING`` for example."""
         flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}")
         return bool(self.mj.opt.disableflags & flag)
+
+    def drives(self, actuator: int) -> bool:
+        """Return whether an actuator is on: neither all are disabled nor its group is."""
+        group = int(self.mj.actuator_group[actuator])
+        grouped = 0 <= group <= MOST_GROUP and self.mj.opt.disableactuator >> group & 1
+        return not (self.off("ACTUATION") or grouped)
 
     @cached_property
     def gravity(self) -> Vector:

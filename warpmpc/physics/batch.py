@@ -20,7 +20,7 @@ from ..launch import Launcher, Replay
 from ..thread_pool import PARTS, ThreadPool
 from .data_fields import field_width
 from .kernel import WARP, RolloutWork, options
-from .missing import missing
+from .missing import missing, tell_differences
 from .model import PhysicsModel
 from .outputs import Outputs, write_outputs
 from .source import RolloutSource
@@ -121,6 +121,7 @@ class BatchRollout:
     ):
         if lack := missing(model):
             raise ValueError(f"the physics of warpmpc has no {lack}: change that in the model, or step it with mujoco")
+        tell_differences(model)
         self.mj, self.worlds, self.steps, self.threads = model, worlds, steps, threads
         self._bodies, self._pairs, self._settable, self._mocap = tuple(bodies), tuple(pairs), settable, mocap
         self.fields, self._held = tuple(fields), held

@@ -11,7 +11,7 @@ import numpy as np
 from ..bake.lines import Lines, Operand, Vector, function, literal, text
 from .base import BALL, FREE, packed, rotation
 from .constraint_rows import small_rotation
-from .limits import UNBOUNDED, bounds, within
+from .limits import UNLIMITED, bounds, within
 from .tables import floats, ints
 
 if TYPE_CHECKING:
@@ -75,8 +75,9 @@ class Drive:
         """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
         m, lines = self.mj, Lines("d")
         for a in range(m.nu):
-            if self.model.off("ACTUATION"):
-                break
+            if not self.model.drives(a):
+                self._rest(lines, a)
+                continue
             reach = self._reach(lines, a)
             value, rate = self._actuator(lines, a, reach)
             for dof, arm in reach.arms:
@@ -201,6 +202,14 @@ class Drive:
             force = clamp(lines, force, m.actuator_forcerange[a])
         return force, slope
 
+    def _rest(self, lines: Lines, a: int) -> None:
+        """Activations of an actuator that is off: they stay, but for their bounds where its group alone is off."""
+        m, first = self.mj, int(self.mj.actuator_actadr[a])
+        limits = m.actuator_actrange[a] if m.actuator_actlimited[a] and not self.model.off("ACTUATION") else UNLIMITED
+        for i in range(first, first + int(m.actuator_actnum[a])):
+            self._acts[i] = 1.0, within(limits)
+            lines.add(f"w.act_next[{i}] = {text(clamp(lines, f'w.act[{i}]', limits))};")
+
     def _numbers(self, name: str, a: int) -> Vector:
         """First parameters of an actuator's gain or bias."""
         return [self.model.columns.operand(self.model.array(name)[:, a, k]) for k in range(3)]
@@ -217,7 +226,7 @@ class Drive:
                 share = float(-np.expm1(-share))
                 plain = step / tau / share
             after = lines.sum(before, (share, lines.sum(control, (-1.0, before))))
-        limits = m.actuator_actrange[a] if m.actuator_actlimited[a] else np.array([-UNBOUNDED, UNBOUNDED])
+        limits = m.actuator_actrange[a] if m.actuator_actlimited[a] else UNLIMITED
         bounded = clamp(lines, after, limits)
         self._acts[i] = plain, within(limits)
         lines.add(f"w.act_next[{i}] = {text(after if self._stages else bounded)};")

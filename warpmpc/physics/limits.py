@@ -8,6 +8,8 @@ import numpy as np
 UNBOUNDED = 1e30
 """Limits from here on are none: files say infinity, or a number as large as they can."""
 
+UNLIMITED = np.array([-UNBOUNDED, UNBOUNDED])
+
 
 def within(limits: np.ndarray) -> np.ndarray:
     """Limits as numbers that single precision holds."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -10,17 +11,22 @@ import numpy as np
 
 from .base import BALL, FREE, GEOM, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE
 from .equalities import CONNECT, JOINT, TENDON, WELD
+from .flags import lacking_flags
 from .mobility import singular
-from .model import COLLIDES, MOST_POWER, PhysicsModel
+from .model import COLLIDES, MOST_POWER, NEWTON, PhysicsModel
 from .tendons import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+logger = logging.getLogger("warpmpc")
+
 
 def missing(model: mujoco.MjModel) -> str | None:
     """Return what a model has and this engine lacks, in a few words; None if there is nothing."""
     physics = PhysicsModel(model)
+    if unknown := list(lacking_flags(model)):
+        return f"physics of the flags {', '.join(unknown)}"
     for what, wrong in _CHECKS.items():
         if wrong(physics):
             return what
@@ -28,6 +34,13 @@ def missing(model: mujoco.MjModel) -> str | None:
     for a, b in sorted(kinds - COLLIDES):
         return f"contacts between {_names((a, b))}"
     return None
+
+
+def tell_differences(model: mujoco.MjModel) -> None:
+    """Say in the log how steps of a model are computed otherwise than it says."""
+    if model.opt.solver != NEWTON:
+        name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
+        logger.info("constraints are solved by Newton's method to its tolerance, in place of the model's %s", name)
 
 
 def _names(pair: tuple[int, int]) -> str:
@@ -53,28 +66,7 @@ def _contacts(p: PhysicsModel) -> np.ndarray:
     return np.array(sorted({g for pair in p.pairs for g in pair.geoms}), dtype=int)
 
 
-_DISABLED = (
-    mujoco.mjtDisableBit.mjDSBL_ISLAND
-    | mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    | mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
-    | mujoco.mjtDisableBit.mjDSBL_REFSAFE
-    | mujoco.mjtDisableBit.mjDSBL_MIDPHASE
-    | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    | mujoco.mjtDisableBit.mjDSBL_NATIVECCD
-    | mujoco.mjtDisableBit.mjDSBL_MULTICCD
-    | mujoco.mjtDisableBit.mjDSBL_SENSOR
-    | mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    | mujoco.mjtDisableBit.mjDSBL_EQUALITY
-    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-    | mujoco.mjtDisableBit.mjDSBL_LIMIT
-    | mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    | mujoco.mjtDisableBit.mjDSBL_SPRING
-    | mujoco.mjtDisableBit.mjDSBL_DAMPER
-    | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-)
-"""Flags that change nothing here, or that are heeded."""
+MOST_DOFS = 64
 _INTEGRATORS = tuple(int(getattr(mujoco.mjtIntegrator, f"mjINT_{name}")) for name in ("EULER", "RK4", "IMPLICITFAST"))
 _AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
@@ -100,6 +92,7 @@ _EQUALITIES = (CONNECT, WELD, JOINT, TENDON)
 _WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
+    f"models of more than {MOST_DOFS} degrees of freedom": lambda p: p.mj.nv > MOST_DOFS,
     "integrators other than Euler, RK4 and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
     "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
     "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
@@ -137,7 +130,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     ),
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
-    "groups of actuators that are switched off": lambda p: p.mj.opt.disableactuator,
     "fluid (density, viscosity) in implicit steps": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator == _INTEGRATORS[2]
     ),
@@ -156,12 +148,8 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         or p.mj.tendon_dampingpoly.any()
         or p.mj.tendon_stiffnesspoly.any()
     ),
+    "solver PGS for elliptic cones": lambda p: p.mj.opt.solver == int(mujoco.mjtSolver.mjSOL_PGS) and p.elliptic,
     "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
-    "solvers other than Newton": lambda p: p.mj.opt.solver != int(mujoco.mjtSolver.mjSOL_NEWTON),
-    "disabled or enabled parts of the physics (option flags)": lambda p: (
-        p.mj.opt.disableflags & ~int(_DISABLED) or p.mj.opt.enableflags
-    ),
-    "models of more than 64 degrees of freedom": lambda p: p.mj.nv > 64,
     "double precision for a nearly singular mass matrix (armatures mend it)": lambda p: singular(p.mj),
 }
 """What this engine lacks, and how to see that a model has it."""

@@ -26,6 +26,9 @@ MOST_POWER = 16
 """Of an impedance."""
 LEAST_FRICTION = 1e-5
 """Bound of a contact's coefficients of friction."""
+NEWTON = int(mujoco.mjtSolver.mjSOL_NEWTON)
+ENOUGH = 100
+"""Iterations that Newton's method has at least where it stands in for a solver that needs many more of its kind."""
 _FRICTIONS = [0, 0, 1, 2, 2]
 """A geom's coefficients of friction in the order of a contact's."""
 
@@ -198,6 +201,12 @@ class PhysicsModel(Structure):
         alike = all((pair.friction[:, 0] == pair.friction[:, 1]).all() for pair in self.pairs)
         return most - 1 if self.elliptic or most > 3 or not alike else 1
 
+    @property
+    def iterations(self) -> tuple[int, int]:
+        """Most iterations of the solver, and of its line search."""
+        given = int(self.mj.opt.iterations), int(self.mj.opt.ls_iterations)
+        return given if self.mj.opt.solver == NEWTON else (max(given[0], ENOUGH), max(given[1], ENOUGH))
+
     def _pair(self, a: int, b: int, told: int | None) -> PairRow:
         """Parameters of two geoms: those of an explicit pair, or mixed ones (MuJoCo, "Contact parameters")."""
         m, friction = self.mj, self.array("geom_friction")
@@ -218,6 +227,8 @@ class PhysicsModel(Structure):
             direct = both[0][0] <= 0.0 or both[1][0] <= 0.0
             solref = np.minimum(*both) if direct else mix * both[0] + (1.0 - mix) * both[1]
             solimp = mix * m.geom_solimp[a] + (1.0 - mix) * m.geom_solimp[b]
+        if m.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+            margin, solref, solimp, mu = float(m.opt.o_margin), m.opt.o_solref, m.opt.o_solimp, m.opt.o_friction[None]
         bodies = int(m.geom_bodyid[a]), int(m.geom_bodyid[b])
         weight = self.array("body_invweight0")
         inverse = weight[:, bodies[0], 0] + weight[:, bodies[1], 0]

@@ -31,8 +31,9 @@ _UNREAD = ("mesh_", "tex_", "skin_", "flex", "bvh_", "oct_", "mat_", "light_", "
 """Beginnings of the names of arrays that are not compared: large ones, and those that the physics does not read."""
 _OPTIONS = operator.attrgetter(
     "timestep", "density", "viscosity", "integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance",
-    "ls_tolerance", "impratio", "disableflags", "enableflags", "disableactuator", "noslip_iterations",
+    "ls_tolerance", "impratio", "disableflags", "enableflags", "disableactuator", "noslip_iterations", "o_margin",
 )  # fmt: skip
+_VECTORS = ("gravity", "wind", "o_solref", "o_solimp", "o_friction")
 _NEAR = 64
 """Bytes between arrays of one piece of memory at most, by which MuJoCo aligns them."""
 
@@ -48,7 +49,7 @@ class _Views:
         self.model = weakref.ref(model)
         self.varying = [getattr(model, name) for name in VARYING]
         self._varying = [_span(values) for values in self.varying]
-        self._opt, self._vectors = model.opt, (model.opt.gravity, model.opt.wind)
+        self._opt, self._vectors = model.opt, [getattr(model.opt, name) for name in _VECTORS]
         spans = sorted(
             _span(value)
             for name in dir(model)
