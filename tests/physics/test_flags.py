@@ -30,7 +30,7 @@ CRAMPED = """
       <body pos=".4 0 0">
         <joint name="b" axis="0 0 1" damping=".3" armature=".01" solreflimit=".001 1" range="-5 5"/>
         <joint name="c" axis="0 1 0" damping=".3" armature=".01"/>
-        <geom type="box" size=".1 .05 .08"/>
+        <geom type="box" size=".1 .05 .08" pos=".13 .01 0"/>
       </body>
     </body>
     <body pos="-.4 0 .1" euler="5 0 0"><freejoint/><geom type="box" size=".2 .1 .095" condim="4" margin=".01"/></body>
