@@ -222,7 +222,6 @@ def drive(text: str) -> dict:
 
 
 LACKS = {
-    "integrators other than Euler, RK4 and implicitfast": {"option": 'integrator="implicit"'},
     "equalities of flexible bodies and distances": {
         "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" dim="2" '
         'mass="1"><edge equality="true"/></flexcomp>'
@@ -267,7 +266,6 @@ LACKS = {
     "actuators with gains other than fixed and affine": drive('<general joint="h" gaintype="user"/>'),
     "armatures of actuators": drive('<motor joint="h" armature="0.3"/>'),
     "delays of actuators": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
-    "fluid (density, viscosity) in implicit steps": {"option": 'density="1.2" integrator="implicitfast"'},
     "shapes of their own in a fluid": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
     "impedances whose power is no whole number": {"geom": 'priority="1" solimp="0.9 0.95 0.001 0.5 2.5"'},
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
@@ -307,20 +305,6 @@ def test_a_pair_of_shapes_without_contacts_is_named(monkeypatch):
     asset = '<asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 1"/></asset>'
     text = mjcf(before=asset, world='<geom type="hfield" hfield="f"/>')
     assert fused_missing.missing(mujoco.MjModel.from_xml_string(text)) == "contacts between hfield and sphere"
-
-
-@pytest.mark.parametrize(
-    "engine",
-    [{"integrator": "implicit"}],
-    ids=lambda e: next(iter(e.values())),
-)
-def test_auto_takes_mujoco_where_the_engine_lacks_something(engine):
-    scene = make_scene(planner={"samples": 4, "horizon": 2}, engine=engine)
-    assert Controller(scene, device="cpu", compiled=compiled(scene)).engine.name == "mujoco"
-    with pytest.raises(SceneError, match="the engine fused has no ") as caught:
-        Controller(scene, engine="fused", device="cpu", compiled=compiled(scene))
-    assert caught.value.key == "engine.name"
-    assert "\n" not in str(caught.value).split("engine fused has no")[1].split("allowed")[0].strip()
 
 
 @pytest.mark.parametrize("what", ["gravity compensation by actuators", "activations but integrators and filters"])

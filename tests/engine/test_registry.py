@@ -4,6 +4,7 @@
 import logging
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from small_scenes import compiled, make_scene
@@ -12,6 +13,7 @@ from warpmpc import Controller, SceneError, State
 from warpmpc.engine import launched
 from warpmpc.engine.registry import ENGINES, PhysicsSteps, physics_steps, register
 from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.physics import missing
 
 UNEVEN = (0.04, 0.05, 0.06)
 
@@ -91,11 +93,13 @@ def test_a_name_is_given_once():
         register(ENGINES["mujoco"])
 
 
-def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for():
+def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for(monkeypatch):
     scene = make_scene(planner={"samples": 4, "horizon": 2})
     controller = Controller(scene, device="cpu", compiled=compiled(scene))
     assert controller.engine.name == "fused"
     controller.step(State.start(controller.layout))
+    rk4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+    monkeypatch.setitem(missing._CHECKS, "integrators of order four", lambda p: p.mj.opt.integrator == rk4)
     fourth = make_scene(planner={"samples": 4, "horizon": 2}, engine={"integrator": "rk4"})
     assert Controller(fourth, device="cpu", compiled=compiled(fourth)).engine.name == "mujoco"
     with pytest.raises(SceneError, match="engine fused has no integrators") as caught:

@@ -154,7 +154,7 @@ def models(draw) -> str:
 
     trees = "".join(body(0) for _ in range(draw(st.integers(1, 2))))
     block = draw(st.sampled_from(["", BLOCK]))
-    integrator = draw(st.sampled_from(["Euler", "implicitfast", "RK4"]))
+    integrator = draw(st.sampled_from(["Euler", "implicitfast", "implicit", "RK4"]))
     cone = draw(st.sampled_from(['cone="pyramidal"', 'cone="elliptic"', 'cone="elliptic" impratio="4"']))
     gravity = draw(st.sampled_from(["0 0 -9.81", "1 0 -9", "0 0 0"]))
     return (

@@ -15,7 +15,7 @@ from warpmpc.physics import rollout
 
 ARM = """
 <mujoco>
-  <option timestep="0.005" integrator="{integrator}" iterations="100" tolerance="1e-10"/>
+  <option timestep="0.005" integrator="{integrator}" iterations="100" tolerance="1e-10" {more}/>
   <worldbody>
     <geom type="plane" size="3 3 .1"/>
     <body pos="0 0 .5">
@@ -56,14 +56,25 @@ ARM = """
   </actuator>
 </mujoco>
 """
-INTEGRATORS = ["Euler", "implicitfast", "RK4"]
+FLUID = 'density="80" viscosity=".4" wind="1 .2 0"'
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_steps_and_rollouts_are_those_of_mujoco(integrator):
-    model = mujoco.MjModel.from_xml_string(ARM.format(integrator=integrator))
+@pytest.mark.parametrize(
+    ("integrator", "more"),
+    [
+        ("Euler", ""),
+        ("implicitfast", ""),
+        ("implicit", ""),
+        ("RK4", FLUID),
+        ("implicitfast", FLUID),
+        ("implicit", FLUID),
+    ],
+    ids=lambda text: "fluid" if text == FLUID else text,
+)
+def test_steps_and_rollouts_are_those_of_mujoco(integrator, more):
+    model = mujoco.MjModel.from_xml_string(ARM.format(integrator=integrator, more=more))
     worlds, steps = 16, 50
-    q, v = starts(model, worlds, seed=1)
+    q, v = starts(model, worlds, seed=1, speed=3.0)
     control = controls(model, steps, worlds, seed=2)
     states = visit([model], q, v, control, every=2)
     found = public_differences(model, states)

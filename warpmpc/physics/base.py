@@ -144,6 +144,21 @@ class Structure:
         return m.opt.integrator == int(kinds.mjINT_RK4) or (m.opt.integrator == int(kinds.mjINT_EULER) and not damped)
 
     @property
+    def skewed(self) -> bool:
+        """Return whether the step takes the derivatives of bias forces by velocity, whose matrix is not symmetric."""
+        return self.mj.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
+
+    @property
+    def implicit(self) -> bool:
+        """Return whether the step takes derivatives of forces by velocity: ``implicit`` or ``implicitfast``."""
+        return self.skewed or self.mj.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+
+    @property
+    def fluid(self) -> bool:
+        """Return whether a fluid resists bodies."""
+        return bool(self.mj.opt.density or self.mj.opt.viscosity) and self.passive
+
+    @property
     def passive(self) -> bool:
         """Return whether there are passive forces: without springs and dampers MuJoCo has no others of them either."""
         return not (self.off("SPRING") and self.off("DAMPER"))

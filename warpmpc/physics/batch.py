@@ -37,7 +37,8 @@ one each. Five models from 7 to 27 degrees of freedom took equally long at 155 t
 
 def shares(model: mujoco.MjModel, worlds: int) -> bool:
     """Tell if on a GPU a warp shares a world, rather than each thread having one."""
-    return worlds <= SHARED_PER_DOF * model.nv
+    skewed = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICIT)  # a thread alone has that
+    return worlds <= SHARED_PER_DOF * model.nv and not skewed
 
 
 @lru_cache(maxsize=64)

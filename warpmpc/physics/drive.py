@@ -45,23 +45,30 @@ class Drive:
     def __init__(self, model: Structure, sites: Sites, tendons: Tendons):
         self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
         m = self.mj
-        self._implicit = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         self._stages = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
         self._force: dict[int, list] = {i: [] for i in range(m.nv)}
         self._damped: dict[int, list] = {i: [] for i in range(m.nv)}
         self._spread: dict[tuple[int, int], list] = {}
         """What the implicit step adds to entries (row, column < row) of the mass matrix, over the time step."""
+        if self.model.implicit and self.model.fluid:  # which adds to all of them
+            self._spread = {(i, j): [] for i in range(m.nv) for j in self.model.ancestors[i]}
         self._acts: dict[int, tuple[float, np.ndarray]] = {}
         """How much an activation changes in a step of Euler's, over its exact change; and its bounds."""
 
-    def spreads(self, first: int) -> dict[tuple[int, int], int]:
-        """Numbers of the entries among six degrees of freedom from the first on, once all is written."""
-        return {(i - first, j - first): n for n, (i, j) in enumerate(self._spread) if first <= j and i < first + 6}
+    @property
+    def spreads(self) -> dict[tuple[int, int], int]:
+        """Numbers of the entries that the implicit step adds to, once all is written."""
+        return {entry: n for n, entry in enumerate(self._spread)}
 
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        return {"SPREAD": len(self._spread), "ACTS": self.mj.na, "RUNGE_KUTTA": int(self._stages)}
+        return {
+            "SPREAD": len(self._spread),
+            "ACTS": self.mj.na,
+            "RUNGE_KUTTA": int(self._stages),
+            "SKEWED": int(self.model.skewed),
+        }
 
     def tables(self) -> list[str]:
         """Definitions of tables."""
@@ -82,7 +89,7 @@ class Drive:
             value, rate = self._actuator(lines, a, reach)
             for dof, arm in reach.arms:
                 self._force[dof].append((value, arm))
-            if self._implicit and rate != 0.0:
+            if self.model.implicit and rate != 0.0:
                 self._resist(lines, rate, reach.arms)
         pulls = self._pulls(lines)
         for i in range(m.nv):
@@ -94,7 +101,7 @@ class Drive:
             damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[i])
             if damping:
                 terms.append((-damping, f"w.v[{i}]"))
-            if damping and not self._stages and (self._implicit or not self.model.off("EULERDAMP")):
+            if damping and not self._stages and (self.model.implicit or not self.model.off("EULERDAMP")):
                 self._damped[i].append(damping)
             lines.add(f"w.fs[{i}] = {text(lines.sum(*terms, *pulls[i]))};")
             rate = lines.sum(*self._damped[i])
@@ -111,7 +118,7 @@ class Drive:
             force, arms = self.tendons.force(lines, t), self.tendons.arms(t)
             for dof, arm in arms if force != 0.0 else ():
                 out[dof].append((force, arm))
-            if self._implicit and m.tendon_damping[t] and not self.model.off("DAMPER"):
+            if self.model.implicit and m.tendon_damping[t] and not self.model.off("DAMPER"):
                 self._resist(lines, -float(m.tendon_damping[t]), arms)
         for j in np.flatnonzero(np.ravel(m.jnt_stiffness)) if not self.model.off("SPRING") else ():
             stiffness, q, dof = float(np.ravel(m.jnt_stiffness)[j]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])

@@ -9,6 +9,7 @@ from ..bake.lines import Lines, Matrix, Vector, function
 from .base import IDENTITY, NOTHING, rotation
 from .bodies import Bodies
 from .constraint_rows import ConstraintRows
+from .coriolis import write_skewed_solve
 from .drive import Drive
 from .fluid import Fluid
 from .gyroscopic import write_gyroscopic
@@ -38,9 +39,10 @@ class Dynamics:
         """Source of the functions."""
         # these ask for sites
         forces = self.tendons.write(), self.drive.write(), write_gyroscopic(self.model, self.drive)
+        skewed = write_skewed_solve(self.model, self.drive.spreads)
         self.fluid = Fluid(self.model, self.sites)
         self.bind = ConstraintRows(self.model, self.sites, self.tendons).write()
-        return "\n".join((*forces, self._place(), self._move()))
+        return "\n".join((*forces, skewed, self._place(), self._move()))
 
     def _place(self) -> str:
         """Place what stands still: geoms fixed to the world, and those of mocap bodies, whose poses are given."""

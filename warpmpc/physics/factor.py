@@ -80,28 +80,28 @@ def write_solve(name: str, above: Sequence[Sequence[int]], *, damped: bool = Fal
         out += [f"T h{k}_{j} = h[{packed(k, j)}]{more.format(k) if k == j else ''};" for k, j in own]
         out += [f"T x{k} = sign * g[{k}];" for k in block]
         for m in below:
-            out += [_less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in own if {k, j} <= rows[m]]
-            out += [_less(f"x{k}", f"h{m}_{k}", f"x{m}") for k in block if k in rows[m]]
+            out += [less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in own if {k, j} <= rows[m]]
+            out += [less(f"x{k}", f"h{m}_{k}", f"x{m}") for k in block if k in rows[m]]
         for k in block:
             out.append(f"const T d{k} = 1.0f / VSQRT(h{k}_{k}); x{k} *= d{k};")
             left = [j for j in block if j < k and j in rows[k]]
             out += [f"h{k}_{j} *= d{k};" for j in left]
             for i in left:
-                out += [_less(f"h{i}_{j}", f"h{k}_{i}", f"h{k}_{j}") for j in left if j <= i]
-                out.append(_less(f"x{i}", f"h{k}_{i}", f"x{k}"))
+                out += [less(f"h{i}_{j}", f"h{k}_{i}", f"h{k}_{j}") for j in left if j <= i]
+                out.append(less(f"x{i}", f"h{k}_{i}", f"x{k}"))
         columns = [j for j in columns if j < block[-1]]
         for first in range(0, len(columns), TILE_COLUMNS):
             tile = [(k, j) for j in columns[first : first + TILE_COLUMNS] for k in block if j in rows[k]]
             out += [f"T h{k}_{j} = h[{packed(k, j)}];" for k, j in tile]
             for m in (*below, *block):
                 out += [f"h{m}_{j} *= d{m};" for k, j in tile if k == m]
-                out += [_less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in tile if k < m and {k, j} <= rows[m]]
+                out += [less(f"h{k}_{j}", f"h{m}_{k}", f"h{m}_{j}") for k, j in tile if k < m and {k, j} <= rows[m]]
     for k, row in enumerate(above):
-        out += [_less(f"x{k}", f"h{k}_{i}", f"x{i}") for i in sorted(row)]
+        out += [less(f"x{k}", f"h{k}_{i}", f"x{i}") for i in sorted(row)]
         out.append(f"x[{k}] = x{k} *= d{k};")
     return "\n".join((*out, "}"))
 
 
-def _less(to: str, a: str, b: str) -> str:
-    """A statement that takes a product away, with one rounding whatever stands around it."""
+def less(to: str, a: str, b: str) -> str:
+    """Return a statement that takes a product away, with one rounding whatever stands around it."""
     return f"{to} = FMA(-{a}, {b}, {to});"

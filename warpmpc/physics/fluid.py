@@ -25,8 +25,7 @@ class Fluid:
 
     def __init__(self, model: PhysicsModel, sites: Sites):
         self.model, m = model, model.mj
-        there = bool(m.opt.density or m.opt.viscosity) and model.passive
-        self.bodies = [b for b in range(1, m.nbody) if there and model.moves(b) and m.body_mass[b] > 0.0]
+        self.bodies = [b for b in range(1, m.nbody) if model.fluid and model.moves(b) and m.body_mass[b] > 0.0]
         self._sites = [sites.index(b, m.body_ipos[b], rotation(m.body_iquat[b])) for b in self.bodies]
         sites.turned.update(self._sites)
         sites.pushed.update(self._sites)
@@ -34,7 +33,7 @@ class Fluid:
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        return {"FLUID": len(self.bodies)}
+        return {"FLUID": len(self.bodies), "FLUID_IMPLICIT": int(self.model.implicit)}
 
     def tables(self) -> list[str]:
         """Definitions of the tables."""
@@ -51,6 +50,8 @@ class Fluid:
             ints("fluid_box_at", [[model.columns.index(box[:, k]) for k in range(3)] for box in boxes]),
             ints("fluid_first", np.cumsum([0, *(len(row) for row in immersed)])),
             ints("fluid_body", [n for row in immersed for n in row]),
+            ints("fluid_above_first", np.cumsum([0, *(len(row) for row in model.ancestors)])),
+            ints("fluid_above", [j for row in model.ancestors for j in row]),
         ]
 
     def _box(self, body: int) -> np.ndarray:

@@ -51,7 +51,8 @@ class Gyroscopic:
 
     def write(self, drive: Drive) -> None:
         """Write its acceleration; where forces resist several of its degrees of freedom at once, by elimination."""
-        spread = drive.spreads(self.first)
+        first, last = self.first, self.first + 5
+        spread = {(i - first, j - first): n for (i, j), n in drive.spreads.items() if first <= j and i <= last}
         if spread:
             self._eliminate(spread)
         else:

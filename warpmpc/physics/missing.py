@@ -67,7 +67,6 @@ def _contacts(p: PhysicsModel) -> np.ndarray:
 
 
 MOST_DOFS = 64
-_INTEGRATORS = tuple(int(getattr(mujoco.mjtIntegrator, f"mjINT_{name}")) for name in ("EULER", "RK4", "IMPLICITFAST"))
 _AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _TRANSMISSIONS = tuple(
@@ -93,7 +92,6 @@ _WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
 
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     f"models of more than {MOST_DOFS} degrees of freedom": lambda p: p.mj.nv > MOST_DOFS,
-    "integrators other than Euler, RK4 and implicitfast": lambda p: p.mj.opt.integrator not in _INTEGRATORS,
     "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
     "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
     "armatures of tendons along sites": lambda p: any(
@@ -130,9 +128,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     ),
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
-    "fluid (density, viscosity) in implicit steps": lambda p: (
-        (p.mj.opt.density or p.mj.opt.viscosity) and p.mj.opt.integrator == _INTEGRATORS[2]
-    ),
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),

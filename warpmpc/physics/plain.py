@@ -59,7 +59,7 @@ class PlainRollout:
         self.mj, self.worlds, self.device = model, worlds, device
         physics = self.physics = PhysicsModel(model, arrays)
         width = lanes or native_lanes()
-        sharing = WARP if wp.get_device(device).is_cuda and share else 1
+        sharing = WARP if wp.get_device(device).is_cuda and share and not physics.skewed else 1
         self._sharing = sharing
         on_gpu = wp.get_device(device).is_cuda
         parts = self._parts(width, shared=sharing > 1)

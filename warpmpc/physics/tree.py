@@ -15,6 +15,7 @@ import numpy as np
 from ..bake.lines import Lines, Matrix, Operand, Vector, known, text
 from ..bake.simd import sincos
 from .base import BALL, FREE, IDENTITY, NOTHING, SLIDE, packed, rotation
+from .coriolis import Coriolis
 
 if TYPE_CHECKING:
     from .bodies import Bodies
@@ -41,6 +42,8 @@ class Tree:
         """Angular part of every axis."""
         self.slides: dict[int, Vector] = {}
         """Linear part of every axis, at the reference."""
+        self.coriolis = Coriolis(self.model, lines) if self.model.skewed else None
+        """Derivatives of the bias forces by velocity, if they are asked for."""
 
     def write(self) -> None:
         """Write the tree."""
@@ -65,14 +68,18 @@ class Tree:
             turn = turn @ rotation(m.body_quat[b])
         return [known(column) for column in turn.T], [float(x) for x in at]
 
-    def _visit(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> tuple[Inertia, Vector, Vector]:
-        """Inertia and force of everything from a body on."""
+    def _visit(
+        self, b: int, position: Vector, columns: Matrix, motion: tuple
+    ) -> tuple[Inertia, Vector, Vector, Vector]:
+        """Inertia, torque and force of everything from a body on, and what their derivatives take."""
         m, lines = self.mj, self.lines
         if not m.body_jntnum[b] or m.jnt_type[m.body_jntadr[b]] != FREE:  # whose pose is all in its coordinates
             position = lines.transform(columns, known(m.body_pos[b]), position)
             columns = lines.times(columns, rotation(m.body_quat[b]))
         for j in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
-            position, columns, motion = self._joint(j, position, columns, motion)
+            before, (position, columns, motion) = motion, self._joint(j, position, columns, motion)
+            if self.coriolis:
+                self._changing(j, before, motion)
         own = range(m.body_dofadr[b], m.body_dofadr[b] + m.body_dofnum[b]) if m.body_dofnum[b] else range(0)
         for i in own:
             for k in range(3):
@@ -102,14 +109,15 @@ class Tree:
         force = self._sum(
             lines.difference(self._scaled(felt, mass), lines.cross(moment, turning)), lines.cross(angular, push)
         )
+        swirl = self.coriolis.swirl(inertia, motion, self._times(inertia, angular), push) if self.coriolis else []
         for child in np.flatnonzero(m.body_parentid == b):
             if child <= b:
                 continue
-            more, torque_of, force_of = self._visit(int(child), position, columns, motion)
+            more, torque_of, force_of, swirl_of = self._visit(int(child), position, columns, motion)
             inertia = [lines.sum(x, y) for x, y in zip(inertia, more, strict=True)]
-            torque, force = self._sum(torque, torque_of), self._sum(force, force_of)
-        self._axes(own, inertia, torque, force)
-        return inertia, torque, force
+            torque, force, swirl = self._sum(torque, torque_of), self._sum(force, force_of), self._sum(swirl, swirl_of)
+        self._axes(own, inertia, torque, force, swirl)
+        return inertia, torque, force, swirl
 
     def _site_of(self, b: int, position: Vector, columns: Matrix, motion: tuple) -> None:
         """Sites on a body; their acceleration is that of points of the body, without gravity."""
@@ -124,18 +132,25 @@ class Tree:
         at_origin = self._sum(freely, lines.cross(turning, arm), lines.cross(angular, speed))
         sites.write(lines, b, position, columns, (angular, turning, speed, at_origin))
 
-    def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector) -> None:
+    def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector, swirl: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""
         m, lines, moment, armature = self.mj, self.lines, inertia[6:9], self.model.tendon_armatures
+
+        def weight(turn: Vector, slide: Vector) -> tuple[Vector, Vector]:
+            torque = self._sum(self._times(inertia, turn), lines.cross(moment, slide))
+            return torque, lines.difference(self._scaled(slide, inertia[9]), lines.cross(moment, turn))
+
         for i in own:
-            turn = self._sum(self._times(inertia, self.turns[i]), lines.cross(moment, self.slides[i]))
-            push = lines.difference(self._scaled(self.slides[i], inertia[9]), lines.cross(moment, self.turns[i]))
+            turn, push = weight(self.turns[i], self.slides[i])
             for j in [i, *self.model.ancestors[i]]:
                 products = [*zip(self.turns[j], turn, strict=True), *zip(self.slides[j], push, strict=True)]
                 entry = lines.sum(*products, armature.get((i, j), 0.0) + (float(m.dof_armature[i]) if i == j else 0.0))
                 lines.add(f"w.mm[{packed(i, j)}] = {text(entry)};")
             products = [*zip(self.turns[i], torque, strict=True), *zip(self.slides[i], force, strict=True)]
             lines.add(f"w.bias[{i}] = {text(lines.sum(*products))};")
+            if self.coriolis:
+                axes = self.turns, self.slides
+                self.coriolis.write(i, (self.turns[i], self.slides[i]), (turn, push), weight, swirl, axes)
 
     def _joint(self, j: int, position: Vector, columns: Matrix, motion: tuple) -> tuple[Vector, Matrix, tuple]:
         """Pose and motion after a joint."""
@@ -176,6 +191,16 @@ class Tree:
             columns,
             self._moved(self._scaled(self.turns[i], rate), self._scaled(self.slides[i], rate), motion),
         )
+
+    def _changing(self, j: int, before: tuple, after: tuple) -> None:
+        """Changes of the axes of a joint, for the derivatives of bias forces."""
+        first, kind = int(self.mj.jnt_dofadr[j]), int(self.mj.jnt_type[j])
+        axes = self.turns, self.slides
+        if kind == FREE:  # along the axes of the world, then about the body's own
+            still = NOTHING, NOTHING
+            self.coriolis.moved(range(first, first + 3), still, still, *axes)
+            before, first = (NOTHING, after[1]), first + 3
+        self.coriolis.moved(range(first, first + (3 if kind in (FREE, BALL) else 1)), before, after, *axes)
 
     def _refer(self, point: Vector) -> None:
         """Take spatial vectors about a point, unless one is chosen."""

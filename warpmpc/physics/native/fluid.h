@@ -22,6 +22,10 @@ FN void resist(World& w) {
             const T twist = round * size * size + density * b[i] * (u * u * u * u + x * x * x * x) * VABS(o) * (1.0f / 64.0f);
             force = force - axis * (push * v);
             torque = torque - axis * (twist * o);
+#if FLUID_IMPLICIT
+            w.fluid_push[n][i] = TIMESTEP * (push + 0.5f * density * u * x * VABS(v));
+            w.fluid_twist[n][i] = TIMESTEP * (2.0f * twist - round * size * size);
+#endif
         }
         w.fluid_force[n] = force;
         w.fluid_torque[n] = torque;
@@ -37,6 +41,30 @@ FN void resist(World& w) {
         }
         w.fs[i] += sum;
     }
+#if FLUID_IMPLICIT
+    EACH(i, NV) {  // what velocity resists of it, between a degree of freedom and those above
+        const V3 point = load(w.ref[dof_top[i]]), turning = load(w.cw[i]), sliding = load(w.cl[i]);
+        V3 force = {zero(), zero(), zero()}, torque = force;
+        for (int k = fluid_first[i]; k < fluid_first[i + 1]; ++k) {
+            const int n = fluid_body[k], site = fluid_site[n];
+            const T* turn = w.site_turn[site];
+            const V3 arm = load(w.site_at[site]) - point, lever = sliding + cross(turning, arm);
+            V3 push = {zero(), zero(), zero()};
+            for (int a = 0; a < 3; ++a) {
+                const V3 axis = {turn[a], turn[3 + a], turn[6 + a]};
+                push = push + axis * (dot(axis, lever) * w.fluid_push[n][a]);
+                torque = torque + axis * (dot(axis, turning) * w.fluid_twist[n][a]);
+            }
+            force = force + push;
+            torque = torque + cross(arm, push);
+        }
+        w.damp[i] += dot(sliding, force) + dot(turning, torque);
+        for (int k = fluid_above_first[i]; k < fluid_above_first[i + 1]; ++k) {
+            const int j = fluid_above[k];
+            w.spread[k] += dot(load(w.cl[j]), force) + dot(load(w.cw[j]), torque);
+        }
+    }
+#endif
     SYNC
 }
 #endif

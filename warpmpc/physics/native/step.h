@@ -71,6 +71,8 @@ FN void respond(World& w, I alone) {
 #endif
     }
     EACH(i, NV) w.search[i] = alone ? w.search[i] : w.x[i];
+#elif SKEWED
+    solve_skewed(w);
 #elif COOPERATE
     EACH(i, NH) w.h[i] = w.mm[i];
     SYNC

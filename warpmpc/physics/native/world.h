@@ -75,6 +75,9 @@ struct World {
 #endif
 #if FLUID
     V3 fluid_force[FLUID], fluid_torque[FLUID];  // of the fluid on bodies
+#if FLUID_IMPLICIT
+    T fluid_push[FLUID][3], fluid_twist[FLUID][3];  // their derivatives by velocity along the axes of the boxes, over the step
+#endif
 #endif
 #if ACTS
     T act[ACTS], act_next[ACTS];  // activations of actuators, and those after the step
@@ -84,6 +87,9 @@ struct World {
 #if ACTS
     T begun_act[ACTS], mean_act[ACTS];
 #endif
+#endif
+#if SKEWED
+    T skew[NV], skew_up[ENTRIES], skew_down[ENTRIES];  // derivatives of bias forces by velocity: of each by its own, up and down the trees
 #endif
 #if SPREAD
     T spread[SPREAD];            // what an implicit step adds to the mass matrix off its diagonal
