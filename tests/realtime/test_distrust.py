@@ -174,7 +174,19 @@ def overshoot(timed):
     return replace(timed, plan=replace(timed.plan, knots=knots, times=times, spline=SplineKind.CUBIC))
 
 
+def cut(knots: int, controls: int = 3):
+    """Leaves so many knots and controls of a plan."""
+
+    def change(timed):
+        plan = timed.plan
+        return replace(timed, plan=replace(plan, knots=plan.knots[:knots, :controls].copy(), times=plan.times[:knots]))
+
+    return change
+
+
 BAD_PLANS = {
+    "no knots": (cut(0), "the plan has 0 times and knots [0, 3]"),
+    "too few controls": (cut(2, 2), "the plan has 2 times and knots [2, 2]"),
     "gains not finite": (gains(np.nan), "the plan's command is not finite"),
     "times of gains not finite": (gains(1.0, times=np.nan), "the plan's command is not finite"),
     "gains too large": (gains(40.0), "the plan's command is out of range: base/x = "),

@@ -45,8 +45,8 @@ from warpmpc.run.records import Records
 from warpmpc.run.workers import FORMS, open_workers
 from warpmpc.scene.schema import PoseModel, ProcessNoise, Sensors
 
-FILTERS = (PoseModel.CONSTANT_VELOCITY, PoseModel.PHYSICS)
-SCENES = {"omni_push_box:measured": ((0.5, 1.0), (0.1, 0.3)), "hand_cube:measured": ((1.0, 20.0), (0.15, 4.0))}
+FILTERS = (PoseModel.CONSTANT_VELOCITY,)
+SCENES = {"omni_push_box:measured": ((0.5, 1.0),), "hand_cube:measured": ((1.0, 20.0),)}
 """Scenes, and the process noise of each of their filters: ``linear``, ``angular``; chosen on tuning seeds."""
 BASES = ("go2_walk:estimated",)
 """Scenes whose base is estimated."""

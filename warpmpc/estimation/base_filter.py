@@ -23,6 +23,12 @@ SLIPPED = float(chi2.ppf(0.99, 3))
 """Squared Mahalanobis distance of a foot's velocity from zero beyond which it slips."""
 MOVED = float(chi2.ppf(0.9999, 3))
 """Squared Mahalanobis distance of a foot from where it stood beyond which it stands somewhere else."""
+ASTRAY = 0.03
+"""Time for which every foot that carries something may slip; then the base's velocity is doubted [s]."""
+LOST = (0.1, 1.0)
+"""Standard deviations of rotation [rad] and velocity [m/s] that are added to a base that is doubted."""
+UNTRUSTED = 0.3
+"""Standard deviation of the velocity from which a base is not trusted [m/s]."""
 SLIP_TIME = 0.03
 """Time within which the velocity of a foot that stands changes [s]: longer ones than physics steps are correlated."""
 
@@ -59,6 +65,14 @@ class BaseState:
     """Angular velocity of each foot against the base, about the base's axes ``[N, 3]`` [rad/s]."""
     arm: np.ndarray
     """From each foot's frame to where it touches the ground, in the world ``[N, 3]`` [m]: it rolls about that point."""
+    astray: float | None = None
+    """Time since when all feet that carry something slip [s]; None while one stands, or none carries anything."""
+
+    @property
+    def trusted(self) -> bool:
+        """Return whether the velocity is known, and feet do not contradict it."""
+        doubted = self.astray is not None and self.time - self.astray > ASTRAY
+        return not doubted and float(np.sqrt(self.covariance[V, V].diagonal().max())) < UNTRUSTED
 
 
 @dataclass(frozen=True)
@@ -210,9 +224,16 @@ class BaseFilter:
         """The estimate with feet that were measured at its time.
 
         Feet that stood and stand correct it. Those that come down, or stand somewhere else as their distance tells,
-        stand there from now on; those that slip do not stand.
+        stand there from now on; those that slip do not stand. Where all that carry something slip for :data:`ASTRAY`,
+        the base is what is wrong: it is taken to be as uncertain as :data:`LOST`, so that feet correct it.
         """
         standing = measured.loaded & self.stands(state, measured)
+        astray = measured.loaded.any() and not standing.any()
+        since = (state.time if state.astray is None else state.astray) if astray else None
+        if since is not None and state.time - since > ASTRAY:
+            state = self._doubted(state)
+            standing = measured.loaded & self.stands(state, measured)
+        state = replace(state, astray=since)
         state, kept = self._corrected(state, measured, np.flatnonzero(state.contact & standing).tolist())
         rotation, covariance, feet = state.rotation, state.covariance.copy(), state.feet.copy()
         for i in range(self.feet):
@@ -232,6 +253,14 @@ class BaseFilter:
             foot_spin=measured.spin,
             arm=measured.arm @ rotation.T,
         )
+
+    def _doubted(self, state: BaseState) -> BaseState:
+        """The estimate with a rotation and a velocity that are as uncertain as :data:`LOST`, but for the yaw."""
+        more = np.zeros(self.size)
+        more[PHI], more[V] = [LOST[0], LOST[0], 0.0], LOST[1]
+        about = np.eye(self.size)
+        about[P, PHI] = cross_matrix(state.position)
+        return replace(state, covariance=state.covariance + (about * more**2) @ about.T)
 
     def stands(self, state: BaseState, measured: FeetMeasured) -> np.ndarray:
         """Return whether the point in which each foot touches is at rest, as far as its velocity is known ``[N]``."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..model.state import State
 
 
@@ -62,12 +64,37 @@ class JointsMeasured:
 
 Measurement = PoseMeasured | ImuMeasured | JointsMeasured
 
+FARTHEST = 1e5
+"""Largest coordinate of anything measured [m, rad]; larger ones are no measurements."""
+LATEST = 1e12
+"""Largest time of a measurement on either side of zero [s]."""
+
+
+def plausible(measurement: Measurement, size: int, largest: Mapping[str, float | np.ndarray]) -> bool:
+    """Return whether a measurement has the right size and its numbers are finite and in their range.
+
+    Args:
+        measurement: The measurement.
+        size: Length of each of its arrays.
+        largest: Bounds of absolute values, by the name of the array.
+    """
+    arrays = {name: np.asarray(getattr(measurement, name)) for name in largest}
+    sound = np.size(measurement.time) == 1 and abs(measurement.time) <= LATEST
+    return bool(
+        sound
+        and all(array.shape == (size,) and array.dtype.kind in "fiu" for array in arrays.values())
+        and all((np.abs(array) < largest[name]).all() for name, array in arrays.items())
+    )
+
 
 class Estimator(Protocol):
     """Source of parts of a state that nothing observes as they are."""
 
     def update(self, measurement: Measurement) -> bool:
-        """Take in a measurement, late or out of order; return whether it is finite and of something estimated here."""
+        """Take in a measurement, late or out of order; return whether it is plausible and estimated here."""
+
+    def trusted(self, time: float) -> bool:
+        """Return whether what is estimated at a time [s] can be believed."""
 
     def fill(self, state: State) -> State:
         """The state with what is estimated for its time in place of those parts."""

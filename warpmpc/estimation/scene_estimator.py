@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.state import State
-from ..scene.schema_estimate import PoseModel
 from .base_estimator import BaseEstimator
 from .free_joints import FreeJoint
 from .history import History
-from .measurement import PoseMeasured
-from .physics_filter import PhysicsFilter, ThingSimulation
+from .measurement import FARTHEST, PoseMeasured, plausible
 from .pose_filter import LastPose, PoseEstimate, PoseFilter
 
 if TYPE_CHECKING:
     from ..model.compiled import CompiledScene
     from ..scene.schema import Estimate, Scene
     from .measurement import Estimator, Measurement
+
+UNIT = 0.5, 2.0
+"""Least and largest norm of a measured quaternion; others are no rotations."""
 
 
 class PoseEstimator:
@@ -39,42 +40,35 @@ class PoseEstimator:
     def __init__(self, name: str, estimate: Estimate | None, scene: Scene, compiled: CompiledScene):
         key = f"plant.sensor.pose.{name}" if estimate is None else f"estimate.{name}"
         self.name, self._joint = name, FreeJoint.of(compiled.layout, name, key=key)
-        self._simulation: ThingSimulation | None = None
         self.history: History[PoseEstimate, PoseMeasured]
         if estimate is None:
             self.history = History(LastPose())
-        elif estimate.model is PoseModel.PHYSICS:
-            self._simulation = ThingSimulation(self._joint, name, scene, compiled)
-            self.history = History(PhysicsFilter(estimate, self._simulation))
         else:
             self.history = History(PoseFilter(estimate))
         start = State.start(compiled.layout)
         self._start = start.joint_q[self._joint.q], start.joint_qd[self._joint.qd]
-        self._waiting: list[PoseMeasured] = []
 
     def reset(self) -> None:
         """Forget every measurement."""
         self.history.reset()
-        self._waiting.clear()
-        if self._simulation is not None:
-            self._simulation.reset()
 
     def update(self, measurement: Measurement) -> bool:
-        """Take in a pose of this thing, if its numbers are finite; return whether it was taken."""
+        """Take in a pose of this thing, if it is plausible; return whether it was taken."""
         if not isinstance(measurement, PoseMeasured) or measurement.name != self.name:
             return False
-        taken = bool(np.isfinite([measurement.time, *measurement.pose]).all() and np.any(measurement.pose[3:]))
+        if not plausible(measurement, 7, {"pose": FARTHEST}):
+            return False
+        taken = UNIT[0] <= float(np.linalg.norm(measurement.pose[3:])) <= UNIT[1]
         if taken:
-            self._waiting.append(measurement)  # until it is known where the robot was then
+            self.history.insert(measurement)
         return taken
+
+    def trusted(self, time: float) -> bool:
+        """Return whether the estimate can be believed: the filter's gate looks at every pose."""
+        return True
 
     def fill(self, state: State) -> State:
         """The state with the pose and velocity of this thing at its time; those of its start before a measurement."""
-        if self._simulation is not None:
-            self._simulation.note(state)
-        for measurement in self._waiting:
-            self.history.insert(measurement)
-        self._waiting.clear()
         found, joint = self.history.at(float(state.time)), self._joint
         coordinates, velocities = self._start
         if found is not None:
@@ -112,6 +106,10 @@ class SceneEstimator:
     def update(self, measurement: Measurement) -> bool:
         """Take in a measurement; return whether an estimator took it."""
         return any(part.update(measurement) for part in self.parts)
+
+    def trusted(self, time: float) -> bool:
+        """Return whether everything that is estimated at a time [s] can be believed."""
+        return all(part.trusted(time) for part in self.parts)
 
     def fill(self, state: State) -> State:
         """The state with what is estimated for its time."""

@@ -136,6 +136,11 @@ class Watchdog:
             return FaultKind.PLAN_INVALID, f"the plan is from what will be observed in {-age:.3f} s"
         if not age <= limit:  # whether it came long ago or took long to make
             return FaultKind.PLAN_MISSING, f"the newest plan is from what was observed {age:.3f} s ago"
+        if not len(plan.times) or np.shape(plan.knots) != (len(plan.times), len(self._lower)):
+            return (
+                FaultKind.PLAN_INVALID,
+                f"the plan has {len(plan.times)} times and knots {list(np.shape(plan.knots))}",
+            )
         if not np.isfinite(plan.times).all():
             return FaultKind.PLAN_INVALID, "the plan is not finite"
         begins = plan.times[0] - now  # a little from now where it was made sooner than expected

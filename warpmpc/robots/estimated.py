@@ -48,12 +48,13 @@ class Source:
 class EstimatedRobot:
     """A robot parts of whose state are estimated from measurements; everything else is the driver's.
 
-    Where nothing was measured for longer than an estimate goes on without (``LONGEST`` of its filter), the state's
-    time stands still, so that the agent's watchdog sees an observation that is too old. A measurement that is ahead of
-    the state by more than :data:`AHEAD` is refused. A state that goes back by more than :data:`KEPT` tells of a clock
-    that was set: everything is forgotten. An inertial measurement unit that was silent for as long carries no estimate
-    forward, nor does one whose clock was set: before the first command the robot is where the scene begins, as while
-    the planner starts; after it nobody knows where it is, the state stays old, and the run is over.
+    Where nothing was measured for longer than an estimate goes on without (``LONGEST`` of its filter), or an estimate
+    cannot be trusted, the state's time stands still, so that the agent's watchdog sees an observation that is too old.
+    A measurement that is ahead of the state by more than :data:`AHEAD`, or behind it by more than :data:`KEPT`, is
+    refused. A state that goes back by more than :data:`KEPT` shows that a clock was set: everything is forgotten. An
+    inertial measurement unit that was silent for as long carries no estimate forward, nor does one whose clock was
+    set: before the first command the robot is where the scene begins, as while the planner starts; after it nobody
+    knows where it is, the state stays old, and the run is over.
 
     Args:
         robot: Driver with ``measurements()``.
@@ -69,16 +70,18 @@ class EstimatedRobot:
         self._robot, self._estimator = robot, SceneEstimator(scene.model_copy(update=measured), compiled)
         self._sources: dict[tuple[str, type], Source] = {}
         for name in scene.estimate:
-            wrong = "not finite or has no rotation: send x, y, z, qx, qy, qz, qw, and its time"
+            wrong = "out of range or has no rotation: send x, y, z, qx, qy, qz, qw, and its time"
             heard = Heard(f"measured poses of {name}", "poses")
             self._sources[name, PoseMeasured] = Source(heard, "a pose", wrong, pose_filter.LONGEST)
         for name in scene.estimate_base:
             for kind, content in ((ImuMeasured, "inertial measurement unit"), (JointsMeasured, "joints")):
                 heard = Heard(f"{content} of {name}", "measurements")
-                source = Source(heard, "a measurement", "not finite: send numbers", base_estimator.LONGEST)
+                source = Source(
+                    heard, "a measurement", "not finite, out of range or of the wrong size", base_estimator.LONGEST
+                )
                 self._sources[name, kind] = source
         self._state: State | None = None
-        self._time = -np.inf
+        self._time = self._trusted = -np.inf
         self._bases = bool(scene.estimate_base)
         self._commanded = self._lost = False
         if hasattr(robot, "follow"):
@@ -120,6 +123,9 @@ class EstimatedRobot:
         until = min(source.newest + source.hold for source in self._sources.values())
         if until == -np.inf:
             return None
+        if self._estimator.trusted(state.time):
+            self._trusted = state.time
+        until = min(until, self._trusted)
         if told or state.time != self._time:
             self._state = replace(self._estimator.fill(state), time=min(state.time, until))
         self._time = state.time
@@ -157,6 +163,10 @@ class EstimatedRobot:
         if ahead > AHEAD:
             late = f"{ahead:.3f} s ahead of the robot's state: stamp both by the robot's clock"
             heard.refuse(f"{source.what} is {late}")
+        elif ahead < -KEPT:
+            heard.refuse(
+                f"{source.what} is {-ahead:.3g} s older than the robot's state: stamp both by the robot's clock"
+            )
         elif not self._estimator.update(measured):
             heard.refuse(f"{source.what} is {source.wrong}")
         else:

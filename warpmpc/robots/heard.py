@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import dataclass, field
 
 import numpy as np
+
+logger = logging.getLogger("warpmpc")
 
 
 @dataclass
@@ -40,7 +43,9 @@ class Heard:
         self.stamp = stamp
 
     def refuse(self, problem: str) -> None:
-        """Take note of a message that cannot be used."""
+        """Take note of a message that cannot be used; the log has the first."""
+        if not self.refused:
+            logger.warning("%s: %s", self.source, problem)
         self.refused += 1
         self.problem = problem
 

@@ -25,6 +25,10 @@ class ImuNoise(Section):
     """Standard deviation of the gyroscope's bias at the start [rad/s]: zeroed at rest, and 10 K warmer since."""
     accel_bias: NonNegative = 0.2
     """Standard deviation of the accelerometer's bias at the start [m/s²]: never calibrated."""
+    gyro_range: Positive = 34.9
+    """Largest angular velocity that the gyroscope shows [rad/s]; a measurement that reaches it is left out."""
+    accel_range: Positive = 235.0
+    """Largest acceleration that the accelerometer shows [m/s²]; a measurement that reaches it is left out."""
 
 
 class JointNoise(Section):

@@ -53,8 +53,6 @@ class PoseModel(StrEnum):
     """At a constant velocity, which noise changes."""
     CONSTANT_ACCELERATION = "constant_acceleration"
     """At a constant acceleration, which noise changes."""
-    PHYSICS = "physics"
-    """As MuJoCo moves it beside the robot as observed, with contact; it does not lie in the robot or the ground."""
 
 
 class ProcessNoise(Section):
