@@ -145,8 +145,8 @@ def test_a_run_whose_robot_is_gone_ends_at_its_timeout(monkeypatch):
         robot.observe()
         assert not robot.done
         clock[0] += 0.2 * SCENE.timing.timeout
-    clock[0] += 1.0
+    clock[0] += 3.0
     robot.observe()
     assert robot.done
-    assert robot.reason.startswith("timeout: no new state from the robot for")
+    assert robot.reason == "timeout"
     assert not robot.success

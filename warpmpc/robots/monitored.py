@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..scene.schema import Scene
     from ..task.goal import GoalError
 
-SILENT = 1.0
+SILENT = 3.0
 """Time without a new state from which on this host's clock counts, too [s]."""
 
 
@@ -134,8 +134,6 @@ class MonitoredRobot:
         if self._monitor.failure is not None:
             return f"failed: {self._monitor.failure}"
         silence = time.monotonic() - self._came
-        if self.time >= self.scene.timing.timeout:
+        if self.time + (silence if silence > SILENT else 0.0) >= self.scene.timing.timeout:
             return "timeout"
-        if silence > SILENT and self.time + silence >= self.scene.timing.timeout:
-            return f"timeout: no new state from the robot for {silence:.0f} s"
         return "ended by the robot" if getattr(self.robot, "done", False) else "running"
