@@ -271,8 +271,11 @@ LACKS = {
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
     "noslip iterations": {"option": 'noslip_iterations="3"'},
     "solver PGS for elliptic cones": {"option": 'solver="PGS" cone="elliptic"'},
-    "models of more than 64 degrees of freedom": {
-        "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(11))
+    "models of more than 128 degrees of freedom": {
+        "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(21))
+    },
+    "trees of more than 64 degrees of freedom in a row": {
+        "world": 70 * '<body pos=".1 0 0"><joint/><geom size=".03"/>' + 70 * "</body>"
     },
 }
 

@@ -26,6 +26,8 @@ FREE, BALL, SLIDE, HINGE = (int(getattr(JOINT, f"mjJNT_{kind}")) for kind in ("F
 WRAP_JOINT, WRAP_PULLEY, WRAP_SITE = (
     int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("JOINT", "PULLEY", "SITE")
 )
+MOST_SHARED = 64
+"""Degrees of freedom of a world that fits into the memory which the lanes of a warp share."""
 MOST_GROUP = 30
 """Of actuators that can be disabled."""
 NOTHING: Vector = [0.0, 0.0, 0.0]
@@ -142,6 +144,11 @@ class Structure:
         m, kinds = self.mj, mujoco.mjtIntegrator
         damped = (m.dof_damping > 0.0).any() and not self.off("EULERDAMP") and not self.off("DAMPER")
         return m.opt.integrator == int(kinds.mjINT_RK4) or (m.opt.integrator == int(kinds.mjINT_EULER) and not damped)
+
+    @property
+    def large(self) -> bool:
+        """Return whether a model has so many degrees of freedom that a world is a thread's alone."""
+        return self.mj.nv > MOST_SHARED
 
     @property
     def skewed(self) -> bool:

@@ -18,6 +18,7 @@ from ..compiling import compile_kernel
 from ..kernels.worlds.launch import TAPS
 from ..launch import Launcher, Replay
 from ..thread_pool import PARTS, ThreadPool
+from .base import MOST_SHARED
 from .data_fields import field_width
 from .kernel import WARP, RolloutWork, options
 from .missing import missing, tell_differences
@@ -37,8 +38,9 @@ one each. Five models from 7 to 27 degrees of freedom took equally long at 155 t
 
 def shares(model: mujoco.MjModel, worlds: int) -> bool:
     """Tell if on a GPU a warp shares a world, rather than each thread having one."""
-    skewed = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICIT)  # a thread alone has that
-    return worlds <= SHARED_PER_DOF * model.nv and not skewed
+    if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICIT) or model.nv > MOST_SHARED:
+        return False  # a thread alone has the source of the one, memory for the other
+    return worlds <= SHARED_PER_DOF * model.nv
 
 
 @lru_cache(maxsize=64)

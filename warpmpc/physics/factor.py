@@ -9,9 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from .base import packed
 from .model import PhysicsModel
+from .tables import ints
 
+MOST_OPERATIONS = 45000
+"""Of a solve that is written out: as many as 64 degrees of freedom take that are all coupled."""
 TILE_ROWS, TILE_COLUMNS = 4, 6
 """Rows and columns of a tile of L: 24 numbers, which 32 registers have room for with those that change them."""
 
@@ -56,6 +61,17 @@ def couple(model: PhysicsModel, groups: Sequence[Sequence[int]]) -> list[list[in
         for i in row:
             rows[i] |= {j for j in row if j < i}
     return [sorted(row, reverse=True) for row in rows]
+
+
+def operations(rows: Sequence[Sequence[int]]) -> int:
+    """Products that a solve takes, roughly, with these columns left of the diagonal of every row."""
+    return sum(len(row) ** 2 for row in rows) // 2
+
+
+def loop_tables(rows: Sequence[Sequence[int]]) -> list[str]:
+    """Tables of the solve in loops (``native/lanes.h``)."""
+    columns = ints("coupled_column", [j for row in rows for j in row], "short")
+    return [ints("coupled_first", np.cumsum([0, *(len(row) for row in rows)])), columns]
 
 
 def write_solve(name: str, above: Sequence[Sequence[int]], *, damped: bool = False) -> str:

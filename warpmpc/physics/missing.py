@@ -11,6 +11,7 @@ import numpy as np
 
 from .base import BALL, FREE, GEOM, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE
 from .equalities import CONNECT, JOINT, TENDON, WELD
+from .factor import MOST_OPERATIONS, operations
 from .flags import lacking_flags
 from .mobility import singular
 from .model import COLLIDES, MOST_POWER, NEWTON, PhysicsModel
@@ -66,7 +67,8 @@ def _contacts(p: PhysicsModel) -> np.ndarray:
     return np.array(sorted({g for pair in p.pairs for g in pair.geoms}), dtype=int)
 
 
-MOST_DOFS = 64
+MOST_DOFS = 128
+"""Degrees of freedom of a model that compiles within a minute."""
 _AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _TRANSMISSIONS = tuple(
@@ -144,6 +146,9 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         or p.mj.tendon_stiffnesspoly.any()
     ),
     "solver PGS for elliptic cones": lambda p: p.mj.opt.solver == int(mujoco.mjtSolver.mjSOL_PGS) and p.elliptic,
+    f"trees of more than {MOST_DOFS // 2} degrees of freedom in a row": lambda p: (
+        operations(p.ancestors) > MOST_OPERATIONS
+    ),
     "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
     "double precision for a nearly singular mass matrix (armatures mend it)": lambda p: singular(p.mj),
 }

@@ -13,6 +13,7 @@ import warp as wp
 from ..bake.simd import native_lanes
 from ..kernels.worlds.launch import TAPS
 from ..launch import Launcher
+from .batch import shares
 from .kernel import WARP, RolloutWork, make_kernel
 from .missing import missing
 from .model import PhysicsModel
@@ -59,7 +60,7 @@ class PlainRollout:
         self.mj, self.worlds, self.device = model, worlds, device
         physics = self.physics = PhysicsModel(model, arrays)
         width = lanes or native_lanes()
-        sharing = WARP if wp.get_device(device).is_cuda and share and not physics.skewed else 1
+        sharing = WARP if wp.get_device(device).is_cuda and share and shares(model, 0) else 1
         self._sharing = sharing
         on_gpu = wp.get_device(device).is_cuda
         parts = self._parts(width, shared=sharing > 1)

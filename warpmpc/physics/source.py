@@ -17,7 +17,7 @@ from ..bake.simd import sincos
 from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
-from .factor import couple, write_products, write_solve
+from .factor import MOST_OPERATIONS, couple, loop_tables, operations, write_products, write_solve
 from .limits import within
 from .links import Links
 from .meshes import Hulls
@@ -40,7 +40,7 @@ POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
 FACES = 4
 """The same of two flat shapes, by their faces."""
 MOST_CONTACTS = 64
-"""Contacts that there is room for at most: what touches at once is far less than what could."""
+"""Contacts that there is room for at most, more in large models: what touches at once is far less than what could."""
 ROUGHLY = 0.3
 """Share of the slope that a line search may leave: more exact ones save no iterations."""
 FEW_ITERATIONS = 20
@@ -149,10 +149,18 @@ class RolloutSource:
         return any(j not in above[i] for i in dofs for j in dofs if j < i)
 
     def _coupled(self) -> str:
-        """The solve for matrices that all groups have added to."""
+        """The solve for matrices that all groups have added to, unless it is in loops."""
+        solve = "" if self._looped else write_solve("solve_coupled", self._coupled_rows)
+        return "\n".join(("#if !COOPERATE", solve, "#endif"))
+
+    @cached_property
+    def _coupled_rows(self) -> list[list[int]]:
         constraints = (constraint.dofs for constraint in self.model.constraints)
-        rows = couple(self.model, [*(dofs for _, dofs in self._groups), *constraints])
-        return "\n".join(("#if !COOPERATE", write_solve("solve_coupled", rows), "#endif"))
+        return couple(self.model, [*(dofs for _, dofs in self._groups), *constraints])
+
+    @property
+    def _looped(self) -> bool:
+        return operations(self._coupled_rows) > MOST_OPERATIONS
 
     @cached_property
     def _sizes_vary(self) -> bool:
@@ -175,11 +183,12 @@ class RolloutSource:
             "NH": packed(m.nv, 0),
             "NLIMIT": max(1, len(model.limited)),
             "LIMITS": len(model.limited),
-            "CAPACITY": max(1, min(bound, MOST_CONTACTS)),
+            "CAPACITY": max(1, min(bound, MOST_CONTACTS * (max(1, 96 // longest) if model.large else 1))),
             "PAIRS": len(model.pairs),
             **self._row_sizes,
             "RING": ring_size(model),
             "FIELDS": len(model.fields),
+            "LOOPED": int(self._looped),
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
             "NTRIANGLE": packed(longest, 0),
@@ -287,6 +296,7 @@ class RolloutSource:
             floats("mocap_rest", _mocap_rest(m)),
             *self.state_map.tables(len(pairs), groups),
             *self._mesh_tables(),
+            *(loop_tables(self._coupled_rows) if self._looped else ()),
             *self._field_tables(),
             *ring_tables(model, ring_size(model)),
         ]

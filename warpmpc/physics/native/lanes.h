@@ -1,5 +1,33 @@
 // SPDX-License-Identifier: Apache-2.0
 // Products and solves that the lanes of a warp divide among themselves; matrices are packed by rows, with all entries.
+#if !COOPERATE && LOOPED
+// x = sign H⁻¹ g by H = Lᵀ L as in factor.py, in loops where it would be too much to write out; L takes the place of H.
+// What trees that do not touch one another leave zero in all lanes is passed over.
+FN void solve_coupled(T* h, const T* g, T* x, float sign) {
+    for (int i = 0; i < NV; ++i) x[i] = sign * g[i];
+    for (int k = NV - 1; k >= 0; --k) {
+        T* const row = h + k * (k + 1) / 2;
+        const short *column = coupled_column + coupled_first[k], *const end = coupled_column + coupled_first[k + 1];
+        row[k] = 1.0f / VSQRT(row[k]);
+        x[k] *= row[k];
+        for (const short* c = column; c < end; ++c) row[*c] *= row[k];
+        for (; column < end; ++column) {
+            const int i = *column;
+            const T factor = row[i];
+            if (!VANY(factor != 0.0f)) continue;
+            T* const to = h + i * (i + 1) / 2;
+            x[i] = FMA(-factor, x[k], x[i]);
+            for (const short* c = column; c < end; ++c) to[*c] = FMA(-factor, row[*c], to[*c]);
+        }
+    }
+    for (int k = 0; k < NV; ++k) {
+        const T* const row = h + k * (k + 1) / 2;
+        for (int n = coupled_first[k + 1] - 1; n >= coupled_first[k]; --n)
+            x[k] = FMA(-row[coupled_column[n]], x[coupled_column[n]], x[k]);
+        x[k] *= row[k];
+    }
+}
+#endif
 #if COOPERATE
 FN void multiply(const T* m, const T* x, T* y) {
     EACH(i, NV) {
