@@ -23,8 +23,8 @@ PLANE, HFIELD, SPHERE, CAPSULE, CYLINDER, BOX, ELLIPSOID, MESH = (
     for kind in ("PLANE", "HFIELD", "SPHERE", "CAPSULE", "CYLINDER", "BOX", "ELLIPSOID", "MESH")
 )
 FREE, BALL, SLIDE, HINGE = (int(getattr(JOINT, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE"))
-WRAP_JOINT, WRAP_PULLEY, WRAP_SITE = (
-    int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("JOINT", "PULLEY", "SITE")
+WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, WRAP_SPHERE, WRAP_CYLINDER = (
+    int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("JOINT", "PULLEY", "SITE", "SPHERE", "CYLINDER")
 )
 MOST_SHARED = 64
 """Degrees of freedom of a world that fits into the memory which the lanes of a warp share."""
@@ -273,12 +273,13 @@ class Structure:
             for k in wraps(m, n):
                 if m.wrap_type[k] == WRAP_JOINT:
                     found.add(int(m.jnt_dofadr[m.wrap_objid[k]]))
-                elif m.wrap_type[k] == WRAP_SITE:
-                    chain = self.body_dofs[m.site_bodyid[m.wrap_objid[k]]]
+                elif m.wrap_type[k] == WRAP_PULLEY:
+                    last = None
+                else:
+                    bodies = m.site_bodyid if m.wrap_type[k] == WRAP_SITE else m.geom_bodyid
+                    chain = self.body_dofs[bodies[m.wrap_objid[k]]]
                     found |= chain ^ last if last is not None else frozenset()
                     last = chain
-                else:
-                    last = None
             out.append(tuple(sorted(found)))
         return out
 

@@ -12,6 +12,7 @@ from ..bake.lines import Lines, Operand, Vector, function, literal, text
 from .base import BALL, FREE, packed, rotation
 from .constraint_rows import small_rotation
 from .limits import UNLIMITED, bounds, within
+from .muscles import bias_numbers, gain_numbers
 from .tables import floats, ints
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 TRN = mujoco.mjtTrn
 DYN = mujoco.mjtDyn
+GAIN = mujoco.mjtGain
+BIAS = mujoco.mjtBias
 
 
 class Reach(NamedTuple):
@@ -66,9 +69,18 @@ class Drive:
         return {
             "SPREAD": len(self._spread),
             "ACTS": self.mj.na,
+            "MUSCLES": int(any(int(muscle) in kinds for kinds, muscle in self._kinds())),
             "RUNGE_KUTTA": int(self._stages),
             "SKEWED": int(self.model.skewed),
         }
+
+    def _kinds(self) -> tuple:
+        m = self.mj
+        return (
+            (m.actuator_gaintype, GAIN.mjGAIN_MUSCLE),
+            (m.actuator_biastype, BIAS.mjBIAS_MUSCLE),
+            (m.actuator_dyntype, DYN.mjDYN_MUSCLE),
+        )
 
     def tables(self) -> list[str]:
         """Definitions of tables."""
@@ -186,21 +198,23 @@ class Drive:
     def _actuator(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
         """Force of an actuator, and its derivative by its speed."""
         m = self.mj
-        gain, bias = self._numbers("actuator_gainprm", a), self._numbers("actuator_biasprm", a)
-        control: Operand = f"w.ctrl[{a}]"
+        raw: Operand = f"w.ctrl[{a}]"
+        control = raw
         if m.actuator_ctrllimited[a] and not self.model.off("CLAMPCTRL"):
             control = clamp(lines, control, m.actuator_ctrlrange[a])
         if m.actuator_actnum[a]:
-            control = self._activation(lines, a, control)
-        affine = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_AFFINE)
-        factor = gain[0]
-        if affine:
-            factor = lines.sum(gain[0], times(lines, gain[1], reach.length), times(lines, gain[2], reach.speed))
+            raw = control = self._activation(lines, a, control)
+        factor, slope = self._gain(lines, a, reach)
         terms: list = [(factor, control)]
-        rate: list = [(gain[2], control)] if affine and gain[2] != 0.0 else []
-        if int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
+        rate: list = [(slope, raw)] if slope != 0.0 else []  # MuJoCo differentiates at the control that is not clamped
+        kind = int(m.actuator_biastype[a])
+        if kind == int(BIAS.mjBIAS_AFFINE):
+            bias = self._numbers("actuator_biasprm", a)
             terms += [bias[0], times(lines, bias[1], reach.length), times(lines, bias[2], reach.speed)]
             rate.append(bias[2])
+        elif kind == int(BIAS.mjBIAS_MUSCLE):
+            length = text(lines.sum(reach.length))
+            terms.append(lines.let(f"muscle_bias({length}, {bias_numbers(self.model, a)})"))
         force, slope = lines.sum(*terms), lines.sum(*rate)
         if m.actuator_forcelimited[a] and bounds(m.actuator_forcerange[a]) and isinstance(force, str):
             low, high = (literal(x) for x in within(m.actuator_forcerange[a]))
@@ -208,6 +222,20 @@ class Drive:
                 slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
             force = clamp(lines, force, m.actuator_forcerange[a])
         return force, slope
+
+    def _gain(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
+        """Factor of an actuator's input, and its derivative by speed."""
+        kind = int(self.mj.actuator_gaintype[a])
+        if kind == int(GAIN.mjGAIN_MUSCLE):
+            length, speed = text(lines.sum(reach.length)), text(lines.sum(reach.speed))
+            slope = f"slope{a}"
+            lines.add(f"T {slope};")
+            return lines.let(f"muscle_gain({length}, {speed}, {gain_numbers(self.model, a)}, {slope})"), slope
+        gain = self._numbers("actuator_gainprm", a)
+        if kind != int(GAIN.mjGAIN_AFFINE):
+            return gain[0], 0.0
+        parts = times(lines, gain[1], reach.length), times(lines, gain[2], reach.speed)
+        return lines.sum(gain[0], *parts), gain[2]
 
     def _rest(self, lines: Lines, a: int) -> None:
         """Activations of an actuator that is off: they stay, but for their bounds where its group alone is off."""
@@ -228,6 +256,9 @@ class Drive:
         before, share, plain = f"w.act[{i}]", step / tau, 1.0
         if kind == int(DYN.mjDYN_INTEGRATOR):
             after = lines.sum(before, (step, control))
+        elif kind == int(DYN.mjDYN_MUSCLE):
+            times_of = ", ".join(literal(float(x)) for x in m.actuator_dynprm[a, :3])
+            after = lines.sum(before, (step, lines.let(f"muscle_rate({text(control)}, {before}, {times_of})")))
         else:
             if kind == int(DYN.mjDYN_FILTEREXACT):
                 share = float(-np.expm1(-share))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .base import BALL, FREE, GEOM, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE
-from .equalities import CONNECT, JOINT, TENDON, WELD
+from .base import BALL, FREE, GEOM
 from .factor import MOST_OPERATIONS, operations
 from .flags import lacking_flags
+from .kinds import lacking_kinds
 from .mobility import singular
 from .model import COLLIDES, MOST_POWER, NEWTON, PhysicsModel
 from .tendons import fixed
@@ -28,6 +28,8 @@ def missing(model: mujoco.MjModel) -> str | None:
     physics = PhysicsModel(model)
     if unknown := list(lacking_flags(model)):
         return f"physics of the flags {', '.join(unknown)}"
+    for lacks in lacking_kinds(model):
+        return lacks
     for what, wrong in _CHECKS.items():
         if wrong(physics):
             return what
@@ -51,7 +53,8 @@ def _names(pair: tuple[int, int]) -> str:
 def _ball_feedback(p: PhysicsModel) -> bool:
     """Return whether a force on a ball joint depends on its angle."""
     m = p.mj
-    joints = np.flatnonzero(np.isin(m.actuator_trntype, _TRANSMISSIONS[:2]))
+    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    joints = np.flatnonzero(np.isin(m.actuator_trntype, [int(kind) for kind in kinds]))
     balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
     return bool((m.actuator_gainprm[balls, 1] != 0.0).any() or (m.actuator_biasprm[balls, 1] != 0.0).any())
 
@@ -69,33 +72,8 @@ def _contacts(p: PhysicsModel) -> np.ndarray:
 
 MOST_DOFS = 128
 """Degrees of freedom of a model that compiles within a minute."""
-_AFFINE = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-_BIAS = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-_TRANSMISSIONS = tuple(
-    int(kind)
-    for kind in (
-        mujoco.mjtTrn.mjTRN_JOINT,
-        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
-        mujoco.mjtTrn.mjTRN_TENDON,
-        mujoco.mjtTrn.mjTRN_SITE,
-    )
-)
-_DYNAMICS = tuple(
-    int(kind)
-    for kind in (
-        mujoco.mjtDyn.mjDYN_NONE,
-        mujoco.mjtDyn.mjDYN_INTEGRATOR,
-        mujoco.mjtDyn.mjDYN_FILTER,
-        mujoco.mjtDyn.mjDYN_FILTEREXACT,
-    )
-)
-_EQUALITIES = (CONNECT, WELD, JOINT, TENDON)
-_WRAPS = (WRAP_JOINT, WRAP_PULLEY, WRAP_SITE)
-
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     f"models of more than {MOST_DOFS} degrees of freedom": lambda p: p.mj.nv > MOST_DOFS,
-    "equalities of flexible bodies and distances": lambda p: not np.isin(p.mj.eq_type, _EQUALITIES).all(),
-    "tendons that wrap around shapes": lambda p: not np.isin(p.mj.wrap_type, _WRAPS).all(),
     "armatures of tendons along sites": lambda p: any(
         not fixed(p.mj, int(t)) for t in np.flatnonzero(p.mj.tendon_armature)
     ),
@@ -114,20 +92,15 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         np.isin(p.mj.jnt_type, (FREE, BALL))
     ].any(),
     "gravity compensation by actuators": lambda p: p.mj.jnt_actgravcomp.any(),
-    "activations but integrators and filters": lambda p: (
-        not np.isin(p.mj.actuator_dyntype, _DYNAMICS).all() or p.mj.na != np.sum(p.mj.actuator_dyntype != _DYNAMICS[0])
+    "actuators of several activations": lambda p: (
+        p.mj.na != np.sum(p.mj.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))
     ),
-    "actuators that drive anything but joints, tendons and sites": lambda p: (
-        not np.isin(p.mj.actuator_trntype, _TRANSMISSIONS).all() or _in_parent(p)
-    ),
+    "actuators of ball and free joints in their parents' frames": _in_parent,
     "actuators with feedback of the angle of a ball joint": lambda p: _ball_feedback(p),
     "actuators at a site with a reference": lambda p: (
         p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE), 1] >= 0
     ).any(),
     "actuators of several controls": lambda p: (p.mj.actuator_ctrlnum != 1).any() or (p.mj.actuator_outnum != 1).any(),
-    "actuators with gains other than fixed and affine": lambda p: (
-        not np.isin(p.mj.actuator_gaintype, _AFFINE).all() or not np.isin(p.mj.actuator_biastype, _BIAS).all()
-    ),
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
     "delays of actuators": lambda p: p.mj.actuator_delay.any(),
     "shapes of their own in a fluid": lambda p: (

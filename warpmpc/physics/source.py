@@ -13,7 +13,7 @@ import numpy as np
 
 from ..bake.knots import CONTROL
 from ..bake.lines import literal
-from ..bake.simd import sincos
+from ..bake.simd import angle, sincos
 from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
@@ -82,6 +82,10 @@ class RolloutSource:
         step = step.replace("COLLISIONS", self._collisions())
         steps = [
             self._native("collide_common"),
+            self._native("wrap")
+            .replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine"))
+            .replace("ANGLE", angle("height", "run", "part")),
+            self._native("muscle"),
             *baked,
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),
             self._native("cones" if self.model.frictions > 1 else "pyramid"),

@@ -6,13 +6,15 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import mujoco
+import numpy as np
 
 from ..bake.lines import Lines, Operand, Vector, literal, text
-from .base import WRAP_JOINT, WRAP_PULLEY, wraps
+from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, rotation, wraps
 from .limits import within
 
 if TYPE_CHECKING:
+    import mujoco
+
     from .base import Structure
     from .sites import Sites
 
@@ -27,6 +29,7 @@ class Tendons:
 
     def __init__(self, model: Structure, sites: Sites):
         self.model, self.mj, self.sites = model, model.mj, sites
+        self._wraps = 0
 
     @cached_property
     def _arms(self) -> dict[tuple[int, int], int]:
@@ -38,7 +41,7 @@ class Tendons:
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        return {"TENDONS": self.mj.ntendon, "TENDON_ARMS": max(1, len(self._arms))}
+        return {"TENDONS": self.mj.ntendon, "TENDON_ARMS": max(1, len(self._arms)), "WRAPS": self._wraps}
 
     def arms(self, tendon: int) -> list[tuple[int, Operand]]:
         """Degrees of freedom of a tendon, and what each adds to its length [m per unit]."""
@@ -91,31 +94,82 @@ class Tendons:
         )
 
     def _spatial(self, lines: Lines, tendon: int) -> Operand:
-        """Length along sites; its lever arms are written down."""
+        """Length along sites and around shapes; its lever arms are written down."""
         m, sites = self.mj, self.sites
         arms: dict[int, list] = {dof: [] for dof in self.model.tendon_dofs[tendon]}
-        lengths: list[tuple[Operand, Operand]] = []
-        divisor, last = 1.0, -1
+        lengths: list[Operand | tuple[Operand, Operand]] = []
+        divisor, last, shape = 1.0, -1, -1
         for k in wraps(m, tendon):
             if m.wrap_type[k] == WRAP_PULLEY:
                 divisor, last = float(m.wrap_prm[k]), -1
                 continue
+            if m.wrap_type[k] != WRAP_SITE:
+                shape = k
+                continue
             site = int(m.wrap_objid[k])
             if last >= 0:
-                ends = [sites.index(m.site_bodyid[s], m.site_pos[s]) for s in (last, site)]
-                way, length = self._span(lines, *ends)
+                bodies = [int(m.site_bodyid[s]) for s in (last, site)]
+                if shape >= 0:
+                    length = self._around(lines, arms, (last, site), shape, divisor)
+                elif bodies[0] == bodies[1]:
+                    length = float(np.linalg.norm(m.site_pos[site] - m.site_pos[last]))
+                else:
+                    ends = [sites.index(m.site_bodyid[s], m.site_pos[s]) for s in (last, site)]
+                    way, length = self._span(lines, *ends)
+                    points = [(body, sites.point(end)) for body, end in zip(bodies, ends, strict=True)]
+                    self._pull(lines, arms, *points, way, divisor)
                 lengths.append((1.0 / divisor, length))
-                chains = [self.model.body_dofs[m.site_bodyid[s]] for s in (last, site)]
-                for dof in sorted(chains[0] ^ chains[1]):
-                    end, sign = (ends[1], 1.0) if dof in chains[1] else (ends[0], -1.0)
-                    arms[dof].append((sign / divisor, lines.dot(way, sites.lever(lines, end, dof))))
-            last = site
+            last, shape = site, -1
         for dof, parts in arms.items():
             lines.add(f"w.tendon_arm[{self._arms[tendon, dof]}] = {text(lines.sum(*parts))};")
         return lines.sum(*lengths)
 
+    def _around(self, lines: Lines, arms: dict[int, list], ends: tuple[int, int], k: int, divisor: float) -> Operand:
+        """Length between two sites around a shape (``native/wrap.h``)."""
+        m, sites, self._wraps = self.mj, self.sites, self._wraps + 1
+        geom, side = int(m.wrap_objid[k]), round(float(m.wrap_prm[k]))
+        frame = sites.index(m.geom_bodyid[geom], m.geom_pos[geom], rotation(m.geom_quat[geom]))
+        sites.columns(frame)
+        marks = [sites.index(m.site_bodyid[s], m.site_pos[s]) for s in ends]
+        beside = f"w.site_at[{sites.index(m.site_bodyid[side], m.site_pos[side])}]" if side >= 0 else "nullptr"
+        bend, cylinder = f"bend{self._wraps}", int(m.wrap_type[k] == WRAP_CYLINDER)
+        places = ", ".join(f"w.site_at[{n}]" for n in (*marks, frame))
+        shape = f"w.site_turn[{frame}], gsize(w, {geom}, 0), {cylinder}, {beside}"
+        lines.add(f"const Bend {bend} = around({places}, {shape});")
+        first, last, before, after = (
+            [f"{bend}.{name}.{axis}" for axis in "xyz"] for name in ("first", "last", "in", "out")
+        )
+        body = int(m.geom_bodyid[geom])
+        outer = [(int(m.site_bodyid[s]), sites.point(n)) for s, n in zip(ends, marks, strict=True)]
+        self._pull(lines, arms, outer[0], (body, first), before, divisor)
+        self._pull(lines, arms, (body, last), outer[1], after, divisor)
+        return f"{bend}.length"
+
+    def _pull(
+        self,
+        lines: Lines,
+        arms: dict[int, list],
+        start: tuple[int, Vector],
+        end: tuple[int, Vector],
+        way: Vector,
+        divisor: float,
+    ) -> None:
+        """What joints add to the length from one point to another, each on a body, in a direction."""
+        chains = [self.model.body_dofs[body] for body, _ in (start, end)]
+        for (_, point), own, other, sign in ((start, *chains, -1.0), (end, *chains[::-1], 1.0)):
+            twists: dict[int, Vector] = {}
+            for dof in sorted(own - other):
+                top = self.model.dof_top[dof]
+                arm = [*zip(way, (f"w.cl[{dof}][{k}]" for k in range(3)), strict=True)]
+                if not self.model.slides(dof):
+                    if top not in twists:
+                        reach = lines.difference(point, [f"w.ref[{top}][{k}]" for k in range(3)])
+                        twists[top] = lines.cross(reach, way)
+                    arm += zip(twists[top], self.sites.axis(dof), strict=True)
+                arms[dof].append((sign / divisor, lines.sum(*arm)))
+
     def _span(self, lines: Lines, a: int, b: int) -> tuple[Vector, Operand]:
-        """Direction from one site to another, and their distance [m]."""
+        """Direction from one site to another, along x where they are one, and their distance [m]."""
         way = lines.difference(self.sites.point(b), self.sites.point(a))
         length = lines.let(f"VSQRT({text(lines.dot(way, way))})")
         over = lines.let(f"1.0f / VMAX({length}, (T)1e-12f)")

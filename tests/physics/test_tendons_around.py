@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tendons around spheres and cylinders, muscles, and kinds of actuators by name, against MuJoCo C."""
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import pytest
+from fused_models import compile_model, controls, starts
+from fused_steps import public_differences, step_differences, visit
+from muscle_models import ARM, DEGENERATE, shapes
+from needs import needs
+from warp_lanes import LaneRollout
+
+from warpmpc.physics import rollout
+from warpmpc.physics.kinds import KINDS, lacking_kinds
+from warpmpc.physics.missing import missing
+from warpmpc.physics.plain import PlainRollout
+
+
+def visited(model: mujoco.MjModel, seed: int, worlds: int = 16):
+    q, v = starts(model, worlds, seed=seed)
+    return visit([model], q, v, controls(model, 60, worlds, seed=seed), every=4)
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
+def test_muscles_and_tendons_around_shapes_step_as_in_mujoco(integrator):
+    """Activations too: `public_differences` compares them."""
+    model = compile_model(ARM, integrator)
+    for seed in range(3):
+        found = public_differences(model, visited(model, seed))
+        most = found.v.max(axis=1)
+        assert most.max() <= 1e-3, found
+        assert np.percentile(most, 99) <= 2e-4, found
+        assert np.median(most) <= 5e-6, found
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
+def test_rollouts_of_muscles_stay_with_those_of_mujoco(integrator):
+    model, worlds, steps = compile_model(ARM, integrator), 16, 50
+    data = mujoco.MjData(model)
+    for seed in range(3):
+        q, v = starts(model, worlds, seed=seed)
+        act = np.random.default_rng(seed).uniform(size=(worlds, model.na))
+        states = np.hstack([np.zeros((worlds, 1)), q, v, act])
+        u = controls(model, steps, worlds, seed=seed).transpose(1, 0, 2)
+        with rollout.Rollout(fall_back=False) as own, mujoco.rollout.Rollout(nthread=0) as peer:
+            found, expected = own.rollout(model, data, states, u)[0], peer.rollout(model, data, states, u)[0]
+            near = states + 6e-8 * np.random.default_rng(seed).choice([-1.0, 1.0], states.shape)
+            nudged = peer.rollout(model, data, near, u)[0]
+        sensitive = np.abs(nudged - expected).max(axis=(1, 2))
+        assert (np.abs(found - expected).max(axis=(1, 2)) <= 1e-4 + 100.0 * sensitive).all()
+
+
+@needs("g++")
+def test_lanes_of_a_warp_do_the_same(tmp_path_factory):
+    model = compile_model(ARM)
+    states = visited(model, 0, 2)
+    start = states.q[:4], states.v[:4], np.repeat(states.control[None, :4], 3, axis=0), states.act[:4]
+    found = LaneRollout(model, 4, 3, folder=tmp_path_factory.getbasetemp())(*start)
+    for x, y in zip(found, PlainRollout(model, 4, 3)(*start), strict=True):
+        np.testing.assert_allclose(x, y, atol=5e-5)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_drawn_shapes_bend_tendons_as_in_mujoco(seed):
+    """Spheres and cylinders of drawn sizes and places, without a side, with one outside, and one inside."""
+    model = compile_model(shapes(seed))
+    q, v = starts(model, 24, seed=seed, speed=2.0)
+    states = visit([model], q, v, controls(model, 40, 24), every=2)
+    found = step_differences(model, states, lanes=4)
+    most = found.v.max(axis=1)
+    sane = states.edge < 1e-3  # a tendon that slips off a shape moves by a jump
+    assert sane.mean() > 0.9
+    assert (most[sane] <= 2e-4 * (1.0 + np.abs(states.next_v[sane]).max(axis=1))).mean() > 0.99, found
+    assert np.median(most) <= 2e-5, found
+
+
+def test_points_on_a_line_through_the_centre_inside_the_shape_and_on_each_other_bend_as_in_mujoco():
+    model = compile_model(DEGENERATE)
+    states = visit([model], model.qpos0[None], np.zeros((1, model.nv)), np.zeros((1, 1, model.nu)))
+    found = step_differences(model, states, lanes=4)
+    assert np.abs(states.next_v).max() > 1e-3
+    assert found.v.max() <= 1e-5, found.v
+
+
+def test_every_kind_is_read_or_refused_by_name():
+    for kinds in KINDS:
+        names = {name.split("_", 1)[1] for name in kinds.enum.__members__ if name.startswith("mj")}
+        assert names == set(kinds.read.split()) | set(kinds.refused.split()), kinds.what
+
+
+def test_unread_kinds_are_refused_in_a_line():
+    for kinds, text in zip(KINDS[:4], ("dynamics", "gains", "biases", "transmissions"), strict=True):
+        model = compile_model(ARM)
+        getattr(model, kinds.array)[0] = 77
+        assert list(lacking_kinds(model)) == [f"{text} of actuators: 77"]
+        assert missing(model) == f"{text} of actuators: 77"
