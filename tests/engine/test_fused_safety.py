@@ -246,7 +246,8 @@ LACKS = {
         "world": '<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" pos="0 0 2" radius=".01" '
         'dim="2" mass="1"/>'
     },
-    "adhesion of explicit pairs": {"end": '<contact><pair geom1="g" geom2="tip" adhesion="1"/></contact>'},
+    "velocities of surfaces (surfacevel)": {"geom": 'surfacevel="1 0 0 0 0 0"'},
+    "adhesion of contacts": {"end": '<contact><pair geom1="g" geom2="tip" adhesion="1"/></contact>'},
     "references of their own for the friction of explicit pairs": {
         "option": 'cone="elliptic"',
         "end": '<contact><pair geom1="g" geom2="tip" solreffriction="0.03 1"/></contact>',
@@ -265,7 +266,7 @@ LACKS = {
     "actuators of several controls": drive('<pid joint="h" kp="1"/>'),
     "actuators with gains other than fixed and affine": drive('<general joint="h" gaintype="user"/>'),
     "armatures of actuators": drive('<motor joint="h" armature="0.3"/>'),
-    "delays of actuators": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
+    "delays and intervals (history in the state)": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
     "shapes of their own in a fluid": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
     "impedances whose power is no whole number": {"geom": 'priority="1" solimp="0.9 0.95 0.001 0.5 2.5"'},
     "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),

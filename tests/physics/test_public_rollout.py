@@ -314,3 +314,26 @@ def test_bad_shapes_are_mujocos_errors(seen):
     pool.close()
     with pytest.raises(RuntimeError, match="shutdown"):
         pool.rollout(model, mujoco.MjData(model), start, control)
+
+
+CALLBACKS = sorted(name.removeprefix("get_") for name in dir(mujoco) if name.startswith("get_mjcb_"))
+
+
+@pytest.mark.parametrize("callback", [name for name in CALLBACKS if name != "mjcb_time"])
+def test_mujoco_rolls_out_while_a_callback_is_installed(callback, caplog):
+    model, start, control = pushed()
+    expected, install = both(model, start, control)[1], getattr(mujoco, f"set_{callback}")
+    install(lambda *_: 0)
+    try:
+        with caplog.at_level(logging.INFO, "warpmpc"), rollout.Rollout() as ours:
+            found = [ours.rollout(model, mujoco.MjData(model), start, control)[0] for _ in range(2)]
+        theirs, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, control)
+        np.testing.assert_array_equal(found, [theirs, theirs])
+        assert [callback in r.getMessage() for r in caplog.records if "MuJoCo's own" in r.getMessage()] == [True]
+        with rollout.Rollout(fall_back=False) as strict, pytest.raises(ValueError, match=callback):
+            strict.rollout(model, mujoco.MjData(model), start, control)
+    finally:
+        install(None)
+    with rollout.Rollout(fall_back=False) as ours:
+        again, _ = ours.rollout(model, mujoco.MjData(model), start, control)
+    np.testing.assert_array_equal(again, expected[0])

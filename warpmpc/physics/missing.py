@@ -84,7 +84,8 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     ),
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
-    "adhesion of explicit pairs": lambda p: p.mj.pair_adhesion.any(),
+    "adhesion of contacts": lambda p: p.mj.geom_adhesion.any() or p.mj.pair_adhesion.any(),
+    "velocities of surfaces (surfacevel)": lambda p: p.mj.geom_surfacevel.any(),
     "references of their own for the friction of explicit pairs": lambda p: (
         p.mj.opt.cone and p.mj.pair_solreffriction.any()
     ),
@@ -102,7 +103,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     ).any(),
     "actuators of several controls": lambda p: (p.mj.actuator_ctrlnum != 1).any() or (p.mj.actuator_outnum != 1).any(),
     "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
-    "delays of actuators": lambda p: p.mj.actuator_delay.any(),
+    "delays and intervals (history in the state)": lambda p: p.mj.nhistory,
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),

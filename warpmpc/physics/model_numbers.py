@@ -8,9 +8,12 @@ import hashlib
 import operator
 import weakref
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+
+from .fields import says_something
 
 VARYING = (
     "body_mass",
@@ -26,14 +29,15 @@ VARYING = (
     "actuator_acc0",
 )
 """Arrays in which the worlds of a batch may differ; those that MuJoCo derives from the others among them."""
-_UNREAD = ("mesh_", "tex_", "skin_", "flex", "bvh_", "oct_", "mat_", "light_", "name", "paths", "text_",
-           "dof_M0", "dof_length")  # fmt: skip
-"""Beginnings of the names of arrays that are not compared: large ones, and those that the physics does not read."""
-_OPTIONS = operator.attrgetter(
-    "timestep", "density", "viscosity", "integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance",
-    "ls_tolerance", "impratio", "disableflags", "enableflags", "disableactuator", "noslip_iterations", "o_margin",
-)  # fmt: skip
-_VECTORS = ("gravity", "wind", "o_solref", "o_solimp", "o_friction")
+_VECTORS = ("opt.gravity", "opt.wind", "opt.magnetic", "opt.o_solref", "opt.o_solimp", "opt.o_friction")
+"""Options that are arrays."""
+_NUMBERS = operator.attrgetter(
+    *(
+        name
+        for name in (*(f"opt.{own}" for own in dir(mujoco.MjOption) if not own.startswith("_")), "stat.meaninertia")
+        if name not in _VECTORS and says_something(name)
+    )
+)
 _NEAR = 64
 """Bytes between arrays of one piece of memory at most, by which MuJoCo aligns them."""
 
@@ -49,11 +53,13 @@ class _Views:
         self.model = weakref.ref(model)
         self.varying = [getattr(model, name) for name in VARYING]
         self._varying = [_span(values) for values in self.varying]
-        self._opt, self._vectors = model.opt, [getattr(model.opt, name) for name in _VECTORS]
+        self._parts = SimpleNamespace(opt=model.opt, stat=model.stat)  # the model itself is not held
+        self._vectors = [operator.attrgetter(name)(model) for name in _VECTORS]
         spans = sorted(
             _span(value)
             for name in dir(model)
-            if not name.startswith(("_", *_UNREAD)) and name not in VARYING
+            if not name.startswith(("_",) if _meshes_touch(model) else ("_", "mesh_"))
+            if name not in VARYING and says_something(name)
             if isinstance(value := getattr(model, name), np.ndarray) and value.nbytes
         )
         pieces: list[list[int]] = []
@@ -67,12 +73,19 @@ class _Views:
     def fixed(self) -> tuple[list[bytes], tuple]:
         """Pieces of memory and options that may not differ between worlds."""
         vectors = [vector.tobytes() for vector in self._vectors]
-        return [*vectors, *(ctypes.string_at(*piece) for piece in self._pieces)], _OPTIONS(self._opt)
+        return [*vectors, *(ctypes.string_at(*piece) for piece in self._pieces)], _NUMBERS(self._parts)
 
     def differing(self, others: Sequence[_Views]) -> list[int]:
         """Indices of the arrays that may differ between worlds and are others in some of these models."""
         own = [ctypes.string_at(*span) for span in self._varying]
         return [n for n, one in enumerate(own) if any(ctypes.string_at(*o._varying[n]) != one for o in others)]
+
+
+def _meshes_touch(m: mujoco.MjModel) -> bool:
+    """Return whether some geom is a mesh that may touch anything: others are large, and not read."""
+    may = (m.geom_contype | m.geom_conaffinity) != 0
+    may[m.pair_geom1], may[m.pair_geom2] = True, True
+    return bool((may & (m.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))).any())
 
 
 def _span(values: np.ndarray) -> tuple[int, int]:
@@ -118,6 +131,8 @@ class ModelNumbers:
         several = len({id(model) for model in models}) > 1
         views = [self._view(model) for model in (models if several else models[:1])]
         if self._known is None or self._known != views[0]:
+            del self._views[id(models[0])]  # other geoms may touch now
+            views[0] = self._view(models[0])
             self._known = _Known(views[0])
         arrays: dict[str, np.ndarray] | str = {}
         if several:

@@ -28,16 +28,14 @@ import warp as wp
 from .batch import BatchRollout
 from .callbacks import callbacks
 from .data_fields import field_width, unwritten_field
+from .fields import says_something
 from .missing import missing
+from .model_numbers import VARYING
 from .rollout import MODELS, put
 from .state_rows import FIELDS, Record, StateRows
 
 logger = logging.getLogger("warpmpc")
-VARYING = (
-    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0",
-    "geom_friction", "geom_size", "geom_aabb", "geom_rbound", "actuator_acc0", "actuator_gainprm", "actuator_biasprm",
-    "opt.gravity",
-)  # fmt: skip
+OWN = (*VARYING, "actuator_gainprm", "actuator_biasprm", "opt.gravity")
 """Fields of a model that simulations may have of their own."""
 
 
@@ -91,7 +89,7 @@ class _Native:
         self._own_models = False
         self._told: set[str] = set()
         self._ready: OrderedDict[tuple, tuple[BatchRollout, dict[str, np.ndarray]]] = OrderedDict()
-        self._lack = missing(model) or ("history in its state" if model.nhistory else None)
+        self._lack = missing(model)
         if mujoco_batch.persistent:
             self._lack = "data that persist between calls"
 
@@ -115,7 +113,7 @@ class _Native:
     def set_const(self, ids: np.ndarray | None = None) -> int:
         """Derive fields of the model from others, for each simulation."""
         failed = self._mujoco.set_const(ids)
-        for name in VARYING:
+        for name in OWN:
             memory = self._mujoco.expanded(name)
             if memory is not None:
                 self._expanded[name] = memory
@@ -228,6 +226,8 @@ class _Native:
     def _differing(self) -> str | None:
         """Take over what simulations have of their own; return what they may not."""
         for name, memory in self._expanded.items():
+            if not says_something(name) and name not in OWN:
+                continue
             option = name.removeprefix("opt.")
             nominal = np.asarray(getattr(self._model.opt if option != name else self._model, option))
             kind = (np.float64 if nominal.dtype.kind == "f" else np.int32) if option != name else nominal.dtype
@@ -235,7 +235,7 @@ class _Native:
             known = self._arrays.get(option, nominal[None]).reshape(-1, nominal.size)[:, : values.shape[1]]
             if (values == known).all():
                 continue
-            if name not in VARYING:
+            if name not in OWN:
                 return f"worlds that differ in {name}"
             self._arrays[option] = values.reshape(len(values), *nominal.shape).copy()
         return None

@@ -24,6 +24,7 @@ import numpy as np
 import warp as wp
 
 from .batch import BatchRollout
+from .callbacks import callbacks
 from .missing import missing
 from .model_numbers import ModelNumbers
 from .sensors import unread_sensors
@@ -42,7 +43,7 @@ def lacking(model: mujoco.MjModel) -> str | None:
     unread = [] if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR) else unread_sensors(model)
     if unread:
         return f"sensors of the kinds {', '.join(unread)}"
-    return "history in its state" if model.nhistory else None
+    return None
 
 
 class Rollout(mujoco.rollout.Rollout):
@@ -75,6 +76,7 @@ class _Native:
         self._numbers = ModelNumbers()
         self._ready: OrderedDict[bytes, _Ready] = OrderedDict()
         self._lack: dict[bytes, str | None] = {}
+        self._told: set[str] = set()
 
     def rollout(
         self,
@@ -106,6 +108,9 @@ class _Native:
             return
         if not self._fall_back:
             raise ValueError(f"the physics of warpmpc has no {lack}")
+        if lack not in self._told:
+            logger.warning("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
+        self._told.add(lack)
         self._mujoco.rollout(
             model, data, nstep, control_spec, initial_state, initial_warmstart, control, state, sensordata, chunk_size
         )
@@ -118,13 +123,13 @@ class _Native:
         control: np.ndarray | None,
         arrays: dict[str, np.ndarray] | str,
     ) -> str | None:
-        """Return the part that these rollouts lack; the log says it once for each model."""
+        """Return the part that these rollouts lack."""
         if key not in self._lack:
-            self._lack[key] = lack = lacking(model)
-            if lack and self._fall_back:
-                logger.warning("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
+            self._lack[key] = lacking(model)
         if self._lack[key]:
             return self._lack[key]
+        if lack := callbacks():
+            return lack
         if control is not None and control_spec & ~(_CONTROL | _POSITION | _TURN):
             return "controls other than ctrl and mocap poses (control_spec)"
         return f"worlds that differ in {arrays}" if isinstance(arrays, str) else None

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every field of ``MjModel``, ``MjOption`` (``opt.``) and ``MjStatistic`` (``stat.``), and what rollouts make of it.
+
+Caches and comparisons of models look at all fields but those that say nothing (:func:`says_something`). A field that a
+newer MuJoCo adds is looked at, too, and fails a test until it is in this table.
+"""
+
+from __future__ import annotations
+
+
+def _names(text: str) -> frozenset[str]:
+    """Names of lines ``prefix: end end ...``, which may go on indented; the prefix ``-`` is none."""
+    out, prefix = set(), ""
+    for line in text.strip().splitlines():
+        if not line.startswith(" "):
+            prefix, _, line = line.partition(":")
+        out |= {prefix.removeprefix("-") + end for end in line.split()}
+    return frozenset(out)
+
+
+READ = _names("""
+-: qpos0
+actuator_: acc0 actearly actlimited actrange biasprm ctrllimited ctrlrange dynprm forcelimited forcerange gainprm gear
+    group lengthrange
+body_: gravcomp inertia invweight0 ipos iquat mass pos quat
+cam_: pos quat
+dof_: armature damping frictionloss invweight0 solimp solref
+eq_: active0 data solimp solref
+geom_: conaffinity condim friction margin pos priority quat rbound size solimp solmix solref
+hfield_: data size
+jnt_: actfrclimited actfrcrange axis limited margin pos range solimp solref stiffness
+mesh_: vert
+opt.: cone density disableactuator disableflags enableflags gravity impratio integrator iterations ls_iterations
+    ls_tolerance o_friction o_margin o_solimp o_solref solver timestep tolerance viscosity wind
+pair_: dim friction margin solimp solref
+qpos_: spring
+sensor_: cutoff
+site_: pos quat
+stat.: meaninertia
+tendon_: armature damping frictionloss invweight0 length0 lengthspring limited margin range solimp_fri solimp_lim
+    solref_fri solref_lim stiffness
+wrap_: prm
+""")
+"""Fields that rollouts read: with other values they end elsewhere."""
+
+PLACES = _names("""
+-: na nactuator nbody ncam neq nexclude ngeom nhfield nhfielddata njnt nmesh nmeshface nmeshgraph nmeshvert nmocap
+    npair nq nsensor nsensordata nsite ntendon nu nv nwrap
+actuator_: actadr actnum biastype ctrladr ctrlnum dyntype gaintype outadr outnum trnid trntype
+body_: dofadr dofnum geomadr geomnum jntadr jntnum mocapid parentid rootid weldid
+cam_: bodyid mode targetbodyid
+dof_: bodyid jntid parentid
+eq_: obj1id obj2id objtype type
+exclude_: signature
+geom_: bodyid contype dataid type
+hfield_: adr ncol nrow
+jnt_: bodyid dofadr qposadr type
+mesh_: graph graphadr polyadr polynormal polynum polyvert polyvertadr polyvertnum vertadr vertnum
+pair_: geom1 geom2
+sensor_: adr datatype dim intprm objid objtype refid reftype type
+site_: bodyid
+tendon_: adr num
+wrap_: objid type
+""")
+"""Fields that rollouts read, too: places, counts and kinds, which belong to each other and are not changed alone."""
+
+FOLLOWS = _names("""
+-: flg_adhesion flg_gravcomp flg_surfacevel mapD2M mapM2D mapM2M nB nC nD nJmom nJten nM nbvh nbvhdynamic nbvhstatic
+    nefm0L nefm0dof nefmCvert nemax ngravcomp nmeshdegmax nmeshpoly nmeshpolymap nmeshpolyvert noct npolygonmax ntree
+B_: colind rowadr rownnz
+D_: colind diag rowadr rownnz
+M_: colind rowadr rownnz
+actuator_: length0
+body_: bvhadr bvhnum conaffinity contype sameframe simple subtreemass treeid
+bvh_: aabb child depth nodeid
+cam_: mat0 pos0 poscom0
+dof_: M0 Madr length simplenum treeid
+efm0_: L L_colind L_rowadr L_rownnz dofid
+efmC_: perm
+geom_: aabb sameframe
+jnt_: actuatorid
+mesh_: bvhadr bvhnum extrema face faceadr facenum octadr octnum polymap polymapadr polymapnum pos quat scale
+oct_: aabb child coeff depth
+opt.: ccd_iterations ccd_tolerance
+pair_: signature
+sensor_: needstage
+site_: sameframe
+ten_: J_colind J_rowadr J_rownnz
+tendon_: actuatorid treeid treenum
+tree_: bodyadr bodynum dofadr dofnum sleep_policy
+""")
+"""Fields that MuJoCo derives from the others, or that say how it finds what it finds: not read, and not compared."""
+
+REFUSED = _names("""
+-: nJfe nJfv nflex nflexbending nflexedge nflexelem nflexelemdata nflexelemedge nflexnode nflexshelldata
+    nflexstiffness nflextexcoord nflexvert nhistory nplugin npluginattr npluginstate plugin
+actuator_: armature cranklength ctrlspec damping dampingpoly delay history historyadr plugin
+body_: plugin
+dof_: dampingpoly
+flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinity condim contype damping dim edge
+    edgeadr edgedamping edgeequality edgeflap edgenum edgestiffness elem elemadr elemdataadr elemedge elemedgeadr
+    elemlayer elemnum elemtexcoord flatskin friction gap interp margin node node0 nodeadr nodebodyid nodenum passive
+    priority radius rigid selfcollide shell shelldataadr shellnum size solimp solmix solref stiffness stiffnessadr
+    texcoord texcoordadr vert vert0 vertadr vertbodyid vertedge vertedgeadr vertedgenum vertmetric vertnum
+flexedge_: J_colind J_rowadr J_rownnz invweight0 length0 rigid
+flexvert_: J_colind J_rowadr J_rownnz
+geom_: adhesion fluid plugin surfacevel
+jnt_: actgravcomp stiffnesspoly
+opt.: magnetic noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
+pair_: adhesion solreffriction
+plugin_: attr attradr stateadr statenum
+sensor_: delay history historyadr interval plugin
+site_: size type
+tendon_: actfrclimited actfrcrange dampingpoly stiffnesspoly
+""")
+"""Fields of what rollouts lack: a model that uses one is refused by name, or MuJoCo rolls it out."""
+
+WITHOUT_EFFECT = _names("""
+-: name_actuatoradr name_bodyadr name_camadr name_eqadr name_excludeadr name_flexadr name_geomadr name_hfieldadr
+    name_jntadr name_keyadr name_lightadr name_matadr name_meshadr name_numericadr name_pairadr name_pluginadr
+    name_sensoradr name_siteadr name_skinadr name_tendonadr name_texadr name_textadr name_tupleadr names names_map
+    narena nbuffer nconmax njmax nkey nlight nmat nmeshnormal nmeshtexcoord nnames nnames_map nnumeric nnumericdata
+    nout npaths nskin nskinbone nskinbonevert nskinface nskintexvert nskinvert ntex ntexdata ntext ntextdata ntuple
+    ntupledata numeric_adr numeric_data numeric_size nuser_actuator nuser_body nuser_cam nuser_geom nuser_jnt
+    nuser_sensor nuser_site nuser_tendon nuserdata paths signature
+actuator_: user
+body_: margin user
+cam_: fovy intrinsic ipd output projection resolution sensorsize user
+flex_: group matid rgba
+geom_: gap group matid rgba user
+hfield_: pathadr
+jnt_: group user
+key_: act ctrl mpos mquat qpos qvel time
+light_: active ambient attenuation bodyid bulbradius castshadow cutoff diffuse dir dir0 exponent intensity mode pos
+    pos0 poscom0 range softness specular targetbodyid texid type
+mat_: emission metallic reflectance rgba roughness shininess specular texid texrepeat texuniform
+mesh_: facenormal facetexcoord normal normaladr normalnum pathadr texcoord texcoordadr texcoordnum
+opt.: jacobian
+pair_: gap
+sensor_: noise user
+site_: dataid group matid rgba user
+skin_: boneadr bonebindpos bonebindquat bonebodyid bonenum bonevertadr bonevertid bonevertnum bonevertweight face
+    faceadr facenum group inflate matid pathadr rgba texcoord texcoordadr vert vertadr vertnum
+stat.: center extent meanmass meansize
+tendon_: group matid rgba user width
+tex_: adr colorspace contenttypeadr data height nchannel pathadr type width
+text_: adr data size
+tuple_: adr objid objprm objtype size
+""")
+"""Fields without effect on physics."""
+
+
+def says_something(name: str) -> bool:
+    """Return whether a field may change a rollout, so that models which differ in it are different ones."""
+    return name not in FOLLOWS and name not in WITHOUT_EFFECT
