@@ -237,7 +237,6 @@ LACKS = {
     "limits of the forces of actuators on tendons": {
         "end": '<tendon><fixed actuatorfrcrange="-1 1"><joint joint="h" coef="1"/></fixed></tendon>'
     },
-    "limits narrower than twice their margin": {"hinge": 'range="0 5" margin="0.1"'},
     "plugins": {
         "before": '<extension><plugin plugin="mujoco.pid"><instance name="p"/></plugin></extension>',
         **drive('<plugin joint="h" plugin="mujoco.pid" instance="p"/>'),

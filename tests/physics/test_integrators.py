@@ -33,6 +33,7 @@ ARM = """
       </body>
       <body pos="0 .2 0">
         <joint name="e" axis="1 1 0" damping=".1" armature=".02"/>
+        <joint name="n" axis="0 0 1" armature=".02" range="-3 3" margin=".1"/>
         <geom type="capsule" fromto="0 0 0 0 .3 0" size=".03"/>
         <site name="e" pos="0 .2 .05"/>
       </body>
@@ -44,6 +45,7 @@ ARM = """
   </worldbody>
   <tendon>
     <spatial name="s" stiffness="20" damping=".8" springlength=".1"><site site="a"/><site site="e"/></spatial>
+    <fixed name="g" range="-.03 .03" margin=".05"><joint joint="e" coef=".5"/><joint joint="n" coef=".4"/></fixed>
     <fixed name="f" damping=".1"><joint joint="a" coef=".5"/><joint joint="c" coef="-1"/></fixed>
   </tendon>
   <actuator>

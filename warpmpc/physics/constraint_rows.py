@@ -41,9 +41,13 @@ class ConstraintRows:
         if not self.model.constraints:
             return ""
         for constraint in self.model.constraints:
-            {"equality": self._equality, "ball": self._ball, "limit": self._limit, "friction": self._friction}[
-                constraint.kind
-            ](constraint)
+            {
+                "equality": self._equality,
+                "ball": self._ball,
+                "limit": self._tendon_limit,
+                "narrow": self._joint_limit,
+                "friction": self._friction,
+            }[constraint.kind](constraint)
         return "FN void bind(World& w) {\n" + "\n".join(self._lines.statements) + "\n}"
 
     def _row(
@@ -194,16 +198,32 @@ class ConstraintRows:
         jacobian = {dof: lines.sum((-1.0, x)) for dof, x in zip(constraint.dofs, axis, strict=True)}
         self._row(constraint, jacobian, lines.sum(distance, -float(m.jnt_margin[j])), on=on)
 
-    def _limit(self, constraint: Constraint) -> None:
-        """A tendon is no shorter and no longer than its limits: the nearer one counts."""
-        m, lines, t = self.mj, self._lines, constraint.index
-        low, high, margin = (float(x) for x in (*within(m.tendon_range[t]), m.tendon_margin[t]))
-        above = lines.sum(f"w.tendon_length[{t}]", -low)
-        below = lines.sum((-1.0, f"w.tendon_length[{t}]"), high)
-        distance = lines.let(f"VMIN({above}, {below})")
-        side = lines.let(f"VSELECT({below} < {above}, (T)-1.0f, (T)1.0f)")
-        jacobian = {dof: lines.sum((side, arm)) for dof, arm in self.tendons.arms(t)}
-        on = f"({distance} < {literal(margin)})"
+    def _tendon_limit(self, constraint: Constraint) -> None:
+        """A tendon is no shorter and no longer than its limits."""
+        m, t = self.mj, constraint.index
+        arms = dict(self.tendons.arms(t))
+        self._limit(constraint, f"w.tendon_length[{t}]", m.tendon_range[t], float(m.tendon_margin[t]), arms)
+
+    def _joint_limit(self, constraint: Constraint) -> None:
+        """A coordinate is no smaller and no larger than its limits."""
+        m, j = self.mj, constraint.index
+        arms: dict[int, Operand] = {constraint.dofs[0]: 1.0}
+        self._limit(constraint, f"w.q[{int(m.jnt_qposadr[j])}]", m.jnt_range[j], float(m.jnt_margin[j]), arms)
+
+    def _limit(
+        self, constraint: Constraint, value: str, limits: np.ndarray, margin: float, arms: dict[int, Operand]
+    ) -> None:
+        """One of two limits, or the nearer one."""
+        lines, (low, high) = self._lines, (float(x) for x in within(limits))
+        above, below = lines.sum(value, -low), lines.sum((-1.0, value), high)
+        side: Operand = constraint.sides[0]
+        if len(constraint.sides) > 1:
+            distance = lines.let(f"VMIN({above}, {below})")
+            side = lines.let(f"VSELECT({below} < {above}, (T)-1.0f, (T)1.0f)")
+        else:
+            distance = above if constraint.sides[0] > 0.0 else below
+        on = f"({text(distance)} < {literal(margin)})"
+        jacobian = {dof: lines.sum((side, arm)) for dof, arm in arms.items()}
         self._row(constraint, jacobian, lines.sum(distance, -margin), on=on)
 
     def _friction(self, constraint: Constraint) -> None:

@@ -7,13 +7,14 @@ and distances; ``native/constraints.h`` softens them and takes them into the sol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from .limits import UNBOUNDED, bounds
+from .base import HINGE, SLIDE
+from .limits import UNBOUNDED, bounds, narrow
 from .mobility import floor
 from .rows import LEAST, Rows
 
@@ -39,7 +40,7 @@ class Constraint:
     """One row, or several of the same degrees of freedom that are softened together."""
 
     kind: str
-    """``equality``, ``ball`` (limit), ``limit`` or ``friction`` (of a tendon)."""
+    """``equality``, ``ball`` (limit), ``limit`` or ``friction`` (of a tendon), ``narrow`` (limits of a joint)."""
     index: int
     """Of the equality, joint or tendon."""
     dofs: tuple[int, ...]
@@ -50,6 +51,8 @@ class Constraint:
     """Least derivative of the cost by the row, which is the force with the other sign [N]."""
     high: float = FREELY
     """The largest."""
+    sides: tuple[float, ...] = (1.0, -1.0)
+    """Which limits of a range are meant: the lower, the upper, or the nearer of both."""
     points: tuple[tuple[int, np.ndarray], ...] = ()
     """Bodies that are connected or welded, and where, in their frames."""
 
@@ -84,8 +87,23 @@ def find_constraints(model: Structure) -> list[Constraint]:
             out.append(Constraint("friction", t, dofs, rows, (inverse,), -loss, loss))
         if m.tendon_limited[t] and limited and bounds(m.tendon_range[t]):
             rows = model.rows(m.tendon_solref_lim[t], m.tendon_solimp_lim[t])
-            out.append(Constraint("limit", t, dofs, rows, (inverse,), high=0.0))
+            out += _limits(
+                Constraint("limit", t, dofs, rows, (inverse,), high=0.0), m.tendon_range[t], m.tendon_margin[t]
+            )
+    scalar = np.isin(m.jnt_type, (SLIDE, HINGE)) & (m.jnt_limited != 0)
+    for j in np.flatnonzero(scalar) if limited else ():
+        if bounds(m.jnt_range[j]) and narrow(m.jnt_range[j], m.jnt_margin[j]):
+            dof, rows = int(m.jnt_dofadr[j]), model.rows(m.jnt_solref[j], m.jnt_solimp[j])
+            one = Constraint("narrow", int(j), (dof,), rows, (model.array("dof_invweight0")[:, dof],), high=0.0)
+            out += _limits(one, m.jnt_range[j], m.jnt_margin[j])
     return out
+
+
+def _limits(constraint: Constraint, limits: np.ndarray, margin: float) -> list[Constraint]:
+    """One row for the nearer of two limits, or two where both may hold at once."""
+    if not narrow(limits, margin):
+        return [constraint]
+    return [replace(constraint, sides=(side,)) for side in (1.0, -1.0)]
 
 
 def ends(m: mujoco.MjModel, e: int) -> tuple[int, int]:

@@ -16,6 +16,11 @@ def within(limits: np.ndarray) -> np.ndarray:
     return np.clip(limits, -UNBOUNDED, UNBOUNDED)
 
 
+def narrow(limits: np.ndarray, margin: float) -> bool:
+    """Return whether both limits may hold at once: they are nearer than twice their margin."""
+    return bool(np.ptp(within(limits)) < 2.0 * margin)
+
+
 def bounds(limits: np.ndarray) -> bool:
     """Return whether a lower and an upper limit leave anything out."""
     return bool((np.abs(limits) < UNBOUNDED).any())

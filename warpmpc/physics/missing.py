@@ -78,10 +78,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         not fixed(p.mj, int(t)) for t in np.flatnonzero(p.mj.tendon_armature)
     ),
     "limits of the forces of actuators on tendons": lambda p: p.mj.tendon_actfrclimited.any(),
-    "limits narrower than twice their margin": lambda p: (
-        (np.ptp(p.mj.jnt_range[p.limited], axis=1) < 2.0 * p.mj.jnt_margin[p.limited]).any()
-        or (np.ptp(p.mj.tendon_range, axis=1) < 2.0 * p.mj.tendon_margin)[p.mj.tendon_limited != 0].any()
-    ),
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
     "adhesion of contacts": lambda p: p.mj.geom_adhesion.any() or p.mj.pair_adhesion.any(),

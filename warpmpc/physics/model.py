@@ -13,7 +13,7 @@ import numpy as np
 from .base import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, Structure
 from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
-from .limits import bounds
+from .limits import bounds, narrow
 from .mobility import LEVER, Mobility, floor
 from .rows import LEAST, Rows
 
@@ -68,12 +68,13 @@ class PhysicsModel(Structure):
 
     @cached_property
     def limited(self) -> list[int]:
-        """Slides and hinges with a limit."""
+        """Slides and hinges with limits, but for those where both may hold at once."""
         if self.off("LIMIT") or self.off("CONSTRAINT"):
             return []
         scalar = np.isin(self.mj.jnt_type, (SLIDE, HINGE))
         limited = np.flatnonzero((self.mj.jnt_limited != 0) & scalar)
-        return [int(j) for j in limited if bounds(self.mj.jnt_range[j])]
+        ranges, margins = self.mj.jnt_range, self.mj.jnt_margin
+        return [int(j) for j in limited if bounds(ranges[j]) and not narrow(ranges[j], margins[j])]
 
     @cached_property
     def limits(self) -> list[Rows]:
