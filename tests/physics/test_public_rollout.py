@@ -337,3 +337,15 @@ def test_mujoco_rolls_out_while_a_callback_is_installed(callback, caplog):
     with rollout.Rollout(fall_back=False) as ours:
         again, _ = ours.rollout(model, mujoco.MjData(model), start, control)
     np.testing.assert_array_equal(again, expected[0])
+
+
+@pytest.mark.parametrize("which", ["state", "sensordata"])
+def test_an_array_that_is_read_only_is_an_error(which):
+    model, start, control = pushed()
+    (state, sensordata), _ = both(model, start, control)
+    out = {"state": state, "sensordata": sensordata}[which]
+    out[...] = 7.0
+    out.flags.writeable = False
+    with rollout.Rollout(fall_back=False) as ours, pytest.raises((ValueError, TypeError)):
+        ours.rollout(model, mujoco.MjData(model), start, control, **{which: out})
+    assert (out == 7.0).all()

@@ -6,6 +6,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
+import warp as wp
 from needs import CUDA, needs
 
 from warpmpc.physics import BatchSimulator
@@ -216,6 +217,12 @@ def test_one_world_has_numbers_of_its_own(model):
         (lambda m: BatchSimulator(m, 3, contact_pairs=[("base", "bux")]), "bux"),
         (lambda m: BatchSimulator(m, 3).step(np.zeros((3, 5))), r"ctrl has the shape \(3, 5\), not \(3, 2\)"),
         (lambda m: BatchSimulator(m, 3).step(n=-1), "n is -1"),
+        (lambda m: BatchSimulator(m, 3).step(n=2**31), "n is 2147483648"),
+        (lambda m: BatchSimulator(m, 0), "worlds is 0"),
+        (lambda m: BatchSimulator(m, 3).step(wp.zeros((3, 2), dtype=int)), r"ctrl is a wp.array of shape \(3, 2\)"),
+        (lambda m: BatchSimulator(m, 3).step(wp.zeros((3, 1), dtype=float)), r"wp.array of shape \(3, 1\)"),
+        (lambda m: BatchSimulator(m, 3).step(wp.zeros(2, dtype=float)), r"wp.array of shape \(2,\)"),
+        (lambda m: BatchSimulator(m, 3, vary=("body_mass",)).set_numbers(body_mass=m.body_mass + 1e300), "beyond 1e"),
         (lambda m: BatchSimulator(m, 3, vary=("body_mass",)).set_numbers(body_mass=-m.body_mass), "negative"),
         (lambda m: BatchSimulator(m, 3, vary=("gravity",)).set_numbers(gravity=[0, 0, np.nan]), "no numbers"),
         (lambda m: BatchSimulator(m, 3, vary=("gravity",)).set_numbers(gravity=np.zeros(2)), "shape"),
@@ -224,6 +231,17 @@ def test_one_world_has_numbers_of_its_own(model):
 def test_errors_say_what_to_do(model, act, match):
     with pytest.raises((ValueError, KeyError), match=match):
         act(model)
+
+
+def test_a_callback_is_an_error(model):
+    sim = BatchSimulator(model, 3)
+    mujoco.set_mjcb_passive(lambda m, d: None)
+    try:
+        with pytest.raises(ValueError, match="mjcb_passive"):
+            sim.step()
+    finally:
+        mujoco.set_mjcb_passive(None)
+    sim.step()
 
 
 def test_numbers_that_were_zero_cannot_be_set(model):
@@ -241,8 +259,8 @@ def test_what_it_lacks_is_an_error():
     with pytest.raises(ValueError, match="accelerometer"):
         BatchSimulator(own, 3)
     own = mujoco.MjModel.from_xml_string(TEXT)
-    own.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    with pytest.raises(ValueError, match="integrators"):
+    own.opt.noslip_iterations = 3
+    with pytest.raises(ValueError, match="noslip"):
         BatchSimulator(own, 3)
 
 

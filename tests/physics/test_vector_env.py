@@ -351,16 +351,61 @@ def test_errors_say_what_to_do(file, act, error, match):
         act(make(file))
 
 
-def test_an_observation_longer_than_its_size_is_told(file):
-    @wp.func
-    def long(s: WorldView, o: wp.array[float]):
-        for i in range(5):
-            o[i] = joint_position(s, 0)
+@wp.func
+def write_at(s: WorldView, o: wp.array[float]):
+    o[wp.int32(joint_position(s, 0))] = 1.0
 
+
+@pytest.mark.parametrize("at", [4, 100, 100_000, -1, -3])
+def test_an_observation_longer_than_its_size_is_told(file, at):
     simulator = BatchSimulator(mujoco.MjModel.from_xml_path(str(file)), 3)
-    env = BatchVectorEnv(simulator, observe=long, size=4, rewards={standing: 1.0})
-    with pytest.raises(ValueError, match="more than size=4"):
-        env.reset(seed=0)
+    simulator.qpos[:, 0] = at
+    with pytest.raises(ValueError, match="beyond size=4"):
+        BatchVectorEnv(simulator, observe=write_at, size=4, rewards={standing: 1.0})
+
+
+KINDS = ("coordinate", "velocity", "body", "body", "sensor", "pair", "control", "control")
+
+
+@wp.func
+def read_at(s: WorldView, o: wp.array[float]):
+    kind, i = wp.int32(joint_position(s, 0)), wp.int32(joint_velocity(s, 0))
+    if kind == 1:
+        o[0] = joint_position(s, i)
+    elif kind == 2:
+        o[0] = joint_velocity(s, i)
+    elif kind == 3:
+        o[0] = body_position(s, i)[0]
+    elif kind == 4:
+        o[0] = body_rotation(s, i)[0]
+    elif kind == 5:
+        o[0] = sensor(s, i)
+    elif kind == 6:
+        o[0] = contact_force(s, i)[0]
+    elif kind == 7:
+        o[0] = control(s, i)
+    elif kind == 8:
+        o[0] = control_before(s, i)
+
+
+@pytest.mark.parametrize("at", [-1, 9, 1_000_000])
+def test_an_index_out_of_range_is_an_error(file, at):
+    env = BatchVectorEnv(
+        BatchSimulator(mujoco.MjModel.from_xml_path(str(file)), 3),
+        observe=read_at,
+        size=4,
+        rewards={standing: 1.0},
+        start=lambda rng, worlds: {"qpos": np.array([kind, 0.0]), "qvel": np.array([i, 0.0])},
+    )
+    for kind, what in enumerate(KINDS, start=1):
+        for i in (0, at):
+            if (kind, i) in ((5, 0), (6, 0)):  # it has no sensors and watches no pairs
+                continue
+            if i == 0:
+                env.reset()
+                continue
+            with pytest.raises(IndexError, match=what):
+                env.reset()
 
 
 def test_a_plain_function_is_an_error(file):

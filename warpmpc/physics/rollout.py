@@ -217,7 +217,7 @@ def _whole(model: mujoco.MjModel, control_spec: int, control: np.ndarray) -> np.
 
 def _direct(array: np.ndarray | None) -> bool:
     """Return whether rollouts can write into an array as it is."""
-    return isinstance(array, np.ndarray) and array.dtype == np.float64 and array.flags.c_contiguous
+    return isinstance(array, np.ndarray) and array.dtype == np.float64 and array.flags.carray
 
 
 def put(to: wp.array, values: np.ndarray) -> None:

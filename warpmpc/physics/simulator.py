@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -13,6 +14,7 @@ import warp as wp
 
 from ..thread_pool import thread_count
 from .batch import BatchRollout
+from .callbacks import callbacks
 from .sensors import unread_sensors
 
 NUMBERS = (
@@ -27,6 +29,7 @@ NUMBERS = (
 """Arrays of a model that worlds may have of their own."""
 SIGNED = ("actuator_gainprm", "actuator_biasprm", "gravity")
 """Those of any sign."""
+_MANY = 2**31
 _DERIVED = ("body_invweight0", "dof_invweight0", "tendon_invweight0", "geom_rbound")
 """Arrays that follow from them."""
 
@@ -50,7 +53,7 @@ class BatchSimulator:
         contact_pairs: Pairs of bodies, by name (``world`` is one), whose contact forces are kept.
 
     Raises:
-        ValueError: If the model has what this physics lacks, or a name is unknown.
+        ValueError: If the model has what this physics lacks, there is no world, or a name is unknown.
     """
 
     def __init__(
@@ -63,6 +66,8 @@ class BatchSimulator:
         vary: Sequence[str] = (),
         contact_pairs: Sequence[tuple[str, str]] = (),
     ):
+        if not 1 <= operator.index(worlds) < _MANY:
+            raise ValueError(f"worlds is {worlds}, not at least 1")
         if unknown := sorted(set(vary) - set(NUMBERS)):
             raise ValueError(f"vary has {', '.join(unknown)}; there is: {', '.join(NUMBERS)}")
         if unread := unread_sensors(model):
@@ -210,15 +215,19 @@ class BatchSimulator:
         """Take physics steps with the same controls.
 
         Args:
-            ctrl: Controls ``[W, nu]`` or ``[nu]``; those in :attr:`ctrl` if None.
+            ctrl: Controls ``[W, nu]`` or ``[nu]``, as a ``wp.array`` ``[W, nu]`` of floats; those in :attr:`ctrl` if
+                None.
             n: Number of physics steps, at least 1.
 
         Raises:
-            ValueError: If a size is wrong.
+            ValueError: If a size or type is wrong, or a callback of MuJoCo (``mjcb_*``) is installed.
         """
-        if n < 1:
-            raise ValueError(f"n is {n}, not at least 1")
+        if not 1 <= operator.index(n) < _MANY:
+            raise ValueError(f"n is {n}, not at least 1 and below 2**31")
         if isinstance(ctrl, wp.array):
+            wanted = (self.worlds, self.model.nu), wp.float32
+            if (ctrl.shape, ctrl.dtype) != wanted:
+                raise ValueError(f"ctrl is a wp.array of shape {ctrl.shape} and {ctrl.dtype}, not {wanted}")
             wp.copy(self._batch.work.knots.reshape((self.worlds, self.model.nu)), ctrl)
         elif ctrl is not None:
             shape = (self.worlds, self.model.nu)
@@ -232,6 +241,8 @@ class BatchSimulator:
         self._run(n)
 
     def _run(self, substeps: int) -> None:
+        if installed := callbacks():
+            raise ValueError(f"the physics of warpmpc has no {installed}")
         if self._substeps != substeps:
             self._batch.work.substeps.fill_(substeps)
             self._substeps = substeps
@@ -260,6 +271,8 @@ class BatchSimulator:
             least = -np.inf if name in SIGNED else 0.0
             if not (np.isfinite(values) & (values >= least)).all():
                 raise ValueError(f"{name} has values that are negative or no numbers")
+            if np.abs(values).max(initial=0.0) > mujoco.mjMAXVAL:
+                raise ValueError(f"{name} has values beyond {mujoco.mjMAXVAL:g}")
         before = {name: values.copy() for name, values in self._numbers.items()}
         for name, values in numbers.items():
             self._numbers[name][chosen] = values

@@ -70,6 +70,7 @@ class StateRows:
             isinstance(to, np.ndarray)
             and to.dtype in (np.float64, np.uint8)
             and to.flags.c_contiguous
+            and (to.flags.writeable or to is control)
             and to.shape[:2] == (count, steps)
             and to.size == count * steps * size
             for to, size in asked

@@ -15,7 +15,7 @@ from ..compiling import compile_kernel
 from ..launch import Launcher, Replay
 from ..thread_pool import ThreadPool
 from .simulator import BatchSimulator
-from .world_view import WorldView
+from .world_view import KINDS, WorldView
 
 try:
     from gymnasium.error import ResetNeeded
@@ -29,6 +29,8 @@ Draw = Callable[[np.random.Generator, np.ndarray], Mapping[str, np.ndarray]]
 """Draws for some worlds, given the generator and their indices ``[n]``: arrays by name, ``[n, ...]`` each."""
 SPARE = 64
 """Numbers beyond an observation's size that a function may write before memory is lost: it is told of them instead."""
+TRIAL = 1 << 18
+"""The same before and behind, in the trial that an environment begins with."""
 LEAVE, STEP, BEGIN = (wp.constant(n) for n in range(3))
 """Tasks of the kernel for a world: nothing, evaluate a step, observe the start of an episode."""
 
@@ -116,6 +118,8 @@ class BatchVectorEnv(VectorEnv):
 
     Raises:
         TypeError: If a function is no ``wp.func``.
+        ValueError: If ``observe`` writes beyond its size.
+        IndexError: If a function reads a coordinate, body, sensor, pair or control that is not there, here or later.
 
     Example:
         >>> @wp.func
@@ -176,7 +180,8 @@ class BatchVectorEnv(VectorEnv):
         batch = sim.batch
         device = batch.device
         view = WorldView()
-        view.state, view.nq = batch.work.initial, sim.model.nq
+        view.state, view.nq, view.nv = batch.work.initial, sim.model.nq, sim.model.nv
+        view.outside = self._outside = wp.zeros(1, dtype=int, device=device)
         view.poses, view.forces = batch.outputs.poses, batch.outputs.force
         view.readings = batch.sensordata.reshape((worlds, sim.model.nsensordata))
         view.controls = batch.work.knots.reshape((worlds, sim.model.nu))
@@ -196,6 +201,14 @@ class BatchVectorEnv(VectorEnv):
         inputs = [self._task, batch.work.diverged, self._weight, rest]
         outputs = [self._wide, self._terms, self._reward, self._terminated]
 
+        trial = wp.full((3, TRIAL), np.nan, dtype=float, device=device)
+        begin = wp.full(worlds, int(BEGIN), dtype=int, device=device)
+        launch(kernel, 1, [view, 0, begin, *inputs[1:]], [trial[1:2], *outputs[1:]])
+        written = np.flatnonzero(~np.isnan(trial.numpy())) - TRIAL
+        if beyond := written[(written < 0) | (written >= size)].tolist():
+            raise ValueError(f"observe writes number {beyond[0]}, beyond size={size}")
+        self._check()
+
         def part(first: int, end: int) -> Replay:
             return Replay(lambda: launch(kernel, end - first, [view, first, *inputs], outputs), device=device)
 
@@ -210,6 +223,13 @@ class BatchVectorEnv(VectorEnv):
             self._replays[0]()
         else:
             self._pool.run(self._replays)
+        self._check()
+
+    def _check(self) -> None:
+        """Raise an error if a function read what is not there."""
+        if kind := int(self._outside.numpy()[0]):
+            self._outside.zero_()
+            raise IndexError(f"observe, a reward or a termination reads a {KINDS[kind - 1]} that is out of range")
 
     def set_weights(self, **weights: float) -> None:
         """Change weights of rewards by the names of their functions; nothing is compiled.
@@ -253,7 +273,7 @@ class BatchVectorEnv(VectorEnv):
             self.simulator.set_numbers(mask, **self._numbers(self.np_random, np.flatnonzero(mask)))
         self._begin(mask)
         if not np.isnan(self._wide.numpy()[mask, self._observation.shape[1] :]).all():
-            raise ValueError(f"observe writes more than size={self._observation.shape[1]} numbers")
+            raise ValueError(f"observe writes numbers beyond size={self._observation.shape[1]}")
         return self._observation.numpy().copy(), {}
 
     def _begin(self, mask: np.ndarray) -> None:
