@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from typing import TypeVar
 
 import warp as wp
 import warp._src.context
@@ -19,6 +22,29 @@ capturing = threading.RLock()
 """Held while launches are recorded: a recording takes in whatever any thread of the process launches or copies then.
 Whatever else uses Warp in warpmpc, apart from replays, takes it, too; so must a program that uses Warp in other threads
 while a controller makes its first two plans."""
+os.register_at_fork(before=capturing.acquire, after_in_parent=capturing.release, after_in_child=capturing.release)
+Method = TypeVar("Method", bound=Callable)
+
+
+def one_thread(method: Method) -> Method:
+    """Refuse a call of a method while another thread is in a method of the same object's; nobody waits.
+
+    The object has a ``threading.RLock`` in ``_in_use``.
+    """
+
+    @functools.wraps(method)
+    def guarded(self: object, *args: object, **options: object) -> object:
+        if not self._in_use.acquire(blocking=False):
+            raise RuntimeError(
+                f"another thread uses this {type(self).__name__} now: give each thread one of its own, "
+                "or let one thread call it"
+            )
+        try:
+            return method(self, *args, **options)
+        finally:
+            self._in_use.release()
+
+    return guarded
 
 
 @contextmanager

@@ -52,6 +52,7 @@ class ThreadPool:
 
     def _start(self) -> None:
         """Start the helpers and wait until they are ready."""
+        self._process, self._known = os.getpid(), None
         python = ctypes.pythonapi
         python.PyThread_allocate_lock.restype = ctypes.c_void_p
         locks = [python.PyThread_allocate_lock() for _ in range(self.threads + 1)]
@@ -92,6 +93,9 @@ class ThreadPool:
         Raises:
             RuntimeError: If one of them could not be replayed.
         """
+        if self.threads > 1 and self._process != os.getpid():  # a fork has none of them
+            self._end.detach()
+            self._start()
         if replays is not self._known and not self._hand_over(replays):
             return
         if self.threads == 1:

@@ -158,7 +158,7 @@ def test_results_are_written_into_given_arrays(seen):
 
 def test_a_second_rollout_does_not_write_into_results_of_the_first(seen):
     model, start, control = seen
-    with rollout.Rollout(nthread=2) as ours:
+    with rollout.Rollout() as ours:
         first, _ = ours.rollout(model, mujoco.MjData(model), start, control)
         kept = first.copy()
         for _ in range(3):

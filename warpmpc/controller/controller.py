@@ -15,7 +15,7 @@ import numpy as np
 from ..cost.stack import CostStack
 from ..cost.trial import try_terms
 from ..engine.registry import ENGINES, resolve
-from ..launch import capturing
+from ..launch import capturing, one_thread
 from ..model.batch_size import BatchSize
 from ..model.compiled import CompiledScene, compile_scene
 from ..model.memory import require_memory
@@ -31,7 +31,6 @@ from ..scene.schema import SampleCount
 from ..task.ancillary import AncillaryController
 from ..task.task import Task, task_layout
 from .observation import Observation
-from .one_thread import one_thread
 from .rollout import Rollout
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import warp as wp
 from ..bake.simd import native_lanes
 from ..compiling import compile_kernel
 from ..kernels.worlds.launch import TAPS
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, capturing
 from ..thread_pool import PARTS, ThreadPool
 from .base import MOST_SHARED
 from .data_fields import field_width
@@ -129,6 +129,13 @@ class BatchRollout:
         self._bodies, self._pairs, self._settable, self._mocap = tuple(bodies), tuple(pairs), settable, mocap
         self.fields, self._held = tuple(fields), held
         self.device = wp.get_device(device)
+        with capturing:  # another thread's recording would take in what is allocated here
+            self._build(arrays, substeps, sensors_before=sensors_before, in_place=in_place)
+
+    def _build(
+        self, arrays: Mapping[str, np.ndarray] | None, substeps: int, *, sensors_before: bool, in_place: bool
+    ) -> None:
+        model, worlds, threads = self.mj, self.worlds, self.threads
         on_gpu = self.device.is_cuda
         self._lanes = 1 if on_gpu else native_lanes()
         shared = on_gpu and shares(model, worlds) and "gravity" not in (arrays or {})  # links.h has it as a constant
@@ -211,8 +218,9 @@ class BatchRollout:
         parts, physics = self._write(arrays)
         if _Text(parts.whole()) != self._text:
             raise ValueError("numbers that were zero or alike in all worlds at the start are not now: make a new one")
-        self.work.given.assign(physics.given.astype(np.float32))
-        self._put_columns(physics)
+        with capturing:
+            self.work.given.assign(physics.given.astype(np.float32))
+            self._put_columns(physics)
 
     def hand_to(self, state: wp.array | np.ndarray, sensordata: wp.array | np.ndarray) -> None:
         """Let rollouts write into arrays of doubles, states ``[W, T, 1+nq+nv+na]``, readings ``[W, T, nsensordata]``.
@@ -222,7 +230,8 @@ class BatchRollout:
             sensordata: Takes the sensor readings, likewise.
         """
         address = [x.ptr or 0 if isinstance(x, wp.array) else x.ctypes.data for x in (state, sensordata)]
-        self.outputs.address.assign(np.array(address, dtype=np.uint64))
+        with capturing:
+            self.outputs.address.assign(np.array(address, dtype=np.uint64))
 
     def run(self) -> None:
         """Roll out the knots of :attr:`work` from its initial states; on a GPU it may go on after this returns."""

@@ -14,7 +14,7 @@ from .factor import MOST_OPERATIONS, operations
 from .flags import lacking_flags
 from .kinds import lacking_kinds
 from .mobility import singular
-from .model import COLLIDES, MOST_POWER, NEWTON, PhysicsModel
+from .model import COLLIDES, NEWTON, PhysicsModel
 from .tendons import fixed
 
 if TYPE_CHECKING:
@@ -102,10 +102,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "delays and intervals (history in the state)": lambda p: p.mj.nhistory,
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
-    ),
-    "impedances whose power is no whole number": lambda p: any(
-        not row.power.is_integer() or row.power > MOST_POWER
-        for row in (*(pair.rows for pair in p.pairs), *(constraint.rows for constraint in p.constraints), *p.limits)
     ),
     "damping and stiffness that depend on speed and angle": lambda p: (
         p.mj.dof_dampingpoly.any()

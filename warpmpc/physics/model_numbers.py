@@ -7,7 +7,7 @@ import ctypes
 import hashlib
 import operator
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
 
 import mujoco
@@ -93,6 +93,16 @@ def _span(values: np.ndarray) -> tuple[int, int]:
     return values.__array_interface__["data"][0], values.nbytes
 
 
+def _differing(model: mujoco.MjModel, other: mujoco.MjModel) -> Iterator[str]:
+    """Names of what may not differ between worlds and is another in two models."""
+    options = (f"opt.{name}" for name in dir(mujoco.MjOption))
+    for name in (*dir(model), *options):
+        if not name.startswith(("_", "opt._")) and name not in VARYING and says_something(name):
+            values, others = (operator.attrgetter(name)(one) for one in (model, other))
+            if isinstance(values, np.ndarray | float | int) and not np.array_equal(values, others):
+                yield name
+
+
 class _Known:
     """A copy of a model's numbers, and its key."""
 
@@ -126,7 +136,7 @@ class ModelNumbers:
 
         Returns:
             A key that other models share which can roll out in one batch, and the arrays that differ, ``[W, ...]``
-            each; or in their place the word for what may not differ and does.
+            each; or in their place the names of what may not differ and does.
         """
         several = len({id(model) for model in models}) > 1
         views = [self._view(model) for model in (models if several else models[:1])]
@@ -136,8 +146,9 @@ class ModelNumbers:
             self._known = _Known(views[0])
         arrays: dict[str, np.ndarray] | str = {}
         if several:
-            if any(self._known != view for view in views[1:]):
-                arrays = f"more than {', '.join(VARYING[:2])}, geom_friction and geom_size"
+            other = next((model for model, view in zip(models, views, strict=True) if self._known != view), None)
+            if other is not None:
+                arrays = ", ".join(_differing(models[0], other))
             else:
                 stacked = ((i, np.stack([v.varying[i] for v in views])) for i in views[0].differing(views[1:]))
                 arrays = {VARYING[i]: values for i, values in stacked if (values != values[:1]).any()}

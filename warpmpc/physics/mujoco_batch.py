@@ -31,7 +31,7 @@ from .data_fields import field_width, unwritten_field
 from .fields import says_something
 from .missing import missing
 from .model_numbers import VARYING
-from .rollout import MODELS, put
+from .ready import MODELS, put
 from .state_rows import FIELDS, Record, StateRows
 
 logger = logging.getLogger("warpmpc")

@@ -13,41 +13,45 @@ from __future__ import annotations
 
 import atexit
 import copy
+import ctypes
 import logging
 import os
+import threading
+import weakref
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 import warp as wp
 
-from .batch import BatchRollout
 from .callbacks import callbacks
 from .missing import missing
 from .model_numbers import ModelNumbers
+from .ready import MODELS, Ready, check_sizes
 from .sensors import unread_sensors
 
 logger = logging.getLogger("warpmpc")
-MODELS = 4
-"""Models that are kept ready, and numbers of worlds and steps of each."""
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+_TINY = 1e-15  # mjMINVAL
 _POSITION, _TURN = int(mujoco.mjtState.mjSTATE_MOCAP_POS), int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
 def lacking(model: mujoco.MjModel) -> str | None:
     """Return what a model has and these rollouts lack, in a few words; None if there is nothing."""
-    if lack := missing(model):
-        return lack
     unread = [] if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR) else unread_sensors(model)
     if unread:
         return f"sensors of the kinds {', '.join(unread)}"
-    return None
+    return missing(model)
 
 
 class Rollout(mujoco.rollout.Rollout):
     """Rolls controls out, as :class:`mujoco.rollout.Rollout`.
+
+    Calls from several threads wait for each other; rollouts of different objects run side by side.
 
     Args:
         nthread: Threads; 0 or None for the calling one alone. More than the cores of this process are not used.
@@ -56,32 +60,77 @@ class Rollout(mujoco.rollout.Rollout):
     """
 
     def __init__(self, *, nthread: int | None = None, device: wp.DeviceLike = "cpu", fall_back: bool = True):
-        super().__init__(nthread=nthread)
-        self.rollout_ = _Native(self.rollout_, self.nthread, device, fall_back=fall_back)
+        self.nthread = nthread or 0
+        self.rollout_ = _Native(self.nthread, device, fall_back=fall_back)
+
+    def close(self) -> None:
+        """End the threads, after a rollout that another thread is in; later ones are an error."""
+        self.rollout_.close()
+
+
+_natives: weakref.WeakSet[_Native] = weakref.WeakSet()
 
 
 class _Native:
     """Receiver of the arrays that MuJoCo's class has checked.
 
     Args:
-        mujoco_rollout: MuJoCo's own.
         nthread: Threads.
         device: Warp device.
         fall_back: Whether MuJoCo rolls out what this physics lacks.
     """
 
-    def __init__(self, mujoco_rollout: object, nthread: int, device: wp.DeviceLike, *, fall_back: bool):
-        self._mujoco, self._fall_back, self._device = mujoco_rollout, fall_back, device
+    def __init__(self, nthread: int, device: wp.DeviceLike, *, fall_back: bool):
+        self._nthread, self._fall_back, self._device = nthread, fall_back, device
         self._threads = max(1, min(nthread, len(os.sched_getaffinity(0))))
-        self._numbers = ModelNumbers()
-        self._ready: OrderedDict[bytes, _Ready] = OrderedDict()
-        self._lack: dict[bytes, str | None] = {}
         self._told: set[str] = set()
+        self._closed = False
+        self._begin()
+        _natives.add(self)
 
-    def rollout(
+    def _begin(self) -> None:
+        """Begin with nothing ready."""
+        self._lock, self._mujoco = threading.Lock(), None
+        self._numbers = ModelNumbers()
+        self._ready: OrderedDict[bytes, Ready] = OrderedDict()
+        self._lack: dict[bytes, str | None] = {}
+
+    def forked(self) -> None:
+        """Begin anew in a fork, which has neither the threads nor the owners of locks."""
+        if self._mujoco is not None:  # its end would wait for its threads
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._mujoco))
+        self._begin()
+
+    @property
+    def _theirs(self) -> object:
+        """MuJoCo's own receiver."""
+        if self._mujoco is None:
+            self._mujoco = mujoco.rollout.Rollout(nthread=self._nthread).rollout_
+        return self._mujoco
+
+    def close(self) -> None:
+        """Let go of everything."""
+        with self._lock:
+            self._closed, self._mujoco = True, None
+            self._ready.clear()
+
+    def rollout(self, *arguments: object, **options: object) -> None:
+        """Roll out; the arguments are those of MuJoCo's native function.
+
+        Raises:
+            RuntimeError: After :meth:`close`.
+            ValueError: If the arguments do not fit each other, or this physics lacks what is asked for and MuJoCo is
+                not to step in.
+        """
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("rollout requested after thread pool shutdown")
+            self._rollout(*arguments, **options)
+
+    def _rollout(
         self,
         model: mujoco.MjModel | Sequence[mujoco.MjModel],
-        data: object,
+        data: Sequence[mujoco.MjData],
         nstep: int,
         control_spec: int,
         initial_state: np.ndarray,
@@ -91,29 +140,42 @@ class _Native:
         sensordata: np.ndarray | None = None,
         chunk_size: int | None = None,
     ) -> None:
-        """Roll out; the arguments are those of MuJoCo's native function.
-
-        Raises:
-            ValueError: If this physics lacks what is asked for, and MuJoCo is not to step in.
-        """
-        models = [model] if isinstance(model, mujoco.MjModel) else list(model)
-        key, arrays = self._numbers.of(models)
-        lack = self._lacks(key, models[0], control_spec, control, arrays)
-        if lack is None:
-            mocap = control is not None and control_spec != _CONTROL
-            control = _whole(models[0], control_spec, control) if mocap else control
-            self._ready_for(key, models[0]).run(
-                len(initial_state), nstep, initial_state, initial_warmstart, control, state, sensordata, arrays, mocap
-            )
+        worlds = len(initial_state)
+        models = [model] if isinstance(model, mujoco.MjModel) else list(model)[:worlds]
+        self._theirs.rollout(models[:1], data, 0, control_spec, initial_state[:1])  # takes no step: it checks the data
+        if nstep < 1 or not worlds:
             return
+        if len(models) not in (1, worlds):
+            raise ValueError(f"{worlds} rollouts have {len(models)} models")
+        key, arrays = self._numbers.of(models)
+        wide = mujoco.mj_stateSize(models[0], control_spec)
+        rows = {"state0": (initial_state, mujoco.mj_stateSize(models[0], _STATE))}
+        rows |= {"warmstart0": (initial_warmstart, models[0].nv), "control": (control, wide)}
+        rows |= {"state": (state, rows["state0"][1]), "sensordata": (sensordata, models[0].nsensordata)}
+        check_sizes(worlds, nstep, rows)
+        given = _held(models[0], data, control_spec) if control is None else np.reshape(control, (worlds, nstep, wide))
+        if lack := self._lacks(key, models[0], control_spec, given, arrays):
+            self._fall(lack)
+            self._theirs.rollout(
+                models, data, nstep, control_spec, initial_state, initial_warmstart, control, state, sensordata,
+                chunk_size,
+            )  # fmt: skip
+            return
+        given, mocap = np.broadcast_to(given, (worlds, nstep, wide)), control_spec != _CONTROL
+        whole = _whole(models[0], control_spec, given) if mocap else given
+        self._ready_for(key, models[0]).run(
+            worlds, nstep, initial_state, initial_warmstart, whole, state, sensordata, arrays, mocap
+        )
+        if state is not None:
+            _leave(models[-1], data[0], control_spec, initial_state, given, state)
+
+    def _fall(self, lack: str) -> None:
+        """Let MuJoCo roll out: the log says it once for each cause."""
         if not self._fall_back:
             raise ValueError(f"the physics of warpmpc has no {lack}")
         if lack not in self._told:
+            self._told.add(lack)
             logger.warning("rollouts are MuJoCo's own: the physics of warpmpc has no %s", lack)
-        self._told.add(lack)
-        self._mujoco.rollout(
-            model, data, nstep, control_spec, initial_state, initial_warmstart, control, state, sensordata, chunk_size
-        )
 
     def _lacks(
         self,
@@ -130,73 +192,50 @@ class _Native:
             return self._lack[key]
         if lack := callbacks():
             return lack
-        if control is not None and control_spec & ~(_CONTROL | _POSITION | _TURN):
+        if control_spec & ~(_CONTROL | _POSITION | _TURN):
             return "controls other than ctrl and mocap poses (control_spec)"
+        if control is None:
+            return "controls that are held and differ between the instances of MjData"
         return f"worlds that differ in {arrays}" if isinstance(arrays, str) else None
 
-    def _ready_for(self, key: bytes, model: mujoco.MjModel) -> _Ready:
+    def _ready_for(self, key: bytes, model: mujoco.MjModel) -> Ready:
         if key not in self._ready:
-            self._ready[key] = _Ready(copy.copy(model), self._threads, self._device)
+            self._ready[key] = Ready(copy.copy(model), self._threads, self._device)
         self._ready.move_to_end(key)
         while len(self._ready) > MODELS:
             self._ready.popitem(last=False)
         return self._ready[key]
 
 
-class _Ready:
-    """Batches of a model, by their numbers of worlds and steps."""
+def _held(model: mujoco.MjModel, data: Sequence[mujoco.MjData], control_spec: int) -> np.ndarray | None:
+    """Controls that instances of MjData hold ``[nu]``; None if they differ."""
+    held = np.empty((len(data), mujoco.mj_stateSize(model, control_spec)))
+    for row, one in zip(held, data, strict=True):
+        mujoco.mj_getState(model, one, row, control_spec)
+    return held[0] if (held == held[:1]).all() else None
 
-    def __init__(self, model: mujoco.MjModel, threads: int, device: wp.DeviceLike):
-        self._model, self._threads, self._device = model, threads, device
-        self._batches: OrderedDict[tuple, tuple[BatchRollout, dict[str, np.ndarray]]] = OrderedDict()
 
-    def run(
-        self,
-        worlds: int,
-        steps: int,
-        initial_state: np.ndarray,
-        warmstart: np.ndarray | None,
-        control: np.ndarray | None,
-        state: np.ndarray | None,
-        sensordata: np.ndarray | None,
-        arrays: dict[str, np.ndarray],
-        mocap: bool,
-    ) -> None:
-        """Roll out into arrays of the caller."""
-        batch = self._batch(worlds, steps, arrays, mocap=mocap)
-        work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
-        put(work.initial, initial_state)
-        put(work.knots, np.zeros(work.knots.shape[1:]) if control is None else control)
-        put(out.warmstart, np.zeros(out.warmstart.shape) if warmstart is None else warmstart)
-        direct = [_direct(x) and on_cpu for x in (state, sensordata)]
-        own = batch.state, batch.sensordata
-        given = state, sensordata
-        batch.hand_to(*(x if d else y for x, y, d in zip(given, own, direct, strict=True)))
-        batch.run()
-        for x, y, d in zip(given, own, direct, strict=True):
-            if x is not None and not d:
-                x[...] = y.numpy()
-        if lost := int(np.count_nonzero(work.overflow.numpy())):
-            logger.warning("%d of %d worlds had more contacts at once than there is room for", lost, worlds)
-
-    def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray], *, mocap: bool) -> BatchRollout:
-        key = worlds, steps, tuple(sorted(arrays)), mocap
-        if key not in self._batches:
-            where = {"device": self._device, "threads": self._threads}
-            made = BatchRollout(self._model, worlds, steps, arrays=arrays, mocap=mocap, **where)
-            self._batches[key] = made, arrays
-        batch, known = self._batches[key]
-        if any(not np.array_equal(known[name], arrays[name]) for name in arrays):
-            try:
-                batch.set_arrays(arrays)
-            except ValueError:  # other numbers are alike now: another source
-                del self._batches[key]
-                return self._batch(worlds, steps, arrays, mocap=mocap)
-            self._batches[key] = batch, arrays
-        self._batches.move_to_end(key)
-        while len(self._batches) > MODELS:
-            self._batches.popitem(last=False)
-        return batch
+def _leave(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    control_spec: int,
+    initial_state: np.ndarray,
+    control: np.ndarray,
+    state: np.ndarray,
+) -> None:
+    """Leave MjData as MuJoCo does: after the last step of the last rollout."""
+    rows = np.reshape(state, (*control.shape[:2], -1))[-1]
+    for inputs in (data.ctrl, data.qfrc_applied, data.xfrc_applied):
+        inputs[...] = 0.0
+    mocap = model.body_mocapid >= 0
+    data.mocap_pos[model.body_mocapid[mocap]] = model.body_pos[mocap]
+    data.mocap_quat[model.body_mocapid[mocap]] = model.body_quat[mocap]
+    data.eq_active[...] = model.eq_active0
+    mujoco.mj_setState(model, data, control[-1, -1], control_spec)
+    mujoco.mj_setState(model, data, rows[-2] if len(rows) > 1 else initial_state[-1], _STATE)
+    data.warning.number[...] = 0
+    mujoco.mj_step(model, data)
+    mujoco.mj_setState(model, data, rows[-1], _STATE)
 
 
 def _whole(model: mujoco.MjModel, control_spec: int, control: np.ndarray) -> np.ndarray:
@@ -210,33 +249,69 @@ def _whole(model: mujoco.MjModel, control_spec: int, control: np.ndarray) -> np.
         parts[bit] = control[..., at : at + width] if width else values.ravel()
         at += width
     quats = parts[_TURN].reshape(*parts[_TURN].shape[:-1], -1, 4)
-    parts[_TURN] = (quats / np.linalg.norm(quats, axis=-1, keepdims=True)).reshape(parts[_TURN].shape)
+    norms = np.linalg.norm(quats, axis=-1, keepdims=True)
+    units = np.where(norms < _TINY, (1.0, 0.0, 0.0, 0.0), quats / np.maximum(norms, _TINY))
+    parts[_TURN] = units.reshape(parts[_TURN].shape)
     rows = control.shape[:-1]
     return np.concatenate([np.broadcast_to(x, (*rows, x.shape[-1])) for x in parts.values()], axis=-1)
 
 
-def _direct(array: np.ndarray | None) -> bool:
-    """Return whether rollouts can write into an array as it is."""
-    return isinstance(array, np.ndarray) and array.dtype == np.float64 and array.flags.carray
+class _Pool:
+    """Rollouts of :func:`rollout`: each call has one to itself, and there are no more at once than cores."""
+
+    def __init__(self) -> None:
+        self._free = threading.Condition()
+        self._most = len(os.sched_getaffinity(0))
+        self._idle: dict[int, list[Rollout]] = {}
+        self._busy, self._era = 0, 0
+
+    @contextmanager
+    def one(self, nthread: int) -> Iterator[Rollout]:
+        """Hand out a rollout that nobody else has meanwhile."""
+        with self._free:
+            self._free.wait_for(lambda: self._busy < self._most)
+            self._busy += 1
+            era, idle = self._era, self._idle.setdefault(nthread, [])
+            found = idle.pop() if idle else None
+        try:
+            found = found or Rollout(nthread=nthread)
+            yield found
+        finally:
+            with self._free:
+                self._busy -= 1
+                kept = found is not None and era == self._era
+                if kept:
+                    idle.append(found)
+                self._free.notify()
+            if found is not None and not kept:
+                found.close()
+
+    def close(self) -> None:
+        """End the threads of all that are idle, and later of those that are in use."""
+        with self._free:
+            idle, self._idle = [one for ones in self._idle.values() for one in ones], {}
+            self._era += 1
+        for one in idle:
+            one.close()
 
 
-def put(to: wp.array, values: np.ndarray) -> None:
-    """Copy into an array of a device, rounding where that has single precision."""
-    if to.device.is_cpu:
-        to.numpy()[...] = np.reshape(values, to.shape)
-    else:
-        to.assign(np.ascontiguousarray(np.reshape(values, to.shape), dtype=wp.dtype_to_numpy(to.dtype)))
+_pool = _Pool()
 
 
-_persistent: Rollout | None = None
+def _after_fork() -> None:
+    """Begin anew in a fork."""
+    global _pool
+    for native in list(_natives):
+        native.forked()
+    _pool = _Pool()
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 def shutdown_persistent_pool() -> None:
-    """End the threads that ``rollout(..., persistent_pool=True)`` keeps."""
-    global _persistent
-    if _persistent is not None:
-        _persistent.close()
-    _persistent = None
+    """End the threads that calls of :func:`rollout` keep; those of a call in another thread when that returns."""
+    _pool.close()
 
 
 atexit.register(shutdown_persistent_pool)
@@ -251,15 +326,16 @@ def rollout(
     persistent_pool: bool = False,
     **options: object,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roll out open-loop trajectories, as :func:`mujoco.rollout.rollout`.
+    """Roll out open-loop trajectories, as :func:`mujoco.rollout.rollout`; any number of threads may call it.
 
     Models and kernels stay ready between calls, whether the pool of threads is persistent or not.
 
     Args:
         model: The model, or one for each of W rollouts; these may differ in masses, inertias, friction and sizes.
-        data: As many as there are threads, one for the calling thread alone.
+        data: As many as there are threads, one for the calling thread alone. The first is left as after the last step
+            of the last rollout.
         initial_state: ``[W, 1+nq+nv+na]`` or ``[1, ...]``: time, coordinates, velocities, activations.
-        control: ``[W, T, nu]``, or 1 for W or T.
+        control: ``[W, T, nu]``, or 1 for W or T; what ``data`` holds if None.
         persistent_pool: Accepted as MuJoCo's.
         **options: Those of :meth:`mujoco.rollout.Rollout.rollout`.
 
@@ -269,10 +345,6 @@ def rollout(
     Raises:
         ValueError: If shapes or sizes are wrong.
     """
-    global _persistent
     datas = list(data) if isinstance(data, Sequence) else [data]
-    nthread = len(datas) if len(datas) > 1 else 0
-    if _persistent is None or _persistent.nthread != nthread:
-        shutdown_persistent_pool()
-        _persistent = Rollout(nthread=nthread)
-    return _persistent.rollout(model, datas, initial_state, control, **options)
+    with _pool.one(len(datas) if len(datas) > 1 else 0) as own:
+        return own.rollout(model, datas, initial_state, control, **options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import operator
+import threading
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -12,6 +13,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from ..launch import capturing, one_thread
 from ..thread_pool import thread_count
 from .batch import BatchRollout
 from .callbacks import callbacks
@@ -41,7 +43,8 @@ class BatchSimulator:
     ``__cuda_array_interface__`` (``torch.from_dlpack(sim.qpos)``). They stay the same ones; writing into ``qpos``,
     ``qvel`` and ``act`` moves the worlds. Poses and readings are those of the state that the last :meth:`step` or
     :meth:`reset` led to, while MuJoCo's, after ``mj_step``, are those of the state before. The same numbers give the
-    same bits, whatever the number of threads.
+    same bits, whatever the number of threads. One thread at a time uses a simulator: a call while another thread is in
+    one is a ``RuntimeError``.
 
     Args:
         model: The model.
@@ -75,6 +78,7 @@ class BatchSimulator:
             raise ValueError(
                 f"the physics of warpmpc reads no sensors of the kinds {kinds}: delete them from the model"
             )
+        self._in_use = threading.RLock()
         self.model, self.worlds, self._substeps = model, worlds, 1
         self._numbers = {name: self._nominal(name) for name in vary}
         self._batch = BatchRollout(
@@ -163,6 +167,7 @@ class BatchSimulator:
         """Worlds in which contacts were lost in the last step since they were too many ``[W]``."""
         return self._batch.work.overflow.numpy() != 0
 
+    @one_thread
     def reset(
         self,
         mask: np.ndarray | None = None,
@@ -191,9 +196,10 @@ class BatchSimulator:
         start, force = self._batch.outputs.warmstart.numpy(), self._batch.outputs.force.numpy()
         start[chosen], force[chosen] = 0.0, 0.0
         if not self._batch.device.is_cpu:
-            self._batch.work.initial.assign(rows)
-            self._batch.outputs.warmstart.assign(start)
-            self._batch.outputs.force.assign(force)
+            with capturing:
+                self._batch.work.initial.assign(rows)
+                self._batch.outputs.warmstart.assign(start)
+                self._batch.outputs.force.assign(force)
         self.forward()
 
     def _given(self, name: str, values: np.ndarray | None, usual: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -207,10 +213,12 @@ class BatchSimulator:
             raise ValueError(f"{name} has the shape {values.shape}, not {shapes}")
         return values
 
+    @one_thread
     def forward(self) -> None:
         """Bring poses and sensor readings up to date after ``qpos`` or ``qvel`` were written."""
         self._run(0)
 
+    @one_thread
     def step(self, ctrl: np.ndarray | wp.array | None = None, n: int = 1) -> None:
         """Take physics steps with the same controls.
 
@@ -228,7 +236,8 @@ class BatchSimulator:
             wanted = (self.worlds, self.model.nu), wp.float32
             if (ctrl.shape, ctrl.dtype) != wanted:
                 raise ValueError(f"ctrl is a wp.array of shape {ctrl.shape} and {ctrl.dtype}, not {wanted}")
-            wp.copy(self._batch.work.knots.reshape((self.worlds, self.model.nu)), ctrl)
+            with capturing:
+                wp.copy(self._batch.work.knots.reshape((self.worlds, self.model.nu)), ctrl)
         elif ctrl is not None:
             shape = (self.worlds, self.model.nu)
             if np.shape(ctrl) not in (shape, shape[1:]):
@@ -237,17 +246,20 @@ class BatchSimulator:
             if self._batch.device.is_cpu:
                 self.ctrl[...] = values
             else:
-                self._batch.work.knots.assign(np.ascontiguousarray(values)[None, :, None])
+                with capturing:
+                    self._batch.work.knots.assign(np.ascontiguousarray(values)[None, :, None])
         self._run(n)
 
     def _run(self, substeps: int) -> None:
         if installed := callbacks():
             raise ValueError(f"the physics of warpmpc has no {installed}")
         if self._substeps != substeps:
-            self._batch.work.substeps.fill_(substeps)
+            with capturing:
+                self._batch.work.substeps.fill_(substeps)
             self._substeps = substeps
         self._batch.run()
 
+    @one_thread
     def set_numbers(self, mask: np.ndarray | None = None, **numbers: np.ndarray) -> None:
         """Give worlds numbers of their own; nothing is compiled.
 

@@ -10,7 +10,7 @@ import mujoco.batch
 import numpy as np
 
 from .batch import BatchRollout
-from .rollout import put
+from .ready import put
 
 _BITS = {
     name: int(getattr(mujoco.mjtState, f"mjSTATE_{name}"))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -12,13 +13,13 @@ import numpy as np
 import warp as wp
 
 from ..compiling import compile_kernel
-from ..launch import Launcher, Replay
+from ..launch import Launcher, Replay, capturing, one_thread
 from ..thread_pool import ThreadPool
 from .simulator import BatchSimulator
 from .world_view import KINDS, WorldView
 
 try:
-    from gymnasium.error import ResetNeeded
+    from gymnasium.error import ClosedEnvironmentError, ResetNeeded
     from gymnasium.spaces import Box
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
@@ -98,7 +99,7 @@ class BatchVectorEnv(VectorEnv):
     Functions of Warp say what they are about, each of one world, evaluated in one launch for all worlds; they read it
     by the functions of ``warpmpc.physics.world_view``, such as ``joint_position(s, i)``. A world that diverges
     terminates with reward 0 and an observation of zeros. The same seed gives the same bits, whatever the number of
-    threads.
+    threads. One thread at a time uses it: a call while another thread is in one is a ``RuntimeError``.
 
     Args:
         simulator: Worlds, on a CPU or a GPU.
@@ -142,6 +143,7 @@ class BatchVectorEnv(VectorEnv):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ):
+        self._in_use = threading.RLock()
         for function in (observe, *rewards, *terminations):
             if not isinstance(function, wp.Function):
                 raise TypeError(f"{getattr(function, '__name__', function)} is no function of Warp: add @wp.func")
@@ -151,7 +153,8 @@ class BatchVectorEnv(VectorEnv):
         self._start, self._numbers = start, numbers
         self._substeps, self._limit = substeps, max_episode_steps or np.inf
         self._set_spaces(size, actions)
-        self._set_kernel(observe, rewards, terminations, size)
+        with capturing:  # another thread's recording would take in what is allocated here
+            self._set_kernel(observe, rewards, terminations, size)
         self._steps = np.zeros(self.num_envs, dtype=int)
         self._over = np.ones(self.num_envs, dtype=bool)  # until the first reset
 
@@ -218,7 +221,8 @@ class BatchVectorEnv(VectorEnv):
 
     def _evaluate(self, mask: np.ndarray, task: int) -> None:
         """Evaluate some worlds ``[W]``; what was written for the others stays."""
-        self._task.assign(np.where(mask, task, LEAVE).astype(np.int32))
+        with capturing:
+            self._task.assign(np.where(mask, task, LEAVE).astype(np.int32))
         if self._pool is None:
             self._replays[0]()
         else:
@@ -231,6 +235,7 @@ class BatchVectorEnv(VectorEnv):
             self._outside.zero_()
             raise IndexError(f"observe, a reward or a termination reads a {KINDS[kind - 1]} that is out of range")
 
+    @one_thread
     def set_weights(self, **weights: float) -> None:
         """Change weights of rewards by the names of their functions; nothing is compiled.
 
@@ -242,13 +247,23 @@ class BatchVectorEnv(VectorEnv):
             if name not in self.reward_names:
                 raise ValueError(f"there is no reward {name}; there is: {', '.join(self.reward_names)}")
             values[[own == name for own in self.reward_names]] = value
-        self._weight.assign(values)
+        with capturing:
+            self._weight.assign(values)
+
+    @one_thread
+    def close_extras(self, **options: object) -> None:
+        """Refuse to close while another thread steps; nothing works afterwards."""
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError("the environments have been closed: make them anew")
 
     def reward_terms(self) -> dict[str, np.ndarray]:
         """Share of each reward in the last step ``[W]``, by the name of its function."""
         terms = self._terms.numpy()
         return {name: terms[:, [own == name for own in self.reward_names]].sum(axis=1) for name in self.reward_names}
 
+    @one_thread
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -262,9 +277,11 @@ class BatchVectorEnv(VectorEnv):
             Observations ``[W, n]`` and an empty dictionary.
 
         Raises:
+            ClosedEnvironmentError: After ``close``.
             ValueError: If the mask has no boolean for each world, or none is true, or the observation is longer than
                 its size.
         """
+        self._check_open()
         super().reset(seed=seed)
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
@@ -283,6 +300,7 @@ class BatchVectorEnv(VectorEnv):
         self._evaluate(mask, BEGIN)
         self._steps[mask], self._over[mask] = 0, False
 
+    @one_thread
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Take one step in every world.
 
@@ -294,9 +312,11 @@ class BatchVectorEnv(VectorEnv):
             in the mode ``SAME_STEP`` has ``final_obs`` and ``_final_obs`` of episodes that are over, as in gymnasium.
 
         Raises:
+            ClosedEnvironmentError: After ``close``.
             ResetNeeded: Before the first reset, and in the mode ``DISABLED`` where an episode is over.
             ValueError: If the actions have another shape.
         """
+        self._check_open()
         over, info = self._over.copy(), {}
         if over.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or (over.all() and not self._steps.any())):
             raise ResetNeeded(f"{over.sum()} of {self.num_envs} worlds need a reset before they step")
