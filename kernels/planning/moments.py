@@ -23,13 +23,74 @@ _ROUNDED = """
 @wp.func_native(
     _ROUNDED
     + """
-    float* __restrict__ sum = sums.data + (size_t)e * columns;
+    float* __restrict__ sum = sums.data + (size_t)e * sums.shape[1] * columns;
     for (int c = 0; c < columns; ++c) sum[c] = sum[c] + weight * row[c];
 """
 )
-def add_sample(knots: wp.array3d[float], weight: float, e: int, s: int, sums: wp.array2d[float]):
-    """Add w θ of one sample to sums of every column."""
+def add_sample(knots: wp.array3d[float], weight: float, e: int, s: int, sums: wp.array3d[float]):
+    """Add w θ of one sample to the first sums of every column."""
     ...
+
+
+@wp.func_native(
+    _ROUNDED
+    + """
+    const float* __restrict__ low = lower.data;
+    const float* __restrict__ high = upper.data;
+    const float* __restrict__ about = mean.data + (size_t)e * columns;
+    float* __restrict__ deviation = sums.data + ((size_t)e * sums.shape[1] + 1) * columns;
+    float* __restrict__ outside = deviation + columns;
+    for (int c = 0; c < columns; ++c) {
+        deviation[c] = deviation[c] + (row[c] - about[c]);
+        outside[c] = outside[c] + (row[c] < low[c] || row[c] > high[c] ? 1.0f : 0.0f);
+    }
+"""
+)
+def add_drawn(
+    knots: wp.array3d[float],
+    mean: wp.array2d[float],
+    lower: wp.array[float],
+    upper: wp.array[float],
+    e: int,
+    s: int,
+    sums: wp.array3d[float],
+):
+    """Add θ-μ of one sample to the second sums of every column, and whether it is outside the limits to the third."""
+    ...
+
+
+@wp.func
+def moved_mean(
+    mean: float,
+    alpha: float,
+    weighted: float,
+    total: float,
+    noise: float,
+    deviation: float,
+    outside: float,
+    lower: float,
+    upper: float,
+):
+    """One number of the mean after a step α towards Σwθ/Σw, without the part that is noise where a limit was met.
+
+    That part is the sum of the drawn samples' deviations, as a control variate of the weighted one.
+    """
+    moved = (1.0 - alpha) * mean + alpha * weighted / total
+    if outside > 0.0:
+        moved -= alpha * noise * deviation
+    return wp.clamp(moved, lower, upper)
+
+
+@wp.func
+def share_of_noise(total: float, squares: float, weighted_variance: float, variance: float):
+    """Share of the sum of all deviations that a weighted mean of noise has.
+
+    With weights that do not depend on it Σw(θ-μ)/Σw and Σ(θ-μ) have the covariance σ² Σws²/Σw, s² the samples'
+    ``variance``, and the second has the variance σ² Σs². One sample that has all weight is taken as it is.
+    """
+    if variance <= 0.0:
+        return 0.0
+    return (1.0 - squares / (total * total)) * weighted_variance / (total * variance)
 
 
 @wp.func_native(
@@ -66,6 +127,10 @@ def update_mean_kernel(
     # inputs
     knots: wp.array3d[float],  # [E, S, P·nu]
     weight: wp.array2d[float],  # [E, S]
+    variance: wp.array[float],  # [S] of the samples' noise, relative, 0 where they are not drawn
+    tried: int,  # samples
+    lower: wp.array[float],  # [P·nu]
+    upper: wp.array[float],  # [P·nu]
     alpha: float,
     # outputs
     mean: wp.array2d[float],  # [E, P·nu] updated in place
@@ -78,14 +143,33 @@ def update_mean_kernel(
 
     partial = float(0.0)
     partial_weight = float(0.0)
-    for s in range(lane, weight.shape[1], wp.block_dim()):
-        partial += weight[e, s] * knots[e, s, c]
-        partial_weight += weight[e, s]
-    total = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
-    total_weight = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+    partial_squares = float(0.0)
+    partial_weighted = float(0.0)
+    partial_variance = float(0.0)
+    partial_deviation = float(0.0)
+    partial_outside = float(0.0)
+    for s in range(lane, tried, wp.block_dim()):
+        w = weight[e, s]
+        theta = knots[e, s, c]
+        partial += w * theta
+        partial_weight += w
+        partial_squares += w * w
+        partial_weighted += w * variance[s]
+        partial_variance += variance[s]
+        if variance[s] > 0.0:
+            partial_deviation += theta - mean[e, c]
+            partial_outside += wp.where(theta < lower[c] or theta > upper[c], 1.0, 0.0)
+    weighted = wp.tile_extract(wp.tile_sum(wp.tile(partial)), 0)
+    total = wp.tile_extract(wp.tile_sum(wp.tile(partial_weight)), 0)
+    squares = wp.tile_extract(wp.tile_sum(wp.tile(partial_squares)), 0)
+    weighted_variance = wp.tile_extract(wp.tile_sum(wp.tile(partial_weighted)), 0)
+    added_variance = wp.tile_extract(wp.tile_sum(wp.tile(partial_variance)), 0)
+    deviation = wp.tile_extract(wp.tile_sum(wp.tile(partial_deviation)), 0)
+    outside = wp.tile_extract(wp.tile_sum(wp.tile(partial_outside)), 0)
 
-    if lane == 0 and total_weight > 0.0:
-        mean[e, c] = (1.0 - alpha) * mean[e, c] + alpha * total / total_weight
+    if lane == 0 and total > 0.0:
+        noise = share_of_noise(total, squares, weighted_variance, added_variance)
+        mean[e, c] = moved_mean(mean[e, c], alpha, weighted, total, noise, deviation, outside, lower[c], upper[c])
 
 
 @wp.kernel
@@ -93,25 +177,42 @@ def sweep_mean_kernel(
     # inputs
     knots: wp.array3d[float],  # [E, S, P·nu]
     weight: wp.array2d[float],  # [E, S]
+    variance: wp.array[float],  # [S] of the samples' noise, relative, 0 where they are not drawn
+    tried: int,  # samples
+    lower: wp.array[float],  # [P·nu]
+    upper: wp.array[float],  # [P·nu]
     alpha: float,
     # outputs
-    sums: wp.array2d[float],  # [E, P·nu] scratch
+    sums: wp.array3d[float],  # [E, 3, P·nu] scratch: weighted, deviation of the drawn ones, outside the limits
     mean: wp.array2d[float],  # [E, P·nu] updated in place
 ):
     """One thread on the CPU: what ``update_mean_kernel`` does, for one environment."""
     e = wp.tid()
 
-    for c in range(mean.shape[1]):
-        sums[e, c] = 0.0
-    total_weight = float(0.0)
-    for s in range(weight.shape[1]):
+    for i in range(3):
+        for c in range(mean.shape[1]):
+            sums[e, i, c] = 0.0
+    total = float(0.0)
+    squares = float(0.0)
+    weighted_variance = float(0.0)
+    added_variance = float(0.0)
+    for s in range(tried):
         w = weight[e, s]
-        total_weight += w
+        total += w
+        squares += w * w
+        weighted_variance += w * variance[s]
+        added_variance += variance[s]
         if w != 0.0:
             add_sample(knots, w, e, s, sums)
-    if total_weight > 0.0:
+        if variance[s] > 0.0:
+            add_drawn(knots, mean, lower, upper, e, s, sums)
+    if total > 0.0:
+        noise = share_of_noise(total, squares, weighted_variance, added_variance)
         for c in range(mean.shape[1]):
-            mean[e, c] = (1.0 - alpha) * mean[e, c] + alpha * sums[e, c] / total_weight
+            deviation, outside = sums[e, 1, c], sums[e, 2, c]
+            mean[e, c] = moved_mean(
+                mean[e, c], alpha, sums[e, 0, c], total, noise, deviation, outside, lower[c], upper[c]
+            )
 
 
 @wp.kernel

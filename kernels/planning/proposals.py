@@ -51,13 +51,17 @@ def shape_row(
 @wp.func_native(
     _ROUNDED
     + """
+    float* __restrict__ free = drawn.data + ((size_t)e * knots.shape[1] + s) * columns;
     const float* __restrict__ in = noise.data + ((size_t)e * knots.shape[1] + s) * columns;
     const float* __restrict__ about = mean.data + (size_t)e * columns;
     const float* __restrict__ deviation = sigma.data + (size_t)e * columns;
     const float* __restrict__ factor = schedule.data + (size_t)iteration * columns;
     const float* __restrict__ low = lower.data;
     const float* __restrict__ high = upper.data;
-    for (int c = begin; c < end; ++c) out[c] = wp::clamp(about[c] + factor[c] * deviation[c] * in[c], low[c], high[c]);
+    for (int c = begin; c < end; ++c) {
+        free[c] = about[c] + factor[c] * deviation[c] * in[c];
+        out[c] = wp::clamp(free[c], low[c], high[c]);
+    }
 """
 )
 def perturb_row(
@@ -72,6 +76,7 @@ def perturb_row(
     s: int,
     begin: int,
     end: int,
+    drawn: wp.array3d[float],
     knots: wp.array3d[float],
 ):
     """Columns ``begin`` to ``end`` of one sample about the mean, mean + f σ ⊙ (B z)."""
@@ -81,17 +86,21 @@ def perturb_row(
 @wp.func_native(
     _ROUNDED
     + """
+    float* __restrict__ free = drawn.data + ((size_t)e * knots.shape[1] + s) * columns;
     const float* __restrict__ in = noise.data + ((size_t)e * knots.shape[1] + s) * columns;
     const float* __restrict__ about = mean.data + (size_t)e * columns;
     const float* __restrict__ scale = schedule.data + (size_t)iteration * columns;
-    for (int c = begin; c < end; ++c) out[c] = 0.0f;
+    for (int c = begin; c < end; ++c) free[c] = 0.0f;
     for (int lag = 0; lag < bands.shape[1]; ++lag) {
         const float* __restrict__ band = bands.data + ((size_t)e * bands.shape[1] + lag) * columns;
-        for (int c = begin < lag ? lag : begin; c < end; ++c) out[c] = out[c] + band[c] * in[c - lag];
+        for (int c = begin < lag ? lag : begin; c < end; ++c) free[c] = free[c] + band[c] * in[c - lag];
     }
     const float* __restrict__ low = lower.data;
     const float* __restrict__ high = upper.data;
-    for (int c = begin; c < end; ++c) out[c] = wp::clamp(about[c] + scale[c] * out[c], low[c], high[c]);
+    for (int c = begin; c < end; ++c) {
+        free[c] = about[c] + scale[c] * free[c];
+        out[c] = wp::clamp(free[c], low[c], high[c]);
+    }
 """
 )
 def perturb_row_together(
@@ -106,6 +115,7 @@ def perturb_row_together(
     s: int,
     begin: int,
     end: int,
+    drawn: wp.array3d[float],
     knots: wp.array3d[float],
 ):
     """Columns ``begin`` to ``end`` of one sample about the mean, mean + f L (B z), L by its bands."""
@@ -165,9 +175,10 @@ def perturb_knots_kernel(
     first: int,  # row e·S + s of thread 0
     lanes: int,  # threads that share the columns of a sample
     # outputs
+    drawn: wp.array3d[float],  # [E, S, P·nu] before the limits
     knots: wp.array3d[float],  # [E, S, P·nu] within the limits
 ):
-    """One thread: some columns of one sample, θ = clamp(mean + σ ⊙ (B z)): what is stored is what is rolled out.
+    """One thread: some columns of one sample, mean + σ ⊙ (B z) as drawn, and within the limits, as it is rolled out.
 
     Sample 0 may be the mean itself, samples 1 to F are fixed ones. With a full covariance the noise of a knot is L z.
     """
@@ -179,14 +190,16 @@ def perturb_knots_kernel(
 
     if s == 0 and mean_row != 0:
         for c in range(begin, end):
-            knots[e, s, c] = wp.clamp(mean[e, c], lower[c], upper[c])
+            drawn[e, s, c] = wp.clamp(mean[e, c], lower[c], upper[c])
+            knots[e, s, c] = drawn[e, s, c]
     elif s > 0 and s <= fixed_rows:
         for c in range(begin, end):
-            knots[e, s, c] = wp.clamp(fixed[s - 1, e, c], lower[c], upper[c])
+            drawn[e, s, c] = wp.clamp(fixed[s - 1, e, c], lower[c], upper[c])
+            knots[e, s, c] = drawn[e, s, c]
     elif full != 0:
-        perturb_row_together(mean, bands, schedule, iteration, noise, lower, upper, e, s, begin, end, knots)
+        perturb_row_together(mean, bands, schedule, iteration, noise, lower, upper, e, s, begin, end, drawn, knots)
     else:
-        perturb_row(mean, sigma, schedule, iteration, noise, lower, upper, e, s, begin, end, knots)
+        perturb_row(mean, sigma, schedule, iteration, noise, lower, upper, e, s, begin, end, drawn, knots)
 
 
 @wp.kernel

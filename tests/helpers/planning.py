@@ -15,6 +15,18 @@ from warpmpc.task.task import Task
 PLANNER = {"samples": 48, "horizon": 8, "noise": {"sigma": (0.5,)}}
 
 
+def limited_mean(drawn, weight, mean, limits, *, alpha: float, variance) -> np.ndarray:
+    """What a mean [E, P, nu] becomes where samples [E, S, P, nu] may be outside limits [nu], in float64."""
+    tried = len(variance)
+    others = drawn[:, :tried][:, variance > 0.0]
+    share = weight[:, :tried] / weight[:, :tried].sum(axis=1, keepdims=True)
+    step = np.einsum("es,espu->epu", share, drawn[:, :tried]) - mean
+    factor = (1.0 - np.square(share).sum(axis=1)) * (share @ variance) / variance.sum()
+    noise = factor[:, None, None] * (others - mean[:, None]).sum(axis=1)
+    met = np.any((others < limits[0]) | (others > limits[1]), axis=1)
+    return np.clip(mean + alpha * (step - np.where(met, noise, 0.0)), *limits)
+
+
 class Planning:
     """A plan step of the disc that drives to (1, 0.5), away from any controller."""
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from planning import Planning
+from planning import Planning, limited_mean
 
 from warpmpc import SceneError
 from warpmpc.planner.strategy import proposal
@@ -76,9 +76,12 @@ def test_plans_of_three_rounds_match_the_reference(form, seed, anneal):
             factor = schedule[i][:, None, None] * np.linalg.cholesky(covariance)
             drawn = mean[:, None] + np.einsum("epuv,espv->espu", factor, planning.noise)
             np.testing.assert_allclose(knots[:, 2:], drawn[:, 2:].clip(*planning.limits), atol=3e-4)  # 1 is null
+            drawn[:, :2] = knots[:, :2]
+            drawn = np.where(knots == drawn.clip(*planning.limits).astype(np.float32), drawn, knots)
             weight = np.exp(-(cost - cost.min(axis=1, keepdims=True)) / 0.05)
             weight /= weight.sum(axis=1, keepdims=True)
-            mean = (1.0 - ALPHA_MEAN) * mean + ALPHA_MEAN * np.einsum("es,espu->epu", weight, knots)
+            variance = np.arange(weight.shape[1]) != 1
+            mean = limited_mean(drawn, weight, mean, planning.limits, alpha=ALPHA_MEAN, variance=variance)
             deviation = (knots - mean[:, None]) / schedule[i][:, None]
             covariance = adapted(form, covariance, deviation, weight)
         np.testing.assert_allclose(planning.mean, mean, atol=1e-5)

@@ -6,6 +6,7 @@ import pytest
 import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import limited_mean
 
 from warpmpc.kernels.planning.moments import spread_kernel, update_mean_kernel
 from warpmpc.planner.moments import SampleMoments
@@ -43,6 +44,22 @@ def test_the_mean_matches_the_reference(alpha, samples, device):
     np.testing.assert_allclose(new_mean, expected, rtol=1e-4, atol=1e-5)
 
 
+@given(seed=st.integers(0, 2**31 - 1), fixed=st.integers(0, 4), tried=st.integers(6, 60), wide=st.floats(0.5, 5.0))
+def test_the_mean_of_samples_that_met_limits_matches_the_reference(seed, fixed, tried, wide, device):
+    drawn, weight, mean = some_samples(seed, 60)
+    weight[:, tried:] = 0.0  # a cost of +inf
+    limits, alpha = (np.array([-wide, -9.0, -0.1]), np.array([wide, 9.0, 0.2])), 0.7
+    columns = [wp.array(np.tile(limit, 5), dtype=float, device=device) for limit in limits]
+    variance = np.random.default_rng(seed).uniform(size=60)
+    variance[1 : fixed + 1] = 0.0
+    arrays = (wp.array(a, dtype=float, device=device) for a in (drawn, weight))
+    out = wp.array(mean, dtype=float, device=device)
+    moments = SampleMoments(*arrays, limits=columns, variance=wp.array(variance, dtype=float, device=device))
+    moments.move_mean(out, alpha, tried=tried)
+    expected = limited_mean(drawn, weight, mean, limits, alpha=alpha, variance=variance[:tried])
+    np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("full", [False, True])
 @pytest.mark.parametrize("samples", [1, 300])
 def test_the_spread_matches_the_reference(samples, full, device):
@@ -62,15 +79,18 @@ def test_the_spread_matches_the_reference(samples, full, device):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_sweep_on_the_cpu_adds_up_the_bits_that_blocks_do(seed, full):
     knots, weight, mean = some_samples(seed)
-    moments = moments_of(knots, weight, full=full, device="cpu")
+    bounds = [wp.full(15, bound, dtype=float, device="cpu") for bound in (-0.9, 2.9)]
+    variance = wp.array([*range(300)], dtype=float, device="cpu")
+    arrays = (wp.array(a, dtype=float, device="cpu") for a in (knots, weight))
+    moments = SampleMoments(*arrays, limits=bounds, variance=variance, full=full)
     swept, blocks = (wp.array(mean, dtype=float, device="cpu") for _ in range(2))
-    moments.move_mean(swept, 0.3)
+    moments.move_mean(swept, 0.3, tried=290)
     flat = [wp.array(a.reshape(*a.shape[:-2], 15), dtype=float, device="cpu") for a in (knots, mean)]
     weight = wp.array(weight, dtype=float, device="cpu")
     wp.launch_tiled(
         update_mean_kernel,
         dim=[2, 15],
-        inputs=[flat[0], weight, 0.3],
+        inputs=[flat[0], weight, variance, 290, *bounds, 0.3],
         outputs=[blocks.reshape((2, 15))],
         block_dim=256,
         device="cpu",

@@ -113,7 +113,7 @@ class Gaussian(RecedingPlan):
         knots, nu = self.dim[1:]
         self._columns = knots * nu
         self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
-        self._column_limits = [
+        self.column_limits = [
             wp.array(np.tile(limit.numpy(), knots), dtype=float, device=self.device) for limit in self._limits
         ]
 
@@ -142,31 +142,37 @@ class Gaussian(RecedingPlan):
         iteration: int,
         *,
         mean: bool,
-        knots: wp.array,
+        knots: tuple[wp.array, wp.array],
         first: int,
         count: int,
     ) -> None:
-        """Write sampled knots ``[E, S, P, nu]``: the mean, what is not drawn, and mean + σ ⊙ (B z); capture-safe.
+        """Write sampled knots: the mean, what is not drawn, and mean + σ ⊙ (B z); capture-safe.
 
         Args:
             noise: Shaped noise B z ``[E, S, P, nu]``.
             undrawn: Knots ``[F, E, P, nu]`` of samples that are not drawn, and F, which may be none of them.
             iteration: Row of the schedule of σ.
             mean: Whether the mean is among the samples.
+            knots: Samples as drawn and within the limits ``[E, S, P, nu]``.
         """
         covariance, lanes = self.covariance, step_lanes(self._columns, self.device)
         spread = [rows(covariance.sigma), covariance.bands, int(covariance.full), self._schedule, iteration]
         others = [rows(undrawn[0]), undrawn[1], int(mean)]
-        inputs = [rows(self.mean), *spread, rows(noise), *others, *self._column_limits]
-        self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(knots)])
+        inputs = [rows(self.mean), *spread, rows(noise), *others, *self.column_limits]
+        self._launch(perturb_knots_kernel, (count, lanes), [*inputs, first, lanes], [rows(array) for array in knots])
 
-    def follow(self, moments: SampleMoments, iteration: int, *, step_size: float) -> None:
+    def follow(self, moments: SampleMoments, iteration: int, *, tried: int, step_size: float) -> None:
         """Move the mean towards weighted samples, then the covariance towards their spread about it; capture-safe.
+
+        The mean follows the samples as they were drawn, and is put within the limits, which are a part of the model
+        (Williams et al. 2018): clipped samples lean away from a near limit, and would move it where all costs are
+        equal. The covariance follows the samples as they were rolled out.
 
         Args:
             moments: Moments of the samples and their weights.
             iteration: Row of the schedule that they were drawn with.
+            tried: Samples that were tried, the first ones.
             step_size: Step α_μ of the mean.
         """
-        moments.move_mean(self.mean, step_size)
+        moments.move_mean(self.mean, step_size, tried=tried)
         self.covariance.follow(moments, self.mean, iteration)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import warp as wp
 
 from ..kernels.planning.moments import (
@@ -15,13 +17,19 @@ from ..kernels.planning.moments import (
 from ..launch import Launcher
 from .weighting import block_dim
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 
 class SampleMoments:
     """Mean and spread of weighted samples: in blocks on a GPU, in one sweep through memory on the CPU.
 
     Args:
         knots: Samples ``[E, S, P, nu]``.
+        drawn: The same before the limits; without limits when left out.
         weight: Their weights ``[E, S]``.
+        limits: Lower and upper limits of the columns, ``[P·nu]`` each; none when left out.
+        variance: Relative variance of their noise, 0 where they are not drawn, ``[S]``; 1 when left out.
         full: Whether the spread has products of different controls.
     """
 
@@ -30,12 +38,25 @@ class SampleMoments:
     total: wp.array[float]
     """Sums of the weights that belong to them, ``[E]``."""
 
-    def __init__(self, knots: wp.array, weight: wp.array, *, full: bool = False):
+    def __init__(
+        self,
+        knots: wp.array,
+        weight: wp.array,
+        *,
+        drawn: wp.array | None = None,
+        limits: Sequence[wp.array] = (),
+        variance: wp.array | None = None,
+        full: bool = False,
+    ):
         envs, samples, count, nu = knots.shape
         self.device = knots.device
         self._launch, self._columns, self._block_dim = Launcher(self.device), count * nu, block_dim(samples)
+        none = [wp.full(count * nu, bound, dtype=float, device=self.device) for bound in (-wp.inf, wp.inf)]
+        self._limits = limits or none
+        self._variance = wp.full(samples, 1.0, dtype=float, device=self.device) if variance is None else variance
         self._knots, self._weight = knots.reshape((envs, samples, count * nu)), weight
-        self._sums = wp.zeros((envs, count * nu), dtype=float, device=self.device)
+        self._drawn = self._knots if drawn is None else drawn.reshape(self._knots.shape)
+        self._sums = wp.zeros((envs, 3, count * nu), dtype=float, device=self.device)
         self._deviation = wp.zeros((envs, 2, count * nu), dtype=float, device=self.device)
         self.products = wp.zeros((envs, nu if full else 1, count * nu), dtype=float, device=self.device)
         self.total = wp.zeros(envs, dtype=float, device=self.device)
@@ -43,9 +64,14 @@ class SampleMoments:
     def _flat(self, plan: wp.array) -> wp.array:
         return plan.reshape((plan.shape[0], self._columns))
 
-    def move_mean(self, mean: wp.array, alpha: float) -> None:
-        """Move a mean ``[E, P, nu]`` towards the weighted samples by step size α; capture-safe."""
-        envs, inputs = mean.shape[0], [self._knots, self._weight, alpha]
+    def move_mean(self, mean: wp.array, alpha: float, *, tried: int | None = None) -> None:
+        """Move a mean ``[E, P, nu]`` towards the weighted samples by step size α; capture-safe.
+
+        Args:
+            tried: Samples that were tried, the first ones; all when left out.
+        """
+        tried = self._weight.shape[1] if tried is None else tried
+        envs, inputs = mean.shape[0], [self._drawn, self._weight, self._variance, tried, *self._limits, alpha]
         if self.device.is_cpu:
             self._launch(sweep_mean_kernel, envs, inputs, [self._sums, self._flat(mean)])
         else:

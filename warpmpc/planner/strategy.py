@@ -167,7 +167,18 @@ class SamplingStrategy(Strategy):
         self.population = _population(planner, samples, self._fixed)
         self._drawn: NoiseSource | None = None
         """Noise of the sample that is carried out, where it is drawn for that."""
-        self.moments = SampleMoments(self.knots, self.weights.weight, full=covariance.full)
+        self._unlimited = wp.zeros_like(self.knots)
+        """The samples before the limits."""
+        variance = np.square(np.geomspace(*planner.noise.spread, samples))
+        variance[1 : self._fixed + 1] = 0.0
+        self.moments = SampleMoments(
+            self.knots,
+            self.weights.weight,
+            drawn=self._unlimited,
+            limits=self.distribution.column_limits,
+            variance=wp.array(variance, dtype=float, device=device),
+            full=covariance.full,
+        )
         white = planner.noise.shape is NoiseShape.IDENTITY
         self.noise = NoiseSource(
             source=planner.noise.source,
@@ -210,8 +221,8 @@ class SamplingStrategy(Strategy):
         envs, knots = len(self.mean), self.mean.reshape((len(self.mean), 1, *self.mean.shape[1:]))
         self._drawn.advance(self._state.observed)
         self._drawn.draw(0, envs)
-        undrawn = self._fixed_knots, 0
-        self.distribution.perturb(self._drawn.noise, undrawn, iteration, mean=False, knots=knots, first=0, count=envs)
+        undrawn, written = (self._fixed_knots, 0), (wp.empty_like(knots), knots)
+        self.distribution.perturb(self._drawn.noise, undrawn, iteration, mean=False, knots=written, first=0, count=envs)
 
     def _undrawn(self) -> list[Proposer]:
         """The samples that a scene does not want drawn."""
@@ -259,9 +270,9 @@ class SamplingStrategy(Strategy):
         if self.noise.redraw:
             self.noise.draw(first, count)
         mean = self._planner.try_mean is TryMean.ALWAYS or iteration == len(self.population) - 1
-        undrawn = self._fixed_knots, self._fixed
+        undrawn, written = (self._fixed_knots, self._fixed), (self._unlimited, self.knots)
         self.distribution.perturb(
-            self.noise.noise, undrawn, iteration, mean=mean, knots=self.knots, first=first, count=count
+            self.noise.noise, undrawn, iteration, mean=mean, knots=written, first=first, count=count
         )
 
     def update(self, iteration: int) -> None:
@@ -270,7 +281,7 @@ class SamplingStrategy(Strategy):
         if tried < cost.shape[1]:
             self._launch(forget_cost_kernel, (cost.shape[0], cost.shape[1] - tried), [tried], [cost])
         self.weighting.launch(self.weights)
-        self.distribution.follow(self.moments, iteration, step_size=self._planner.step_size)
+        self.distribution.follow(self.moments, iteration, tried=tried, step_size=self._planner.step_size)
         if self._best:
             self.moments.keep_best(cost, self._best.knots)
         if self._drawn and iteration == len(self.population) - 1:

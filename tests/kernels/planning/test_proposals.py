@@ -55,7 +55,9 @@ def perturb(
     inputs += [on(np.repeat(schedule, nu, axis=1)), iteration, noise]
     inputs += [on(rows or np.zeros((1, envs, wide)), max(len(rows), 1), envs, wide), len(rows), int(mean_row)]
     inputs += [on(np.tile(lower, knots)), on(np.tile(upper, knots)), first, lanes[1]]
-    wp.launch(perturb_knots_kernel, dim=(count, lanes[1]), inputs=inputs, outputs=[out], device=device)
+    wp.launch(
+        perturb_knots_kernel, dim=(count, lanes[1]), inputs=inputs, outputs=[wp.empty_like(out), out], device=device
+    )
     return out.numpy().reshape(z.shape)
 
 
