@@ -53,6 +53,11 @@ TABLE = [
         {'ctrlrange="-2 2"': 'ctrlrange="-115 115"'},
         ("robot.arm.asset", "is one of them in degrees?", "give ctrlrange in radians"),
     ),
+    Mistake(
+        "few solver iterations",
+        {'<compiler angle="radian"/>': '<compiler angle="radian"/><option iterations="1"/>'},
+        ("engine.iterations", 'has <option iterations="1">', "set engine.iterations = 20 or more"),
+    ),
     Mistake("sign of a servo's gain", {'kp="50"': 'kp="-50"'}, ("robot.arm.asset", "wrong sign", "kp and kv are pos")),
     Mistake(
         "sign of a gear",

@@ -49,6 +49,33 @@ def test_edges_of_single_precision(name, caplog):
     assert len(lines) == ('solref="' in CASES[name])
 
 
+LEG = """<body pos="{0} {1} 0"><joint name="h{2}" axis="0 1 0"/>
+  <geom size=".02" pos="-.04 0 -.08" mass=".5" contype="0" conaffinity="0"/><body pos="-.08 0 -.16">
+  <joint name="k{2}" axis="0 1 0"/><geom size=".03" pos=".08 0 -.16" mass=".25" friction=".8"/></body></body>"""
+FEW = """<mujoco><option timestep=".004" iterations="{0}" ls_iterations="{1}" cone="{2}">
+<flag warmstart="{3}"/></option><default><joint armature=".01"/></default><worldbody>
+<geom type="plane" size="5 5 .1" friction=".6"/>{4}
+<body pos=".02 0 .22"><freejoint/><geom type="box" size=".05 .05 .04" mass=".3"/></body>
+<body pos="2 0 .345"><freejoint/><geom type="box" size=".2 .1 .05" mass="6" contype="0" conaffinity="0"/>{5}{6}</body>
+</worldbody><actuator><position joint="h0" kp="40"/><position joint="k1" kp="40"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("iterations", "searches", "cone", "warm"),
+    [
+        (1, 4, "pyramidal", "enable"),
+        (3, 5, "elliptic", "enable"),
+        pytest.param(5, 8, "pyramidal", "disable", marks=pytest.mark.slow),
+        pytest.param(19, 4, "elliptic", "disable", marks=pytest.mark.slow),
+    ],
+)
+def test_few_iterations_end_where_those_of_mujoco_do(iterations, searches, cone, warm):
+    """Two bodies that touch the floor and one another, and a robot on legs, which is another island."""
+    box, legs = BOX.format('friction=".6"'), (LEG.format(0.18, 0.1, 0), LEG.format(-0.18, -0.1, 1))
+    found = apart(mujoco.MjModel.from_xml_string(FEW.format(iterations, searches, cone, warm, box, *legs)))
+    assert found.worst <= ROUNDING, found
+
+
 def check(text: str) -> None:
     model = mujoco.MjModel.from_xml_string(text)
     if missing(model) is None:

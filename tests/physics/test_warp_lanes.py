@@ -32,6 +32,12 @@ def test_lanes_agree_with_registers(text, integrator, tmp_path_factory):
     check(compile_model(text, integrator), tmp_path_factory)
 
 
+def test_lanes_agree_with_registers_on_few_iterations(tmp_path_factory):
+    model = compile_model(CONTACTS, "Euler")
+    model.opt.iterations, model.opt.ls_iterations = 2, 4
+    check(model, tmp_path_factory)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "model",

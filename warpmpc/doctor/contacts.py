@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from ..model.overlaps import DEEP
+from ..physics.model import FEW_ITERATIONS
 from .subject import Finding
 
 if TYPE_CHECKING:
@@ -28,12 +29,25 @@ HIGH_ROOT = 0.2
 
 
 def contact_findings(subject: Subject) -> Iterator[Finding]:
-    """Overlaps, entities that nothing can touch, implausible densities, ice, welded roots."""
+    """Overlaps, entities that nothing can touch, implausible densities, ice, welded roots, few solver iterations."""
     yield from _overlaps(subject)
     yield from _untouchable(subject)
     yield from _densities(subject)
     yield from _slippery(subject)
     yield from _welded(subject)
+    yield from _hasty(subject)
+
+
+def _hasty(subject: Subject) -> Iterator[Finding]:
+    """Few solver iterations that nobody asked for in the scene."""
+    count, robots = int(subject.world.model.opt.iterations), subject.compiled.mjcf_robots
+    if subject.scene.engine.iterations is None and robots and count < FEW_ITERATIONS:
+        yield Finding(
+            "engine.iterations",
+            f'the MJCF file of {robots[0].robot.name} has <option iterations="{count}">: contacts are not solved to '
+            "the end, and bodies move otherwise than they should",
+            f"set engine.iterations = {FEW_ITERATIONS} or more",
+        )
 
 
 def _overlaps(subject: Subject) -> Iterator[Finding]:

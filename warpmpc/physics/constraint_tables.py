@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes and tables of constraints and of the friction of joints, for ``native/constraints.h``."""
+"""Sizes and tables of constraints, of the friction of joints and of the solver."""
 
 from __future__ import annotations
 
@@ -7,11 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..bake.lines import literal
 from .base import packed
 from .tables import floats, ints
 
 if TYPE_CHECKING:
     from .model import PhysicsModel
+
+
+ROUGHLY = 0.3
+"""Share of the slope that a line search may leave: more exact ones save no iterations."""
+LINE_SEARCHES = 20
+"""Looks of a line search at least, where the solver comes to the minimum whatever way it goes."""
+LEAST_SLOPE = 1e-6
+"""Share of a slope that rounding may leave of it."""
 
 
 class ConstraintTables:
@@ -27,14 +36,31 @@ class ConstraintTables:
         """Of all constraints, one after the other."""
 
     @property
-    def sizes(self) -> dict[str, int]:
+    def sizes(self) -> dict[str, object]:
         """Macros of the source."""
+        model, m = self.model, self.model.mj
         longest = max([1, *(len(constraint.dofs) for constraint in self.model.constraints)])
-        return {"CONSTRAINTS": len(self.rows), "CONSTRAINT_DOFS": longest, "DRY": len(self.model.dry)}
+        return {
+            "CONSTRAINTS": len(self.rows),
+            "CONSTRAINT_DOFS": longest,
+            "DRY": len(model.dry),
+            "ITERATIONS": model.iterations[0],
+            "FEW": int(model.few),
+            "EXPLICIT": int(model.explicit),
+            "LINE_SEARCH": max(model.iterations[1], LINE_SEARCHES),
+            "LOOKS": literal(float(model.iterations[1])),
+            "LEAST_SLOPE": literal(LEAST_SLOPE),
+            "TOLERANCE": literal(float(m.opt.tolerance)),
+            "WARM": int(not model.off("WARMSTART")),
+            "TREES": len(set(model.dof_top)),
+            "ROUGHLY": literal(max(ROUGHLY, float(m.opt.ls_tolerance))),
+            "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
+        }
 
     def tables(self) -> list[str]:
         """Definitions of the tables."""
-        out = []
+        tops = sorted(set(self.model.dof_top))
+        out = [ints("dof_tree", [tops.index(top) for top in self.model.dof_top])] if self.model.few else []
         if self.rows:
             longest, above, index = self.sizes["CONSTRAINT_DOFS"], self.model.ancestors, self.model.columns.index
             dofs, entries = (np.zeros((len(self.rows), width), int) for width in (longest, packed(longest, 0)))

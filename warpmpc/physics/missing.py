@@ -116,6 +116,10 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         operations(p.ancestors) > MOST_OPERATIONS
     ),
     "noslip iterations": lambda p: p.mj.opt.noslip_iterations,
+    "fewer than 20 solver iterations for contacts as hard as low friction, impratio or solimp make these": lambda p: (
+        p.few and p.hard
+    ),
+    "pyramids without friction at bodies that turn about their centre of mass (condim 1 mends it)": lambda p: p.pinned,
     "double precision for a nearly singular mass matrix (armatures mend it)": lambda p: singular(p.mj),
 }
 """What this engine lacks, and how to see that a model has it."""

@@ -24,6 +24,13 @@ LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
 MOST_POWER = 16
 """Of an impedance."""
+FEW_ITERATIONS = 20
+"""Below so many iterations the solver goes MuJoCo's way, step for step, since it may end before the minimum."""
+HARD = 100.0
+"""Least regularization of rows, over its floor, at which that way is still MuJoCo's."""
+PINNED, LEAST_PINNED_FRICTION = 1e-2, 1e-4
+"""Share of the inverse inertia of what touches that the centre of mass has, and friction, below which pyramids become
+too thin: there friction is all that holds."""
 LEAST_FRICTION = 1e-5
 """Bound of a contact's coefficients of friction."""
 NEWTON = int(mujoco.mjtSolver.mjSOL_NEWTON)
@@ -145,7 +152,7 @@ class PhysicsModel(Structure):
         """Least regularization of each pair, by how light its normal is, and its tangents where it slides."""
         out = []
         for pair in self.pairs:
-            centre = 3.0 * self.mj.body_invweight0[self.mj.geom_bodyid[list(pair.geoms)], 0].sum()
+            centre = self._centre(pair)
             light = sum(self.mobility.geom(g) for g in pair.geoms)
             if not pair.slides:
                 light = 0.0 if centre > LEVER * light else light
@@ -155,6 +162,31 @@ class PhysicsModel(Structure):
                 light *= min(1.0, float(pair.friction[:, 0].min()) ** 2)
             out.append(floor(light, centre))
         return np.array(out)
+
+    @property
+    def hard(self) -> bool:
+        """Return whether a pair is nearly as hard as single precision can have it."""
+        pairs = zip(self.pairs, self._pair_floors, strict=True)
+        return any(p.inverse.min() * p.rows.least_share < HARD * least for p, least in pairs if least > LEAST)
+
+    @property
+    def pinned(self) -> bool:
+        """Return whether pyramids without friction stand on bodies that turn about their centre of mass."""
+        return not self.elliptic and any(
+            pair.slides
+            and pair.friction[:, 0].min() < LEAST_PINNED_FRICTION
+            and self._centre(pair) < PINNED * sum(self.mobility.geom(g) for g in pair.geoms)
+            for pair in self.pairs
+        )
+
+    def _centre(self, pair: PairRow) -> float:
+        """Inverse inertia of both bodies' centres of mass, as a trace [1/kg]."""
+        return 3.0 * float(self.mj.body_invweight0[self.mj.geom_bodyid[list(pair.geoms)], 0].sum())
+
+    @property
+    def few(self) -> bool:
+        """Return whether the solver may end before the minimum, for want of iterations."""
+        return self.iterations[0] < FEW_ITERATIONS
 
     @cached_property
     def mobility(self) -> Mobility:

@@ -57,6 +57,12 @@ class Rows:
         return cls(float(stiffness), float(damping), shape, max(1.0, float(power)))
 
     @property
+    def least_share(self) -> float:
+        """Least regularization over the inverse inertia."""
+        most = max(self.impedance[:2])
+        return (1.0 - most) / most
+
+    @property
     def powered(self) -> tuple[float, ...]:
         """Impedance with its power, and the factors of both pieces."""
         _, _, _, middle = self.impedance

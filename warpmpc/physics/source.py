@@ -41,10 +41,6 @@ FACES = 4
 """The same of two flat shapes, by their faces."""
 MOST_CONTACTS = 64
 """Contacts that there is room for at most, more in large models: what touches at once is far less than what could."""
-ROUGHLY = 0.3
-"""Share of the slope that a line search may leave: more exact ones save no iterations."""
-FEW_ITERATIONS = 20
-"""Below so many iterations the solver goes MuJoCo's way, step for step, since it may end before the minimum."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
 
@@ -93,7 +89,9 @@ class RolloutSource:
             *self._collision_sources(),
             self._native("constraints").replace("BIND", dynamics.bind),
             self._native("fluid"),
-            self._native("solve").replace("BLOCKS", self._blocks()),
+            self._native("solve")
+            .replace("BLOCKS", self._blocks())
+            .replace("PRIMAL", self._native("primal") if self.model.few else ""),
             self._native("watch"),
             step,
         ]
@@ -201,12 +199,6 @@ class RolloutSource:
             "SLIDE_JOINT": SLIDE,
             "TURNING": turning,
             "SCALARS": m.njnt - turning,
-            "ITERATIONS": model.iterations[0],
-            "FEW": int(model.iterations[0] < FEW_ITERATIONS),
-            "EXPLICIT": int(model.explicit),
-            "LINE_SEARCH": model.iterations[1],
-            "ROUGHLY": literal(max(ROUGHLY, float(m.opt.ls_tolerance))),
-            "LINE_TOLERANCE": literal(float(m.opt.ls_tolerance)),
             **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
         }

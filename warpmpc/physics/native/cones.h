@@ -70,6 +70,20 @@ INLINE void slope_contact(const Contact& c, T step, T& d1, T& d2, I& changed) {
     d1 += tip ? c.weight * (n * v0 + uv) : side ? flat * z * z1 : zero();
     d2 += tip ? c.weight * (v0 * v0 + vv) : side ? flat * (z1 * z1 + z * z2) : zero();
 }
+// What a contact costs at a length of the search direction
+INLINE T cost_contact(const Contact& c, T step) {
+    const T mu = slope_of(c), n0 = c.a[0] + step * c.s[0], n = mu * n0;
+    if (ROWS_OF(c) == 1) return n0 < 0.0f ? 0.5f * c.weight * n0 * n0 : zero();
+    T uu = zero();
+    for (int k = 1; k < ROWS_OF(c); ++k) {
+        const T u = c.friction[k - 1] * (c.a[k] + step * c.s[k]);
+        uu += u * u;
+    }
+    I side, tip;
+    const T t = VSQRT(uu), z = n - mu * t;
+    zone(mu, n, t, side, tip);
+    return 0.5f * c.weight * (tip ? n * n + uu : side ? z * z / (1.0f + mu * mu) : zero());
+}
 // Second derivatives (by rows: 00, 10, 11, 20, ...) and first ones of a contact's cost by its rows
 INLINE void derive(const Contact& c, T* second, T* first) {
     const int rows = ROWS_OF(c);
@@ -134,6 +148,17 @@ INLINE void slope_contact(const Contact& c, T step, T& d1, T& d2, I& changed) {
         }
     d1 += c.weight * p1;
     d2 += c.weight * p2;
+}
+// What a contact costs at a length of the search direction
+INLINE T cost_contact(const Contact& c, T step) {
+    const T n = c.a[0] + step * c.s[0], low = VMIN(n, zero());
+    if (ROWS_OF(c) == 1) return 0.5f * c.weight * low * low;
+    T sum = zero();
+    for (int k = 1; k < ROWS_OF(c); ++k) {
+        const T u = c.friction[k - 1] * (c.a[k] + step * c.s[k]), a = VMIN(n + u, zero()), b = VMIN(n - u, zero());
+        sum += a * a + b * b;
+    }
+    return 0.5f * c.weight * sum;
 }
 // Second derivatives (00, 01, 02, ..., then 11, 22, ...) and first ones of a contact's cost by its rows
 INLINE void derive(const Contact& c, T* second, T* first) {

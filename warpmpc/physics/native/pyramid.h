@@ -45,6 +45,19 @@ INLINE void slope_contact(const Contact& c, T step, T& d1, T& d2, I& changed) {
     d1 += c.weight * p1;
     d2 += c.weight * p2;
 }
+// What a contact costs at a length of the search direction
+INLINE T cost_contact(const Contact& c, T step) {
+    T a[4], s[4], sum = zero();
+    const T n = VMIN(c.a[0] + step * c.s[0], zero());
+    if (ROWS == 1 || !group_slides[c.group]) return 0.5f * c.weight * n * n;
+    edges(c.friction[0], c.a, a);
+    edges(c.friction[0], c.s, s);
+    for (int k = 0; k < 4; ++k) {
+        const T at = VMIN(a[k] + step * s[k], zero());
+        sum += at * at;
+    }
+    return 0.5f * c.weight * sum;
+}
 // Second derivatives (00, 01, 02, 11, 22) and first ones of a contact's cost by its rows
 INLINE void derive(const Contact& c, T* second, T* first) {
     if (ROWS == 1 || !group_slides[c.group]) {

@@ -98,11 +98,8 @@ INLINE void descend(World& w, unsigned live) {
     else solve_tree(w.h, w.grad, w.search, -1.0f);
 #endif
 }
-// Accelerations x that minimize the cost; done: lanes that nothing constrains
-FN void newton(World& w, I done) {
-    multiply(w.mm, w.x, w.ma);
-    SYNC
-    EACH(i, NV) w.ma[i] -= w.fs[i];
+// Rows' accelerations beyond the references
+INLINE void project_accelerations(World& w) {
     project(w, ~0u, w.x, &Contact::a);
     SYNC
     EACH(n, w.contacts)
@@ -110,6 +107,14 @@ FN void newton(World& w, I done) {
     EACH(k, w.limits) w.la[k] = w.lside[k] * w.x[w.ldof[k]] - w.lref[k];
     start_ties(w);
     SYNC
+}
+#if !FEW
+// Accelerations x that minimize the cost; done: lanes that nothing constrains
+FN void newton(World& w, I done) {
+    multiply(w.mm, w.x, w.ma);
+    SYNC
+    EACH(i, NV) w.ma[i] -= w.fs[i];
+    project_accelerations(w);
     for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
         const unsigned live = VBITS(VNOT(done));
         descend(w, live);
@@ -164,6 +169,8 @@ FN void newton(World& w, I done) {
         if (!VANY(VNOT(done))) break;
     }
 }
+#endif
+PRIMAL
 // Force of a contact along normal and tangents
 INLINE void contact_force(const Contact& c, T* f) {
     T second[CURVE], first[PUSH];

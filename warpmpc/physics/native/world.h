@@ -97,6 +97,9 @@ struct World {
     int contacts, limits, overflow;  // overflow: lanes whose contacts were too many
     int order[CAPACITY];         // of the contacts by group, which neighbours in other lanes do not change
     Contact con[CAPACITY];
+#if FEW
+    I con_island[CAPACITY];      // first tree of each contact's island
+#endif
 #if COOPERATE
     Raw raw[CAPACITY];
     int found;
