@@ -2,6 +2,7 @@
 """``Batch`` against ``mujoco.batch.Batch``: steps, rollouts, outputs, own numbers, and what MuJoCo's steps are for."""
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import mujoco.batch
@@ -153,3 +154,14 @@ def test_simulations_that_diverge_are_reset_by_mujoco(model):
     agree(*batches)
     np.testing.assert_array_equal(batches[0].warning[..., 1], batches[1].warning[..., 1])
     assert batches[0].warning[[2, 5, 7], :, 1].any(axis=1).all()
+
+
+def test_calls_of_several_threads_wait_for_each_other(model):
+    batches = pair(model, 4)
+    for name in OUTPUTS:
+        assert batches[0].bind(name).shape == batches[1].bind(name).shape
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: batches[0].step(), range(24)))
+    for _ in range(24):
+        batches[1].step()
+    agree(*batches, atol=2e-3)

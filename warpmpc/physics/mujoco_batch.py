@@ -16,8 +16,10 @@ from __future__ import annotations
 import copy
 import logging
 import os
+import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import wraps
 from itertools import pairwise
 
 import mujoco
@@ -68,6 +70,17 @@ class Batch(mujoco.batch.Batch):
         object.__setattr__(self, "_b", _Native(self._b, copy.copy(model), device, fall_back=fall_back))
 
 
+def _one_at_a_time(call: Callable[..., int]) -> Callable[..., int]:
+    """Calls of several threads wait for each other."""
+
+    @wraps(call)
+    def locked(self: _Native, *arguments: object) -> int:
+        with self._lock:
+            return call(self, *arguments)
+
+    return locked
+
+
 class _Native:
     """Receiver of the arrays that MuJoCo's class has checked.
 
@@ -81,9 +94,10 @@ class _Native:
     def __init__(self, mujoco_batch: object, model: mujoco.MjModel, device: wp.DeviceLike, *, fall_back: bool):
         self._mujoco, self._model, self._device, self._fall_back = mujoco_batch, model, device, fall_back
         self._threads = max(1, min(mujoco_batch.nthread, len(os.sched_getaffinity(0))))
-        self._status = mujoco_batch.status()
+        self._lock, self._status = threading.Lock(), mujoco_batch.status()
         self._rows = StateRows(model, mujoco_batch)
         self._outputs: dict[str, np.ndarray] = {}
+        self._written: dict[str, str | None] = {}
         self._expanded: dict[str, np.ndarray] = {}
         self._arrays: dict[str, np.ndarray] = {}
         self._own_models = False
@@ -124,6 +138,7 @@ class _Native:
         self._mujoco.set_models(models)
         self._own_models = models is not None
 
+    @_one_at_a_time
     def step(self, ids: np.ndarray | None = None, nstep: int = 1, stage: int = 0) -> int:
         """Advance simulations; returns how many failed."""
         own, why = int(nstep), self._lacks()
@@ -136,8 +151,9 @@ class _Native:
         if own < 1:
             return self._mujoco.step(ids, nstep, stage)
         chosen, before = self._chosen(ids), self._rows.all.copy() if own < nstep else None
-        batch = self._batch(2, self._outputs if own == nstep else (), held=True)
-        put(batch.work.substeps, np.array([own - 1, 1]))
+        # outputs are those before the last substep, which is a control of its own
+        batch = self._batch(min(own, 2), self._outputs if own == nstep else (), held=True)
+        put(batch.work.substeps, np.array([own - 1, 1] if own > 1 else [1]))
         bad = self._advance(batch, chosen, self._rows.controls(chosen, None, 0))
         failed = self._mujoco.step(_ids(bad), own, 0) if bad.any() else 0
         if own == nstep:
@@ -147,6 +163,7 @@ class _Native:
         self._rows.all[lost] = before[lost]
         return failed
 
+    @_one_at_a_time
     def rollout(
         self, ids: np.ndarray | None, nstep: int, control: np.ndarray | None, control_spec: int, records: list[Record]
     ) -> int:
@@ -213,7 +230,10 @@ class _Native:
 
     def _unwritten(self, names: Iterable[str]) -> str | None:
         """Return what this physics lacks to write fields of MuJoCo's data."""
-        return next((why for name in sorted(names) if (why := unwritten_field(self._model, name))), None)
+        for name in names:
+            if name not in self._written:
+                self._written[name] = unwritten_field(self._model, name)
+        return next((self._written[name] for name in sorted(names) if self._written[name]), None)
 
     def _say(self, why: str, what: str) -> None:
         """Log once what MuJoCo does, or raise an error."""
