@@ -17,7 +17,6 @@ import copy
 import logging
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from functools import wraps
 from itertools import pairwise
@@ -33,7 +32,7 @@ from .data_fields import field_width, unwritten_field
 from .fields import says_something
 from .missing import missing
 from .model_numbers import VARYING
-from .ready import MODELS, put
+from .ready import Ready, put
 from .state_rows import FIELDS, Record, StateRows
 
 logger = logging.getLogger("warpmpc")
@@ -92,8 +91,7 @@ class _Native:
     """
 
     def __init__(self, mujoco_batch: object, model: mujoco.MjModel, device: wp.DeviceLike, *, fall_back: bool):
-        self._mujoco, self._model, self._device, self._fall_back = mujoco_batch, model, device, fall_back
-        self._threads = max(1, min(mujoco_batch.nthread, len(os.sched_getaffinity(0))))
+        self._mujoco, self._model, self._fall_back = mujoco_batch, model, fall_back
         self._lock, self._status = threading.Lock(), mujoco_batch.status()
         self._rows = StateRows(model, mujoco_batch)
         self._outputs: dict[str, np.ndarray] = {}
@@ -102,7 +100,7 @@ class _Native:
         self._arrays: dict[str, np.ndarray] = {}
         self._own_models = False
         self._told: set[str] = set()
-        self._ready: OrderedDict[tuple, tuple[BatchRollout, dict[str, np.ndarray]]] = OrderedDict()
+        self._ready = Ready(model, max(1, min(mujoco_batch.nthread, len(os.sched_getaffinity(0)))), device)
         self._lack = missing(model)
         if mujoco_batch.persistent:
             self._lack = "data that persist between calls"
@@ -261,34 +259,10 @@ class _Native:
         return None
 
     def _batch(self, steps: int, fields: Iterable[str], *, held: bool) -> BatchRollout:
-        """Rollouts that hand fields out, ready for the simulations' own numbers."""
-        key = steps, tuple(sorted(fields)), held, tuple(sorted(self._arrays))
-        arrays = {name: self._arrays[name] for name in key[3]}
-        if key in self._ready and any(self._ready[key][1][name] is not arrays[name] for name in arrays):
-            try:
-                self._ready[key][0].set_arrays(arrays)
-                self._ready[key] = self._ready[key][0], arrays
-            except ValueError:  # other numbers are zero now: another source
-                del self._ready[key]
-        if key not in self._ready:
-            where = {"device": self._device, "threads": self._threads}
-            made = BatchRollout(
-                self._model,
-                self._mujoco.nsim,
-                steps,
-                held=held,
-                fields=key[1],
-                bodies=range(self._model.nbody),
-                arrays=arrays or None,
-                settable=bool(arrays),
-                mocap=self._model.nmocap > 0,
-                **where,
-            )
-            self._ready[key] = made, arrays
-        self._ready.move_to_end(key)
-        while len(self._ready) > MODELS:
-            self._ready.popitem(last=False)
-        return self._ready[key][0]
+        """Rollouts that hand fields out, in which simulations have their own numbers."""
+        m, arrays = self._model, dict(self._arrays)
+        handed = {"fields": tuple(sorted(fields)), "bodies": range(m.nbody), "held": held, "mocap": m.nmocap > 0}
+        return self._ready.batch(self._mujoco.nsim, steps, arrays, settable=bool(arrays), **handed)
 
 
 def _ids(chosen: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 
 import mujoco
 import numpy as np
@@ -38,7 +38,7 @@ class Ready:
         mocap: bool,
     ) -> None:
         """Roll out into arrays of the caller."""
-        batch = self._batch(worlds, steps, arrays, mocap=mocap)
+        batch = self.batch(worlds, steps, arrays, mocap=mocap)
         work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
         put(work.initial, initial_state)
         put(work.knots, control)
@@ -54,19 +54,27 @@ class Ready:
         if lost := int(np.count_nonzero(work.overflow.numpy())):
             logger.warning("%d of %d worlds had more contacts at once than there is room for", lost, worlds)
 
-    def _batch(self, worlds: int, steps: int, arrays: dict[str, np.ndarray], *, mocap: bool) -> BatchRollout:
-        key = worlds, steps, tuple(sorted(arrays)), mocap
+    def batch(self, worlds: int, steps: int, arrays: Mapping[str, np.ndarray], **options: Hashable) -> BatchRollout:
+        """A batch in which worlds have these numbers.
+
+        Args:
+            worlds: Number of worlds W.
+            steps: Number of controls.
+            arrays: Arrays that differ between worlds ``[W, ...]``, which nobody changes.
+            **options: Others of :class:`BatchRollout`.
+        """
+        key = worlds, steps, tuple(sorted(arrays)), *sorted(options.items())
         if key not in self._batches:
             where = {"device": self._device, "threads": self._threads}
-            made = BatchRollout(self._model, worlds, steps, arrays=arrays, mocap=mocap, **where)
+            made = BatchRollout(self._model, worlds, steps, arrays=arrays, **options, **where)
             self._batches[key] = made, arrays
         batch, known = self._batches[key]
-        if any(not np.array_equal(known[name], arrays[name]) for name in arrays):
+        if any(known[name] is not own and not np.array_equal(known[name], own) for name, own in arrays.items()):
             try:
                 batch.set_arrays(arrays)
             except ValueError:  # other numbers are alike now: another source
                 del self._batches[key]
-                return self._batch(worlds, steps, arrays, mocap=mocap)
+                return self.batch(worlds, steps, arrays, **options)
             self._batches[key] = batch, arrays
         self._batches.move_to_end(key)
         while len(self._batches) > MODELS:
@@ -98,3 +106,10 @@ def put(to: wp.array, values: np.ndarray) -> None:
             to.numpy()[...] = np.reshape(values, to.shape)
         else:
             to.assign(np.ascontiguousarray(np.reshape(values, to.shape), dtype=wp.dtype_to_numpy(to.dtype)))
+
+
+def units(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions ``[..., 4]`` of length 1; those of length 0 are the identity, as MuJoCo has them."""
+    length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    none = length < mujoco.mjMINVAL
+    return np.where(none, (1.0, 0.0, 0.0, 0.0), quaternions / np.where(none, 1.0, length))

@@ -30,13 +30,12 @@ import warp as wp
 from .callbacks import callbacks
 from .missing import missing
 from .model_numbers import ModelNumbers
-from .ready import MODELS, Ready, check_sizes
+from .ready import MODELS, Ready, check_sizes, units
 from .sensors import unread_sensors
 
 logger = logging.getLogger("warpmpc")
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
-_TINY = 1e-15  # mjMINVAL
 _POSITION, _TURN = int(mujoco.mjtState.mjSTATE_MOCAP_POS), int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
@@ -249,9 +248,7 @@ def _whole(model: mujoco.MjModel, control_spec: int, control: np.ndarray) -> np.
         parts[bit] = control[..., at : at + width] if width else values.ravel()
         at += width
     quats = parts[_TURN].reshape(*parts[_TURN].shape[:-1], -1, 4)
-    norms = np.linalg.norm(quats, axis=-1, keepdims=True)
-    units = np.where(norms < _TINY, (1.0, 0.0, 0.0, 0.0), quats / np.maximum(norms, _TINY))
-    parts[_TURN] = units.reshape(parts[_TURN].shape)
+    parts[_TURN] = units(quats).reshape(parts[_TURN].shape)
     rows = control.shape[:-1]
     return np.concatenate([np.broadcast_to(x, (*rows, x.shape[-1])) for x in parts.values()], axis=-1)
 

@@ -10,7 +10,7 @@ import mujoco.batch
 import numpy as np
 
 from .batch import BatchRollout
-from .ready import put
+from .ready import put, units
 
 _BITS = {
     name: int(getattr(mujoco.mjtState, f"mjSTATE_{name}"))
@@ -101,11 +101,7 @@ class StateRows:
         put(batch.outputs.warmstart, self.part("WARMSTART"))
         parts = dict(controls)
         if (quats := parts.pop("MOCAP_QUAT", None)) is not None:
-            turns = quats.reshape(*quats.shape[:2], -1, 4)
-            length = np.linalg.norm(turns, axis=-1, keepdims=True)
-            none = length < mujoco.mjMINVAL
-            turns = np.where(none, (1.0, 0.0, 0.0, 0.0), turns / np.where(none, 1.0, length))
-            parts["MOCAP_QUAT"] = turns.reshape(quats.shape)
+            parts["MOCAP_QUAT"] = units(quats.reshape(*quats.shape[:2], -1, 4)).reshape(quats.shape)
         put(batch.work.knots, np.concatenate(list(parts.values()), axis=-1))
 
     def store(
