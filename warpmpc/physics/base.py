@@ -142,7 +142,7 @@ class Structure:
     def explicit(self) -> bool:
         """Return whether velocities follow from the solver's accelerations, since no damping is implicit."""
         m, kinds = self.mj, mujoco.mjtIntegrator
-        damped = (m.dof_damping > 0.0).any() and not self.off("EULERDAMP") and not self.off("DAMPER")
+        damped = (self.dampings > 0.0).any() and not self.off("EULERDAMP")
         return m.opt.integrator == int(kinds.mjINT_RK4) or (m.opt.integrator == int(kinds.mjINT_EULER) and not damped)
 
     @property
@@ -284,14 +284,49 @@ class Structure:
         return out
 
     @cached_property
+    def armatures(self) -> np.ndarray:
+        """Armature of each degree of freedom, with those of actuators ``[nv]``."""
+        m, kinds = self.mj, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        return m.dof_armature + self._geared(m.actuator_armature, kinds, m.njnt)[m.dof_jntid]
+
+    @cached_property
+    def line_armatures(self) -> np.ndarray:
+        """The same of each tendon ``[ntendon]``."""
+        m = self.mj
+        return m.tendon_armature + self._geared(m.actuator_armature, (int(mujoco.mjtTrn.mjTRN_TENDON),), m.ntendon)
+
+    @cached_property
+    def dampings(self) -> np.ndarray:
+        """Damping of each degree of freedom, with that of actuators, none where it is disabled ``[nv]``."""
+        m, kinds = self.mj, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        damping = m.dof_damping + self._geared(m.actuator_damping, kinds, m.njnt)[m.dof_jntid]
+        return np.zeros(m.nv) if self.off("DAMPER") else damping
+
+    @cached_property
+    def line_dampings(self) -> np.ndarray:
+        """The same of each tendon ``[ntendon]``."""
+        m = self.mj
+        damping = m.tendon_damping + self._geared(m.actuator_damping, (int(mujoco.mjtTrn.mjTRN_TENDON),), m.ntendon)
+        return np.zeros(m.ntendon) if self.off("DAMPER") else damping
+
+    def _geared(self, numbers: np.ndarray, kinds: tuple[int, ...], count: int) -> np.ndarray:
+        """Numbers of actuators times squares of their gears, added up by what they drive."""
+        m, out = self.mj, np.zeros(count)
+        for a in np.flatnonzero(np.isin(m.actuator_trntype, kinds)):
+            out[m.actuator_trnid[a, 0]] += numbers[a] * m.actuator_gear[a, 0] ** 2
+        return out
+
+    @cached_property
     def tendon_armatures(self) -> dict[tuple[int, int], float]:
         """Contribution of tendons' armatures along joints to the mass matrix, entry by entry (row, column ≤ row)."""
         m = self.mj
         out: dict[tuple[int, int], float] = {}
-        for n in np.flatnonzero(m.tendon_armature[: m.ntendon]):
+        for n in np.flatnonzero(self.line_armatures):
+            if m.wrap_type[m.tendon_adr[n]] != WRAP_JOINT:
+                continue
             factors = {int(m.jnt_dofadr[m.wrap_objid[k]]): float(m.wrap_prm[k]) for k in wraps(m, int(n))}
             for i, a in factors.items():
                 for j, b in factors.items():
                     if j == i or j in self.ancestors[i]:
-                        out[i, j] = out.get((i, j), 0.0) + float(m.tendon_armature[n]) * a * b
+                        out[i, j] = out.get((i, j), 0.0) + float(self.line_armatures[n]) * a * b
         return out

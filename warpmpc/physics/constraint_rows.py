@@ -256,6 +256,11 @@ def small_rotation(lines: Lines, name: str, q: int, rest: np.ndarray) -> Vector:
         lines.sum((a, y), (b, z), (-c, w), (-d, x)),
         lines.sum((a, z), (-b, y), (c, x), (-d, w)),
     ]
+    return rotation_vector(lines, name, parts, real)
+
+
+def rotation_vector(lines: Lines, name: str, parts: Vector, real: Operand) -> Vector:
+    """Rotation vector of a quaternion by its vector part and its real part [rad]."""
     length = lines.let(f"VSQRT({text(lines.dot(parts, parts))})")
     cosine = lines.let(f"VABS({text(real)})")
     lines.add(angle(length, cosine, f"{name}_half"))

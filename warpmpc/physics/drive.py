@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from ..bake.lines import Lines, Operand, Vector, function, literal, text
-from .base import BALL, FREE, packed, rotation
+from .base import BALL, FREE, packed
 from .constraint_rows import small_rotation
 from .limits import UNLIMITED, bounds, within
 from .muscles import bias_numbers, gain_numbers
 from .tables import floats, ints
+from .transmission import Reach, Transmission
 
 if TYPE_CHECKING:
     from .base import Structure
@@ -24,16 +25,6 @@ TRN = mujoco.mjtTrn
 DYN = mujoco.mjtDyn
 GAIN = mujoco.mjtGain
 BIAS = mujoco.mjtBias
-
-
-class Reach(NamedTuple):
-    """Target of an actuator."""
-
-    length: tuple[Operand, Operand]
-    """Two factors of its length."""
-    speed: tuple[Operand, Operand]
-    arms: list[tuple[int, Operand]]
-    """Degrees of freedom, and the generalized force of a force of one."""
 
 
 class Drive:
@@ -47,6 +38,9 @@ class Drive:
 
     def __init__(self, model: Structure, sites: Sites, tendons: Tendons):
         self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
+        self.transmission = Transmission(model, sites, tendons)
+        self._pulled: dict[int, tuple[Reach, Operand, Operand]] = {}
+        """Actuators on tendons with limits of force, which are looked at before the others."""
         m = self.mj
         self._stages = m.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
         self._force: dict[int, list] = {i: [] for i in range(m.nv)}
@@ -93,12 +87,13 @@ class Drive:
     def write(self) -> str:
         """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
         m, lines = self.mj, Lines("d")
+        shares = self._shares(lines)
         for a in range(m.nu):
             if not self.model.drives(a):
                 self._rest(lines, a)
                 continue
-            reach = self._reach(lines, a)
-            value, rate = self._actuator(lines, a, reach)
+            reach, value, rate = self._unbounded(lines, a)
+            value, rate = self._bounded(lines, a, value, rate, shares)
             for dof, arm in reach.arms:
                 self._force[dof].append((value, arm))
             if self.model.implicit and rate != 0.0:
@@ -107,10 +102,14 @@ class Drive:
         for i in range(m.nv):
             joint = int(m.dof_jntid[i])
             driven = lines.sum(*self._force[i])
-            if self._force[i] and m.jnt_actfrclimited[joint]:
-                driven = clamp(lines, driven, m.jnt_actfrcrange[joint])
+            limited = bool(m.jnt_actfrclimited[joint]) and i == int(m.jnt_dofadr[joint])  # of several the first alone
+            off = self.model.off("ACTUATION") or not m.nu
+            carried = self._carried(lines, i) if m.jnt_actgravcomp[joint] and (limited or off) else 0.0
+            if limited and (self._force[i] or carried != 0.0) and not off:
+                driven = clamp(lines, lines.sum(driven, carried), m.jnt_actfrcrange[joint])
+            driven = lines.sum(driven, (-1.0, carried))  # which is in the bias
             terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
-            damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[i])
+            damping = float(self.model.dampings[i])
             if damping:
                 terms.append((-damping, f"w.v[{i}]"))
             if damping and not self._stages and (self.model.implicit or not self.model.off("EULERDAMP")):
@@ -122,16 +121,51 @@ class Drive:
             lines.add(f"w.spread[{n}] = {text(lines.sum(*terms))} * {literal(float(m.opt.timestep))};")
         return function("drive", lines)
 
+    def _unbounded(self, lines: Lines, a: int) -> tuple[Reach, Operand, Operand]:
+        """Target of an actuator, its force, and that one's derivative by speed, without limits."""
+        if a in self._pulled:
+            return self._pulled[a]
+        reach = self.transmission.reach(lines, a)
+        return reach, *self._actuator(lines, a, reach)
+
+    def _shares(self, lines: Lines) -> dict[int, str]:
+        """What limits of tendons leave of the forces of all actuators on each."""
+        m, total = self.mj, {}
+        for a in np.flatnonzero(m.actuator_trntype == int(TRN.mjTRN_TENDON)):
+            tendon = int(m.actuator_trnid[a, 0])
+            if m.tendon_actfrclimited[tendon] and self.model.drives(a):
+                self._pulled[int(a)] = found = self._unbounded(lines, int(a))
+                total.setdefault(tendon, []).append(found[1])
+        out = {}
+        for tendon, forces in total.items():
+            force = lines.let(text(lines.sum(*forces)))
+            within_limits = text(clamp(lines, force, m.tendon_actfrcrange[tendon]))
+            out[tendon] = lines.let(f"VSELECT({force} == 0.0f, (T)1.0f, {within_limits} / {force})")
+        return out
+
+    def _carried(self, lines: Lines, dof: int) -> Operand:
+        """Force of gravity compensation on a degree of freedom, which its joint's actuators are to have."""
+        m, model, terms = self.mj, self.model, []
+        for b in range(1, m.nbody):
+            if not model.lift(b) or dof not in model.body_dofs[b]:
+                continue
+            frame, mass = self.sites.index(b, m.body_ipos[b]), model.columns.operand(model.array("body_mass")[:, b])
+            weight = [lines.sum((-model.lift(b), lines.sum((mass, g)))) for g in model.gravity]
+            terms.append(lines.dot(self.sites.lever(lines, frame, dof), weight))
+        return lines.sum(*terms)
+
     def _pulls(self, lines: Lines) -> dict[int, list]:
         """Forces of springs and tendons on every degree of freedom."""
         m = self.mj
         out: dict[int, list] = {i: [] for i in range(m.nv)}
         for t in range(m.ntendon):
             force, arms = self.tendons.force(lines, t), self.tendons.arms(t)
+            if self.tendons.heavy(t):
+                force = lines.sum(force, (-float(self.model.line_armatures[t]), f"w.tendon_curving[{t}]"))
             for dof, arm in arms if force != 0.0 else ():
                 out[dof].append((force, arm))
-            if self.model.implicit and m.tendon_damping[t] and not self.model.off("DAMPER"):
-                self._resist(lines, -float(m.tendon_damping[t]), arms)
+            if self.model.implicit and self.model.line_dampings[t]:
+                self._resist(lines, -float(self.model.line_dampings[t]), arms)
         for j in np.flatnonzero(np.ravel(m.jnt_stiffness)) if not self.model.off("SPRING") else ():
             stiffness, q, dof = float(np.ravel(m.jnt_stiffness)[j]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
             kind = int(m.jnt_type[j])
@@ -163,38 +197,6 @@ class Drive:
     def _less(self, lines: Lines, a: Operand, b: Operand) -> Operand:
         return lines.sum((-1.0, lines.sum((a, b))))
 
-    def _reach(self, lines: Lines, a: int) -> Reach:
-        """Target of an actuator."""
-        m, kind, target = self.mj, int(self.mj.actuator_trntype[a]), int(self.mj.actuator_trnid[a, 0])
-        gear = [float(x) for x in m.actuator_gear[a]]
-        if kind == int(TRN.mjTRN_TENDON):
-            arms = [(dof, lines.sum((gear[0], arm))) for dof, arm in self.tendons.arms(target)]
-            return Reach((gear[0], f"w.tendon_length[{target}]"), (gear[0], f"w.tendon_speed[{target}]"), arms)
-        if kind == int(TRN.mjTRN_SITE):
-            return self._site(lines, target, gear)
-        dof, joint = int(m.jnt_dofadr[target]), int(m.jnt_type[target])
-        if joint in (FREE, BALL):
-            return self._along([(dof + k, gear[k]) for k in range(6 if joint == FREE else 3)], lines)
-        return Reach((gear[0], f"w.q[{int(m.jnt_qposadr[target])}]"), (gear[0], f"w.v[{dof}]"), [(dof, gear[0])])
-
-    def _site(self, lines: Lines, site: int, gear: list[float]) -> Reach:
-        """A force and a torque at a site, along its axes."""
-        m, sites, body = self.mj, self.sites, int(self.mj.site_bodyid[site])
-        frame = sites.index(body, m.site_pos[site], rotation(m.site_quat[site]))
-        columns = sites.columns(frame)
-        push, twist = (lines.transform(columns, gear[k : k + 3]) for k in (0, 3))
-        arms = []
-        for dof in sorted(self.model.body_dofs[body]):
-            terms = [*zip(push, sites.lever(lines, frame, dof), strict=True)] if any(gear[:3]) else []
-            arms.append((dof, lines.sum(*terms, *zip(twist, sites.axis(dof), strict=True))))
-        return self._along(arms, lines)
-
-    def _along(self, arms: list[tuple[int, Operand]], lines: Lines) -> Reach:
-        """Something without a length."""
-        arms = [(dof, arm) for dof, arm in arms if arm != 0.0]
-        speed = lines.sum(*((arm, f"w.v[{dof}]") for dof, arm in arms))
-        return Reach((0.0, 0.0), (1.0, speed), arms)
-
     def _actuator(self, lines: Lines, a: int, reach: Reach) -> tuple[Operand, Operand]:
         """Force of an actuator, and its derivative by its speed."""
         m = self.mj
@@ -203,7 +205,9 @@ class Drive:
         if m.actuator_ctrllimited[a] and not self.model.off("CLAMPCTRL"):
             control = clamp(lines, control, m.actuator_ctrlrange[a])
         if m.actuator_actnum[a]:
-            raw = control = self._activation(lines, a, control)
+            raw = control = self._activation(lines, a, control, reach)
+        if reach.period:
+            control = self._nearest(lines, control, reach)
         factor, slope = self._gain(lines, a, reach)
         terms: list = [(factor, control)]
         rate: list = [(slope, raw)] if slope != 0.0 else []  # MuJoCo differentiates at the control that is not clamped
@@ -215,7 +219,15 @@ class Drive:
         elif kind == int(BIAS.mjBIAS_MUSCLE):
             length = text(lines.sum(reach.length))
             terms.append(lines.let(f"muscle_bias({length}, {bias_numbers(self.model, a)})"))
-        force, slope = lines.sum(*terms), lines.sum(*rate)
+        return lines.sum(*terms), lines.sum(*rate)
+
+    def _bounded(
+        self, lines: Lines, a: int, force: Operand, slope: Operand, shares: dict[int, str]
+    ) -> tuple[Operand, Operand]:
+        """A force within the limits of its tendon and its own, and its derivative."""
+        m = self.mj
+        if int(m.actuator_trntype[a]) == int(TRN.mjTRN_TENDON) and int(m.actuator_trnid[a, 0]) in shares:
+            force = lines.sum((force, shares[int(m.actuator_trnid[a, 0])]))
         if m.actuator_forcelimited[a] and bounds(m.actuator_forcerange[a]) and isinstance(force, str):
             low, high = (literal(x) for x in within(m.actuator_forcerange[a]))
             if slope != 0.0:  # a force at its limit does not depend on velocity
@@ -249,7 +261,13 @@ class Drive:
         """First parameters of an actuator's gain or bias."""
         return [self.model.columns.operand(self.model.array(name)[:, a, k]) for k in range(3)]
 
-    def _activation(self, lines: Lines, a: int, control: Operand) -> Operand:
+    def _nearest(self, lines: Lines, target: Operand, reach: Reach) -> Operand:
+        """The same rotation as a target, less than half a turn from the length."""
+        away = lines.sum(target, (-1.0, lines.sum(reach.length)))
+        turns = lines.let(f"VROUND({text(away)} * {literal(1.0 / reach.period)})")
+        return lines.sum(target, (-reach.period, turns))
+
+    def _activation(self, lines: Lines, a: int, control: Operand, reach: Reach) -> Operand:
         """Input of an actuator with a state of its own, whose next value is kept for the end of the step."""
         m, i = self.mj, int(self.mj.actuator_actadr[a])
         kind, tau, step = int(m.actuator_dyntype[a]), max(float(m.actuator_dynprm[a, 0]), 1e-15), float(m.opt.timestep)
@@ -267,7 +285,8 @@ class Drive:
         limits = m.actuator_actrange[a] if m.actuator_actlimited[a] else UNLIMITED
         bounded = clamp(lines, after, limits)
         self._acts[i] = plain, within(limits)
-        lines.add(f"w.act_next[{i}] = {text(after if self._stages else bounded)};")
+        kept = self._nearest(lines, bounded, reach) if reach.period and not self._stages else bounded
+        lines.add(f"w.act_next[{i}] = {text(after if self._stages else kept)};")
         after = bounded
         return after if m.actuator_actearly[a] else before
 

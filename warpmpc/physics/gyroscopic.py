@@ -52,9 +52,11 @@ class Gyroscopic:
     def write(self, drive: Drive) -> None:
         """Write its acceleration; where forces resist several of its degrees of freedom at once, by elimination."""
         first, last = self.first, self.first + 5
-        spread = {(i - first, j - first): n for (i, j), n in drive.spreads.items() if first <= j and i <= last}
-        if spread:
-            self._eliminate(spread)
+        named = [(entry, f"w.spread[{n}]") for entry, n in drive.spreads.items()]
+        named += [(entry, f"w.tendon_mass[{n}]") for entry, n in drive.tendons.masses.items()]
+        more = [(i - first, j - first, name) for (i, j), name in named if first <= j and i <= last]
+        if more:
+            self._eliminate(more)
         else:
             self._alone()
 
@@ -96,8 +98,8 @@ class Gyroscopic:
 
     def _alone(self) -> None:
         m, lines, first = self.model.mj, self.lines, self.first
-        damping = 0.0 if self.model.off("DAMPER") else float(m.dof_damping[first])
-        extra = float(m.dof_armature[first]) + float(m.opt.timestep) * damping  # on the diagonal
+        damping = float(self.model.dampings[first])
+        extra = float(self.model.armatures[first]) + float(m.opt.timestep) * damping  # on the diagonal
         heavy = lines.sum(self._mass, extra)
         over = lines.let(f"1.0f / {text(heavy)}")
         # forces in the body's frame; r is the centre times the mass
@@ -119,7 +121,7 @@ class Gyroscopic:
             lines.add(f"w.search[{first + i}] = {text(back)};")
             lines.add(f"w.search[{first + 3 + i}] = {angular[i]};")
 
-    def _eliminate(self, spread: dict[tuple[int, int], int]) -> None:
+    def _eliminate(self, more: list[tuple[int, int, str]]) -> None:
         lines, first, turn = self.lines, self.first, self._turn
         arm, b, a = self._blocks(0.0)
         matrix: list[list[Operand]] = [[0.0] * 6 for _ in range(6)]
@@ -130,11 +132,11 @@ class Gyroscopic:
                 matrix[3 + i][3 + j] = a[i][j]
             matrix[i][i] = self._mass
         for i in range(6):
-            extra = float(self.model.mj.dof_armature[first + i])
+            extra = float(self.model.armatures[first + i])
             matrix[i][i] = lines.sum(matrix[i][i], extra, f"w.damp[{first + i}]")
-        for (i, j), n in spread.items():
-            matrix[i][j] = lines.sum(matrix[i][j], f"w.spread[{n}]")
-            matrix[j][i] = lines.sum(matrix[j][i], f"w.spread[{n}]")
+        for i, j, name in more:
+            for row, column in {(i, j), (j, i)}:
+                matrix[row][column] = lines.sum(matrix[row][column], name)
         right: list[Operand] = [f"w.fs[{first + i}]" for i in range(6)]
         for k in range(6):  # positive definite but for what is small with the step: no pivots
             over = lines.let(f"1.0f / {text(matrix[k][k])}")

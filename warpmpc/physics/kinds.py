@@ -28,8 +28,9 @@ KINDS = (
           "PID DCMOTOR USER"),
     Kinds("gains of actuators", "actuator_gaintype", mujoco.mjtGain, "FIXED AFFINE MUSCLE", "PID DCMOTOR SO3 USER"),
     Kinds("biases of actuators", "actuator_biastype", mujoco.mjtBias, "NONE AFFINE MUSCLE", "DCMOTOR SO3 USER"),
-    Kinds("transmissions of actuators", "actuator_trntype", mujoco.mjtTrn, "JOINT JOINTINPARENT TENDON SITE",
-          "SLIDERCRANK BODY SO3 UNDEFINED"),
+    Kinds("transmissions of actuators", "actuator_trntype", mujoco.mjtTrn,
+          "JOINT JOINTINPARENT TENDON SITE SLIDERCRANK",
+          "BODY SO3 UNDEFINED"),
     Kinds("ways of tendons", "wrap_type", mujoco.mjtWrap, "JOINT PULLEY SITE SPHERE CYLINDER", "NONE"),
     Kinds("equalities", "eq_type", mujoco.mjtEq, "CONNECT WELD JOINT TENDON", "FLEX FLEXVERT FLEXSTRAIN DISTANCE"),
 )  # fmt: skip

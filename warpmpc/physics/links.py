@@ -111,7 +111,7 @@ class Links:
 
     def _armature(self, i: int, j: int) -> float:
         """Contribution of armatures to an entry of the mass matrix."""
-        return (float(self.mj.dof_armature[i]) if i == j else 0.0) + self.model.tendon_armatures.get((i, j), 0.0)
+        return (float(self.model.armatures[i]) if i == j else 0.0) + self.model.tendon_armatures.get((i, j), 0.0)
 
     def _joints(self, body: int) -> list[int]:
         first = int(self.mj.body_jntadr[body])

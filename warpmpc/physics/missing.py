@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .base import BALL, FREE, GEOM
+from .base import BALL, GEOM, WRAP_CYLINDER, WRAP_SPHERE, wraps
 from .factor import MOST_OPERATIONS, operations
 from .flags import lacking_flags
 from .kinds import lacking_kinds
 from .mobility import singular
 from .model import COLLIDES, NEWTON, PhysicsModel
-from .tendons import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,19 +49,14 @@ def _names(pair: tuple[int, int]) -> str:
     return " and ".join(GEOM(kind).name.removeprefix("mjGEOM_").lower() for kind in pair)
 
 
-def _ball_feedback(p: PhysicsModel) -> bool:
-    """Return whether a force on a ball joint depends on its angle."""
-    m = p.mj
-    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    joints = np.flatnonzero(np.isin(m.actuator_trntype, [int(kind) for kind in kinds]))
-    balls = joints[m.jnt_type[m.actuator_trnid[joints, 0]] == BALL]
-    return bool((m.actuator_gainprm[balls, 1] != 0.0).any() or (m.actuator_biasprm[balls, 1] != 0.0).any())
-
-
-def _in_parent(p: PhysicsModel) -> bool:
-    """Return whether actuators drive ball or free joints in the frame of the parent."""
-    joints = p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT), 0]
-    return bool(np.isin(p.mj.jnt_type[joints], (FREE, BALL)).any())
+def _servoes_rotation(p: PhysicsModel) -> bool:
+    """Return whether setpoints of rotations are activations."""
+    m, kinds = p.mj, mujoco.mjtTrn
+    kept = (m.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)) & (m.actuator_biasprm[:, 1] != 0.0)
+    between = (m.actuator_trntype == int(kinds.mjTRN_SITE)) & (m.actuator_trnid[:, 1] >= 0)
+    on_joint = np.isin(m.actuator_trntype, (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)))
+    balls = [bool(on_joint[a]) and m.jnt_type[m.actuator_trnid[a, 0]] == BALL for a in range(len(kept))]
+    return bool((kept & (between | np.array(balls, dtype=bool))).any())
 
 
 def _contacts(p: PhysicsModel) -> np.ndarray:
@@ -74,10 +68,10 @@ MOST_DOFS = 128
 """Degrees of freedom of a model that compiles within a minute."""
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     f"models of more than {MOST_DOFS} degrees of freedom": lambda p: p.mj.nv > MOST_DOFS,
-    "armatures of tendons along sites": lambda p: any(
-        not fixed(p.mj, int(t)) for t in np.flatnonzero(p.mj.tendon_armature)
+    "armatures of tendons around shapes": lambda p: any(
+        np.isin(p.mj.wrap_type[list(wraps(p.mj, int(t)))], (WRAP_SPHERE, WRAP_CYLINDER)).any()
+        for t in np.flatnonzero(p.line_armatures)
     ),
-    "limits of the forces of actuators on tendons": lambda p: p.mj.tendon_actfrclimited.any(),
     "plugins": lambda p: p.mj.nplugin,
     "flexible bodies": lambda p: p.mj.nflex,
     "adhesion of contacts": lambda p: p.mj.geom_adhesion.any() or p.mj.pair_adhesion.any(),
@@ -85,20 +79,13 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "references of their own for the friction of explicit pairs": lambda p: (
         p.mj.opt.cone and p.mj.pair_solreffriction.any()
     ),
-    "limited actuator forces of ball and free joints": lambda p: p.mj.jnt_actfrclimited[
-        np.isin(p.mj.jnt_type, (FREE, BALL))
-    ].any(),
-    "gravity compensation by actuators": lambda p: p.mj.jnt_actgravcomp.any(),
     "actuators of several activations": lambda p: (
         p.mj.na != np.sum(p.mj.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))
     ),
-    "actuators of ball and free joints in their parents' frames": _in_parent,
-    "actuators with feedback of the angle of a ball joint": lambda p: _ball_feedback(p),
-    "actuators at a site with a reference": lambda p: (
-        p.mj.actuator_trnid[p.mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE), 1] >= 0
-    ).any(),
     "actuators of several controls": lambda p: (p.mj.actuator_ctrlnum != 1).any() or (p.mj.actuator_outnum != 1).any(),
-    "armatures of actuators": lambda p: p.mj.actuator_armature.any(),
+    "activations of servoed rotations with RK4": lambda p: (
+        p.mj.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4) and _servoes_rotation(p)
+    ),
     "delays and intervals (history in the state)": lambda p: p.mj.nhistory,
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
@@ -106,7 +93,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "damping and stiffness that depend on speed and angle": lambda p: (
         p.mj.dof_dampingpoly.any()
         or p.mj.jnt_stiffnesspoly.any()
-        or p.mj.actuator_damping.any()
         or p.mj.actuator_dampingpoly.any()
         or p.mj.tendon_dampingpoly.any()
         or p.mj.tendon_stiffnesspoly.any()

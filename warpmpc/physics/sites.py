@@ -69,6 +69,10 @@ class Sites:
         """Angular acceleration while no joint accelerates [rad/s²]."""
         return self._motion("turning", site)
 
+    def speed(self, site: int) -> Vector:
+        """Velocity [m/s]."""
+        return self._motion("speed", site)
+
     def falling(self, site: int) -> Vector:
         """Acceleration while no joint accelerates [m/s²]."""
         return self._motion("falling", site)

@@ -95,7 +95,7 @@ class RolloutSource:
             self._native("watch"),
             step,
         ]
-        own = *constraints.tables(), *dynamics.drive.tables(), *dynamics.fluid.tables()
+        own = *constraints.tables(), *dynamics.drive.tables(), *dynamics.tendons.tables(), *dynamics.fluid.tables()
         tables = [*self._tables(), *own]
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..bake.lines import Lines, Operand, Vector, literal, text
-from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, rotation, wraps
+from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, packed, rotation, wraps
 from .limits import within
+from .tables import ints
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,10 +39,31 @@ class Tendons:
         pairs = [(n, dof) for n in spatial for dof in self.model.tendon_dofs[n]]
         return {pair: at for at, pair in enumerate(pairs)}
 
+    def heavy(self, tendon: int) -> bool:
+        """Return whether a tendon along sites has an armature, whose part of the mass matrix changes."""
+        return self.model.line_armatures[tendon] > 0.0 and not fixed(self.mj, tendon)
+
+    @cached_property
+    def masses(self) -> dict[tuple[int, int], int]:
+        """Number of each entry (row, column ≤ row) of the mass matrix that armatures of these tendons add to."""
+        heavy, above = filter(self.heavy, range(self.mj.ntendon)), self.model.ancestors
+        dofs = [self.model.tendon_dofs[n] for n in heavy]
+        entries = {(i, j) for row in dofs for i in row for j in row if j == i or j in above[i]}
+        return {entry: n for n, entry in enumerate(sorted(entries))}
+
+    def tables(self) -> list[str]:
+        """Definitions of tables."""
+        return [ints("tendon_mass_place", [packed(i, j) for i, j in self.masses], "short")] if self.masses else []
+
     @property
     def sizes(self) -> dict[str, int]:
         """Macros of the source."""
-        return {"TENDONS": self.mj.ntendon, "TENDON_ARMS": max(1, len(self._arms)), "WRAPS": self._wraps}
+        return {
+            "TENDONS": self.mj.ntendon,
+            "TENDON_ARMS": max(1, len(self._arms)),
+            "WRAPS": self._wraps,
+            "TENDON_MASSES": len(self.masses),
+        }
 
     def arms(self, tendon: int) -> list[tuple[int, Operand]]:
         """Degrees of freedom of a tendon, and what each adds to its length [m per unit]."""
@@ -63,13 +85,23 @@ class Tendons:
             lines.add(f"w.tendon_length[{n}] = {text(length)};")
             speed = lines.sum(*((factor, f"w.v[{dof}]") for dof, factor in self.arms(n)))
             lines.add(f"w.tendon_speed[{n}] = {text(speed)};")
+        self._weigh(lines)
         return "FN void stretch(World& w) {\n" + "\n".join(lines.statements) + "\n}"
+
+    def _weigh(self, lines: Lines) -> None:
+        """What armatures add to entries of the mass matrix."""
+        rows = [
+            (float(self.model.line_armatures[n]), dict(self.arms(n))) for n in range(self.mj.ntendon) if self.heavy(n)
+        ]
+        for (i, j), n in self.masses.items():
+            parts = [(a, lines.sum((arms[i], arms[j]))) for a, arms in rows if i in arms and j in arms]
+            lines.add(f"w.tendon_mass[{n}] = {text(lines.sum(*parts))};")
 
     def force(self, lines: Lines, tendon: int) -> Operand:
         """Force of a tendon's spring and damper [N]."""
         m, terms = self.mj, []
         stiffness = 0.0 if self.model.off("SPRING") else float(m.tendon_stiffness[tendon])
-        damping = 0.0 if self.model.off("DAMPER") else float(m.tendon_damping[tendon])
+        damping = float(self.model.line_dampings[tendon])
         if stiffness:
             low, high = (float(x) for x in within(m.tendon_lengthspring[tendon]))
             length = f"w.tendon_length[{tendon}]"
@@ -98,7 +130,7 @@ class Tendons:
         m, sites = self.mj, self.sites
         arms: dict[int, list] = {dof: [] for dof in self.model.tendon_dofs[tendon]}
         lengths: list[Operand | tuple[Operand, Operand]] = []
-        divisor, last, shape = 1.0, -1, -1
+        divisor, last, shape, curving = 1.0, -1, -1, []
         for k in wraps(m, tendon):
             if m.wrap_type[k] == WRAP_PULLEY:
                 divisor, last = float(m.wrap_prm[k]), -1
@@ -118,11 +150,24 @@ class Tendons:
                     way, length = self._span(lines, *ends)
                     points = [(body, sites.point(end)) for body, end in zip(bodies, ends, strict=True)]
                     self._pull(lines, arms, *points, way, divisor)
+                    if self.heavy(tendon):
+                        curving.append((1.0 / divisor, self._curve(lines, ends, way, length)))
                 lengths.append((1.0 / divisor, length))
             last, shape = site, -1
         for dof, parts in arms.items():
             lines.add(f"w.tendon_arm[{self._arms[tendon, dof]}] = {text(lines.sum(*parts))};")
+        if self.heavy(tendon):
+            lines.add(f"w.tendon_curving[{tendon}] = {text(lines.sum(*curving))};")
         return lines.sum(*lengths)
+
+    def _curve(self, lines: Lines, ends: list[int], way: Vector, length: Operand) -> Operand:
+        """Acceleration of the distance of two sites while no joint accelerates."""
+        sites, (a, b) = self.sites, ends
+        fast, falling = (lines.difference(motion(b), motion(a)) for motion in (sites.speed, sites.falling))
+        along = lines.dot(way, fast)
+        across = [lines.sum(x, (-1.0, lines.sum((along, y)))) for x, y in zip(fast, way, strict=True)]
+        swept = lines.let(f"{text(lines.dot(across, across))} / VMAX({length}, (T)1e-12f)")
+        return lines.sum(lines.dot(way, falling), swept)
 
     def _around(self, lines: Lines, arms: dict[int, list], ends: tuple[int, int], k: int, divisor: float) -> Operand:
         """Length between two sites around a shape (``native/wrap.h``)."""

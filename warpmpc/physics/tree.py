@@ -134,7 +134,7 @@ class Tree:
 
     def _axes(self, own: range, inertia: Inertia, torque: Vector, force: Vector, swirl: Vector) -> None:
         """Mass matrix and bias of a body's degrees of freedom."""
-        m, lines, moment, armature = self.mj, self.lines, inertia[6:9], self.model.tendon_armatures
+        lines, moment, armature = self.lines, inertia[6:9], self.model.tendon_armatures
 
         def weight(turn: Vector, slide: Vector) -> tuple[Vector, Vector]:
             torque = self._sum(self._times(inertia, turn), lines.cross(moment, slide))
@@ -144,7 +144,9 @@ class Tree:
             turn, push = weight(self.turns[i], self.slides[i])
             for j in [i, *self.model.ancestors[i]]:
                 products = [*zip(self.turns[j], turn, strict=True), *zip(self.slides[j], push, strict=True)]
-                entry = lines.sum(*products, armature.get((i, j), 0.0) + (float(m.dof_armature[i]) if i == j else 0.0))
+                entry = lines.sum(
+                    *products, armature.get((i, j), 0.0) + (float(self.model.armatures[i]) if i == j else 0.0)
+                )
                 lines.add(f"w.mm[{packed(i, j)}] = {text(entry)};")
             products = [*zip(self.turns[i], torque, strict=True), *zip(self.slides[i], force, strict=True)]
             lines.add(f"w.bias[{i}] = {text(lines.sum(*products))};")

@@ -96,6 +96,11 @@ FN void respond(World& w, I alone) {
 INLINE I push(World& w) {
 #if TENDONS
     stretch(w);
+#if TENDON_MASSES
+    SYNC
+    EACH(k, TENDON_MASSES) w.mm[tendon_mass_place[k]] += w.tendon_mass[k];
+    SYNC
+#endif
 #endif
     drive(w);
     SYNC

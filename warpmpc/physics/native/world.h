@@ -67,6 +67,9 @@ struct World {
 #endif
 #if TENDONS
     T tendon_length[TENDONS], tendon_speed[TENDONS], tendon_arm[TENDON_ARMS];
+#if TENDON_MASSES
+    T tendon_mass[TENDON_MASSES], tendon_curving[TENDONS];  // of armatures; accelerations while no joint accelerates
+#endif
 #endif
 #if SITES
     T site_at[SITES][3], site_turn[SITES][9];  // points and frames on bodies

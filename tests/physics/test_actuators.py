@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tendons around spheres and cylinders, muscles, and kinds of actuators by name, against MuJoCo C."""
+"""Transmissions, muscles, tendons around shapes, and kinds of actuators by name, against MuJoCo C."""
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 import pytest
+from actuator_models import ARM, DEGENERATE, TRANSMISSIONS, shapes
 from fused_models import compile_model, controls, starts
 from fused_steps import public_differences, step_differences, visit
-from muscle_models import ARM, DEGENERATE, shapes
 from needs import needs
 from warp_lanes import LaneRollout
 
@@ -52,13 +52,43 @@ def test_rollouts_of_muscles_stay_with_those_of_mujoco(integrator):
 
 
 @needs("g++")
-def test_lanes_of_a_warp_do_the_same(tmp_path_factory):
-    model = compile_model(ARM)
+@pytest.mark.parametrize("text", [ARM, TRANSMISSIONS], ids=["muscles", "transmissions"])
+def test_lanes_of_a_warp_do_the_same(text, tmp_path_factory):
+    model = compile_model(text)
     states = visited(model, 0, 2)
     start = states.q[:4], states.v[:4], np.repeat(states.control[None, :4], 3, axis=0), states.act[:4]
     found = LaneRollout(model, 4, 3, folder=tmp_path_factory.getbasetemp())(*start)
     for x, y in zip(found, PlainRollout(model, 4, 3)(*start), strict=True):
         np.testing.assert_allclose(x, y, atol=5e-5)
+
+
+def _turned(model: mujoco.MjModel, seed: int):
+    """States with ball joints turned anyhow, under controls of several turns."""
+    q, v = starts(model, 16, seed=seed)
+    for j in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL):
+        turns = np.random.default_rng(seed).normal(size=(16, 4))
+        q[:, model.jnt_qposadr[j] :][:, :4] = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    return visit([model], q, v, 4.0 * controls(model, 60, 16, seed=seed), every=4)
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
+def test_transmissions_limits_armatures_and_carried_weights_are_those_of_mujoco(integrator):
+    """Cranks, sites in frames of others, balls in their parents' frames, servos that go round; limits of tendons."""
+    model = compile_model(TRANSMISSIONS, integrator)
+    assert missing(model) is None
+    for seed in range(3):
+        for states in (visited(model, seed), _turned(model, seed)):
+            found = public_differences(model, states)
+            most = found.v.max(axis=1) / (1.0 + np.abs(states.next_v).max(axis=1))
+            assert (most <= 5e-5 + 20.0 * states.edge).mean() > 0.99, found
+            assert np.median(most) <= 5e-6, found
+
+
+def test_a_weight_that_actuators_are_to_carry_falls_without_them():
+    model = compile_model(TRANSMISSIONS)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    found = step_differences(model, visited(model, 0), lanes=4)
+    assert found.v.max() <= 1e-4, found
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models with muscles and with tendons around shapes."""
+"""Models with muscles, with tendons around shapes, and with every kind of transmission."""
 
 from __future__ import annotations
 
@@ -42,6 +42,60 @@ ARM = """
     gainprm="0.7 1.1 5 200 0.5 1.6 1.5 1.3 1.2"
     biasprm="0.7 1.1 5 200 0.5 1.6 1.5 1.3 1.2"/>
   <motor tendon="a" gear="0.3"/>
+</actuator>
+</mujoco>
+"""
+
+TRANSMISSIONS = """
+<mujoco><compiler angle="radian" autolimits="true"/>{option}
+<default><geom contype="0" conaffinity="0"/></default>
+<worldbody>
+  <site name="hook" pos="-2 0.3 2"/> <site name="world" pos="3 0.1 1.4" euler="0.3 0.2 0.1"/>
+  <body name="arm_1" pos="0 0 1" gravcomp="0.7">
+    <joint name="a1" axis="0 1 0.2" damping="0.05" actuatorgravcomp="true" actuatorfrcrange="-1.5 1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 0.4" size="0.04" mass="0.6"/> <site name="elbow" pos="0.06 0.02 0.3"/>
+    <body name="arm_2" pos="0 0 0.4" gravcomp="1"><joint name="a2" type="ball" damping="0.05" armature="0.002"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0.1" size="0.04" mass="0.4"/>
+      <site name="wrist" pos="0.2 0.05 0.12" euler="0.2 0.5 -0.3"/>
+      <body name="arm_3" pos="0.3 0 0.1" gravcomp="0.5">
+        <joint name="a3" axis="1 0 0" actuatorgravcomp="true" armature="0.002"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03" mass="0.2"/>
+        <site name="tip" pos="0.2 0.02 0"/></body></body>
+  </body>
+  <body name="bob" pos="-2 0 1" quat="0.9 0.1 0.2 0.1"><freejoint name="bob"/>
+    <geom type="box" size=".1 .15 .08" mass="1.2"/>
+    <site name="top" pos="0.05 0 .08" euler="0.1 0.2 0.3"/></body>
+  <body name="pendulum" pos="2 0 1"><joint name="p1" type="ball" damping="0.1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.04" mass="0.5"/><site name="low" pos="0 0.02 -0.3"/></body>
+  <body name="crank" pos="4 0 1"><joint name="c1" axis="0 1 0"/><geom type="cylinder" size="0.1 0.02" mass="1"/>
+    <site name="pin" pos="0.1 0 0.02"/></body>
+  <body name="slide" pos="4 0 1"><joint name="c2" axis="0 1 0.3" damping="0.1"/>
+    <geom type="box" size=".1 .1 .1" mass="2"/><site name="slider" pos="0.02 0 -0.1" euler="0.1 0.2 0"/></body>
+  <body name="lift" pos="5 0 1"><joint name="lift" type="slide" axis="0 0 1" damping="2"/>
+    <geom type="box" size=".1 .1 .05" mass="1"/><site name="eye" pos="0.05 0 0"/></body>
+</worldbody>
+<tendon>
+  <fixed name="curl" actuatorfrcrange="-0.6 0.5"><joint joint="a1" coef="0.5"/><joint joint="a3" coef="0.3"/></fixed>
+  <spatial name="sling" stiffness="20" damping="0.5" springlength="0.8" armature="0.3">
+    <site site="hook"/><site site="top"/></spatial>
+  <spatial name="rope" armature="0.1" actuatorfrcrange="-1 1">
+    <site site="elbow"/><site site="tip"/><pulley divisor="2"/>
+    <site site="tip"/><site site="low"/><site site="eye"/></spatial>
+</tendon>
+<actuator>
+  <position tendon="curl" kp="4" kv="0.2"/> <motor tendon="curl" gear="0.5" armature="0.1" damping="0.2"/>
+  <velocity tendon="rope" kv="3"/>
+  <general tendon="rope" gear="0.5" gainprm="4" biastype="affine" biasprm="0 -2 -0.5" armature="0.2" damping="0.5"/>
+  <motor joint="a1" gear="2" armature="0.01" damping="0.05"/>
+  <general joint="a2" gear="0.3 0.2 0.5" gaintype="affine" gainprm="2 0.3 0" biastype="affine" biasprm="0.1 -2 -0.1"/>
+  <general jointinparent="a2" gear="0.3 0.2 -0.5" gainprm="1" biastype="affine" biasprm="0.1 -1 -0.2"/>
+  <motor jointinparent="bob" gear="0.5 0.2 0.3 0.3 -0.2 0.1" armature="0.05" damping="0.3"/>
+  <position joint="p1" gear="0.5 0.1 0.2" kp="3"/> <intvelocity joint="p1" gear="0 1 0" kp="2" actrange="-20 20"/>
+  <general site="top" refsite="world" gear="0.3 0.2 1 0 0 0" gainprm="3" biastype="affine" biasprm="0 -1 -0.3"/>
+  <position site="tip" refsite="elbow" gear="0 0 0 0.3 0.6 0.2" kp="2"/>
+  <general site="wrist" refsite="hook" gear="0.3 0 0 0.3 0.6 0.2" gainprm="1" biastype="affine" biasprm="0 -1 -0.1"/>
+  <position cranksite="pin" slidersite="slider" cranklength="0.3" gear="1.5" kp="20" kv="1"/>
+  <motor cranksite="pin" slidersite="slider" cranklength="0.11" forcerange="-2 2"/>
 </actuator>
 </mujoco>
 """
