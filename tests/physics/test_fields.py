@@ -36,7 +36,7 @@ ALL = """
       <joint name="slide" type="slide" axis="1 0 .1" pos=".01 0 0" damping="1" stiffness="20" springref=".1"
         range="-.05 .02" frictionloss=".2" armature=".03" actuatorfrcrange="-3 3"/>
       <joint name="turn" axis="0 1 .1" pos=".02 0 .01" damping=".2" stiffness="3" springref=".2" ref=".1" range="-30 20"
-        frictionloss=".05" armature=".02" margin=".02"/>
+        frictionloss=".05" armature=".02" margin=".02" actuatorfrcrange="-1 1" actuatorgravcomp="true"/>
       <geom name="stick" type="capsule" size=".05" fromto="0 0 0 .3 0 0" mass="1"/>
       <site name="root" pos="0 0 .05"/><camera name="eye" pos="0 .1 0" euler="10 0 0"/>
       <body name="fore" pos=".3 0 0" quat="1 .1 .2 .1">
@@ -78,7 +78,7 @@ ALL = """
       <joint joint="slide" coef="1"/><joint joint="turn" coef=".4"/>
     </fixed>
     <fixed name="other"><joint joint="px" coef="1.1"/></fixed>
-    <spatial name="cord" range="0 .2" stiffness="30" damping=".4" springlength="0.1">
+    <spatial name="cord" range="0 .2" stiffness="30" damping=".4" springlength="0.1" actuatorfrcrange="-.5 .6">
       <site site="root"/><site site="top"/><pulley divisor="2"/><site site="root"/><site site="end"/>
     </spatial>
   </tendon>
@@ -89,7 +89,7 @@ ALL = """
     <tendon tendon1="other" tendon2="both" polycoef=".02 .5 0 0 0"/>
   </equality>
   <actuator>
-    <position name="p" joint="slide" kp="60" kv="5" ctrlrange="-.4 .4" forcerange="-2 2"/>
+    <position name="p" joint="slide" kp="60" kv="5" ctrlrange="-.4 .4" forcerange="-2 2" armature=".02" damping=".4"/>
     <general name="f" joint="turn" dyntype="filter" dynprm=".05" gainprm="2 0 .1" biastype="affine" biasprm=".1 -1 -.1"
       actlimited="true" actrange="-.03 .03" actearly="true"/>
     <general name="s" site="end" gear="0 10 0 0 0 1" dyntype="integrator"/>
@@ -97,6 +97,7 @@ ALL = """
     <motor name="t" tendon="cord" gear="2" group="1"/>
     <damper name="d" joint="px" kv="2" ctrlrange="0 1"/>
     <muscle name="m" joint="turn" lengthrange="-1 1" ctrlrange="0 1" scale=".5"/>
+    <motor name="c" cranksite="root" slidersite="top" cranklength="1.5"/>
   </actuator>
   <sensor>
     <clock/><framepos objtype="site" objname="end" cutoff=".35"/><velocimeter site="end"/><gyro site="top"/>
@@ -124,18 +125,16 @@ REFUSED = """
       <freejoint/><geom name="box" type="box" size=".1 .1 .1" fluidshape="ellipsoid"/><site name="s" size=".17"/>
     </body>
     <body pos="1 0 .099" gravcomp=".5">
-      <joint name="h" axis="0 1 0" actuatorgravcomp="true"/>
+      <joint name="h" axis="0 1 0"/>
       <joint name="k" type="slide" pos=".1 0 0" stiffness="1 2 3"/>
-      <geom size=".1" pos=".1 0 0" adhesion="3"/><site name="rod" pos=".1 0 0"/>
+      <geom size=".1" pos=".1 0 0" adhesion="3"/>
     </body>
-    <site name="crank"/>
     <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" pos="2 0 .02" radius=".01" dim="2" mass="1"/>
   </worldbody>
   <contact><pair geom1="box" geom2="floor" adhesion="1" solreffriction=".05 1"/></contact>
-  <tendon><fixed name="t" actuatorfrcrange="-.01 .01" damping="1 2 3"><joint joint="h" coef="1"/></fixed></tendon>
+  <tendon><fixed name="t" damping="1 2 3"><joint joint="h" coef="1"/></fixed></tendon>
   <actuator>
-    <motor joint="k" armature=".1" damping="2 1 1"/><motor tendon="t"/><motor joint="h" gear=".1"/>
-    <general cranksite="crank" slidersite="rod" cranklength="1.5"/>
+    <motor joint="k" damping="2 1 1"/><motor tendon="t"/><motor joint="h" gear=".1"/>
     <muscle joint="h" lengthrange="-1 1" ctrlrange="0 1" scale=".5"/><motor joint="k" delay=".004" nsample="3"/>
   </actuator>
   <sensor>

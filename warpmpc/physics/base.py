@@ -30,6 +30,8 @@ MOST_SHARED = 64
 """Degrees of freedom of a world that fits into the memory which the lanes of a warp share."""
 MOST_GROUP = 30
 """Of actuators that can be disabled."""
+_ON_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+_ON_TENDONS = (int(mujoco.mjtTrn.mjTRN_TENDON),)
 NOTHING: Vector = [0.0, 0.0, 0.0]
 IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
@@ -286,34 +288,42 @@ class Structure:
     @cached_property
     def armatures(self) -> np.ndarray:
         """Armature of each degree of freedom, with those of actuators ``[nv]``."""
-        m, kinds = self.mj, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        return m.dof_armature + self._geared(m.actuator_armature, kinds, m.njnt)[m.dof_jntid]
+        m = self.mj
+        return m.dof_armature + self._geared(m.actuator_armature, m.jnt_actuatorid, _ON_JOINTS)[m.dof_jntid]
 
     @cached_property
     def line_armatures(self) -> np.ndarray:
         """The same of each tendon ``[ntendon]``."""
         m = self.mj
-        return m.tendon_armature + self._geared(m.actuator_armature, (int(mujoco.mjtTrn.mjTRN_TENDON),), m.ntendon)
+        return m.tendon_armature + self._geared(m.actuator_armature, m.tendon_actuatorid, _ON_TENDONS)
 
     @cached_property
     def dampings(self) -> np.ndarray:
         """Damping of each degree of freedom, with that of actuators, none where it is disabled ``[nv]``."""
-        m, kinds = self.mj, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        damping = m.dof_damping + self._geared(m.actuator_damping, kinds, m.njnt)[m.dof_jntid]
+        m = self.mj
+        damping = m.dof_damping + self._geared(m.actuator_damping, m.jnt_actuatorid, _ON_JOINTS)[m.dof_jntid]
         return np.zeros(m.nv) if self.off("DAMPER") else damping
 
     @cached_property
     def line_dampings(self) -> np.ndarray:
         """The same of each tendon ``[ntendon]``."""
         m = self.mj
-        damping = m.tendon_damping + self._geared(m.actuator_damping, (int(mujoco.mjtTrn.mjTRN_TENDON),), m.ntendon)
+        damping = m.tendon_damping + self._geared(m.actuator_damping, m.tendon_actuatorid, _ON_TENDONS)
         return np.zeros(m.ntendon) if self.off("DAMPER") else damping
 
-    def _geared(self, numbers: np.ndarray, kinds: tuple[int, ...], count: int) -> np.ndarray:
-        """Numbers of actuators times squares of their gears, added up by what they drive."""
-        m, out = self.mj, np.zeros(count)
+    def _geared(self, numbers: np.ndarray, owner: np.ndarray, kinds: tuple[int, ...]) -> np.ndarray:
+        """Numbers of actuators times squares of their gears, added up by what they drive.
+
+        Args:
+            numbers: Of the actuators.
+            owner: The one actuator of each joint or tendon that counts; -1 if none does, -2 if all do.
+            kinds: Transmissions.
+        """
+        m, out = self.mj, np.zeros(len(owner))
         for a in np.flatnonzero(np.isin(m.actuator_trntype, kinds)):
-            out[m.actuator_trnid[a, 0]] += numbers[a] * m.actuator_gear[a, 0] ** 2
+            target = int(m.actuator_trnid[a, 0])
+            if owner[target] in (a, -2):
+                out[target] += numbers[a] * m.actuator_gear[a, 0] ** 2
         return out
 
     @cached_property

@@ -20,15 +20,15 @@ def _names(text: str) -> frozenset[str]:
 
 READ = _names("""
 -: qpos0
-actuator_: acc0 actearly actlimited actrange biasprm ctrllimited ctrlrange dynprm forcelimited forcerange gainprm gear
-    group lengthrange
+actuator_: acc0 actearly actlimited actrange armature biasprm cranklength ctrllimited ctrlrange damping dynprm
+    forcelimited forcerange gainprm gear group lengthrange
 body_: gravcomp inertia invweight0 ipos iquat mass pos quat
 cam_: pos quat
 dof_: armature damping frictionloss invweight0 solimp solref
 eq_: active0 data solimp solref
 geom_: conaffinity condim friction margin pos priority quat rbound size solimp solmix solref
 hfield_: data size
-jnt_: actfrclimited actfrcrange axis limited margin pos range solimp solref stiffness
+jnt_: actfrclimited actfrcrange actgravcomp axis limited margin pos range solimp solref stiffness
 mesh_: vert
 opt.: cone density disableactuator disableflags enableflags gravity impratio integrator iterations ls_iterations
     ls_tolerance o_friction o_margin o_solimp o_solref solver timestep tolerance viscosity wind
@@ -37,8 +37,8 @@ qpos_: spring
 sensor_: cutoff
 site_: pos quat
 stat.: meaninertia
-tendon_: armature damping frictionloss invweight0 length0 lengthspring limited margin range solimp_fri solimp_lim
-    solref_fri solref_lim stiffness
+tendon_: actfrclimited actfrcrange armature damping frictionloss invweight0 length0 lengthspring limited margin range
+    solimp_fri solimp_lim solref_fri solref_lim stiffness
 wrap_: prm
 """)
 """Fields that rollouts read: with other values they end elsewhere."""
@@ -54,12 +54,12 @@ eq_: obj1id obj2id objtype type
 exclude_: signature
 geom_: bodyid contype dataid type
 hfield_: adr ncol nrow
-jnt_: bodyid dofadr qposadr type
+jnt_: actuatorid bodyid dofadr qposadr type
 mesh_: graph graphadr polyadr polynormal polynum polyvert polyvertadr polyvertnum vertadr vertnum
 pair_: geom1 geom2
 sensor_: adr datatype dim intprm objid objtype refid reftype type
 site_: bodyid
-tendon_: adr num
+tendon_: actuatorid adr num
 wrap_: objid type
 """)
 """Fields that rollouts read, too: places, counts and kinds, which belong to each other and are not changed alone."""
@@ -78,7 +78,6 @@ dof_: M0 Madr length simplenum treeid
 efm0_: L L_colind L_rowadr L_rownnz dofid
 efmC_: perm
 geom_: aabb sameframe
-jnt_: actuatorid
 mesh_: bvhadr bvhnum extrema face faceadr facenum octadr octnum polymap polymapadr polymapnum pos quat scale
 oct_: aabb child coeff depth
 opt.: ccd_iterations ccd_tolerance
@@ -86,7 +85,7 @@ pair_: signature
 sensor_: needstage
 site_: sameframe
 ten_: J_colind J_rowadr J_rownnz
-tendon_: actuatorid treeid treenum
+tendon_: treeid treenum
 tree_: bodyadr bodynum dofadr dofnum sleep_policy
 """)
 """Fields that MuJoCo derives from the others, or that say how it finds what it finds: not read, and not compared."""
@@ -94,7 +93,7 @@ tree_: bodyadr bodynum dofadr dofnum sleep_policy
 REFUSED = _names("""
 -: nJfe nJfv nflex nflexbending nflexedge nflexelem nflexelemdata nflexelemedge nflexnode nflexshelldata
     nflexstiffness nflextexcoord nflexvert nhistory nplugin npluginattr npluginstate plugin
-actuator_: armature cranklength ctrlspec damping dampingpoly delay history historyadr plugin
+actuator_: ctrlspec dampingpoly delay history historyadr plugin
 body_: plugin
 dof_: dampingpoly
 flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinity condim contype damping dim edge
@@ -105,13 +104,13 @@ flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinit
 flexedge_: J_colind J_rowadr J_rownnz invweight0 length0 rigid
 flexvert_: J_colind J_rowadr J_rownnz
 geom_: adhesion fluid plugin surfacevel
-jnt_: actgravcomp stiffnesspoly
+jnt_: stiffnesspoly
 opt.: magnetic noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
 pair_: adhesion solreffriction
 plugin_: attr attradr stateadr statenum
 sensor_: delay history historyadr interval plugin
 site_: size type
-tendon_: actfrclimited actfrcrange dampingpoly stiffnesspoly
+tendon_: dampingpoly stiffnesspoly
 """)
 """Fields of what rollouts lack: a model that uses one is refused by name, or MuJoCo rolls it out."""
 
