@@ -4,8 +4,10 @@
 import numpy as np
 import pytest
 
+from warpmpc.engine.registry import make_engine
 from warpmpc.live.foresight import ForesightMeter
 from warpmpc.model.compiled import compile_scene
+from warpmpc.plant import foresight
 from warpmpc.plant.foresight import foresee, logged_steps
 from warpmpc.record.run_recorder import RunRecorder
 from warpmpc.run.episode import Episode
@@ -59,3 +61,12 @@ def test_an_engine_without_physics_foresees_nothing():
     found, meter, _ = played("storm_reach", "planner.samples=64", steps=3, engine="kinematic")
     assert not meter.known
     assert found == [None] * 3
+
+
+def test_the_engine_that_planned_foresees(monkeypatch):
+    made = []
+    monkeypatch.setattr(foresight, "make_engine", lambda name, request: made.append(name) or make_engine(name, request))
+    _, _, recorder = played("quadrotor", "plant.randomize=false")
+    scene, log = load_scene("quadrotor"), recorder.run_log
+    assert foresee(scene, compile_scene(scene), logged_steps(log, scene), seed=0, engine="fused").ahead < 0.05
+    assert made == ["fused", "mujoco"]  # what was foreseen, what came

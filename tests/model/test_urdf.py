@@ -263,3 +263,37 @@ def test_an_effort_that_is_none_is_refused(tmp_path, effort, says):
     inside = f"<limit lower='-1' upper='1' effort='{effort}' velocity='2'/>"
     with pytest.raises(SceneError, match=f"joint 'to_arm'.*{says}"):
         compile_scene(scene(tmp_path, joints=joint("arm", inside=inside)))
+
+
+# names and shapes
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        ({"links": "<link name='arm'/>"}, "two links are called 'arm'"),
+        ({"links": "<link/>"}, "a link has no name"),
+        ({"joints": joint("arm") + joint("arm")}, "two joints are called 'to_arm'"),
+        ({"joints": joint("arm").replace("to_arm", "")}, "a joint has no name: the one between 'base' and 'arm'"),
+        ({"joints": joint("arm", parent="nobody")}, "its parent is no link of the file \\('nobody'\\)"),
+    ],
+)
+def test_names_that_are_missing_or_taken_are_errors(tmp_path, inside, said):
+    with pytest.raises(SceneError, match=said):
+        compile_scene(scene(tmp_path, **inside))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "size"),
+    [
+        ("capsule radius='.03' length='.2'", (0.03, 0.1)),
+        ("cylinder radius='.03' length='.2'", (0.03, 0.1)),
+        ("sphere radius='.03'", (0.03,)),
+        ("box size='.1 .2 .3'", (0.05, 0.1, 0.15)),
+    ],
+)
+def test_shapes_have_the_sizes_of_the_file(tmp_path, geometry, size):
+    model = model_of(
+        compile_scene(scene(tmp_path, arm=f"{BALL}<collision><geometry><{geometry}/></geometry></collision>"))
+    )
+    np.testing.assert_allclose(model.geom_size[-1][: len(size)], size, rtol=1e-6)

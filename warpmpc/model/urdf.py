@@ -57,6 +57,9 @@ class Urdf:
             raise self.error("this asset has no links")
         self.repaired: list[str] = []
         """What is not as the file says, one line each."""
+        for capsule in self.root.iter("capsule"):  # Newton 1.8 reads ``height``, and 1 m where there is none
+            if (length := capsule.get("length")) is not None:
+                capsule.set("height", length)
         self.meshes = list(self._find_meshes())
         try:
             self.repaired += [*repair_inertias(self.root, floating=floating), *repair_joints(self.root)]

@@ -40,6 +40,8 @@ def repair_inertias(root: Element, *, floating: bool) -> list[str]:
     Raises:
         Impossible: If mass or inertia are no numbers, or a joint moves nothing that has a mass.
     """
+    for kind in ("link", "joint"):
+        _require_names(root, kind)
     links = {link.get("name", ""): link for link in root.findall("link")}
     said = [line for link in links.values() if (line := _repair_inertia(link))]
     children: dict[str, list[tuple[str, bool]]] = {name: [] for name in links}
@@ -53,6 +55,20 @@ def repair_inertias(root: Element, *, floating: bool) -> list[str]:
         if name not in below:
             said += _repair_massless(name, links, children, moves=floating, moving=floating)
     return said
+
+
+def _require_names(root: Element, kind: str) -> None:
+    """Refuse links or joints without a name, or with one that another has."""
+    seen = set()
+    for element in root.findall(kind):
+        name = element.get("name", "").strip()
+        if not name:
+            ends = (element.find(side) for side in ("parent", "child"))
+            between = " and ".join(f"'{end.get('link')}'" for end in ends if end is not None)
+            raise Impossible(f"a {kind} has no name" + (f": the one between {between}" if between else ""))
+        if name in seen:
+            raise Impossible(f"two {kind}s are called '{name}'")
+        seen.add(name)
 
 
 def _end(joint: Element, side: str, links: dict[str, Element]) -> str:

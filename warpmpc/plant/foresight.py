@@ -321,6 +321,7 @@ def foresee(
     *,
     seed: int,
     engine: str,
+    device: str = "cpu",
     terms: Sequence[UserTerm] = (),
 ) -> Foresight | None:
     """Compare what a run's planner foresaw for the controls sent with what came; None for a run without any.
@@ -330,13 +331,16 @@ def foresee(
         compiled: The scene, compiled.
         steps: The run.
         seed: Seed of the plant.
-        engine: Engine of the rollouts; one that takes MuJoCo's steps.
+        engine: Engine that planned; one that takes MuJoCo's steps. Without a GPU MuJoCo replaces ``newton``.
+        device: Device that it planned on; the CPU where that is missing.
         terms: Users' own cost terms that the scene names.
     """
+    device = device if device == "cpu" or wp.is_cuda_available() else "cpu"
+    same = engine if device != "cpu" or engine != EngineName.NEWTON else str(EngineName.MUJOCO)
     windows = Windows(scene, compiled, steps, terms)
     if not len(windows.rows):
         return None
-    planned = windows.roll_out(Physics.of_planner(scene, compiled, engine))
+    planned = windows.roll_out(Physics.of_planner(scene, compiled, engine), engine=same, device=device)
     came = windows.roll_out(Physics.of_plant(scene, compiled, seed), noise=False, delay=False)
     errors = windows.error(planned)
     known = np.isfinite(planned.cost) & np.isfinite(came.cost)

@@ -219,7 +219,8 @@ def _foresight(log: RunLog, scene: Scene, terms: Sequence[UserTerm]) -> Foresigh
         return None
     origin, steps = log.origin, logged_steps(log, scene)
     try:
-        return foresee(scene, compile_scene(scene), steps, seed=origin["seed"], engine=origin["engine"], terms=terms)
+        planned = {"engine": origin["engine"], "device": origin["device"], "terms": terms}
+        return foresee(scene, compile_scene(scene), steps, seed=origin["seed"], **planned)
     except SceneError:
         return None
 

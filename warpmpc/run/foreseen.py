@@ -64,9 +64,8 @@ class StepRecorder:
         columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         for name in ("joint_q", "joint_qd"):
             columns[name] = np.concatenate([columns[name], getattr(end, name)[None]])
-        engine, seed = controller.engine.name, self.plant.seed
-        steps = Steps(**columns)
-        return foresee(self.scene, controller.compiled, steps, seed=seed, engine=engine, terms=self._terms)
+        planned = {"engine": controller.engine.name, "device": str(controller.device), "terms": self._terms}
+        return foresee(self.scene, controller.compiled, Steps(**columns), seed=self.plant.seed, **planned)
 
 
 def foresight_signs(foresight: Foresight | None) -> Iterator[str]:
