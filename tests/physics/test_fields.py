@@ -20,17 +20,25 @@ ALL = """
 <mujoco>
   <compiler autolimits="true"/>
   <option timestep="0.004" iterations="60" tolerance="1e-10" density="1.5" viscosity=".02" wind=".3 .1 0" impratio="2"
-    cone="elliptic"/>
+    cone="elliptic" magnetic="0 .5 0"/>
   <size memory="4M"/>
   <asset>
     <mesh name="tet" vertex="0 0 0  .2 0 0  0 .2 0  0 0 .2  .1 .1 .15"/>
     <hfield name="hills" nrow="3" ncol="4" size="1 1 .1 .1" elevation="0 1 0 0 1 0 1 0 0 0 1 1"/>
     <texture name="t" type="2d" builtin="flat" width="4" height="4"/><material name="red" texture="t"/>
+    <material name="clear" rgba="0 0 0 0"/>
   </asset>
   <worldbody>
     <light pos="0 0 3"/>
+    <camera name="wide" pos="0 -2 1" euler="70 0 0" resolution="64 48" fovy="50"/>
+    <camera name="lens" pos="0 -2 1" euler="70 0 0" resolution="64 48" focal=".1 .12" sensorsize=".2 .15"/>
+    <body pos="0 0 1.5">
+      <geom type="sphere" size=".02" rgba="0 0 0 0" contype="0" conaffinity="0"/>
+      <geom type="sphere" size=".03" pos=".5 0 0" material="clear" contype="0" conaffinity="0"/>
+    </body>
+    <site name="beam" pos="0 0 2" euler="180 0 0"/><site name="ray" pos=".5 0 2" euler="180 0 0"/>
     <geom name="floor" type="plane" size="4 4 .1" friction=".6" solref=".03 1.1" solmix=".7"/>
-    <geom name="hills" type="hfield" hfield="hills" pos="3 0 .05"/>
+    <geom name="hills" type="hfield" hfield="hills" pos="3 0 .05" rgba="0 0 0 0"/>
     <body name="arm" pos="-.6 0 .4" euler="5 10 0" gravcomp=".3">
       <inertial pos=".02 .01 .03" mass="1.2" diaginertia=".02 .03 .025" euler="10 0 5"/>
       <joint name="slide" type="slide" axis="1 0 .1" pos=".01 0 0" damping="1" stiffness="20" springref=".1"
@@ -49,7 +57,7 @@ ALL = """
       <freejoint name="free"/>
       <geom name="box" type="box" size=".1 .08 .1" mass=".7" friction=".5" condim="4" solref=".015 1.2"
         solimp=".8 .96 .01 .4 2" margin=".005" priority="1"/>
-      <site name="top" pos="0 0 .1"/>
+      <site name="top" pos="0 0 -.1" size=".125"/>
     </body>
     <body name="tet" pos="0 1 -.002">
       <freejoint/><geom name="tet" type="mesh" mesh="tet" mass=".4" condim="6" solmix="2"/>
@@ -103,7 +111,9 @@ ALL = """
     <clock/><framepos objtype="site" objname="end" cutoff=".35"/><velocimeter site="end"/><gyro site="top"/>
     <framequat objtype="camera" objname="eye"/><framelinvel objtype="geom" objname="ell" reftype="body" refname="arm"/>
     <subtreecom body="arm"/><ballquat joint="ball"/>
-    <framepos objtype="camera" objname="eye"/><jointvel joint="turn"/>
+    <framepos objtype="camera" objname="eye"/><jointvel joint="turn"/><accelerometer site="end"/>
+    <magnetometer site="end"/><camprojection site="end" camera="wide"/><camprojection site="end" camera="lens"/>
+    <rangefinder site="beam"/><rangefinder site="ray"/><touch site="top"/>
   </sensor>
   <keyframe><key qpos="0 0 1 0 0 0 0 0 .2 1 0 0 0 0 1 0 1 0 0 0 3 0 .22 1 0 0 0 0 0 0 0" /></keyframe>
 </mujoco>
@@ -118,11 +128,11 @@ VARIANT = ALL.replace("<compiler", OVERRIDE).replace('tolerance="1e-10"', 'toler
 """The same with overridden contacts, a group of actuators that is off, and a solver that ends early."""
 REFUSED = """
 <mujoco>
-  <option magnetic="0 .5 0" noslip_iterations="3" cone="elliptic" density="5"/>
+  <option noslip_iterations="3" cone="elliptic" density="5"/>
   <worldbody>
     <geom name="floor" type="plane" size="4 4 .1" surfacevel=".1 0 0 0 0 0"/>
     <body pos="0 0 .099">
-      <freejoint/><geom name="box" type="box" size=".1 .1 .1" fluidshape="ellipsoid"/><site name="s" size=".17"/>
+      <freejoint/><geom name="box" type="box" size=".1 .1 .1" fluidshape="ellipsoid"/><site name="s"/>
     </body>
     <body pos="1 0 .099" gravcomp=".5">
       <joint name="h" axis="0 1 0"/>
@@ -138,7 +148,7 @@ REFUSED = """
     <muscle joint="h" lengthrange="-1 1" ctrlrange="0 1" scale=".5"/><motor joint="k" delay=".004" nsample="3"/>
   </actuator>
   <sensor>
-    <magnetometer site="s"/><touch site="s"/>
+    <contact geom1="floor" num="1" data="found"/>
     <framepos objtype="site" objname="s" delay=".004" nsample="3" interval=".004"/>
   </sensor>
 </mujoco>

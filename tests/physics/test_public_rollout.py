@@ -80,7 +80,7 @@ CLOSE = {"rtol": 5e-5, "atol": 5e-5}
 
 @pytest.fixture(scope="module")
 def seen():
-    """A model with every kind of sensor that is read, and states and controls for it."""
+    """A model with all kinds of sensors of positions and velocities, and states and controls for it."""
     model = mujoco.MjModel.from_xml_string(SEEN)
     return model, *drawn(model, 3)
 
@@ -235,7 +235,7 @@ def test_a_warm_start_changes_no_result():
 
 @pytest.mark.parametrize(
     ("sensors", "named"),
-    [('<touch name="t" site="s"/>', "touch"), ('<accelerometer site="s"/>', "accelerometer")],
+    [('<user dim="1"/>', "user"), ('<rangefinder site="s" data="normal"/>', "rangefinder")],
 )
 def test_what_it_lacks_is_rolled_out_by_mujoco_with_one_line(caplog, sensors, named):
     model, start, control = pushed()

@@ -214,6 +214,14 @@ class Structure:
         """Return whether joints move a body."""
         return bool(self.body_dofs[body])
 
+    def subtree(self, root: int) -> list[int]:
+        """A body and all below it, that one first."""
+        out = [root]
+        for body in range(root + 1, self.mj.nbody):
+            if int(self.mj.body_parentid[body]) in out:
+                out.append(body)
+        return out
+
     def rigid(self, root: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mass, mass times centre and inertia of a body with all that is welded to it, about its origin in its frame.
 

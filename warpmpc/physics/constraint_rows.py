@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -122,15 +122,8 @@ class ConstraintRows:
     def _bodies(self, constraint: Constraint) -> None:
         """Two points are one (connect); two frames are one (weld)."""
         m, e, lines, sites = self.mj, constraint.index, self._lines, self.sites
-        data, bodies = m.eq_data[e], ends(m, e)
-        connects = int(m.eq_type[e]) == CONNECT
-        if int(m.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
-            ids = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
-            pair = [sites.index(m.site_bodyid[s], m.site_pos[s], rotation(m.site_quat[s])) for s in ids]
-        elif connects:
-            pair = [sites.index(b, at) for b, at in zip(bodies, (data[:3], data[3:6]), strict=True)]
-        else:
-            pair = [sites.index(bodies[0], data[3:6], rotation(data[6:10])), sites.index(bodies[1], data[:3])]
+        bodies = ends(m, e)
+        connects, pair = int(m.eq_type[e]) == CONNECT, tied_sites(m, sites, e)
         chains = [self.model.body_dofs[b] for b in bodies]
         apart = lines.difference(sites.point(pair[0]), sites.point(pair[1]))
         curving = lines.difference(sites.falling(pair[0]), sites.falling(pair[1]))
@@ -143,7 +136,7 @@ class ConstraintRows:
         squares = lines.dot(apart, apart)
         bent = None
         if not connects:
-            bent = self._turned(constraint, pair, chains, float(data[10]))
+            bent = self._turned(constraint, pair, chains, float(m.eq_data[e, 10]))
             squares = lines.sum(squares, lines.dot(bent[0], bent[0]))
         measure = lines.let(f"VSQRT({text(squares)})")
         for k in range(3):
@@ -162,13 +155,8 @@ class ConstraintRows:
         With the relative quaternion (s, e) and angular velocities in the second frame, ė = (s ω + ω × e) / 2.
         """
         lines, sites = self._lines, self.sites
-        first, second = (sites.columns(n) for n in pair)
-        entries = [text(lines.dot(second[i], first[j])) for i in range(3) for j in range(3)]
-        name = f"turn{constraint.index}"
-        lines.add(f"T {name}x, {name}y, {name}z, {name}s;")
-        lines.add(f"{{ const T r[9] = {{{', '.join(entries)}}};")
-        lines.add(f"quaternion(r, {name}x, {name}y, {name}z, {name}s); }}")
-        e, s = [f"{name}{axis}" for axis in "xyz"], f"{name}s"
+        second = sites.columns(pair[1])
+        e, s = relative_turn(lines, sites, pair, f"turn{constraint.index}")
 
         def bend(omega: Vector) -> Vector:
             local = [lines.dot(column, omega) for column in second]
@@ -228,6 +216,34 @@ class ConstraintRows:
 
     def _friction(self, constraint: Constraint) -> None:
         self._row(constraint, dict(self.tendons.arms(constraint.index)), 0.0)
+
+
+def tied_sites(m: mujoco.MjModel, sites: Sites, e: int) -> list[int]:
+    """Sites of the two bodies of a connect or weld."""
+    data, bodies = m.eq_data[e], ends(m, e)
+    if int(m.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        ids = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+        return [sites.index(m.site_bodyid[s], m.site_pos[s], rotation(m.site_quat[s])) for s in ids]
+    if int(m.eq_type[e]) == CONNECT:
+        return [sites.index(b, at) for b, at in zip(bodies, (data[:3], data[3:6]), strict=True)]
+    return [sites.index(bodies[0], data[3:6], rotation(data[6:10])), sites.index(bodies[1], data[:3])]
+
+
+def relative_turn(lines: Lines, sites: Sites, pair: Sequence[int], name: str) -> tuple[Vector, Operand]:
+    """Vector part and real part of the quaternion of one site in another's frame.
+
+    Args:
+        lines: Takes the statements.
+        sites: The sites.
+        pair: The one, the other.
+        name: What new names begin with.
+    """
+    first, second = (sites.columns(n) for n in pair)
+    entries = [text(lines.dot(second[i], first[j])) for i in range(3) for j in range(3)]
+    lines.add(f"T {name}x, {name}y, {name}z, {name}s;")
+    lines.add(f"{{ const T r[9] = {{{', '.join(entries)}}};")
+    lines.add(f"quaternion(r, {name}x, {name}y, {name}z, {name}s); }}")
+    return [f"{name}{axis}" for axis in "xyz"], f"{name}s"
 
 
 def ball_angle(lines: Lines, name: str, q: int) -> tuple[Vector, Operand]:

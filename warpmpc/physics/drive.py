@@ -34,9 +34,11 @@ class Drive:
         model: The model.
         sites: Takes sites that actuators pull at.
         tendons: Lengths and lever arms.
+        kept: Whether lengths, speeds and forces of actuators are kept.
     """
 
-    def __init__(self, model: Structure, sites: Sites, tendons: Tendons):
+    def __init__(self, model: Structure, sites: Sites, tendons: Tendons, *, kept: bool = False):
+        self._kept = kept
         self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
         self.transmission = Transmission(model, sites, tendons)
         self._pulled: dict[int, tuple[Reach, Operand, Operand]] = {}
@@ -91,9 +93,13 @@ class Drive:
         for a in range(m.nu):
             if not self.model.drives(a):
                 self._rest(lines, a)
+                if self._kept:
+                    self._keep(lines, a, self.transmission.reach(lines, a), 0.0)
                 continue
             reach, value, rate = self._unbounded(lines, a)
             value, rate = self._bounded(lines, a, value, rate, shares)
+            if self._kept:
+                self._keep(lines, a, reach, value)
             for dof, arm in reach.arms:
                 self._force[dof].append((value, arm))
             if self.model.implicit and rate != 0.0:
@@ -107,6 +113,8 @@ class Drive:
             carried = self._carried(lines, i) if m.jnt_actgravcomp[joint] and (limited or off) else 0.0
             if limited and (self._force[i] or carried != 0.0) and not off:
                 driven = clamp(lines, lines.sum(driven, carried), m.jnt_actfrcrange[joint])
+            if self._kept:
+                lines.add(f"w.joint_force[{i}] = {text(driven)};")
             driven = lines.sum(driven, (-1.0, carried))  # which is in the bias
             terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
             damping = float(self.model.dampings[i])
@@ -127,6 +135,11 @@ class Drive:
             return self._pulled[a]
         reach = self.transmission.reach(lines, a)
         return reach, *self._actuator(lines, a, reach)
+
+    def _keep(self, lines: Lines, a: int, reach: Reach, force: Operand) -> None:
+        """Length, speed and force of an actuator, for sensors."""
+        for name, x in (("length", reach.length), ("speed", reach.speed), ("force", (force, 1.0))):
+            lines.add(f"w.actuator_{name}[{a}] = {text(lines.sum(x))};")
 
     def _shares(self, lines: Lines) -> dict[int, str]:
         """What limits of tendons leave of the forces of all actuators on each."""

@@ -13,6 +13,7 @@ from .coriolis import write_skewed_solve
 from .drive import Drive
 from .fluid import Fluid
 from .gyroscopic import write_gyroscopic
+from .sensing import Sensing
 from .tendons import Tendons
 from .tree import Tree
 
@@ -26,14 +27,16 @@ class Dynamics:
     Args:
         model: The model.
         recorded: Bodies whose poses and velocities are kept for the record.
+        sensors: Whether sensors are read.
     """
 
-    def __init__(self, model: PhysicsModel, recorded: frozenset[int]):
+    def __init__(self, model: PhysicsModel, recorded: frozenset[int], *, sensors: bool = False):
         self.model, self.mj, self.recorded = model, model.mj, recorded
         self.bodies = Bodies(model, recorded)
         self.sites = self.bodies.sites
         self.tendons = Tendons(model, self.sites)
-        self.drive = Drive(model, self.sites, self.tendons)
+        self.sensing = Sensing(model, self.sites, self.tendons, on=sensors)
+        self.drive = Drive(model, self.sites, self.tendons, kept=self.sensing.drives)
 
     def write(self) -> str:
         """Source of the functions."""
@@ -42,6 +45,7 @@ class Dynamics:
         skewed = write_skewed_solve(self.model, self.drive.spreads)
         self.fluid = Fluid(self.model, self.sites)
         self.bind = ConstraintRows(self.model, self.sites, self.tendons).write()
+        self.sense = self.sensing.write()
         return "\n".join((*forces, skewed, self._place(), self._move()))
 
     def _place(self) -> str:

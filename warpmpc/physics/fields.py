@@ -23,19 +23,20 @@ READ = _names("""
 actuator_: acc0 actearly actlimited actrange armature biasprm cranklength ctrllimited ctrlrange damping dynprm
     forcelimited forcerange gainprm gear group lengthrange
 body_: gravcomp inertia invweight0 ipos iquat mass pos quat
-cam_: pos quat
+cam_: fovy intrinsic pos quat resolution sensorsize
 dof_: armature damping frictionloss invweight0 solimp solref
 eq_: active0 data solimp solref
-geom_: conaffinity condim friction margin pos priority quat rbound size solimp solmix solref
+geom_: conaffinity condim friction margin pos priority quat rbound rgba size solimp solmix solref
 hfield_: data size
 jnt_: actfrclimited actfrcrange actgravcomp axis limited margin pos range solimp solref stiffness
+mat_: rgba
 mesh_: vert
 opt.: cone density disableactuator disableflags enableflags gravity impratio integrator iterations ls_iterations
-    ls_tolerance o_friction o_margin o_solimp o_solref solver timestep tolerance viscosity wind
+    ls_tolerance magnetic o_friction o_margin o_solimp o_solref solver timestep tolerance viscosity wind
 pair_: dim friction margin solimp solref
 qpos_: spring
 sensor_: cutoff
-site_: pos quat
+site_: pos quat size
 stat.: meaninertia
 tendon_: actfrclimited actfrcrange armature damping frictionloss invweight0 length0 lengthspring limited margin range
     solimp_fri solimp_lim solref_fri solref_lim stiffness
@@ -44,7 +45,7 @@ wrap_: prm
 """Fields that rollouts read: with other values they end elsewhere."""
 
 PLACES = _names("""
--: na nactuator nbody ncam neq nexclude ngeom nhfield nhfielddata njnt nmesh nmeshface nmeshgraph nmeshvert nmocap
+-: na nactuator nbody ncam neq nexclude ngeom nhfield nhfielddata njnt nmat nmesh nmeshface nmeshgraph nmeshvert nmocap
     npair nq nsensor nsensordata nsite ntendon nu nv nwrap
 actuator_: actadr actnum biastype ctrladr ctrlnum dyntype gaintype outadr outnum trnid trntype
 body_: dofadr dofnum geomadr geomnum jntadr jntnum mocapid parentid rootid weldid
@@ -52,13 +53,13 @@ cam_: bodyid mode targetbodyid
 dof_: bodyid jntid parentid
 eq_: obj1id obj2id objtype type
 exclude_: signature
-geom_: bodyid contype dataid type
+geom_: bodyid contype dataid matid type
 hfield_: adr ncol nrow
 jnt_: actuatorid bodyid dofadr qposadr type
-mesh_: graph graphadr polyadr polynormal polynum polyvert polyvertadr polyvertnum vertadr vertnum
+mesh_: face faceadr facenum graph graphadr polyadr polynormal polynum polyvert polyvertadr polyvertnum vertadr vertnum
 pair_: geom1 geom2
 sensor_: adr datatype dim intprm objid objtype refid reftype type
-site_: bodyid
+site_: bodyid type
 tendon_: actuatorid adr num
 wrap_: objid type
 """)
@@ -78,7 +79,7 @@ dof_: M0 Madr length simplenum treeid
 efm0_: L L_colind L_rowadr L_rownnz dofid
 efmC_: perm
 geom_: aabb sameframe
-mesh_: bvhadr bvhnum extrema face faceadr facenum octadr octnum polymap polymapadr polymapnum pos quat scale
+mesh_: bvhadr bvhnum extrema octadr octnum polymap polymapadr polymapnum pos quat scale
 oct_: aabb child coeff depth
 opt.: ccd_iterations ccd_tolerance
 pair_: signature
@@ -103,13 +104,12 @@ flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinit
     texcoord texcoordadr vert vert0 vertadr vertbodyid vertedge vertedgeadr vertedgenum vertmetric vertnum
 flexedge_: J_colind J_rowadr J_rownnz invweight0 length0 rigid
 flexvert_: J_colind J_rowadr J_rownnz
-geom_: adhesion fluid plugin surfacevel
+geom_: adhesion fluid gap plugin surfacevel
 jnt_: stiffnesspoly
-opt.: magnetic noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
-pair_: adhesion solreffriction
+opt.: noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
+pair_: adhesion gap solreffriction
 plugin_: attr attradr stateadr statenum
 sensor_: delay history historyadr interval plugin
-site_: size type
 tendon_: dampingpoly stiffnesspoly
 """)
 """Fields of what rollouts lack: a model that uses one is refused by name, or MuJoCo rolls it out."""
@@ -118,24 +118,23 @@ WITHOUT_EFFECT = _names("""
 -: name_actuatoradr name_bodyadr name_camadr name_eqadr name_excludeadr name_flexadr name_geomadr name_hfieldadr
     name_jntadr name_keyadr name_lightadr name_matadr name_meshadr name_numericadr name_pairadr name_pluginadr
     name_sensoradr name_siteadr name_skinadr name_tendonadr name_texadr name_textadr name_tupleadr names names_map
-    narena nbuffer nconmax njmax nkey nlight nmat nmeshnormal nmeshtexcoord nnames nnames_map nnumeric nnumericdata
+    narena nbuffer nconmax njmax nkey nlight nmeshnormal nmeshtexcoord nnames nnames_map nnumeric nnumericdata
     nout npaths nskin nskinbone nskinbonevert nskinface nskintexvert nskinvert ntex ntexdata ntext ntextdata ntuple
     ntupledata numeric_adr numeric_data numeric_size nuser_actuator nuser_body nuser_cam nuser_geom nuser_jnt
     nuser_sensor nuser_site nuser_tendon nuserdata paths signature
 actuator_: user
 body_: margin user
-cam_: fovy intrinsic ipd output projection resolution sensorsize user
+cam_: ipd output projection user
 flex_: group matid rgba
-geom_: gap group matid rgba user
+geom_: group user
 hfield_: pathadr
 jnt_: group user
 key_: act ctrl mpos mquat qpos qvel time
 light_: active ambient attenuation bodyid bulbradius castshadow cutoff diffuse dir dir0 exponent intensity mode pos
     pos0 poscom0 range softness specular targetbodyid texid type
-mat_: emission metallic reflectance rgba roughness shininess specular texid texrepeat texuniform
+mat_: emission metallic reflectance roughness shininess specular texid texrepeat texuniform
 mesh_: facenormal facetexcoord normal normaladr normalnum pathadr texcoord texcoordadr texcoordnum
 opt.: jacobian
-pair_: gap
 sensor_: noise user
 site_: dataid group matid rgba user
 skin_: boneadr bonebindpos bonebindquat bonebodyid bonenum bonevertadr bonevertid bonevertnum bonevertweight face

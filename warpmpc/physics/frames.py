@@ -27,6 +27,12 @@ OBJECTS = frozenset({int(kind) for kind in _OBJECTS} | {int(mujoco.mjtObj.mjOBJ_
 """Types of objects that have a frame."""
 
 
+def framed(m: mujoco.MjModel, kind: int, number: int) -> bool:
+    """Return whether an object has a frame on a body: cameras that follow something have none."""
+    camera = kind == int(mujoco.mjtObj.mjOBJ_CAMERA)
+    return kind in OBJECTS and (not camera or m.cam_mode[number] == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED))
+
+
 @dataclass(frozen=True)
 class Frame:
     """A frame on a body."""

@@ -31,7 +31,7 @@ class RolloutWork:
     mocap: wp.array2d[wp.transform]  # [E, nm] observed
     pose: wp.array2d[wp.transform]  # [E, poses] of the task, those of obstacles that move with it last
     substeps: wp.array[int]  # [T] physics steps in each control step
-    steps: wp.array[wp.uint64]  # [4] on a CPU, addresses of what moves worlds on (:class:`~.steps.Steps`)
+    steps: wp.array[wp.uint64]  # [CALLS] on a CPU, addresses of what moves worlds on (:class:`~.steps.Steps`)
     given: wp.array[float]  # numbers of the model that are no part of the source
     par: wp.array2d[float]  # [P, W] what differs between worlds
     chosen: wp.array[int]  # [N] worlds to record, those of one environment side by side; empty to evaluate all

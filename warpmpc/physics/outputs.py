@@ -54,35 +54,39 @@ def write_outputs(
     m, sensors = model.mj, Sensors(model)
     kept = sorted((field_bodies(sensors, fields) | set(bodies)) - {0})
     rows = {body: row for row, body in enumerate(kept)}
-    readings = _read(sensors, fields, rows)
+    readings, within = _read(sensors, fields, rows)
     code = AddedCode(
         start=_START.replace("TIMESTEP", repr(float(m.opt.timestep))),
         before=f"{_MOCAP.replace('CTRLS', str(m.nu)) if mocap else ''}\nif (live && o.before) {{\n{readings}\n}}",
-        step=f"{_STATE}\nif (!o.before) {{\n{readings}\n}}",
+        step=f"{_STATE}\nif (!o.before) {{\n{readings}\n}}{within}",
         end="\n".join((_END, *_poses(m, bodies, rows))),
         first=0,
     )
     watched = _watched(model, pairs)
     matrix = np.eye(m.nu, m.nu + (7 * m.nmocap if mocap else 0))
-    plain = StateMap(plain=True, matrix=matrix, offset=np.zeros(m.nu), bodies=kept, watched=watched, pairs=len(pairs))
+    seen = {"bodies": kept, "watched": watched, "pairs": len(pairs), "sensors": "sensordata" in fields}
+    plain = StateMap(plain=True, matrix=matrix, offset=np.zeros(m.nu), **seen)
     return plain, code
 
 
-def _read(sensors: Sensors, fields: Sequence[str], rows: dict[int, int]) -> str:
-    """Statements that write all numbers of fields."""
+def _read(sensors: Sensors, fields: Sequence[str], rows: dict[int, int]) -> tuple[str, str]:
+    """Statements that write numbers of fields before a step or after it, and those for what is read within a step."""
     lines = Lines("o")
     values = field_values(sensors, fields, Frames(sensors.mj, lines, rows))
     count = len(values)
     if not count:
-        return ""
+        return "", ""
     to = f"double* const to = (double*)(size_t)o.address.data[1] + ((size_t)row * steps + at) * {count};"
-    puts = (
+    puts = [
         f"for (int l = 0; l < count; ++l) to[(size_t)l * steps * {count} + {n}] = now(l);"
         if value is None
         else f"PUT(to, steps * {count}, {n}, (T)({text(value)}))"
         for n, value in enumerate(values)
-    )
-    return "\n".join((to, *lines.statements, *puts))
+    ]
+    within = [put for put in puts if "w.sensed[" in put]
+    others = [put for put in puts if "w.sensed[" not in put]
+    late = "\n".join(("{\nif (!o.before) { FORWARD_WORLD(w); }", to, *within, "}")) if within else ""
+    return "\n".join((to, *lines.statements, *others)), late
 
 
 def _poses(m: object, bodies: Sequence[int], rows: dict[int, int]) -> Iterable[str]:

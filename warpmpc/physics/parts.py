@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 from ..bake.simd import header
 
-CALLS = ("place", "move", "step", "watch")
+CALLS = ("place", "move", "step", "watch", "forward")
 """Functions of a world that rollouts call."""
+_OPTIONAL = {"watch": "WATCHED", "forward": "SENSED"}
+"""Functions that are there where a macro is not zero."""
 _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH",
            "SYNC", "NEAR_PAIRS", *(f"{name.upper()}_WORLD" for name in CALLS))  # fmt: skip
 _TABLE = re.compile(r"static const \w+ (\w+)\[")
@@ -71,15 +73,14 @@ class Parts:
         return self._needed((*self.world, self.joints), [*calls, self.rollout])
 
     def step_functions(self) -> str:
-        """The source that writes the addresses of the steps' functions into ``address [4]``, on a CPU.
+        """The source that writes the addresses of the steps' functions into ``address``, on a CPU.
 
         It has nothing of what rollouts ask for or how they are evaluated, so that they share it.
         """
-        watched = int(str(self.defines["WATCHED"])) > 0
         body = (
             f"address.data[{n}] = (wp::uint64)(size_t)(void (*)(Sim::World&))&Sim::{name};"
             for n, name in enumerate(CALLS)
-            if watched or name != "watch"
+            if name not in _OPTIONAL or self.defines[_OPTIONAL[name]]
         )
         return self._needed((*self.world, *self.steps), body)
 

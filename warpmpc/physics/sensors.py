@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source of a model's sensors of positions and velocities (MuJoCo, "Computation: Sensors")."""
+"""Source of a model's sensors (MuJoCo, "Computation: Sensors"): here of what a state alone tells."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from ..bake.lines import Operand, Vector, literal, text
-from .frames import OBJECTS, Frame, Frames
-
-if TYPE_CHECKING:
-    from .base import Structure
+from .base import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, Structure, wraps
+from .contact_sensors import untold
+from .frames import Frame, Frames, framed
+from .rays import unseen
+from .sensing import within_step
 
 SENSOR = mujoco.mjtSensor
 _REAL = int(mujoco.mjtDataType.mjDATATYPE_REAL)
@@ -22,24 +22,42 @@ _POSITIVE = int(mujoco.mjtDataType.mjDATATYPE_POSITIVE)
 
 def unread_sensors(model: mujoco.MjModel) -> list[str]:
     """Kinds of a model's sensors that rollouts cannot read, sorted; empty if they read all."""
-    out = set()
-    for n in range(model.nsensor):
-        kind = SENSOR(int(model.sensor_type[n]))
-        if (kind not in _READERS and kind != SENSOR.mjSENS_CLOCK) or not _framed(model, n, kind):
-            out.add(kind.name.removeprefix("mjSENS_").lower())
-    return sorted(out)
+    return sorted({found for n in range(model.nsensor) if (found := _unread(model, n))})
 
 
-def _framed(m: mujoco.MjModel, n: int, kind: mujoco.mjtSensor) -> bool:
-    """Return whether the objects of a sensor have frames on bodies."""
-    if kind not in _FRAMES:
-        return True
-    objects = [(int(m.sensor_objtype[n]), int(m.sensor_objid[n]))]
-    if m.sensor_refid[n] >= 0:
-        objects.append((int(m.sensor_reftype[n]), int(m.sensor_refid[n])))
-    fixed = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
-    camera = int(mujoco.mjtObj.mjOBJ_CAMERA)
-    return all(kind in OBJECTS and (kind != camera or m.cam_mode[number] == fixed) for kind, number in objects)
+def _unread(m: mujoco.MjModel, n: int) -> str:
+    """The kind of a sensor that is not read, with what it lacks; empty if it is read."""
+    kind = SENSOR(int(m.sensor_type[n]))
+    name = kind.name.removeprefix("mjSENS_").lower()
+    if kind != SENSOR.mjSENS_CLOCK and kind not in _READERS and n not in within_step(m):
+        return name
+    objects = [(int(m.sensor_objtype[n]), int(m.sensor_objid[n])), (int(m.sensor_reftype[n]), int(m.sensor_refid[n]))]
+    if kind in _FRAMED and not all(framed(m, *one) for one in objects if one[1] >= 0):
+        return name
+    if m.sensor_history[n, 0] or m.sensor_delay[n] or m.sensor_interval[n].any():
+        return f"{name} (delay, interval)"
+    if kind == SENSOR.mjSENS_TORQUE and not m.site_bodyid[m.sensor_objid[n]]:
+        return f"{name} (on the world)"
+    if kind in (SENSOR.mjSENS_FORCE, SENSOR.mjSENS_TORQUE) and _pulled(m, int(m.site_bodyid[m.sensor_objid[n]])):
+        return f"{name} (beyond which a tendon goes on)"
+    if kind == SENSOR.mjSENS_RANGEFINDER:
+        return unseen(m, n)
+    return untold(m, n) if kind == SENSOR.mjSENS_CONTACT else ""
+
+
+def _pulled(m: mujoco.MjModel, root: int) -> bool:
+    """Return whether a tendon along sites joins what is below a body with what is not."""
+    below = set(Structure(m).subtree(root)) - {0}
+    for tendon in range(m.ntendon):
+        bodies = {
+            int(of[m.wrap_objid[k]])
+            for k in wraps(m, tendon)
+            for of in ([] if m.wrap_type[k] in (WRAP_JOINT, WRAP_PULLEY) else
+                       [m.site_bodyid if m.wrap_type[k] == WRAP_SITE else m.geom_bodyid])
+        }  # fmt: skip
+        if bodies & below and bodies - below:
+            return True
+    return False
 
 
 class Sensors:
@@ -52,6 +70,12 @@ class Sensors:
     def __init__(self, model: Structure):
         self.model, self.mj = model, model.mj
         self.off = model.off("SENSOR")
+        self._steps = {} if self.off else dict(zip(within_step(model.mj), self._firsts(), strict=True))
+
+    def _firsts(self) -> list[int]:
+        """Place in ``w.sensed`` of the first number of every sensor that is read within a step."""
+        widths = [int(self.mj.sensor_dim[n]) for n in within_step(self.mj)]
+        return np.cumsum([0, *widths])[:-1].tolist()
 
     @property
     def bodies(self) -> frozenset[int]:
@@ -61,8 +85,8 @@ class Sensors:
             kind = SENSOR(int(m.sensor_type[n]))
             if kind in _FRAMES:
                 out |= {frame.body for frame in self._frames(n) if frame is not None}
-            elif kind in (SENSOR.mjSENS_SUBTREECOM, SENSOR.mjSENS_SUBTREELINVEL):
-                out |= set(self._subtree(n))
+            elif kind in _SUBTREES:
+                out |= set(self.model.subtree(int(self.mj.sensor_objid[n])))
         return frozenset(out - {0})
 
     def write(self, frames: Frames) -> list[str | None]:
@@ -79,14 +103,17 @@ class Sensors:
             if m.sensor_type[n] == int(SENSOR.mjSENS_CLOCK):
                 out.append(None)
                 continue
-            values = _READERS[SENSOR(int(m.sensor_type[n]))](self, n, frames)
+            if n in self._steps:
+                values = [f"w.sensed[{self._steps[n] + k}]" for k in range(int(m.sensor_dim[n]))]
+            else:
+                values = _READERS[SENSOR(int(m.sensor_type[n]))](self, n, frames)
             out += [self._cut(n, f"(T)({text(value)})") for value in values]
         return out
 
     def _cut(self, n: int, value: str) -> str:
         """A number within a sensor's cutoff."""
         cutoff, kind = float(self.mj.sensor_cutoff[n]), int(self.mj.sensor_datatype[n])
-        if cutoff <= 0.0 or kind not in (_REAL, _POSITIVE):
+        if cutoff <= 0.0 or kind not in (_REAL, _POSITIVE) or self.mj.sensor_type[n] == int(SENSOR.mjSENS_CONTACT):
             return value
         upper = f"VMIN({value}, {literal(cutoff)})"
         return upper if kind == _POSITIVE else f"VMAX({upper}, {literal(-cutoff)})"
@@ -160,19 +187,10 @@ class Sensors:
         own, _ = self._frames(n)
         return frames.inside(frames.columns(own), frames.spin(own))
 
-    def _subtree(self, n: int) -> list[int]:
-        """Bodies below a sensor's body, that one first."""
-        root, m = int(self.mj.sensor_objid[n]), self.mj
-        out = [root]
-        for body in range(root + 1, m.nbody):
-            if int(m.body_parentid[body]) in out:
-                out.append(body)
-        return out
-
     def _mean(self, n: int, frames: Frames, of: Callable[[Frame], Vector]) -> Vector:
         """Mean over a subtree, by mass."""
         mass, lines, columns = self.model.array("body_mass"), frames.lines, self.model.columns
-        bodies = self._subtree(n)
+        bodies = self.model.subtree(int(self.mj.sensor_objid[n]))
         whole = sum(mass[:, body] for body in bodies)
         at = [of(Frame.of(self.mj, int(mujoco.mjtObj.mjOBJ_BODY), body)) for body in bodies]
         shares = [columns.operand(mass[:, body] / np.maximum(whole, mujoco.mjMINVAL)) for body in bodies]
@@ -186,13 +204,57 @@ class Sensors:
         """Velocity of the centre of mass of a subtree."""
         return self._mean(n, frames, frames.speed)
 
+    def momentum(self, n: int, frames: Frames) -> Vector:
+        """Angular momentum of a subtree about its centre of mass."""
+        m, lines, columns = self.mj, frames.lines, self.model.columns
+        centre, speed = self.centre(n, frames), self.centre_speed(n, frames)
+        parts: list[Vector] = []
+        for body in self.model.subtree(int(m.sensor_objid[n])):
+            if not m.body_mass[body]:
+                continue
+            frame = Frame.of(m, int(mujoco.mjtObj.mjOBJ_BODY), body)
+            axes, inertia = frames.columns(frame), self.model.array("body_inertia")[:, body]
+            spin = frames.inside(axes, frames.spin(frame))
+            own = [lines.sum((columns.operand(inertia[:, k]), spin[k])) for k in range(3)]
+            away = lines.difference(frames.position(frame), centre)
+            push = lines.difference(frames.speed(frame), speed)
+            mass = columns.operand(self.model.array("body_mass")[:, body])
+            swept = [lines.sum((mass, x)) for x in lines.cross(away, push)]
+            parts += [swept, [lines.sum(*((own[k], axes[k][i]) for k in range(3))) for i in range(3)]]
+        return [lines.sum(*(part[k] for part in parts)) for k in range(3)]
 
-_FRAMES = frozenset(
-    getattr(SENSOR, f"mjSENS_{name}")
-    for name in ("FRAMEPOS", "FRAMEQUAT", "FRAMEXAXIS", "FRAMEYAXIS", "FRAMEZAXIS", "FRAMELINVEL", "FRAMEANGVEL",
-                 "VELOCIMETER", "GYRO")
-)  # fmt: skip
-"""Sensors of frames."""
+    def field(self, n: int, frames: Frames) -> Vector:
+        """The magnetic field in the axes of a site."""
+        own, _ = self._frames(n)
+        return frames.inside(frames.columns(own), [float(x) for x in self.mj.opt.magnetic])
+
+    def pixel(self, n: int, frames: Frames) -> Sequence[Operand]:
+        """Where a camera sees a site [px]."""
+        m, lines, cam = self.mj, frames.lines, int(self.mj.sensor_refid[n])
+        own, seen_from = self._frames(n)
+        away = lines.difference(frames.position(own), frames.position(seen_from))
+        x, y, z = (text(v) for v in frames.inside(frames.columns(seen_from), away))
+        size, pixels = m.cam_sensorsize[cam], m.cam_resolution[cam].astype(float)
+        focal = np.full(2, 0.5 / np.tan(np.radians(float(m.cam_fovy[cam])) / 2.0) * pixels[1])
+        if size.all():
+            focal = m.cam_intrinsic[cam, :2] / size * pixels
+        over = lines.let(f"1.0f / VSELECT(VABS({z}) < 1e-15f, VSELECT({z} < 0.0f, (T)-1e-15f, (T)1e-15f), {z})")
+        seen = lines.let(f"{x} * {over}"), lines.let(f"{y} * {over}")
+        return [
+            lines.sum((sign * float(focal[k]), seen[k]), 0.5 * float(pixels[k])) for k, sign in ((0, -1.0), (1, 1.0))
+        ]
+
+
+def _named(*names: str) -> frozenset[mujoco.mjtSensor]:
+    return frozenset(getattr(SENSOR, f"mjSENS_{name}") for name in names)
+
+
+_FRAMES = _named("FRAMEPOS", "FRAMEQUAT", "FRAMEXAXIS", "FRAMEYAXIS", "FRAMEZAXIS", "FRAMELINVEL", "FRAMEANGVEL",
+                 "VELOCIMETER", "GYRO", "MAGNETOMETER", "CAMPROJECTION")  # fmt: skip
+"""Sensors of frames in a state."""
+_FRAMED = _FRAMES | _named("FRAMELINACC", "FRAMEANGACC", "INSIDESITE")
+"""All sensors of frames."""
+_SUBTREES = _named("SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM")
 _READERS: dict[mujoco.mjtSensor, Callable[[Sensors, int, Frames], Sequence[Operand]]] = {
     SENSOR.mjSENS_JOINTPOS: Sensors.joint_position,
     SENSOR.mjSENS_JOINTVEL: Sensors.joint_velocity,
@@ -209,5 +271,8 @@ _READERS: dict[mujoco.mjtSensor, Callable[[Sensors, int, Frames], Sequence[Opera
     SENSOR.mjSENS_GYRO: Sensors.own_spin,
     SENSOR.mjSENS_SUBTREECOM: Sensors.centre,
     SENSOR.mjSENS_SUBTREELINVEL: Sensors.centre_speed,
+    SENSOR.mjSENS_SUBTREEANGMOM: Sensors.momentum,
+    SENSOR.mjSENS_MAGNETOMETER: Sensors.field,
+    SENSOR.mjSENS_CAMPROJECTION: Sensors.pixel,
 }
-"""Sensors that rollouts read."""
+"""Sensors that a state alone tells; those of :func:`~.sensing.within_step` are read besides."""

@@ -42,9 +42,9 @@ class BatchSimulator:
     Arrays are views of the simulator's memory: NumPy arrays on a CPU, on a GPU ``wp.array`` with DLPack and
     ``__cuda_array_interface__`` (``torch.from_dlpack(sim.qpos)``). They stay the same ones; writing into ``qpos``,
     ``qvel`` and ``act`` moves the worlds. Poses and readings are those of the state that the last :meth:`step` or
-    :meth:`reset` led to, while MuJoCo's, after ``mj_step``, are those of the state before. The same numbers give the
-    same bits, whatever the number of threads. One thread at a time uses a simulator: a call while another thread is in
-    one is a ``RuntimeError``.
+    :meth:`reset` led to, while MuJoCo's, after ``mj_step``, are those of the state before; sensors of forces and
+    accelerations take the solver for it once more. The same numbers give the same bits, whatever the number of threads.
+    One thread at a time uses a simulator: a call while another thread is in one is a ``RuntimeError``.
 
     Args:
         model: The model.

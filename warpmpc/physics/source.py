@@ -71,7 +71,7 @@ class RolloutSource:
 
     def parts(self) -> Parts:
         """Parts of the source."""
-        dynamics = Dynamics(self.model, frozenset(self.state_map.bodies))
+        dynamics = Dynamics(self.model, frozenset(self.state_map.bodies), sensors=self.state_map.sensors)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         links, constraints = Links(dynamics), ConstraintTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
@@ -93,19 +93,21 @@ class RolloutSource:
             .replace("BLOCKS", self._blocks())
             .replace("PRIMAL", self._native("primal") if self.model.few else ""),
             self._native("watch"),
+            *(self._native(name) for name in (("rays", "sense") if dynamics.sensing.sensors else ())),
+            dynamics.sense,
             step,
         ]
-        own = *constraints.tables(), *dynamics.drive.tables(), *dynamics.tendons.tables(), *dynamics.fluid.tables()
-        tables = [*self._tables(), *own]
+        own = (constraints, dynamics.drive, dynamics.tendons, dynamics.fluid, dynamics.sensing)
+        tables = [*self._tables(), *(text for part in own for text in part.tables())]
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
-        defines |= dynamics.fluid.sizes
-        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns}
-        defines["LANES"] = self.lanes
+        defines |= dynamics.fluid.sizes | dynamics.sensing.sizes
+        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns, "LANES": self.lanes}
         defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
-        defines |= self.state_map.sizes | {"TERMS": int(self.added is not None)}
-        defines["FIRST"] = self.added.first if self.added else 0
+        added = {"TERMS": int(self.added is not None), "FIRST": self.added.first if self.added else 0}
+        defines |= self.state_map.sizes | added
+        defines["TOLD"] = int(bool(defines["WATCHED"] or defines["SENSES_CONTACTS"]))
         return Parts(
             lanes=self.lanes,
             defines=defines,

@@ -69,6 +69,7 @@ class StateMap:
         activations: The model's activation behind each one outside.
         watched: Watched pairs of geoms.
         pairs: Number of watched pairs of entities.
+        sensors: Whether the model's sensors are read.
     """
 
     matrix: np.ndarray
@@ -85,6 +86,7 @@ class StateMap:
     activations: Sequence[int] = ()
     watched: Sequence[Watch] = ()
     pairs: int = 0
+    sensors: bool = False
 
     @cached_property
     def rows(self) -> list[int]:

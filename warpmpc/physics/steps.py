@@ -36,7 +36,7 @@ class Steps:
         text = packed(parts.step_functions())
         self._kernel = compile_made(partial(_make, text), options(parts.lanes), "cpu", 1, what, source=text)
         self.address = wp.zeros(len(CALLS), dtype=wp.uint64, device="cpu")
-        """Addresses of :data:`~.parts.CALLS` ``[4]``."""
+        """Addresses of :data:`~.parts.CALLS`."""
         Launcher("cpu")(self._kernel, 1, [], [self.address])
 
 
@@ -49,7 +49,7 @@ def _make(text: str, *, options: Mapping[str, object]) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False, module_options=dict(options))
     def steps_kernel(
         # outputs
-        address: wp.array[wp.uint64],  # [4]
+        address: wp.array[wp.uint64],  # [CALLS]
     ):
         """One thread: the addresses of the functions of a step."""
         write_addresses(address)

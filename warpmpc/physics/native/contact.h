@@ -53,13 +53,19 @@ INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T*
         c.ref[i] = lanes ? ref : c.ref[i];
     }
 }
-#if WATCHED
-INLINE void direct(Contact& c, int pair, I lanes, V3 n, V3 t) {
-    const T* from[2] = {&n.x, &t.x};
+#if TOLD
+INLINE void direct(Contact& c, int pair, I lanes, T distance, V3 p, V3 n, V3 t) {
+    const T* from[3] = {&n.x, &t.x, &p.x};
     for (int i = 0; i < 3; ++i) {
         c.normal[i] = lanes ? from[0][i] : c.normal[i];
         c.tangent[i] = lanes ? from[1][i] : c.tangent[i];
+#if SENSES_CONTACTS
+        c.point[i] = lanes ? from[2][i] : c.point[i];
+#endif
     }
+#if SENSES_CONTACTS
+    c.distance = lanes ? distance : c.distance;
+#endif
     c.pair = lanes ? (I)pair : c.pair;
 }
 #endif
@@ -137,8 +143,8 @@ FN void gather(World& w) {
         const Raw& r = w.raw[c.raw];
         for (int i = 0; i < ROWS; ++i) c.s[i] = zero();
         soften(w, c, r.pair, YES, r.distance, c.a);
-#if WATCHED
-        direct(c, r.pair, YES, r.normal, r.tangent);
+#if TOLD
+        direct(c, r.pair, YES, r.distance, r.point, r.normal, r.tangent);
 #endif
     }
     SYNC
@@ -168,8 +174,8 @@ INLINE void fill(World& w, Contact& c, int pair, I lanes, T distance, V3 p, V3 n
         }
     }
     soften(w, c, pair, lanes, distance, v);
-#if WATCHED
-    direct(c, pair, lanes, n, t);
+#if TOLD
+    direct(c, pair, lanes, distance, p, n, t);
 #endif
 }
 // A contact of some lanes: into the first one of its group after which these lanes have no other, so that every lane

@@ -131,6 +131,27 @@ INLINE I push(World& w) {
 INLINE void keep_start(World& w, I alone) {
     EACH(i, NV) w.x[i] = alone ? w.search[i] : w.x[i];
 }
+#if SENSED
+// Readings of sensors in the state that everything has been moved to; the solver's start is left as it is
+FN void forward(World& w) {
+#if SENSES_FORCES
+    EACH(i, NV) w.kept_x[i] = w.x[i];
+    SYNC
+    const I alone = push(w);
+    sense(w, alone);
+    SYNC
+    EACH(i, NV) w.x[i] = w.kept_x[i];
+#else
+#if TENDONS
+    stretch(w);
+#endif
+    drive(w);
+    SYNC
+    sense(w, YES);
+#endif
+    SYNC
+}
+#endif
 // A step; before it everything has been moved to where the coordinates say, after it again
 #if RUNGE_KUTTA
 INLINE void copy(const T* from, T* to, int count) {
@@ -147,6 +168,7 @@ FN void step(World& w) {
 #endif
     for (int stage = 0; stage < 4; ++stage) {
         const I alone = push(w);
+        if (!stage) sense(w, alone);
         respond(w, alone);
         const float share = stage % 3 ? 1.0f / 3.0f : 1.0f / 6.0f, ahead = stage == 2 ? 1.0f : 0.5f;
         EACH(i, NV) {
@@ -185,6 +207,7 @@ FN void step(World& w) {
 #else
 FN void step(World& w) {
     const I alone = push(w);
+    sense(w, alone);
     respond(w, alone);
     EACH(i, NV) w.v[i] += TIMESTEP * w.search[i];
     keep_start(w, alone);

@@ -8,9 +8,12 @@ struct Contact {  // lanes may hold different pairs, all of one group: the same 
     T curve[CURVE], push[PUSH];  // second and first derivatives of its cost, for all lanes of the warp
 #endif
     T friction[FRICTIONS], weight;  // of the rows but the normal one, and inverse regularization; no weight where a lane is empty
-#if WATCHED
+#if TOLD
     T normal[3], tangent[3];
     I pair;                      // number of the lane's pair
+#endif
+#if SENSES_CONTACTS
+    T point[3], distance;
 #endif
     int group, count;
 #if COOPERATE
@@ -93,6 +96,15 @@ struct World {
 #endif
 #if SKEWED
     T skew[NV], skew_up[ENTRIES], skew_down[ENTRIES];  // derivatives of bias forces by velocity: of each by its own, up and down the trees
+#endif
+#if SENSED
+    T sensed[SENSED];            // what sensors read within a step
+#if SENSES_FORCES
+    T kept_x[NV];
+#endif
+#endif
+#if SENSES_DRIVES
+    T actuator_length[NU], actuator_speed[NU], actuator_force[NU], joint_force[NV];
 #endif
 #if SPREAD
     T spread[SPREAD];            // what an implicit step adds to the mass matrix off its diagonal
