@@ -15,6 +15,7 @@ from .limits import UNLIMITED, bounds, within
 from .muscles import bias_numbers, gain_numbers
 from .tables import floats, ints
 from .transmission import Reach, Transmission
+from .version import BOUNDED_FORCES_DO_NOT_DAMP
 
 if TYPE_CHECKING:
     from .base import Structure
@@ -89,7 +90,7 @@ class Drive:
     def write(self) -> str:
         """Forces of everything but constraints, and what velocity damps of them within an implicit step."""
         m, lines = self.mj, Lines("d")
-        shares = self._shares(lines)
+        shares, bounded = self._shares(lines), []
         for a in range(m.nu):
             if not self.model.drives(a):
                 self._rest(lines, a)
@@ -103,7 +104,15 @@ class Drive:
             for dof, arm in reach.arms:
                 self._force[dof].append((value, arm))
             if self.model.implicit and rate != 0.0:
-                self._resist(lines, rate, reach.arms)
+                if BOUNDED_FORCES_DO_NOT_DAMP and self._limit(a) is not None:
+                    bounded.append((self._limit(a), rate, reach.arms))
+                else:
+                    self._resist(lines, rate, reach.arms)
+        for joint, rate, arms in bounded:
+            dof = int(m.jnt_dofadr[joint])
+            carried = self._carried(lines, dof) if m.jnt_actgravcomp[joint] else 0.0
+            total = lines.sum(*self._force[dof], carried)
+            self._resist(lines, slope_within(lines, total, m.jnt_actfrcrange[joint], rate), arms)
         pulls = self._pulls(lines)
         for i in range(m.nv):
             joint = int(m.dof_jntid[i])
@@ -194,6 +203,12 @@ class Drive:
                 out[dof] += [(-stiffness, f"w.q[{q}]"), stiffness * float(m.qpos_spring[q])]
         return out
 
+    def _limit(self, a: int) -> int | None:
+        """Joint of an actuator that limits the sum of its actuators."""
+        joint, kind = int(self.mj.actuator_trnid[a, 0]), int(self.mj.actuator_trntype[a])
+        on_joint = kind in (int(TRN.mjTRN_JOINT), int(TRN.mjTRN_JOINTINPARENT))
+        return joint if on_joint and self.mj.jnt_actfrclimited[joint] else None
+
     def _resist(self, lines: Lines, rate: Operand, arms: list[tuple[int, Operand]]) -> None:
         """A force's derivative by the speed that it acts on, within the mass matrix's pattern."""
         for i, a in arms:
@@ -240,11 +255,12 @@ class Drive:
         """A force within the limits of its tendon and its own, and its derivative."""
         m = self.mj
         if int(m.actuator_trntype[a]) == int(TRN.mjTRN_TENDON) and int(m.actuator_trnid[a, 0]) in shares:
-            force = lines.sum((force, shares[int(m.actuator_trnid[a, 0])]))
+            share = shares[int(m.actuator_trnid[a, 0])]
+            force = lines.sum((force, share))
+            if BOUNDED_FORCES_DO_NOT_DAMP and slope != 0.0:
+                slope = lines.let(f"VSELECT(VABS({share} - 1.0f) > 1e-6f, (T)0.0f, {text(slope)})")
         if m.actuator_forcelimited[a] and bounds(m.actuator_forcerange[a]) and isinstance(force, str):
-            low, high = (literal(x) for x in within(m.actuator_forcerange[a]))
-            if slope != 0.0:  # a force at its limit does not depend on velocity
-                slope = lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
+            slope = slope_within(lines, force, m.actuator_forcerange[a], slope)
             force = clamp(lines, force, m.actuator_forcerange[a])
         return force, slope
 
@@ -310,6 +326,14 @@ def times(lines: Lines, factor: Operand, value: tuple[Operand, Operand]) -> tupl
     if isinstance(a, float) and isinstance(factor, float):
         return factor * a, b
     return factor, lines.sum((a, b))
+
+
+def slope_within(lines: Lines, force: Operand, limits: np.ndarray, slope: Operand) -> Operand:
+    """Derivative of a force, none at its limits: there it does not depend on velocity."""
+    if slope == 0.0 or not bounds(limits) or not isinstance(force, str):
+        return slope
+    low, high = (literal(x) for x in within(limits))
+    return lines.let(f"VSELECT(({force} > {low}) & ({force} < {high}), {text(slope)}, (T)0.0f)")
 
 
 def clamp(lines: Lines, value: Operand, limits: np.ndarray) -> Operand:
