@@ -80,7 +80,8 @@ def test_a_file_is_simulated_as_plain_mujoco_does_it(name, tmp_path):
     found = dict(zip(("qpos", "qvel", "act"), np.split(state, [model.nq, model.nq + model.nv], axis=1), strict=True))
     for key, values in found.items():
         scale = np.abs(expected[key]).max(initial=1.0)
-        np.testing.assert_allclose(values, expected[key], atol=1e-5 * scale, err_msg=key)
+        # joints of the humanoid: 3e-6 with MuJoCo Warp 3.17, 2e-5 with 4.0, whose solver rounds otherwise
+        np.testing.assert_allclose(values, expected[key], atol=3e-5 * scale, err_msg=key)
     np.testing.assert_allclose(out.body_q.numpy()[1:, 0, :, :3], expected["xpos"], atol=1e-5)
     np.testing.assert_allclose(out.act.numpy()[1:, 0], expected["act"], atol=1e-5)
     scale = np.abs(expected["sensordata"]).max(initial=1.0)

@@ -74,8 +74,18 @@ def test_faces_on_each_other_touch_where_mujocos_do(kernels, kind, family):
     assert found.dist.max() < 1e-5
 
 
-LEAST_SAME = {"cylinder_cylinder": 0.74, "cylinder_box": 0.82, "capsule_mesh": 0.65, "cylinder_mesh": 0.62}
-"""Share of pairs with MuJoCo's number of contacts: the rest are lines on edges, which have one contact here."""
+LEAST_SAME = {
+    "cylinder_cylinder": 0.74,
+    "cylinder_box": 0.82,
+    "capsule_mesh": 0.65,
+    "cylinder_mesh": 0.62,
+    "mesh_mesh": 0.84,
+}
+"""Share of pairs with MuJoCo's number of contacts: the rest are lines on edges, which have one contact here.
+
+MuJoCo 4.0 has two, often at the same point, for edges of meshes within five degrees of a face, too: 84 % of pairs with
+the same number, where 3.17 has 91 %.
+"""
 
 
 @pytest.mark.parametrize("family", ["touching", "slide", "any"])

@@ -18,7 +18,7 @@ WITHOUT_EFFECT = {
     "ENBL_INVDISCRETE",
 }  # fmt: skip
 """Flags that change how MuJoCo computes a step and what it reports, but not where a converged step ends."""
-REFUSED = {"ENBL_SLEEP", "ENBL_DIAGEXACT", "ENBL_IPC"}
+REFUSED = {"ENBL_SLEEP", "ENBL_DIAGEXACT", "ENBL_IPC", "ENBL_SPECULATIVE"}
 """Flags whose physics is lacking; so is that of flags that this list does not know."""
 
 

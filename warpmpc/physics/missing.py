@@ -15,6 +15,7 @@ from .flags import lacking_flags
 from .kinds import lacking_kinds
 from .mobility import singular
 from .model import COLLIDES, NEWTON, PhysicsModel
+from .version import yields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,6 +74,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         for t in np.flatnonzero(p.line_armatures)
     ),
     "plugins": lambda p: p.mj.nplugin,
+    "springs that yield (springyield)": lambda p: yields(p.mj),
     "flexible bodies": lambda p: p.mj.nflex,
     "adhesion of contacts": lambda p: p.mj.geom_adhesion.any() or p.mj.pair_adhesion.any(),
     "velocities of surfaces (surfacevel)": lambda p: p.mj.geom_surfacevel.any(),

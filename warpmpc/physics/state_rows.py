@@ -11,11 +11,12 @@ import numpy as np
 
 from .batch import BatchRollout
 from .ready import put, units
+from .version import MORE_STATE
 
 _BITS = {
     name: int(getattr(mujoco.mjtState, f"mjSTATE_{name}"))
     for name in ("TIME", "QPOS", "QVEL", "ACT", "HISTORY", "WARMSTART", "CTRL", "QFRC_APPLIED", "XFRC_APPLIED",
-                 "EQ_ACTIVE", "MOCAP_POS", "MOCAP_QUAT", "USERDATA", "PLUGIN")
+                 "EQ_ACTIVE", "MOCAP_POS", "MOCAP_QUAT", "USERDATA", "PLUGIN", *MORE_STATE)
 }  # fmt: skip
 """Components of a state, in their order."""
 _STEPPED = ("TIME", "QPOS", "QVEL", "ACT")
