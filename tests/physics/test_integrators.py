@@ -97,3 +97,36 @@ def test_steps_and_rollouts_are_those_of_mujoco(integrator, more):
     assert np.median(apart) <= 1e-4, apart
     np.testing.assert_allclose(both[0][..., 0], both[1][..., 0], rtol=1e-6)
     np.testing.assert_allclose(both[0][..., -model.na :], both[1][..., -model.na :], atol=2e-4)
+
+
+BOUNDED = """
+<mujoco>
+  <option integrator="{integrator}" timestep=".004"/>
+  <worldbody>
+    <body gravcomp="1">
+      <joint name="a" axis="0 1 0" actuatorfrcrange="-4 4" actuatorgravcomp="true"/>
+      <geom type="capsule" size=".04" fromto="0 0 0 .4 0 .1"/>
+      <body pos=".4 0 .1"><joint name="b" axis="0 0 1"/><geom type="capsule" size=".03" fromto="0 0 0 .3 .1 0"/></body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="t" actuatorfrcrange="-4 4"><joint joint="a" coef=".7"/><joint joint="b" coef="-1.2"/></fixed>
+  </tendon>
+  <actuator>
+    <position joint="a" kp="30" kv="3"/> <velocity joint="a" kv="1"/>
+    <position tendon="t" kp="30" kv="3"/> <velocity tendon="t" kv="1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "implicit"])
+def test_actuators_whose_sum_is_bounded_damp_as_in_the_installed_mujoco(integrator):
+    model = mujoco.MjModel.from_xml_string(BOUNDED.format(integrator=integrator))
+    rng, worlds = np.random.default_rng(0), 64
+    start = np.hstack([np.zeros((worlds, 1)), rng.uniform(-1, 1, (worlds, 2)), rng.uniform(-3, 3, (worlds, 2))])
+    control = rng.uniform(-1, 1, (worlds, 1, model.nu))
+    with rollout.Rollout(fall_back=False) as pool:
+        found, _ = pool.rollout(model, mujoco.MjData(model), start, control)
+    expected, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, control)
+    np.testing.assert_allclose(found, expected, atol=2e-6)
