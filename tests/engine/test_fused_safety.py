@@ -274,6 +274,16 @@ LACKS = {
     "models of more than 128 degrees of freedom": {
         "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(21))
     },
+    "fewer than 20 solver iterations for contacts as hard as low friction, impratio or solimp make these": {
+        "option": 'iterations="3"',
+        "geom": 'priority="1" solimp="0.99 0.9999 0.001"',
+    },
+    "pyramids without friction at bodies that turn about their centre of mass (condim 1 mends it)": {
+        "world": '<body pos="0 2 .1"><joint axis="0 1 0"/><geom size=".1" friction="0 0 0" priority="1"/></body>'
+    },
+    "double precision for a nearly singular mass matrix (armatures mend it)": {
+        "world": '<body pos="0 2 1"><joint/><joint/><geom size=".1" pos=".3 0 0"/></body>'
+    },
     "trees of more than 64 degrees of freedom in a row": {
         "world": 70 * '<body pos=".1 0 0"><joint/><geom size=".03"/>' + 70 * "</body>"
     },

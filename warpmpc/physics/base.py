@@ -249,6 +249,13 @@ class Structure:
             inertia = inertia + own + masses[:, body, None, None] * away
         return mass, moment, inertia
 
+    @property
+    def mocap_rest(self) -> np.ndarray:
+        """Poses of the mocap bodies ``[NMOCAP, 7]`` as the model has them, in the order of their mocap numbers."""
+        m = self.mj
+        bodies = sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
+        return np.hstack([m.body_pos, m.body_quat])[bodies] if bodies else np.zeros((1, 7))
+
     def slides(self, dof: int) -> bool:
         """Return whether a degree of freedom turns nothing."""
         m, joint = self.mj, int(self.mj.dof_jntid[dof])

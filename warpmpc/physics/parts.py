@@ -14,7 +14,7 @@ CALLS = ("place", "move", "step", "watch", "forward")
 _OPTIONAL = {"watch": "WATCHED", "forward": "SENSED"}
 """Functions that are there where a macro is not zero."""
 _MACROS = ("FN", "INLINE", "INNER", "UNROLL", "VNOT", "VBITS", "FMA", "YES", "NO", "LANE", "PUT", "COOPERATE", "EACH",
-           "SYNC", "NEAR_PAIRS", *(f"{name.upper()}_WORLD" for name in CALLS))  # fmt: skip
+           "SYNC", "NEAR_PAIRS", "BY_DEVICE", *(f"{name.upper()}_WORLD" for name in CALLS))  # fmt: skip
 _TABLE = re.compile(r"static const \w+ (\w+)\[")
 
 

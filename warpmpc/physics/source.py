@@ -27,7 +27,6 @@ from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
 
 if TYPE_CHECKING:
-    import mujoco
 
     from .model import PairRow, PhysicsModel
     from .parts import AddedCode
@@ -39,8 +38,9 @@ POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
 """Most contacts of two geoms; one where nothing is said."""
 FACES = 4
 """The same of two flat shapes, by their faces."""
-MOST_CONTACTS = 64
-"""Contacts that there is room for at most, more in large models: what touches at once is far less than what could."""
+MOST_CONTACTS, GPU_CONTACTS, MOST_BYTES = 192, 64, 2**20
+"""Contacts that there is room for at most (what touches at once is far less than what could), on a GPU, where a large
+model has more; and bytes that more than these may take on a CPU."""
 JOIN = 3
 """A pair joins a group of pairs with so many more degrees of freedom: fewer groups, hence fewer half-empty contacts."""
 
@@ -187,7 +187,7 @@ class RolloutSource:
             "NH": packed(m.nv, 0),
             "NLIMIT": max(1, len(model.limited)),
             "LIMITS": len(model.limited),
-            "CAPACITY": max(1, min(bound, MOST_CONTACTS * (max(1, 96 // longest) if model.large else 1))),
+            "CAPACITY": self._room(bound, longest),
             "PAIRS": len(model.pairs),
             **self._row_sizes,
             "RING": ring_size(model),
@@ -204,6 +204,13 @@ class RolloutSource:
             **{f"GIVEN_{name}": at for name, at in self.model.given_at.items()},
             "TIMESTEP": literal(float(m.opt.timestep)),
         }
+
+    def _room(self, bound: int, longest: int) -> str:
+        """Contacts that there is room for, by the device."""
+        least = GPU_CONTACTS * (max(1, 96 // longest) if self.model.large else 1)
+        size = 4 * self.lanes * int(str(self._row_sizes["ROWS"])) * (longest + 3)
+        gpu, cpu = (max(1, min(bound, MOST_CONTACTS, room)) for room in (least, max(least, MOST_BYTES // size)))
+        return str(cpu) if cpu == gpu else f"BY_DEVICE({gpu}, {cpu})"
 
     def _points(self, pair: PairRow) -> int:
         """Most contacts of a pair."""
@@ -291,7 +298,7 @@ class RolloutSource:
             ints("turning_q", m.jnt_qposadr[turning]),
             ints("turning_dof", m.jnt_dofadr[turning]),
             ints("turning_free", m.jnt_type[turning] == FREE),
-            floats("mocap_rest", _mocap_rest(m)),
+            floats("mocap_rest", model.mocap_rest),
             *self.state_map.tables(len(pairs), groups),
             *self._mesh_tables(),
             *(loop_tables(self._coupled_rows) if self._looped else ()),
@@ -382,12 +389,6 @@ _SOURCES = {
     "collide_convex": CONVEX | FIELD,
 }
 """Files with collision functions, and the kinds of pairs each is for."""
-
-
-def _mocap_rest(m: mujoco.MjModel) -> np.ndarray:
-    """Poses of the mocap bodies ``[NMOCAP, 7]`` as the model has them, in the order of their mocap numbers."""
-    bodies = sorted(np.flatnonzero(m.body_mocapid >= 0).tolist(), key=lambda body: int(m.body_mocapid[body]))
-    return np.hstack([m.body_pos, m.body_quat])[bodies] if bodies else np.zeros((1, 7))
 
 
 def _near(kind: tuple[int, int]) -> str:

@@ -12,6 +12,7 @@
 #define SYNC
 #endif
 #if defined(__CUDA_ARCH__)
+#define BY_DEVICE(gpu, cpu) gpu
 #define FN static __device__ __noinline__
 #define INLINE static __device__ __forceinline__
 #define INNER __device__ __forceinline__
@@ -21,6 +22,7 @@
 #define YES ((I)1)
 #define FMA(a, b, c) __fmaf_rn(a, b, c)
 #else
+#define BY_DEVICE(gpu, cpu) cpu
 #define FN __attribute__((noinline)) static
 #define INLINE __attribute__((always_inline)) static inline
 #define INNER __attribute__((always_inline)) inline
