@@ -27,7 +27,6 @@ from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
 
 if TYPE_CHECKING:
-
     from .model import PairRow, PhysicsModel
     from .parts import AddedCode
     from .state_map import StateMap
