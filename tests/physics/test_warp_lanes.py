@@ -11,6 +11,7 @@ from bricks import STACK
 from cones import ELLIPSE, PYRAMID, rubbing
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from needs import needs
+from sensed_models import BUSY, drawn
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 from warp_lanes import LaneRollout, Lanes
 
@@ -18,7 +19,11 @@ from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.model.batch_size import BatchSize
 from warpmpc.model.pairs import Pair
 from warpmpc.model.properties import draw_properties
+from warpmpc.physics.parts import AddedCode
 from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.sensing import within_step
+from warpmpc.physics.source import RolloutSource
+from warpmpc.physics.state_map import StateMap
 
 pytestmark = needs("g++")
 WORLDS, STEPS = 4, 12
@@ -63,6 +68,36 @@ def check(model, tmp_path_factory) -> None:
             np.testing.assert_array_equal(x, y)
     for x, y in zip(found[0], expected, strict=True):
         np.testing.assert_allclose(x, y, atol=2e-3)
+
+
+class SensingRollout(LaneRollout):
+    """Rollouts that read sensors within their steps, into the record of forces."""
+
+    def _parts(self, lanes, *, shared):
+        plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu), sensors=True)
+        to = "float* const to = (float*)k.force.data + (size_t)(at * k.force.shape[1] + row) * SENSED;"
+        step = f"{{ {to} for (int n = 0; n < SENSED; ++n) PUT(to, SENSED, n, w.sensed[n]) }}"
+        code = AddedCode(start="", before="", step=step, end="", first=0)
+        return RolloutSource(self.physics, plain, lanes, shared, code).parts()
+
+
+def test_lanes_sense_what_registers_sense(tmp_path_factory):
+    model = mujoco.MjModel.from_xml_string(BUSY.replace("INTEGRATOR", "Euler"))
+    start, control = drawn(model, 0, WORLDS, 2)
+    width = sum(int(model.sensor_dim[n]) for n in within_step(model))
+    lanes = SensingRollout(model, WORLDS, 2, folder=tmp_path_factory.getbasetemp())
+    lanes.work.force = wp.zeros((2, WORLDS, -(-width // 3)), dtype=wp.vec3)
+    q, v = start[:, 1 : 1 + model.nq], start[:, 1 + model.nq :]
+    found, launch = [], lanes.launch
+    for order in (None, 0, 2):
+        lanes.order = order or 0
+        lanes.launch = (lambda: PlainRollout.launch(lanes)) if order is None else launch
+        lanes(q, v, control.swapaxes(0, 1))
+        found.append(lanes.work.force.numpy().ravel()[: 2 * WORLDS * width].reshape(-1, width).copy())
+    np.testing.assert_array_equal(found[1], found[2])
+    scale = np.maximum(1.0, abs(found[0]).max(axis=0))
+    assert np.count_nonzero(found[0]) > 0.4 * found[0].size
+    np.testing.assert_allclose(found[1] / scale, found[0] / scale, atol=1e-3)
 
 
 RECORD = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force", "control", "diverged", "overflow")

@@ -102,10 +102,9 @@ class RolloutSource:
         defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
         defines |= dynamics.fluid.sizes | dynamics.sensing.sizes
         defines |= {"NPAR": max(1, columns), "PARAMETERS": columns, "LANES": self.lanes}
-        defines["MESHES"] = int(bool(self._meshes))
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
-        added = {"TERMS": int(self.added is not None), "FIRST": self.added.first if self.added else 0}
-        defines |= self.state_map.sizes | added
+        defines |= {"TERMS": int(self.added is not None), "FIRST": self.added.first if self.added else 0}
+        defines |= self.state_map.sizes | {"MESHES": int(bool(self._meshes))}
         defines["TOLD"] = int(bool(defines["WATCHED"] or defines["SENSES_CONTACTS"]))
         return Parts(
             lanes=self.lanes,
