@@ -196,7 +196,7 @@ class BatchRollout:
         work.given = wp.array(physics.given, dtype=float, device=self.device)
         work.par = zeros(max(1, len(physics.columns.values)), worlds)
         self._put_columns(physics)
-        out.address, out.before = zeros(2, dtype=wp.uint64), int(sensors_before)
+        out.address, out.before, out.stay = zeros(2, dtype=wp.uint64), int(sensors_before), int(in_place)
         out.warmstart = zeros(worlds, m.nv)
         out.poses = zeros(worlds, len(self._bodies), 7)
         out.force = zeros(worlds, len(self._pairs), 3)

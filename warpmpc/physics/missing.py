@@ -65,6 +65,7 @@ def _contacts(p: PhysicsModel) -> np.ndarray:
     return np.array(sorted({g for pair in p.pairs for g in pair.geoms}), dtype=int)
 
 
+_SOLVERS = [int(solver) for solver in mujoco.mjtSolver.__members__.values()]
 MOST_DOFS = 128
 """Degrees of freedom of a model that compiles within a minute."""
 _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
@@ -99,6 +100,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
         or p.mj.tendon_dampingpoly.any()
         or p.mj.tendon_stiffnesspoly.any()
     ),
+    "solvers that are none of MuJoCo's": lambda p: p.mj.opt.solver not in _SOLVERS,
     "solver PGS for elliptic cones": lambda p: p.mj.opt.solver == int(mujoco.mjtSolver.mjSOL_PGS) and p.elliptic,
     f"trees of more than {MOST_DOFS // 2} degrees of freedom in a row": lambda p: (
         operations(p.ancestors) > MOST_OPERATIONS

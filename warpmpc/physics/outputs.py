@@ -25,6 +25,7 @@ class Outputs:
     """Places that rollouts write to, and accelerations that their solver begins with."""
 
     address: wp.array[wp.uint64]  # [2] of states [W, T, 1+nq+nv+na] and of fields [W, T, F], doubles
+    stay: int  # whether worlds that diverged before stay where they are: those that go on in place
     before: int  # whether fields are those before each control, as in MuJoCo's step, rather than after it
     warmstart: wp.array2d[float]  # [W, nv] accelerations that the solver begins with, then those it ends with; or empty
     poses: wp.array3d[float]  # [W, bodies, 7] positions and quaternions (w, x, y, z) at the end
@@ -85,8 +86,12 @@ def _read(sensors: Sensors, fields: Sequence[str], rows: dict[int, int]) -> tupl
     ]
     within = [put for put in puts if "w.sensed[" in put]
     others = [put for put in puts if "w.sensed[" not in put]
-    late = "\n".join(("{\nif (!o.before) { FORWARD_WORLD(w); }", to, *within, "}")) if within else ""
-    return "\n".join((to, *lines.statements, *others)), late
+    staying = _STAYING.replace("TO;", to).replace("COUNT", str(count))
+    read = staying.replace("READ;", "\n".join((*lines.statements, *others))).replace(
+        "LATER", "<= (o.before ? 0 : -1) +"
+    )
+    late = staying.replace("READ;", "\n".join(within)).replace("LATER", "<") if within else ""
+    return read, late and f"{{\nif (!o.before) {{ FORWARD_WORLD(w); }}\n{late}\n}}"
 
 
 def _poses(m: object, bodies: Sequence[int], rows: dict[int, int]) -> Iterable[str]:
@@ -118,9 +123,16 @@ def _watched(model: PhysicsModel, pairs: Sequence[tuple[int, int]]) -> list[Watc
 
 _START = """
 double begun[lanes];  // where worlds go on in place their start is written over
-for (int l = 0; l < lanes; ++l) begun[l] = ((const double*)k.initial.data)[(size_t)world[l] * k.initial.shape[1]];
-int passed = 0;  // physics steps
-const auto now = [&](int l) { return begun[l] + TIMESTEP * passed; };
+const I yes = YES;
+for (int l = 0; l < lanes; ++l) {
+    begun[l] = ((const double*)k.initial.data)[(size_t)world[l] * k.initial.shape[1]];
+    if (((int*)&doomed)[l] || !(fabs(begun[l]) < 1e10)) begun[l] = 0.0;
+    if (o.stay && k.diverged.data[row + (l < count ? l : count - 1)]) {
+        ((int*)&gone)[l] = ((int*)&yes)[l];
+        held[l] = 0;
+    }
+}
+const auto now = [&](int l) { return begun[l] + TIMESTEP * (passed < held[l] ? passed : held[l]); };
 if (o.warmstart.shape[0]) {
     for (int l = 0; l < lanes; ++l)
         EACH(i, NV) LANE(w.x[i], l) = ((const float*)o.warmstart.data)[(size_t)world[l] * NV + i];
@@ -144,13 +156,29 @@ _STATE = """
 {
     const int width = 1 + NQ + NV + ACTS;
     double* const to = (double*)(size_t)o.address.data[0] + ((size_t)row * steps + at) * width;
-    passed += k.substeps.data[at];
     for (int l = 0; l < count; ++l) to[(size_t)l * steps * width] = now(l);
     EACH(i, NQ) PUT(to, steps * width, 1 + i, w.q[i])
     EACH(i, NV) PUT(to, steps * width, 1 + NQ + i, w.v[i])
 #if ACTS
     EACH(i, ACTS) PUT(to, steps * width, 1 + NQ + NV + i, w.act[i])
 #endif
+}
+"""
+_STAYING = """
+TO;
+double before[lanes][COUNT];  // fields of worlds that stay: what was written last
+const int stays = VANY(gone);
+if (stays) {
+    for (int l = 0; l < count; ++l)
+        EACH(i, COUNT) before[l][i] = at || o.stay ? to[((size_t)l * steps - (at ? 1 : 0)) * COUNT + i] : 0.0;
+    SYNC
+}
+READ;
+if (stays) {
+    SYNC
+    for (int l = 0; l < count; ++l)
+        if (((int*)&gone)[l] && held[l] < passed + SOON)
+            EACH(i, COUNT) to[(size_t)l * steps * COUNT + i] = before[l][i];
 }
 """
 _END = """

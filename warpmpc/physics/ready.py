@@ -36,8 +36,8 @@ class Ready:
         sensordata: np.ndarray | None,
         arrays: dict[str, np.ndarray],
         mocap: bool,
-    ) -> None:
-        """Roll out into arrays of the caller."""
+    ) -> np.ndarray:
+        """Roll out into arrays of the caller; returns which worlds diverged ``[W]``."""
         batch = self.batch(worlds, steps, arrays, mocap=mocap)
         work, out, on_cpu = batch.work, batch.outputs, batch.device.is_cpu
         put(work.initial, initial_state)
@@ -53,6 +53,10 @@ class Ready:
                 x[...] = y.numpy().reshape(x.shape)
         if lost := int(np.count_nonzero(work.overflow.numpy())):
             logger.warning("%d of %d worlds had more contacts at once than there is room for", lost, worlds)
+        diverged = work.diverged.numpy() != 0
+        if diverged.any():
+            logger.warning("%d of %d worlds diverged and stay where they were", diverged.sum(), worlds)
+        return diverged
 
     def batch(self, worlds: int, steps: int, arrays: Mapping[str, np.ndarray], **options: Hashable) -> BatchRollout:
         """A batch in which worlds have these numbers.

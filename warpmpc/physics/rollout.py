@@ -62,6 +62,14 @@ class Rollout(mujoco.rollout.Rollout):
         self.nthread = nthread or 0
         self.rollout_ = _Native(self.nthread, device, fall_back=fall_back)
 
+    @property
+    def diverged(self) -> np.ndarray | None:
+        """Worlds of the last rollout whose state or controls were no numbers, or beyond 1e10 ``[W]``.
+
+        They stay where they were before that step. None where MuJoCo rolled out.
+        """
+        return self.rollout_.diverged
+
     def close(self) -> None:
         """End the threads, after a rollout that another thread is in; later ones are an error."""
         self.rollout_.close()
@@ -84,6 +92,7 @@ class _Native:
         self._threads = max(1, min(nthread, len(os.sched_getaffinity(0))))
         self._told: set[str] = set()
         self._closed = False
+        self.diverged: np.ndarray | None = None
         self._begin()
         _natives.add(self)
 
@@ -155,6 +164,7 @@ class _Native:
         given = _held(models[0], data, control_spec) if control is None else np.reshape(control, (worlds, nstep, wide))
         if lack := self._lacks(key, models[0], control_spec, given, arrays):
             self._fall(lack)
+            self.diverged = None
             self._theirs.rollout(
                 models, data, nstep, control_spec, initial_state, initial_warmstart, control, state, sensordata,
                 chunk_size,
@@ -162,11 +172,12 @@ class _Native:
             return
         given, mocap = np.broadcast_to(given, (worlds, nstep, wide)), control_spec != _CONTROL
         whole = _whole(models[0], control_spec, given) if mocap else given
-        self._ready_for(key, models[0]).run(
+        diverged = self._ready_for(key, models[0]).run(
             worlds, nstep, initial_state, initial_warmstart, whole, state, sensordata, arrays, mocap
         )
         if state is not None:
-            _leave(models[-1], data[0], control_spec, initial_state, given, state)
+            _leave(models[-1], data[0], control_spec, initial_state, given, state, diverged=diverged[-1])
+        self.diverged = diverged.copy()
 
     def _fall(self, lack: str) -> None:
         """Let MuJoCo roll out: the log says it once for each cause."""
@@ -221,6 +232,8 @@ def _leave(
     initial_state: np.ndarray,
     control: np.ndarray,
     state: np.ndarray,
+    *,
+    diverged: bool,
 ) -> None:
     """Leave MjData as MuJoCo does: after the last step of the last rollout."""
     rows = np.reshape(state, (*control.shape[:2], -1))[-1]
@@ -233,7 +246,10 @@ def _leave(
     mujoco.mj_setState(model, data, control[-1, -1], control_spec)
     mujoco.mj_setState(model, data, rows[-2] if len(rows) > 1 else initial_state[-1], _STATE)
     data.warning.number[...] = 0
-    mujoco.mj_step(model, data)
+    if diverged:
+        data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number = 1
+    else:
+        mujoco.mj_step(model, data)
     mujoco.mj_setState(model, data, rows[-1], _STATE)
 
 

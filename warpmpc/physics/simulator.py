@@ -159,7 +159,10 @@ class BatchSimulator:
 
     @property
     def diverged(self) -> np.ndarray:
-        """Worlds whose state is no longer a number, or beyond any bound ``[W]``."""
+        """Worlds whose state or controls were no numbers, or beyond 1e10 ``[W]``.
+
+        They stay where they were before that step, or at the model's own coordinates, until :meth:`reset`.
+        """
         return self._batch.work.diverged.numpy() != 0
 
     @property
@@ -194,12 +197,14 @@ class BatchSimulator:
         rows[chosen, 1 : 1 + m.nq] = self._given("qpos", qpos, m.qpos0, chosen)
         rows[chosen, 1 + m.nq : 1 + m.nq + m.nv] = self._given("qvel", qvel, np.zeros(m.nv), chosen)
         start, force = self._batch.outputs.warmstart.numpy(), self._batch.outputs.force.numpy()
-        start[chosen], force[chosen] = 0.0, 0.0
+        lost = self._batch.work.diverged.numpy()
+        start[chosen], force[chosen], lost[chosen] = 0.0, 0.0, 0
         if not self._batch.device.is_cpu:
             with capturing:
                 self._batch.work.initial.assign(rows)
                 self._batch.outputs.warmstart.assign(start)
                 self._batch.outputs.force.assign(force)
+                self._batch.work.diverged.assign(lost)
         self.forward()
 
     def _given(self, name: str, values: np.ndarray | None, usual: np.ndarray, chosen: np.ndarray) -> np.ndarray:

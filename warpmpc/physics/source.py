@@ -297,6 +297,8 @@ class RolloutSource:
             ints("turning_dof", m.jnt_dofadr[turning]),
             ints("turning_free", m.jnt_type[turning] == FREE),
             floats("mocap_rest", model.mocap_rest),
+            floats("rest_q", m.qpos0),
+            ints("drive_free", (m.actuator_ctrllimited == 0) | model.off("CLAMPCTRL")),
             *self.state_map.tables(len(pairs), groups),
             *self._mesh_tables(),
             *(loop_tables(self._coupled_rows) if self._looped else ()),

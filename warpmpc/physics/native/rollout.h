@@ -30,6 +30,29 @@ Sim::World w;
 #endif
 START
 SYNC
+EACH(i, TURNING) {  // a quaternion of no length is no rotation
+    T* const q = w.q + turning_q[i] + (turning_free[i] ? 3 : 0);
+    const I none = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] < 1e-30f;
+    q[0] = none ? (T)1.0f : q[0];
+}
+SYNC
+// Worlds that diverge stay where they were before that control. One whose start or whose controls are no numbers, or too
+// large, takes one more control of zeros, from the model's own coordinates if it is the start (MuJoCo's mj_checkPos).
+I gone = NO, doomed = NO;
+for (int i = 0; i < NQ; ++i) doomed |= VNOT(VABS(w.q[i]) < 1e10f);
+for (int i = 0; i < NV; ++i) doomed |= VNOT(VABS(w.v[i]) < 1e10f);
+#if ACTS
+for (int i = 0; i < ACTS; ++i) doomed |= VNOT(VABS(w.act[i]) < 1e10f);
+EACH(i, ACTS) w.act[i] = doomed ? (T)0.0f : w.act[i];
+T kept_act[ACTS];
+#endif
+SYNC
+EACH(i, NQ) w.q[i] = doomed ? (T)rest_q[i] : w.q[i];
+EACH(i, NV) w.v[i] = doomed ? (T)0.0f : w.v[i];
+SYNC
+T kept_q[NQ], kept_v[NV];
+int passed = 0, held[lanes];  // physics steps, and after how many of them a world stays
+for (int l = 0; l < lanes; ++l) held[l] = 0x7fffffff;
 PLACE_WORLD(w);
 MOVE_WORLD(w);
 SYNC
@@ -44,22 +67,50 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
 #endif
     if (live) {
         STEP_CONTROL
+        I spoiled = NO;
         EACH(u, controls) {
             T x = (T)0.0f;
             for (int n = 0; n < KNOTS_USED; ++n) x += share[n] * VGATHER(theta + tap[n] * controls + u, lane_at);
             w.c[u] = VMIN(VMAX(x, k.lower.data[u]), k.upper.data[u]);
+            spoiled |= VNOT(x == x);  // which bounds hide
         }
         SYNC
         EACH(a, DRIVES) {
             T x = (T)drive_offset[a];
             for (int n = drive_first[a]; n < drive_first[a + 1]; ++n) x += drive_factor[n] * w.c[drive_of[n]];
             w.ctrl[a] = x;
+            if (drive_free[a]) spoiled |= VABS(x) > 1e10f;
+        }
+        const int asked = k.substeps.data[h];
+        if (asked) doomed |= Sim::some(spoiled);
+        if (VANY(doomed)) {
+            SYNC
+            EACH(a, DRIVES) w.ctrl[a] = doomed ? (T)0.0f : w.ctrl[a];
         }
 #if WATCHED
         EACH(i, 3 * WATCHED) w.pushed[i] = (T)0.0f;
 #endif
         SYNC
-        const int substeps = k.substeps.data[h];
+        EACH(i, NQ) kept_q[i] = w.q[i];
+        EACH(i, NV) kept_v[i] = w.v[i];
+#if ACTS
+        EACH(i, ACTS) kept_act[i] = w.act[i];
+#endif
+        const int substeps = VANY(VNOT(gone)) ? asked : 0;
+#if !defined(__CUDA_ARCH__)
+        if (VANY(gone) && substeps) {  // lanes that stay go along with another, so that none waits for their solver
+            int with = 0;
+            while (((int*)&gone)[with]) ++with;
+            for (int i = 0; i < NQ; ++i) w.q[i] = gone ? (T)LANE(w.q[i], with) : w.q[i];
+            for (int i = 0; i < NV; ++i) w.v[i] = gone ? (T)LANE(w.v[i], with) : w.v[i];
+            for (int i = 0; i < NV; ++i) w.x[i] = gone ? (T)LANE(w.x[i], with) : w.x[i];
+#if ACTS
+            for (int i = 0; i < ACTS; ++i) w.act[i] = gone ? (T)LANE(w.act[i], with) : w.act[i];
+#endif
+            for (int a = 0; a < DRIVES; ++a) w.ctrl[a] = gone ? (T)LANE(w.ctrl[a], with) : w.ctrl[a];
+            MOVE_WORLD(w);
+        }
+#endif
         for (int n = 0; n < substeps; ++n) {
             STEP_WORLD(w);
 #if WATCHED
@@ -67,10 +118,41 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
 #endif
         }
 #if WATCHED
-        const float mean = 1.0f / substeps;
+        const float mean = 1.0f / (substeps ? substeps : 1);
         EACH(i, 3 * WATCHED) w.pushed[i] *= mean;
         SYNC
 #endif
+        if (asked) {
+            I bad = gone;
+            for (int i = 0; i < NQ; ++i) bad |= VNOT(VABS(w.q[i]) < 1e10f);
+            for (int i = 0; i < NV; ++i) bad |= VNOT(VABS(w.v[i]) < 1e10f) | VNOT(VABS(w.x[i]) < 1e10f);
+#if ACTS
+            for (int i = 0; i < ACTS; ++i) bad |= VNOT(VABS(w.act[i]) < 1e10f);
+#endif
+            SYNC
+            if (VANY(bad)) {
+                EACH(i, NQ) w.q[i] = bad ? kept_q[i] : w.q[i];
+                EACH(i, NV) w.v[i] = bad ? kept_v[i] : w.v[i];
+                EACH(i, NV) w.x[i] = bad ? (T)0.0f : w.x[i];
+#if ACTS
+                EACH(i, ACTS) w.act[i] = bad ? kept_act[i] : w.act[i];
+#endif
+#if WATCHED
+                EACH(i, 3 * WATCHED) w.pushed[i] = bad ? (T)0.0f : w.pushed[i];
+#endif
+                SYNC
+                MOVE_WORLD(w);
+                SYNC
+            }
+            if (VANY(bad | doomed))
+                for (int l = 0; l < lanes; ++l)
+                    if (!((int*)&gone)[l]) {
+                        if (((int*)&bad)[l]) held[l] = passed;
+                        else if (((int*)&doomed)[l]) held[l] = passed + asked;
+                    }
+            gone = bad | doomed, doomed = NO;
+            passed += asked;
+        }
     }
     if (k.records) RECORD
 #if TERMS
@@ -79,11 +161,9 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
     }
 #endif
 }
-T bad = (T)0.0f;  // not a number where a state is none, one where it is too large
-for (int i = 0; i < NV; ++i) bad = VABS(w.v[i]) < 1e10f ? bad : (T)1.0f;
-for (int i = 0; i < NQ; ++i) bad = VABS(w.q[i]) < 1e10f ? bad : (T)1.0f;
+gone |= doomed;
 for (int l = 0; l < count; ++l) {
-    k.diverged.data[row + l] = LANE(bad, l) != 0.0f;
+    k.diverged.data[row + l] = ((int*)&gone)[l] != 0;
     k.overflow.data[row + l] = (w.overflow >> l) & 1;
 }
 #if OWN_STATE
