@@ -81,12 +81,10 @@ def test_a_world_that_blows_up_is_flagged_and_disturbs_nobody(scene):
             engine.work.par.numpy()[0, world], kept = np.nan, engine.work.par.numpy()[0, world]
         found = rolled(engine, poisoned, q, qd)
         assert_others_alike(clean, found, world)
+        assert found["diverged"].nonzero()[0].tolist() == [world]
+        assert np.isfinite(found["joint_q"]).all()
         if name == "par":
-            assert found["diverged"].nonzero()[0].tolist() == [world]
             engine.work.par.numpy()[0, world] = kept
-        else:  # drives have limits: what is no number becomes one of them
-            assert not found["diverged"].any()
-            assert np.isfinite(found["joint_q"]).all()
     again = rolled(engine, control, q, qd)
     for name in NAMES:
         np.testing.assert_array_equal(clean[name], again[name])

@@ -87,10 +87,8 @@ def _read(sensors: Sensors, fields: Sequence[str], rows: dict[int, int]) -> tupl
     within = [put for put in puts if "w.sensed[" in put]
     others = [put for put in puts if "w.sensed[" not in put]
     staying = _STAYING.replace("TO;", to).replace("COUNT", str(count))
-    read = staying.replace("READ;", "\n".join((*lines.statements, *others))).replace(
-        "LATER", "<= (o.before ? 0 : -1) +"
-    )
-    late = staying.replace("READ;", "\n".join(within)).replace("LATER", "<") if within else ""
+    read = staying.replace("SOON", "o.before").replace("READ;", "\n".join((*lines.statements, *others)))
+    late = staying.replace("SOON", "0").replace("READ;", "\n".join(within)) if within else ""
     return read, late and f"{{\nif (!o.before) {{ FORWARD_WORLD(w); }}\n{late}\n}}"
 
 
