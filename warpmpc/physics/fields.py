@@ -60,7 +60,7 @@ mesh_: face faceadr facenum graph graphadr polyadr polynormal polynum polyvert p
 pair_: geom1 geom2
 sensor_: adr datatype dim intprm objid objtype refid reftype type
 site_: bodyid type
-tendon_: actuatorid adr num
+tendon_: actuatorid adr num type
 wrap_: objid type
 """)
 """Fields that rollouts read, too: places, counts and kinds, which belong to each other and are not changed alone."""
@@ -93,24 +93,25 @@ tree_: bodyadr bodynum dofadr dofnum sleep_policy
 
 REFUSED = _names("""
 -: nJfe nJfv nflex nflexbending nflexedge nflexelem nflexelemdata nflexelemedge nflexnode nflexshelldata
-    nflexstiffness nflextexcoord nflexvert nhistory nplugin npluginattr npluginstate plugin
+    nflexstiffness nflextexcoord nflexvert nhistory nplastic nplugin npluginattr npluginstate plugin
 actuator_: ctrlspec dampingpoly delay history historyadr plugin
 body_: plugin
 dof_: dampingpoly
 flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinity condim contype damping dim edge
     edgeadr edgedamping edgeequality edgeflap edgenum edgestiffness elem elemadr elemdataadr elemedge elemedgeadr
     elemlayer elemnum elemtexcoord flatskin friction gap interp margin node node0 nodeadr nodebodyid nodenum passive
-    priority radius rigid selfcollide shell shelldataadr shellnum size solimp solmix solref stiffness stiffnessadr
-    texcoord texcoordadr vert vert0 vertadr vertbodyid vertedge vertedgeadr vertedgenum vertmetric vertnum
+    plasticadr plasticmode priority radius rigid selfcollide shell shelldataadr shellnum size solimp solmix solref
+    stiffness stiffnessadr texcoord texcoordadr vert vert0 vertadr vertbodyid vertcell vertedge vertedgeadr
+    vertedgenum vertmetric vertnum yield
 flexedge_: J_colind J_rowadr J_rownnz invweight0 length0 rigid
 flexvert_: J_colind J_rowadr J_rownnz
 geom_: adhesion fluid gap plugin surfacevel
-jnt_: stiffnesspoly
+jnt_: plasticadr springyield stiffnesspoly
 opt.: noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
 pair_: adhesion gap solreffriction
 plugin_: attr attradr stateadr statenum
 sensor_: delay history historyadr interval plugin
-tendon_: dampingpoly stiffnesspoly
+tendon_: dampingpoly plasticadr springyield stiffnesspoly
 """)
 """Fields of what rollouts lack: a model that uses one is refused by name, or MuJoCo rolls it out."""
 
@@ -126,10 +127,10 @@ actuator_: user
 body_: margin user
 cam_: ipd output projection user
 flex_: group matid rgba
-geom_: group user
+geom_: castshadow group user
 hfield_: pathadr
 jnt_: group user
-key_: act ctrl mpos mquat qpos qvel time
+key_: act ctrl mpos mquat plastic qpos qvel time
 light_: active ambient attenuation bodyid bulbradius castshadow cutoff diffuse dir dir0 exponent intensity mode pos
     pos0 poscom0 range softness specular targetbodyid texid type
 mat_: emission metallic reflectance roughness shininess specular texid texrepeat texuniform

@@ -168,11 +168,14 @@ class _Native:
         """Advance simulations and record after each substep; returns how many failed."""
         rows, chosen = self._rows, self._chosen(ids)
         fields = {*self._outputs, *(name for name, _, _ in records if name is not None and name not in FIELDS)}
-        own = nstep > 0 and rows.fit(int(chosen.sum()), nstep, control, control_spec, records)
-        if own and (why := self._lacks() or self._unwritten(fields) or rows.refused(control, control_spec, records)):
+        if not rows.fit(int(chosen.sum()), nstep, control, control_spec, records):
+            failed = self._mujoco.rollout(ids, nstep, control, control_spec, records)  # it complains, too
+            self._say("records and controls of these shapes", "rollouts")
+            return failed
+        why = self._lacks() or self._unwritten(fields) or rows.refused(control, control_spec, records)
+        if why:
             self._say(why, "rollouts")
-            own = False
-        if not own:  # what does not fit is MuJoCo's to complain about
+        if nstep < 1 or why:
             return self._mujoco.rollout(ids, nstep, control, control_spec, records)
         batch, controls = self._batch(nstep, fields, held=control is None), rows.controls(chosen, control, control_spec)
         bad = self._advance(batch, chosen, controls)

@@ -69,7 +69,7 @@ class StateRows:
         asked += [(to, self._size(self.bits(name, bits))) for name, bits, to in records if name in FIELDS or not name]
         return all(name is None or name in mujoco.batch.DATA_FIELDS for name, _, _ in records) and all(
             isinstance(to, np.ndarray)
-            and to.dtype in (np.float64, np.uint8)
+            and to.dtype in (np.float64, np.uint8, np.bool_)
             and to.flags.c_contiguous
             and (to.flags.writeable or to is control)
             and to.shape[:2] == (count, steps)
