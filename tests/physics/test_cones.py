@@ -73,8 +73,9 @@ PAIRED = """
   <geom name="floor" type="plane" size="5 5 .1"/>
   <body pos="0 0 .12"><freejoint/><geom name="box" type="box" size=".2 .15 .1" mass="1"/></body>
   <body pos="1 0 .12"><freejoint/><geom name="ball" type="sphere" size=".1" mass="1"/></body></worldbody>
-<contact><pair geom1="floor" geom2="box" condim="3" friction="0.9 0.2"/>
-  <pair geom1="floor" geom2="ball" condim="{condim}" friction="0.8 0.1 0.02 0.01 0.05"/></contact></mujoco>"""
+<contact><pair geom1="floor" geom2="box" condim="3" friction="0.9 0.2" solreffriction="0.06 1.2"/>
+  <pair geom1="floor" geom2="ball" condim="{condim}" friction="0.8 0.1 0.02 0.01 0.05"
+    solreffriction="-20 -30"/></contact></mujoco>"""
 
 
 @pytest.mark.parametrize(("cone", "condim"), [("pyramidal", 3), ("pyramidal", 6), ("elliptic", 6)])

@@ -77,7 +77,7 @@ ALL = """
   </worldbody>
   <contact>
     <pair geom1="puck" geom2="floor" condim="3" friction=".4 .4 .01 .01 .01" solref=".03 1" solimp=".85 .93 .002 .5 2"
-      margin=".003"/>
+      margin=".003" solreffriction=".05 1.1"/>
     <exclude body1="arm" body2="box"/><exclude body1="fore" body2="box"/>
   </contact>
   <tendon>
@@ -141,7 +141,7 @@ REFUSED = """
     </body>
     <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" pos="2 0 .02" radius=".01" dim="2" mass="1"/>
   </worldbody>
-  <contact><pair geom1="box" geom2="floor" adhesion="1" solreffriction=".05 1"/></contact>
+  <contact><pair geom1="box" geom2="floor" adhesion="1"/></contact>
   <tendon><fixed name="t" damping="1 2 3"><joint joint="h" coef="1"/></fixed></tendon>
   <actuator>
     <motor joint="k" damping="2 1 1"/><motor tendon="t"/><motor joint="h" gear=".1"/>

@@ -33,7 +33,7 @@ mat_: rgba
 mesh_: vert
 opt.: cone density disableactuator disableflags enableflags gravity impratio integrator iterations ls_iterations
     ls_tolerance magnetic o_friction o_margin o_solimp o_solref solver timestep tolerance viscosity wind
-pair_: dim friction margin solimp solref
+pair_: dim friction margin solimp solref solreffriction
 qpos_: spring
 sensor_: cutoff
 site_: pos quat size
@@ -108,7 +108,7 @@ flexvert_: J_colind J_rowadr J_rownnz
 geom_: adhesion fluid gap plugin surfacevel
 jnt_: plasticadr springyield stiffnesspoly
 opt.: noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
-pair_: adhesion gap solreffriction
+pair_: adhesion gap
 plugin_: attr attradr stateadr statenum
 sensor_: delay history historyadr interval plugin
 tendon_: dampingpoly plasticadr springyield stiffnesspoly

@@ -79,9 +79,6 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "flexible bodies": lambda p: p.mj.nflex,
     "adhesion of contacts": lambda p: p.mj.geom_adhesion.any() or p.mj.pair_adhesion.any(),
     "velocities of surfaces (surfacevel)": lambda p: p.mj.geom_surfacevel.any(),
-    "references of their own for the friction of explicit pairs": lambda p: (
-        p.mj.opt.cone and p.mj.pair_solreffriction.any()
-    ),
     "actuators of several activations": lambda p: (
         p.mj.na != np.sum(p.mj.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))
     ),

@@ -15,7 +15,7 @@ from .collisions import colliding_pairs
 from .equalities import Constraint, find_constraints
 from .limits import bounds, narrow
 from .mobility import LEVER, Mobility, floor
-from .rows import LEAST, Rows
+from .rows import LEAST, Rows, mixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,6 +58,8 @@ class PairRow:
     """Degrees of freedom that move one geom and not the other."""
     signs: tuple[float, ...]
     """1 for those that move the second."""
+    slip: float
+    """Damping along the rows of friction of an elliptic cone."""
 
     @property
     def slides(self) -> bool:
@@ -240,6 +242,11 @@ class PhysicsModel(Structure):
         given = int(self.mj.opt.iterations), int(self.mj.opt.ls_iterations)
         return given if self.mj.opt.solver == NEWTON else (max(given[0], ENOUGH), max(given[1], ENOUGH))
 
+    @property
+    def slips(self) -> bool:
+        """Return whether friction has references that are not those of the normal rows."""
+        return any(pair.slip != pair.rows.damping for pair in self.pairs)
+
     def _pair(self, a: int, b: int, told: int | None) -> PairRow:
         """Parameters of two geoms: those of an explicit pair, or mixed ones (MuJoCo, "Contact parameters")."""
         m, friction = self.mj, self.array("geom_friction")
@@ -271,7 +278,12 @@ class PhysicsModel(Structure):
         chains = self.body_dofs[bodies[0]], self.body_dofs[bodies[1]]
         dofs = tuple(sorted(chains[0] ^ chains[1]))
         signs = tuple(1.0 if dof in chains[1] else -1.0 for dof in dofs)
-        return PairRow((a, b), self.rows(solref, solimp), margin, int(condim), mu, inverse, dofs, signs)
+        rows = self.rows(solref, solimp)
+        slip = rows.damping
+        if told is not None and m.opt.cone and not m.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+            own = m.pair_solreffriction[told]
+            slip = self.rows(own, solimp).damping if own.any() and not mixed(own) else slip
+        return PairRow((a, b), rows, margin, int(condim), mu, inverse, dofs, signs, slip)
 
 
 CONVEX = frozenset(

@@ -237,6 +237,7 @@ class RolloutSource:
             "CURVE": packed(rows, 0) if model.elliptic else max(5, 2 * rows - 1),
             "PUSH": max(3, rows),
             "ELLIPTIC": int(model.elliptic),
+            "SLIP_DAMPING": "pair_slip" if model.slips else "pair_damping",
             "CONE_SLOPE": literal(float(model.mj.opt.impratio) ** -0.5),
         }
 
@@ -273,6 +274,7 @@ class RolloutSource:
             ints("pair_inverse_at", [index(pair.inverse) for pair in pairs]),
             floats("pair_stiffness", [pair.rows.stiffness for pair in pairs]),
             floats("pair_damping", [pair.rows.damping for pair in pairs]),
+            *([floats("pair_slip", [pair.slip for pair in pairs])] if model.slips else []),
             floats("pair_impedance", model.impedances([pair.rows for pair in pairs])),
             ints("group_count", [len(chain) for _, chain in self._groups]),
             ints("group_slides", [condim > 1 for condim, _ in self._groups]),

@@ -45,11 +45,11 @@ INLINE void entry(const World& w, int pair, int g, int k, V3 p, V3 n, V3 t, T* r
 INLINE void soften(World& w, Contact& c, int pair, I lanes, T distance, const T* v) {
     const T beyond = distance - pair_margin[pair];
     const T imp = impedance(pair_impedance + SOFT * pair, beyond);
-    const float k = pair_stiffness[pair], damping = pair_damping[pair];
+    const float k = pair_stiffness[pair], damping = pair_damping[pair], slip = SLIP_DAMPING[pair];
     c.weight = lanes ? row_weight(pair_inverse(w, pair), imp, w.given[GIVEN_PAIR_FLOOR + pair]) : c.weight;
     set_friction(w, c, pair, lanes);
     for (int i = 0; i < ROWS; ++i) {
-        const T ref = -damping * v[i] - (i ? zero() : k * imp * beyond);
+        const T ref = -(i ? slip : damping) * v[i] - (i ? zero() : k * imp * beyond);
         c.ref[i] = lanes ? ref : c.ref[i];
     }
 }
