@@ -13,7 +13,7 @@ import numpy as np
 
 from ..bake.knots import CONTROL
 from ..bake.lines import literal
-from ..bake.simd import angle, sincos
+from ..bake.simd import sincos
 from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
 from .constraint_tables import ConstraintTables
 from .dynamics import Dynamics
@@ -25,6 +25,7 @@ from .model import COLLIDES, CONVEX, FIELD
 from .parts import Parts
 from .rings import flat_geoms, ring_size, ring_tables
 from .tables import floats, ints
+from .tendons import with_angles
 
 if TYPE_CHECKING:
     from .model import PairRow, PhysicsModel
@@ -77,9 +78,7 @@ class RolloutSource:
         step = step.replace("COLLISIONS", self._collisions())
         steps = [
             self._native("collide_common"),
-            self._native("wrap")
-            .replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine"))
-            .replace("ANGLE", angle("height", "run", "part")),
+            with_angles(self._native("wrap")),
             self._native("muscle"),
             *baked,
             self._native("links").replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine", half=_HALF)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..bake.lines import Lines, Operand, Vector, literal, text
+from ..bake.simd import angle, sincos
 from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, packed, rotation, wraps
 from .limits import within
 from .tables import ints
@@ -219,6 +220,12 @@ class Tendons:
         length = lines.let(f"VSQRT({text(lines.dot(way, way))})")
         over = lines.let(f"1.0f / VMAX({length}, (T)1e-12f)")
         return [lines.sum((x, over)) for x in way], length
+
+
+def with_angles(source: str) -> str:
+    """Source of ``native/wrap.h`` with its functions of angles."""
+    turned = source.replace("SINCOS_ANGLE", sincos("angle", "sine", "cosine"))
+    return turned.replace("ANGLE", angle("height", "run", "part"))
 
 
 def fixed(m: mujoco.MjModel, tendon: int) -> bool:
