@@ -169,9 +169,9 @@ def limits() -> None:
 
 def faulty() -> None:
     """A source with an error of each kind."""
-    from warpmpc.physics.source import RolloutSource
+    from warpmpc.physics.parts import Parts
 
-    write = RolloutSource.write
+    write = Parts.rollouts
     wrong = """
     {
         const int n = k.domains + 3;
@@ -180,7 +180,7 @@ def faulty() -> None:
         few[n] = 1.0f;
         w.q[0] += few[n];
     }"""
-    RolloutSource.write = lambda self: write(self) + wrong
+    Parts.rollouts = lambda self: write(self) + wrong
     roll(_pile('type="box" size=".1 .08 .05"'), 1)
 
 

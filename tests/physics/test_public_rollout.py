@@ -349,3 +349,27 @@ def test_an_array_that_is_read_only_is_an_error(which):
     with rollout.Rollout(fall_back=False) as ours, pytest.raises((ValueError, TypeError)):
         ours.rollout(model, mujoco.MjData(model), start, control, **{which: out})
     assert (out == 7.0).all()
+
+
+def test_data_hold_controls_and_are_left_after_the_last_step(seen):
+    model, start, control = seen
+    for given in (None, control):
+        theirs, ours = mujoco.MjData(model), mujoco.MjData(model)
+        theirs.ctrl, ours.ctrl = 0.7, 0.7
+        expected = mujoco.rollout.rollout(model, theirs, start, given, nstep=STEPS)
+        found = rollout.rollout(model, ours, start, given, nstep=STEPS)
+        np.testing.assert_allclose(found[0], expected[0], **CLOSE)
+        for name in ("time", "qpos", "qvel", "ctrl", "xpos", "sensordata"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("field", ["dof_damping", "actuator_gainprm", "body_ipos"])
+def test_models_that_differ_in_more_are_rolled_out_by_mujoco_with_its_name(caplog, field):
+    model, start, control = pushed()
+    models = [copy.copy(model) for _ in range(WORLDS)]
+    for number, one in enumerate(models):
+        getattr(one, field)[...] += 0.01 * number
+    with caplog.at_level(logging.INFO, "warpmpc"), rollout.Rollout() as ours:
+        for _ in range(2):
+            ours.rollout(models, mujoco.MjData(model), start, control)
+    assert [field in record.getMessage() for record in caplog.records] == [True]
