@@ -266,7 +266,9 @@ LACKS = {
     "delays and intervals (history in the state)": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
     "shapes of their own in a fluid": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
     "impedances whose power is no whole number": {"geom": 'priority="1" solimp="0.9 0.95 0.001 0.5 2.5"'},
-    "damping and stiffness that depend on speed and angle": drive('<motor joint="h" damping="0.3"/>'),
+    "stiffness of ball and free joints that grows with the angle": {
+        "joint": '<joint name="j" type="ball" stiffness="1 2 0"/>'
+    },
     "noslip iterations": {"option": 'noslip_iterations="3"'},
     "solver PGS for elliptic cones": {"option": 'solver="PGS" cone="elliptic"'},
     "models of more than 128 degrees of freedom": {

@@ -136,15 +136,15 @@ REFUSED = """
     </body>
     <body pos="1 0 .099" gravcomp=".5">
       <joint name="h" axis="0 1 0"/>
-      <joint name="k" type="slide" pos=".1 0 0" stiffness="1 2 3"/>
+      <joint name="k" type="slide" pos=".1 0 0" stiffness="1"/>
       <geom size=".1" pos=".1 0 0" adhesion="3"/>
     </body>
     <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" pos="2 0 .02" radius=".01" dim="2" mass="1"/>
   </worldbody>
   <contact><pair geom1="box" geom2="floor" adhesion="1"/></contact>
-  <tendon><fixed name="t" damping="1 2 3"><joint joint="h" coef="1"/></fixed></tendon>
+  <tendon><fixed name="t"><joint joint="h" coef="1"/></fixed></tendon>
   <actuator>
-    <motor joint="k" damping="2 1 1"/><motor tendon="t"/><motor joint="h" gear=".1"/>
+    <motor joint="k"/><motor tendon="t"/><motor joint="h" gear=".1"/>
     <muscle joint="h" lengthrange="-1 1" ctrlrange="0 1" scale=".5"/><motor joint="k" delay=".004" nsample="3"/>
   </actuator>
   <sensor>
@@ -184,7 +184,8 @@ def every_field(model):
 
 CHOICES = {
     "opt.cone": 0, "opt.solver": 0, "opt.integrator": 1, "opt.jacobian": 0, "opt.disableactuator": 2,
-    "opt.iterations": 2, "opt.ls_iterations": 2, "opt.enableflags": int(mujoco.mjtEnableBit.mjENBL_OVERRIDE),
+    "opt.iterations": 2, "opt.ls_iterations": 2, "opt.ls_tolerance": 0.5,
+    "opt.enableflags": int(mujoco.mjtEnableBit.mjENBL_OVERRIDE),
     "opt.disableflags": int(mujoco.mjtDisableBit.mjDSBL_GRAVITY),
 }  # fmt: skip
 """Other values of options that are no quantities."""
@@ -266,9 +267,9 @@ def quantities(model, part):
 
 def effects(model, part):
     """Fields which, with other values, change MuJoCo's rollouts; each with the model that has these."""
-    rng, nominal = np.random.default_rng(0), of_mujoco(model)
+    nominal = of_mujoco(model)
     for name in quantities(model, part):
-        other = changed(model, name, rng)
+        other = changed(model, name, np.random.default_rng(0))
         if not np.allclose(of_mujoco(other), nominal, rtol=0.0, atol=1e-9):
             yield name, other
 

@@ -33,23 +33,25 @@ ARM = """
       </body>
       <body pos="0 .2 0">
         <joint name="e" axis="1 1 0" damping=".1" armature=".02"/>
-        <joint name="n" axis="0 0 1" armature=".02" range="-3 3" margin=".1"/>
+        <joint name="n" axis="0 0 1" armature=".02" range="-3 3" margin=".1" damping=".05 .05 .03" stiffness="1 -4 9"/>
         <geom type="capsule" fromto="0 0 0 0 .3 0" size=".03"/>
         <site name="e" pos="0 .2 .05"/>
       </body>
     </body>
     <body pos="-.3 0 .12" euler="20 10 0">
-      <freejoint/>
+      <joint type="free" damping=".1 .05 .02"/>
       <geom type="box" size=".15 .1 .05"/>
     </body>
   </worldbody>
   <tendon>
     <spatial name="s" stiffness="20" damping=".8" springlength=".1"><site site="a"/><site site="e"/></spatial>
     <fixed name="g" range="-.03 .03" margin=".05"><joint joint="e" coef=".5"/><joint joint="n" coef=".4"/></fixed>
-    <fixed name="f" damping=".1"><joint joint="a" coef=".5"/><joint joint="c" coef="-1"/></fixed>
+    <fixed name="f" damping=".1 .2 0" stiffness="2 0 5" springlength="-.1 .1">
+      <joint joint="a" coef=".5"/><joint joint="c" coef="-1"/>
+    </fixed>
   </tendon>
   <actuator>
-    <motor joint="a" gear="4"/>
+    <motor joint="a" gear="4" damping=".01 .02 0"/>
     <position joint="c" kp="3" kv=".3"/>
     <general tendon="s" dyntype="filter" dynprm=".03" gainprm="5" biastype="affine" biasprm="0 -5 -1"/>
     <general joint="d" dyntype="filterexact" dynprm=".02" actrange="-.2 .3" actlimited="true" gainprm="20"/>

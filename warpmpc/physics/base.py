@@ -12,6 +12,7 @@ import numpy as np
 
 from ..bake.lines import Matrix, Operand, Vector
 from .rows import REFERENCE, Rows, mixed
+from .springs import powers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -144,7 +145,7 @@ class Structure:
     def explicit(self) -> bool:
         """Return whether velocities follow from the solver's accelerations, since no damping is implicit."""
         m, kinds = self.mj, mujoco.mjtIntegrator
-        damped = (self.dampings > 0.0).any() and not self.off("EULERDAMP")
+        damped = self.dampings.any() and not self.off("EULERDAMP")
         return m.opt.integrator == int(kinds.mjINT_RK4) or (m.opt.integrator == int(kinds.mjINT_EULER) and not damped)
 
     @property
@@ -314,17 +315,22 @@ class Structure:
 
     @cached_property
     def dampings(self) -> np.ndarray:
-        """Damping of each degree of freedom, with that of actuators, none where it is disabled ``[nv]``."""
+        """Damping of each degree of freedom, with that of actuators, by powers of its speed ``[nv, 1 + npoly]``.
+
+        It is zero where it is disabled.
+        """
         m = self.mj
-        damping = m.dof_damping + self._geared(m.actuator_damping, m.jnt_actuatorid, _ON_JOINTS)[m.dof_jntid]
-        return np.zeros(m.nv) if self.off("DAMPER") else damping
+        own, more = powers(m, "dof_damping"), powers(m, "actuator_damping")
+        damping = own + self._geared(more, m.jnt_actuatorid, _ON_JOINTS)[m.dof_jntid]
+        return np.zeros_like(damping) if self.off("DAMPER") else damping
 
     @cached_property
     def line_dampings(self) -> np.ndarray:
-        """The same of each tendon ``[ntendon]``."""
+        """The same of each tendon ``[ntendon, 1 + npoly]``."""
         m = self.mj
-        damping = m.tendon_damping + self._geared(m.actuator_damping, m.tendon_actuatorid, _ON_TENDONS)
-        return np.zeros(m.ntendon) if self.off("DAMPER") else damping
+        own, more = powers(m, "tendon_damping"), powers(m, "actuator_damping")
+        damping = own + self._geared(more, m.tendon_actuatorid, _ON_TENDONS)
+        return np.zeros_like(damping) if self.off("DAMPER") else damping
 
     def _geared(self, numbers: np.ndarray, owner: np.ndarray, kinds: tuple[int, ...]) -> np.ndarray:
         """Numbers of actuators times squares of their gears, added up by what they drive.
@@ -334,7 +340,7 @@ class Structure:
             owner: The one actuator of each joint or tendon that counts; -1 if none does, -2 if all do.
             kinds: Transmissions.
         """
-        m, out = self.mj, np.zeros(len(owner))
+        m, out = self.mj, np.zeros((len(owner), *numbers.shape[1:]))
         for a in np.flatnonzero(np.isin(m.actuator_trntype, kinds)):
             target = int(m.actuator_trnid[a, 0])
             if owner[target] in (a, -2):

@@ -13,6 +13,7 @@ from .base import BALL, FREE, packed
 from .constraint_rows import small_rotation
 from .limits import UNLIMITED, bounds, within
 from .muscles import bias_numbers, gain_numbers
+from .springs import coefficient, negative, powers
 from .tables import floats, ints
 from .transmission import Reach, Transmission
 from .version import BOUNDED_FORCES_DO_NOT_DAMP
@@ -126,11 +127,11 @@ class Drive:
                 lines.add(f"w.joint_force[{i}] = {text(driven)};")
             driven = lines.sum(driven, (-1.0, carried))  # which is in the bias
             terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
-            damping = float(self.model.dampings[i])
-            if damping:
-                terms.append((-damping, f"w.v[{i}]"))
-            if damping and not self._stages and (self.model.implicit or not self.model.off("EULERDAMP")):
-                self._damped[i].append(damping)
+            damping, slope = coefficient(lines, self.model.dampings[i], f"w.v[{i}]", damper=True)
+            if damping != 0.0:
+                terms.append((negative(lines, damping), f"w.v[{i}]"))
+            if damping != 0.0 and not self._stages and (self.model.implicit or not self.model.off("EULERDAMP")):
+                self._damped[i].append(slope)
             lines.add(f"w.fs[{i}] = {text(lines.sum(*terms, *pulls[i]))};")
             rate = lines.sum(*self._damped[i])
             lines.add(f"w.damp[{i}] = {text(rate)} * {literal(float(m.opt.timestep))};")
@@ -181,16 +182,21 @@ class Drive:
         m = self.mj
         out: dict[int, list] = {i: [] for i in range(m.nv)}
         for t in range(m.ntendon):
-            force, arms = self.tendons.force(lines, t), self.tendons.arms(t)
+            (force, slope), arms = self.tendons.force(lines, t), self.tendons.arms(t)
             if self.tendons.heavy(t):
                 force = lines.sum(force, (-float(self.model.line_armatures[t]), f"w.tendon_curving[{t}]"))
             for dof, arm in arms if force != 0.0 else ():
                 out[dof].append((force, arm))
-            if self.model.implicit and self.model.line_dampings[t]:
-                self._resist(lines, -float(self.model.line_dampings[t]), arms)
-        for j in np.flatnonzero(np.ravel(m.jnt_stiffness)) if not self.model.off("SPRING") else ():
-            stiffness, q, dof = float(np.ravel(m.jnt_stiffness)[j]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
+            if self.model.implicit and slope != 0.0:
+                self._resist(lines, negative(lines, slope), arms)
+        springs = powers(m, "jnt_stiffness")
+        for j in np.flatnonzero(springs.any(axis=1)) if not self.model.off("SPRING") else ():
+            stiffness, q, dof = float(springs[j, 0]), int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
             kind = int(m.jnt_type[j])
+            if springs[j, 1:].any():
+                away = lines.sum(f"w.q[{q}]", -float(m.qpos_spring[q]))
+                out[dof].append((negative(lines, coefficient(lines, springs[j], away, damper=False)[0]), away))
+                continue
             if kind == FREE:
                 for k in range(3):
                     out[dof + k] += [(-stiffness, f"w.q[{q + k}]"), stiffness * float(m.qpos_spring[q + k])]

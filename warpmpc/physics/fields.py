@@ -20,15 +20,15 @@ def _names(text: str) -> frozenset[str]:
 
 READ = _names("""
 -: qpos0
-actuator_: acc0 actearly actlimited actrange armature biasprm cranklength ctrllimited ctrlrange damping dynprm
-    forcelimited forcerange gainprm gear group lengthrange
+actuator_: acc0 actearly actlimited actrange armature biasprm cranklength ctrllimited ctrlrange damping dampingpoly
+    dynprm forcelimited forcerange gainprm gear group lengthrange
 body_: gravcomp inertia invweight0 ipos iquat mass pos quat
 cam_: fovy intrinsic pos quat resolution sensorsize
-dof_: armature damping frictionloss invweight0 solimp solref
+dof_: armature damping dampingpoly frictionloss invweight0 solimp solref
 eq_: active0 data solimp solref
 geom_: conaffinity condim friction margin pos priority quat rbound rgba size solimp solmix solref
 hfield_: data size
-jnt_: actfrclimited actfrcrange actgravcomp axis limited margin pos range solimp solref stiffness
+jnt_: actfrclimited actfrcrange actgravcomp axis limited margin pos range solimp solref stiffness stiffnesspoly
 mat_: rgba
 mesh_: vert
 opt.: cone density disableactuator disableflags enableflags gravity impratio integrator iterations ls_iterations
@@ -38,8 +38,8 @@ qpos_: spring
 sensor_: cutoff
 site_: pos quat size
 stat.: meaninertia
-tendon_: actfrclimited actfrcrange armature damping frictionloss invweight0 length0 lengthspring limited margin range
-    solimp_fri solimp_lim solref_fri solref_lim stiffness
+tendon_: actfrclimited actfrcrange armature damping dampingpoly frictionloss invweight0 length0 lengthspring limited
+    margin range solimp_fri solimp_lim solref_fri solref_lim stiffness stiffnesspoly
 wrap_: prm
 """)
 """Fields that rollouts read: with other values they end elsewhere."""
@@ -94,9 +94,8 @@ tree_: bodyadr bodynum dofadr dofnum sleep_policy
 REFUSED = _names("""
 -: nJfe nJfv nflex nflexbending nflexedge nflexelem nflexelemdata nflexelemedge nflexnode nflexshelldata
     nflexstiffness nflextexcoord nflexvert nhistory nplastic nplugin npluginattr npluginstate plugin
-actuator_: ctrlspec dampingpoly delay history historyadr plugin
+actuator_: ctrlspec delay history historyadr plugin
 body_: plugin
-dof_: dampingpoly
 flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinity condim contype damping dim edge
     edgeadr edgedamping edgeequality edgeflap edgenum edgestiffness elem elemadr elemdataadr elemedge elemedgeadr
     elemlayer elemnum elemtexcoord flatskin friction gap interp margin node node0 nodeadr nodebodyid nodenum passive
@@ -106,12 +105,12 @@ flex_: activelayers bending bendingadr bvhadr bvhnum cellnum centered conaffinit
 flexedge_: J_colind J_rowadr J_rownnz invweight0 length0 rigid
 flexvert_: J_colind J_rowadr J_rownnz
 geom_: adhesion fluid gap plugin surfacevel
-jnt_: plasticadr springyield stiffnesspoly
+jnt_: plasticadr springyield
 opt.: noslip_iterations noslip_tolerance sdf_initpoints sdf_iterations sleep_tolerance
 pair_: adhesion gap
 plugin_: attr attradr stateadr statenum
 sensor_: delay history historyadr interval plugin
-tendon_: dampingpoly plasticadr springyield stiffnesspoly
+tendon_: plasticadr springyield
 """)
 """Fields of what rollouts lack: a model that uses one is refused by name, or MuJoCo rolls it out."""
 

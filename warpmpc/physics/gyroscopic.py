@@ -55,7 +55,7 @@ class Gyroscopic:
         named = [(entry, f"w.spread[{n}]") for entry, n in drive.spreads.items()]
         named += [(entry, f"w.tendon_mass[{n}]") for entry, n in drive.tendons.masses.items()]
         more = [(i - first, j - first, name) for (i, j), name in named if first <= j and i <= last]
-        if more:
+        if more or self.model.dampings[first, 1:].any():
             self._eliminate(more)
         else:
             self._alone()
@@ -98,7 +98,7 @@ class Gyroscopic:
 
     def _alone(self) -> None:
         m, lines, first = self.model.mj, self.lines, self.first
-        damping = float(self.model.dampings[first])
+        damping = float(self.model.dampings[first, 0])
         extra = float(self.model.armatures[first]) + float(m.opt.timestep) * damping  # on the diagonal
         heavy = lines.sum(self._mass, extra)
         over = lines.let(f"1.0f / {text(heavy)}")

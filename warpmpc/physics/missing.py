@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .base import BALL, GEOM, WRAP_CYLINDER, WRAP_SPHERE, wraps
+from .base import BALL, FREE, GEOM, WRAP_CYLINDER, WRAP_SPHERE, wraps
 from .factor import MOST_OPERATIONS, operations
 from .flags import lacking_flags
 from .kinds import lacking_kinds
@@ -90,13 +90,9 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "shapes of their own in a fluid": lambda p: (
         (p.mj.opt.density or p.mj.opt.viscosity) and (p.mj.geom_fluid[:, 0] > 0.0).any()
     ),
-    "damping and stiffness that depend on speed and angle": lambda p: (
-        p.mj.dof_dampingpoly.any()
-        or p.mj.jnt_stiffnesspoly.any()
-        or p.mj.actuator_dampingpoly.any()
-        or p.mj.tendon_dampingpoly.any()
-        or p.mj.tendon_stiffnesspoly.any()
-    ),
+    "stiffness of ball and free joints that grows with the angle": lambda p: p.mj.jnt_stiffnesspoly[
+        np.isin(p.mj.jnt_type, (FREE, BALL))
+    ].any(),
     "solvers that are none of MuJoCo's": lambda p: p.mj.opt.solver not in _SOLVERS,
     "solver PGS for elliptic cones": lambda p: p.mj.opt.solver == int(mujoco.mjtSolver.mjSOL_PGS) and p.elliptic,
     f"trees of more than {MOST_DOFS // 2} degrees of freedom in a row": lambda p: (

@@ -12,6 +12,7 @@ from ..bake.lines import Lines, Operand, Vector, literal, text
 from ..bake.simd import angle, sincos
 from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, packed, rotation, wraps
 from .limits import within
+from .springs import coefficient, negative, powers
 from .tables import ints
 
 if TYPE_CHECKING:
@@ -98,22 +99,26 @@ class Tendons:
             parts = [(a, lines.sum((arms[i], arms[j]))) for a, arms in rows if i in arms and j in arms]
             lines.add(f"w.tendon_mass[{n}] = {text(lines.sum(*parts))};")
 
-    def force(self, lines: Lines, tendon: int) -> Operand:
-        """Force of a tendon's spring and damper [N]."""
+    def force(self, lines: Lines, tendon: int) -> tuple[Operand, Operand]:
+        """Force of a tendon's spring and damper [N], and its slope by speed, with the other sign [N s/m]."""
         m, terms = self.mj, []
-        stiffness = 0.0 if self.model.off("SPRING") else float(m.tendon_stiffness[tendon])
-        damping = float(self.model.line_dampings[tendon])
-        if stiffness:
+        springs = powers(m, "tendon_stiffness")[tendon]
+        if springs.any() and not self.model.off("SPRING"):
             low, high = (float(x) for x in within(m.tendon_lengthspring[tendon]))
             length = f"w.tendon_length[{tendon}]"
-            if low == high:
-                terms += [(-stiffness, length), stiffness * low]
-            else:
+            rest: Operand = low
+            if low != high:
                 rest = lines.let(f"VMIN(VMAX({length}, (T){literal(low)}), (T){literal(high)})")
-                terms += [(-stiffness, length), (stiffness, rest)]
-        if damping:
-            terms.append((-damping, f"w.tendon_speed[{tendon}]"))
-        return lines.sum(*terms)
+            if springs[1:].any():
+                away = lines.sum(length, (-1.0, rest))
+                terms.append((negative(lines, coefficient(lines, springs, away, damper=False)[0]), away))
+            else:
+                terms += [(-float(springs[0]), length), (float(springs[0]), rest)]
+        speed = f"w.tendon_speed[{tendon}]"
+        damping, slope = coefficient(lines, self.model.line_dampings[tendon], speed, damper=True)
+        if damping != 0.0:
+            terms.append((negative(lines, damping), speed))
+        return lines.sum(*terms), slope
 
     def _fixed(self, lines: Lines, tendon: int) -> Operand:
         """Length of a sum of joint coordinates."""
