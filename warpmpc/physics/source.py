@@ -257,9 +257,8 @@ class RolloutSource:
         for n, pair in enumerate(pairs):
             chain = self._groups[groups[n]][1]
             signs[n, [chain.index(dof) for dof in pair.dofs]] = pair.signs
-        limited = model.limited
+        limited, limits = model.limited, model.limits
         limit_dofs = [int(m.jnt_dofadr[j]) for j in limited]
-        limits = model.limits
         inverse = model.array("dof_invweight0")
         sizes = model.array("geom_size")
         size_at = [index(sizes[:, g, k]) for g in range(m.ngeom) for k in range(3)]
