@@ -3,9 +3,10 @@
 
 import logging
 
+import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_scenes import make_scene
 
@@ -212,6 +213,66 @@ def test_a_fixed_joint_mimics_nothing(tmp_path):
     compiled = compile_scene(scene(tmp_path, joints=joints, links="<link name='tip'/>"))
     assert compiled.layout.nv == 1
     assert "joint 'to_tip' is fixed" in compiled.repaired[0]
+
+
+def mimicking(tmp_path, *, first=(0.3, -2.0), second=(0.0, 0.5), leader="to_arm", kind="continuous", **robot):
+    """An arm that leads, a finger that follows it, and a tip that follows the finger and comes first in the file."""
+    links = "".join(f"<link name='{name}'>{BALL}</link>" for name in ("finger", "tip"))
+    following = [
+        joint(child, kind=kind, inside=f"<mimic joint='{other}' offset='{offset}' multiplier='{multiplier}'/>")
+        for child, other, (offset, multiplier) in (("tip", "to_finger", second), ("finger", leader, first))
+    ]
+    wanted = scene(tmp_path, joints="".join(following) + joint("arm"), links=links)
+    drive = {"mode": "velocity", "damping": 20.0, "limit": 1.0} | robot.pop("drive", {})
+    return make_scene(
+        robot=[wanted.robot[0].model_dump(exclude_unset=True) | {"drive": drive} | robot],
+        ground=False,
+        goal={"frame": "r/arm", "position": (0.0, 0.0)},
+    )
+
+
+PAIR = st.tuples(st.floats(-0.5, 0.5), st.floats(-2.0, 2.0))
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(first=PAIR, second=PAIR, start=st.floats(-0.5, 0.5))
+def test_joints_that_mimic_have_no_drive_and_follow_from_the_start(tmp_path, first, second, start):
+    compiled = compile_scene(mimicking(tmp_path, first=first, second=second, joint_q={"to_arm": start}), cache=False)
+    layout = compiled.layout
+    assert layout.control_name == ("r/to_arm",)
+
+    def followed(arm):
+        finger = first[0] + first[1] * arm
+        return {"r/to_arm": arm, "r/to_finger": finger, "r/to_tip": second[0] + second[1] * finger}
+
+    at = dict(zip(layout.dof_name, layout.joint_q[layout.dof_coord], strict=True))
+    assert at == pytest.approx(followed(start), abs=1e-6)
+    model = model_of(compiled)
+    data = mujoco.MjData(model)
+    data.qpos[:] = layout.joint_q
+    data.ctrl[:] = 0.5
+    mujoco.mj_step(model, data, 200)
+    assert data.qpos[layout.dof_name.index("r/to_arm")] > start + 0.1
+    for name, value in followed(data.qpos[layout.dof_name.index("r/to_arm")]).items():
+        assert data.qpos[layout.dof_name.index(name)] == pytest.approx(value, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"drive": {"joints": ["to_tip"]}}, r"drive\.joints: this joint follows 'to_arm'"),
+        ({"joint_q": {"to_finger": 0.1}}, r"joint_q: this joint follows 'to_arm'"),
+        ({"joint_q": [0.1, 0.1, 0.1]}, r"joint_q: needs one value per joint, 1 in all \(to_arm\)"),
+        ({"leader": "nobody"}, "'to_finger': it mimics 'nobody', which is no joint"),
+        ({"leader": "to_tip"}, "Cyclic URDF mimic joints: to_"),
+        ({"kind": "floating"}, "'to_tip': it mimics 'to_finger', but 'to_tip' is floating"),
+        ({"first": ("no", 1.0)}, "'to_finger': offset of its <mimic> is no number"),
+        ({"first": (0.0, "inf")}, "'to_finger': multiplier of its <mimic> is infinite"),
+    ],
+)
+def test_what_cannot_follow_or_be_set_is_named(tmp_path, keys, said):
+    with pytest.raises(SceneError, match=said):
+        compile_scene(mimicking(tmp_path, **keys), cache=False)
 
 
 def test_a_joint_of_no_link_is_refused_by_name(tmp_path):

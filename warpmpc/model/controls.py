@@ -94,10 +94,12 @@ def drive_robot(
     movable = {
         name: (coord, dof) for dof, (name, coord) in enumerate(zip(axes, _coordinates(part), strict=True)) if name
     }
-    own = {name: place for name, place in movable.items() if all(name not in joints for joints in mocap.values())}
-    for coord, dof in (movable[name] for joints in mocap.values() for name in joints):
+    follows = _followers(part, axes)
+    held = {name for joints in mocap.values() for name in joints}
+    own = {name: place for name, place in movable.items() if name not in held and name not in follows}
+    for coord, dof in (movable[name] for name in held):
         part.joint_q[coord] = part.joint_qd[dof] = 0.0
-    _start(part, robot, own, scene, key)
+    _start(part, robot, own, follows, scene, key)
     for dof in range(part.joint_dof_count):
         part.joint_target_mode[dof] = int(JointTargetMode.NONE)
         part.joint_target_ke[dof] = part.joint_target_kd[dof] = 0.0
@@ -110,9 +112,7 @@ def drive_robot(
         names = list(own) if drive.joints is None else list(drive.joints)
         for name in names:
             if name not in own:
-                raise SceneError(
-                    "no such joint with one axis", key=f"{where}.joints", file=scene.path, found=name, allowed=own
-                )
+                raise _unknown(name, "no such joint with one axis", follows, f"{where}.joints", scene, own)
             if name in driven:
                 raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
             driven[name] = None
@@ -183,7 +183,26 @@ def _coordinates(part: newton.ModelBuilder) -> list[int]:
     return coords
 
 
-def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene, key: str) -> None:
+def _followers(part: newton.ModelBuilder, axes: list[str | None]) -> dict[str, str]:
+    """Axes of joints that mimic another → the axis that leads; the physics has a constraint for each."""
+    starts = part.joint_qd_start
+    return {
+        axes[starts[joint] + k]: axes[starts[leader] + k]
+        for joint, leader in enumerate(part.joint_mimic_joint)
+        if leader >= 0
+        for k in range(sum(part.joint_dof_dim[joint]))
+    }
+
+
+def _unknown(name: str, message: str, follows: dict, key: str, scene: Scene, allowed) -> SceneError:
+    """The error about a joint that has no drive or start to be set."""
+    if name in follows:
+        message = f"this joint follows '{follows[name]}' (<mimic>): name that one"
+    return SceneError(message, key=key, file=scene.path, found=name, allowed=list(allowed))
+
+
+def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, follows: dict, scene: Scene, key: str) -> None:
+    """Put the joints where the scene has them, and those that mimic others where these have them."""
     free = {
         label.removeprefix(f"{robot.name}/"): int(start)
         for label, kind, start in zip(part.joint_label, part.joint_type, part.joint_q_start, strict=True)
@@ -192,13 +211,8 @@ def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene,
     if isinstance(robot.joint_q, dict):
         for name, value in robot.joint_q.items():
             if name not in movable and name not in free:
-                raise SceneError(
-                    "no such joint with one axis, or free joint",
-                    key=f"{key}.joint_q",
-                    file=scene.path,
-                    found=name,
-                    allowed=[*movable, *free],
-                )
+                wanted = "no such joint with one axis, or free joint"
+                raise _unknown(name, wanted, follows, f"{key}.joint_q", scene, [*movable, *free])
             numbers = value if isinstance(value, tuple) else (value,)
             if len(numbers) not in ((3, 7) if name in free else (1,)):
                 raise SceneError(
@@ -223,6 +237,11 @@ def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, scene: Scene,
             )
         for (coord, _), value in zip(movable.values(), robot.joint_q, strict=True):
             part.joint_q[coord] = value
+    for joint, leader in enumerate(part.joint_mimic_joint):
+        offset, multiplier = part.joint_mimic_coeffs[joint]
+        for k in range(sum(part.joint_dof_dim[joint]) if leader >= 0 else 0):
+            lead = part.joint_q[part.joint_q_start[leader] + k]
+            part.joint_q[part.joint_q_start[joint] + k] = offset + multiplier * lead
 
 
 def _spread(values: Sequence[float], count: int, key: str, scene: Scene) -> list[float]:

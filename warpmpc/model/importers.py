@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -91,6 +92,7 @@ def _import_urdf(urdf: Urdf, robot: Robot, options: dict) -> newton.ModelBuilder
 
 def _import_usd(path: Path, robot: Robot, options: dict) -> newton.ModelBuilder:
     """The robot of a USD file; imported again where the scene moves its root."""
+    _require_units(path)
     part = new_builder()
     part.add_usd(str(path), **options)
     if (robot.position is None and robot.rotation is None) or not part.body_count:
@@ -100,6 +102,19 @@ def _import_usd(path: Path, robot: Robot, options: dict) -> newton.ModelBuilder:
     part = new_builder()
     part.add_usd(str(path), xform=wanted * wp.transform_inverse(own), **options)
     return part
+
+
+def _require_units(path: Path) -> None:
+    """Refuse stages in other units than metres and kilograms: the importer takes their numbers as they are."""
+    from pxr import Usd, UsdGeom, UsdPhysics  # an extra
+
+    stage = Usd.Stage.Open(str(path))
+    for key, unit, known, value in (
+        ("metersPerUnit", "m", UsdGeom.StageHasAuthoredMetersPerUnit, UsdGeom.GetStageMetersPerUnit),
+        ("kilogramsPerUnit", "kg", UsdPhysics.StageHasAuthoredKilogramsPerUnit, UsdPhysics.GetStageKilogramsPerUnit),
+    ):
+        if known(stage) and not math.isclose(value(stage), 1.0, rel_tol=1e-6):
+            raise ValueError(f"its unit is {value(stage):g} {unit} ({key}): convert the stage to metres and kilograms")
 
 
 def _is_about_assets(warning: warnings.WarningMessage) -> bool:

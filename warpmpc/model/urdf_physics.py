@@ -210,15 +210,18 @@ def repair_joints(root: Element) -> list[str]:
         What was repaired, one line each.
 
     Raises:
-        Impossible: If a joint's range ends before it begins.
+        Impossible: If a joint's range ends before it begins, or it mimics what has no axis.
     """
     said = []
+    kinds = {joint.get("name"): joint.get("type") for joint in root.findall("joint")}
     for joint in root.findall("joint"):
         limit, kind, name = joint.find("limit"), joint.get("type"), joint.get("name")
         mimic = joint.find("mimic")
         if mimic is not None and kind == "fixed":
             joint.remove(mimic)
             said.append(f"joint '{name}' is fixed: what it mimics is left out")
+        elif mimic is not None:
+            _require_mimic(mimic, kinds, name)
         if limit is None or kind not in ("revolute", "prismatic", "continuous"):
             continue
         given = [key for key in ("lower", "upper", "effort", "velocity") if limit.get(key) is not None]
@@ -241,11 +244,25 @@ def repair_joints(root: Element) -> list[str]:
     return said
 
 
-def _limit(limit: Element, key: str, joint: str | None) -> float:
+def _require_mimic(mimic: Element, kinds: dict[str | None, str | None], joint: str | None) -> None:
+    leader = mimic.get("joint")
+    if leader not in kinds:
+        raise Impossible(f"joint '{joint}': it mimics '{leader}', which is no joint of the file")
+    for name in (joint, leader):
+        if kinds[name] not in ("revolute", "prismatic", "continuous"):
+            raise Impossible(
+                f"joint '{joint}': it mimics '{leader}', but '{name}' is {kinds[name]} and has no one axis"
+            )
+    for key in ("offset", "multiplier"):
+        if mimic.get(key) is not None and math.isinf(_limit(mimic, key, joint)):
+            raise Impossible(f"joint '{joint}': {key} of its <mimic> is infinite")
+
+
+def _limit(element: Element, key: str, joint: str | None) -> float:
     try:
-        value = float(limit.get(key))
+        value = float(element.get(key))
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        raise Impossible(f"joint '{joint}': {key} of its <limit> is no number ('{limit.get(key)}')")
+        raise Impossible(f"joint '{joint}': {key} of its <{element.tag}> is no number ('{element.get(key)}')")
     return value
