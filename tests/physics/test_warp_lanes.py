@@ -126,7 +126,7 @@ def test_lanes_read_and_record_a_scene_as_registers_do(tmp_path_factory):
     qd[:, 3:] = np.random.default_rng(0).normal(0.0, 0.3, qd[:, 3:].shape)
     control = np.random.default_rng(1).uniform([0.2, -0.5, -1.0], [1.0, 0.5, 1.0], (steps, 6, 3)).astype(np.float32)
     poses = np.zeros((2, 2, 7), dtype=np.float32)  # the goal, and the post, which the box touches in the first
-    poses[:, :, 6], poses[:, 1, :3] = 1.0, [[0.45, 0.32, 0.2], [1.2, 0.8, 0.2]]
+    poses[:, :, 6], poses[:, 1, :3] = 1.0, [[0.45, 0.28, 0.2], [1.2, 0.8, 0.2]]
     simulator.clone(replace(observed(q, qd), pose=wp.array(poses, dtype=wp.transform, device="cpu")))
     simulator.rollout(wp.array(control, dtype=float, device="cpu"))
     out = simulator.trajectory
