@@ -28,8 +28,13 @@ from warpmpc import SceneError
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
 from warpmpc.engine.newton import NewtonSimulator
 from warpmpc.model.batch_size import BatchSize
+from warpmpc.physics.version import VERSION
 
 STEPS = 50
+BOUND = 1e-4 if VERSION >= (4, 0) else 1e-5
+"""Relative. MuJoCo Warp alone beside MuJoCo, humanoid without contact, fifty steps of random controls: positions
+differ by 2.8e-6 in 3.17 and 1.9e-5 in 4.0, velocities by 1.7e-4 and 1.9e-3; a smaller tolerance changes nothing.
+"""
 
 
 def asset_file(name: str, folder):
@@ -80,12 +85,11 @@ def test_a_file_is_simulated_as_plain_mujoco_does_it(name, tmp_path):
     found = dict(zip(("qpos", "qvel", "act"), np.split(state, [model.nq, model.nq + model.nv], axis=1), strict=True))
     for key, values in found.items():
         scale = np.abs(expected[key]).max(initial=1.0)
-        # joints of the humanoid: 3e-6 with MuJoCo Warp 3.17, 2e-5 with 4.0, whose solver rounds otherwise
-        np.testing.assert_allclose(values, expected[key], atol=3e-5 * scale, err_msg=key)
+        np.testing.assert_allclose(values, expected[key], atol=BOUND * scale, err_msg=key)
     np.testing.assert_allclose(out.body_q.numpy()[1:, 0, :, :3], expected["xpos"], atol=1e-5)
     np.testing.assert_allclose(out.act.numpy()[1:, 0], expected["act"], atol=1e-5)
     scale = np.abs(expected["sensordata"]).max(initial=1.0)
-    np.testing.assert_allclose(out.sensor.numpy()[:, 0], expected["sensordata"], atol=3e-5 * scale)
+    np.testing.assert_allclose(out.sensor.numpy()[:, 0], expected["sensordata"], atol=max(3e-5, BOUND) * scale)
     assert not out.diverged.numpy().any()
     assert not out.overflow.numpy().any()
 
