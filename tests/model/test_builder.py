@@ -270,7 +270,8 @@ def test_a_floating_robot_falls_and_a_fixed_one_does_not():
 
 def test_several_joints_on_one_body_are_driven_by_their_own_names():
     """In MJCF a body may stand on several joints, which Newton takes together: same motion as joint by joint."""
-    drive = {"damping": 600.0, "effort_limit": 100.0, "limit": 1.0}
+    # forces stay below the limit, where drives this stiff chatter in MuJoCo 4.0: its implicit step leaves them undamped
+    drive = {"damping": 600.0, "effort_limit": 500.0, "limit": 1.0}
     control = [0.5, -0.3, 0.8]
     ends = []
     for asset in ("omni_base.urdf", "omni_base.xml"):
