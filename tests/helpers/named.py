@@ -26,12 +26,17 @@ from warpmpc.terms import TERMS
 FOREIGN = frozenset(
     [
         "actearly",
+        "actuatorgravcomp",
         "actuation",
         "extension",
+        "diagexact",
+        "ipc",
         "nativeccd",
         "refsite",
         "solreffriction",
         "statistic",
+        "surfacevel",
+        "tactile",
         "transmission",
     ]  # MJCF
     + ["body_geom", "body_joint", "body_site", "gyro_imu", "Class", "Keys", "Kind"]  # examples of names
