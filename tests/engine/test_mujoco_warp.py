@@ -33,7 +33,7 @@ from warpmpc.physics.version import VERSION
 STEPS = 50
 BOUND = 1e-4 if VERSION >= (4, 0) else 1e-5
 """Relative. MuJoCo Warp alone beside MuJoCo, humanoid without contact, fifty steps of random controls: positions
-differ by 2.8e-6 in 3.17 and 1.9e-5 in 4.0, velocities by 1.7e-4 and 1.9e-3; a smaller tolerance changes nothing.
+differ by 2.8e-6 in 3.17 and 1.9e-5 in 4.0, velocities by 1.7e-4 and 1.9e-3.
 """
 
 
