@@ -170,6 +170,7 @@ def _newton_alone() -> Iterator[None]:
     try:
         with warnings.catch_warnings(), _unoptimized("newton._src.geometry.bvh"), _unoptimized(_TRANSLATION):
             warnings.filterwarnings("ignore", module="mujoco_warp")
+            warnings.filterwarnings("ignore", "MuJoCo dependency version mismatch")  # its extra asks for 3.17 alone
             importlib.import_module(_TRANSLATION)
             beside = threading.Thread(target=_load_translation, name="warpmpc compiling")
             beside.start()
