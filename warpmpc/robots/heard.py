@@ -43,8 +43,8 @@ class Heard:
         self.stamp = stamp
 
     def refuse(self, problem: str) -> None:
-        """Take note of a message that cannot be used; the log has the first."""
-        if not self.refused:
+        """Take note of a message that cannot be used; the log has the first of a source that could be used before."""
+        if not self.refused and self.count:
             logger.warning("%s: %s", self.source, problem)
         self.refused += 1
         self.problem = problem
