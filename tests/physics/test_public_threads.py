@@ -148,17 +148,17 @@ def test_a_simulator_refuses_a_second_thread():
     simulator, alone = BatchSimulator(MODEL, 64, threads=2), BatchSimulator(MODEL, 64, threads=2)
     control = np.zeros((64, 1))
     check_refused(
-        lambda: simulator.step(control, n=LONG),
+        lambda: simulator.step(control, n=10 * LONG),
         [lambda: simulator.step(control), simulator.reset, simulator.forward, simulator.set_numbers],
     )
-    alone.step(control, n=LONG)
+    alone.step(control, n=10 * LONG)
     np.testing.assert_array_equal(simulator.qpos, alone.qpos)
 
 
 def test_environments_refuse_a_second_thread_and_what_comes_after_their_end():
     made = environments()
     action = np.zeros((64, 1), np.float32)
-    made._substeps = LONG
+    made._substeps = 10 * LONG
     check_refused(
         lambda: made.step(action),
         [lambda: made.step(action), made.reset, lambda: made.set_weights(zero=2.0), made.close],
