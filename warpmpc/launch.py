@@ -36,7 +36,7 @@ def one_thread(method: Method) -> Method:
     def guarded(self: object, *args: object, **options: object) -> object:
         if not self._in_use.acquire(blocking=False):
             raise RuntimeError(
-                f"another thread uses this {type(self).__name__} now: give each thread one of its own, "
+                f"another thread uses this {type(self).__name__} now: give each thread its own, "
                 "or let one thread call it"
             )
         try:

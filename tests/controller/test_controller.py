@@ -371,7 +371,7 @@ def test_a_second_thread_is_refused_and_disturbs_no_plan():
     assert not thread.is_alive()
     assert refusals
     assert set(refusals) == {
-        "another thread uses this Controller now: give each thread one of its own, or let one thread call it"
+        "another thread uses this Controller now: give each thread its own, or let one thread call it"
     }
     np.testing.assert_array_equal(ours, [other.step(state) for _ in range(plans)])
 

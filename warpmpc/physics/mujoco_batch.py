@@ -37,7 +37,7 @@ from .state_rows import FIELDS, Record, StateRows
 
 logger = logging.getLogger("warpmpc")
 OWN = (*VARYING, "actuator_gainprm", "actuator_biasprm", "opt.gravity")
-"""Fields of a model that simulations may have of their own."""
+"""Fields of a model that may differ between simulations."""
 
 
 class Batch(mujoco.batch.Batch):
@@ -245,7 +245,7 @@ class _Native:
         self._told.add((why, what))
 
     def _differing(self) -> str | None:
-        """Take over what simulations have of their own; return what they may not."""
+        """Take over the fields that differ between simulations; return those that may not."""
         for name, memory in self._expanded.items():
             if not says_something(name) and name not in OWN:
                 continue
