@@ -2,18 +2,24 @@
 """Clone a planner: a network learns the controls of the horizon from a data set of ``warpmpc run --export``.
 
 python imitate.py SCENE demos.hdf5 policy.onnx
+
+It needs h5py and onnx: pip install "warpmpc[export,onnx]" onnx; with them the planner runs the policy, too.
 """
 
 import itertools
 import sys
 
-import h5py
 import numpy as np
-import onnx
-import onnx.parser
+
+try:
+    import h5py
+    import onnx
+    import onnx.parser
+except ModuleNotFoundError as error:
+    raise SystemExit(f'error: imitate.py needs {error.name}: pip install "warpmpc[export,onnx]" onnx') from None
 
 import warpmpc
-from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.engine.protocol import TimeGrid
 
 OBSERVED = ("joint_q", "joint_qd", "goal")
 scene = warpmpc.load_scene(sys.argv[1])

@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PPO (Schulman et al. 2017) on worlds stepped side by side: `python examples/ppo.py cartpole`, or `go1`, `g1`."""
+"""PPO (Schulman et al. 2017) on worlds stepped side by side: `python examples/ppo.py cartpole`, or `go1`, `g1`.
+
+It needs gymnasium and torch: pip install "warpmpc[gymnasium]" torch; go1 and g1 need pip install --no-deps mjlab, too.
+"""
 
 import argparse
 import time
 from itertools import pairwise
 
 import numpy as np
-import torch
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+try:
+    import torch
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+except ModuleNotFoundError as error:
+    raise SystemExit(f'error: ppo.py needs {error.name}: pip install "warpmpc[gymnasium]" torch') from None
 from tasks import cartpole, walking
 
 

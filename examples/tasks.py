@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from warpmpc.kernels.terms.view import yaw
+from warpmpc.kernels.cost.view import yaw
 from warpmpc.physics import BatchSimulator
 from warpmpc.physics.vector_env import BatchVectorEnv
 from warpmpc.physics.world_view import (
@@ -74,6 +74,8 @@ def cartpole(_: str, worlds: int, threads: int) -> BatchVectorEnv:
 def walking(name: str, worlds: int, threads: int) -> BatchVectorEnv:
     """A robot of mjlab's that walks along x at 50 Hz by targets of its joints, its feet in the rhythm of a gait."""
     table, height, feet, period, speed, reach = ROBOTS[name]
+    if find_spec("mjlab") is None:
+        raise SystemExit(f"error: {name} needs mjlab: pip install --no-deps mjlab")
     folder = Path(find_spec("mjlab").submodule_search_locations[0]) / "asset_zoo" / "robots" / f"unitree_{name}"
     spec = mujoco.MjSpec.from_file(str(folder / "xmls" / f"{name}.xml"))
     for sensor in list(spec.sensors):

@@ -74,16 +74,32 @@ import sys
 from importlib.machinery import PathFinder
 
 HIDDEN = ["matplotlib", "newton_usd_schemas", "onnxruntime", "pxr", "pyarrow", "ray", "rerun", "viser", "zmq"]
+HIDDEN += ["gymnasium", "h5py", "onnx", "torch"]
 find = PathFinder.find_spec
 PathFinder.find_spec = lambda name, *place: None if name.partition(".")[0] in HIDDEN else find(name, *place)
+"""
+"""An environment that has none of the extras."""
+PROGRAM = (
+    BARE
+    + """
 from warpmpc.cli.main import main
 sys.exit(main())
 """
-"""The program in an environment that has none of the extras."""
+)
+EXAMPLE = (
+    BARE
+    + """
+import runpy
+sys.path.insert(0, sys.argv[1].rpartition("/")[0])
+runpy.run_path(sys.argv[1], run_name="__main__")
+"""
+)
 
 
 def bare(folder: Path, *args: str) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-c", BARE, *args], cwd=folder, capture_output=True, text=True, timeout=280)
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, *args], cwd=folder, capture_output=True, text=True, timeout=280
+    )
 
 
 def test_the_main_job_needs_no_extra_and_its_folder_has_no_recording(tmp_path):
@@ -120,3 +136,22 @@ def test_what_needs_more_says_how_to_get_it(arguments, cure, tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
     assert cure in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+def test_an_example_says_what_it_needs_and_without_it_ends_in_a_line(example):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    there = {re.match(r"[\w-]+", line)[0].removesuffix("-lang") for line in project["dependencies"]}
+    beside = {file.stem for file in example.parent.glob("*.py")}
+    needed = _roots(example) - set(sys.stdlib_module_names) - there - beside - {"warpmpc"}
+    if not needed:
+        return
+    command = re.search(r"pip install [^;.]*", ast.get_docstring(ast.parse(example.read_text())))[0]
+    extras = re.search(r"warpmpc\[([\w,]+)\]", command)[1].split(",")
+    brought = " ".join(line for extra in extras for line in project["optional-dependencies"][extra])
+    assert [name for name in needed if name not in f"{brought} {command.rpartition(']')[2]}"] == []
+    done = subprocess.run([sys.executable, "-c", EXAMPLE, str(example)], capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: {example.name} needs ")
+    assert line.endswith(command)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The README's example of a user's own robot and cost, and its Python snippet, run as they stand there."""
+"""The README's example of a user's own robot and cost, and its Python snippet, run as they stand there.
+
+Slow ones by hand: pytest -m slow tests/test_readme.py
+"""
 
 import json
 import subprocess

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Run shipped scenes and draw them: a short animation of each, from one real run.
+"""Run shipped scenes and draw them with MuJoCo's renderer: a short animation of each, from one real run.
 
     MUJOCO_GL=osmesa python tools/gallery.py                     # every scene, into docs/gallery
     MUJOCO_GL=egl python tools/gallery.py push_t pendulum --out /tmp/gallery
@@ -17,23 +17,29 @@ import itertools
 import os
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
+import warp as wp
 from PIL import Image
-from stage import FIELD, SIZE, Look, Moment, Stage
 
 import warpmpc
 from warpmpc.cli.setup import start_warp
-from warpmpc.live.rollouts import ShownRollouts
-from warpmpc.record.shapes import box_of, rotate
-from warpmpc.run.episode import Episode
+from warpmpc.extras.live.foresight import ShownRollouts
+from warpmpc.extras.record.recorder import CLOUD_COLOR
+from warpmpc.extras.record.shapes import DEFAULT_COLOR, box_of, mesh_of, resized, rotate, shown_shapes, thinned
+from warpmpc.loop.run.episode import Episode
+from warpmpc.planner.controller.rollout_paths import BEST_COLOR
 from warpmpc.scene.load import shipped_scenes
+from warpmpc.scene.model.layout import IDENTITY, WORLD
 
 if TYPE_CHECKING:
     from warpmpc import Plant
+    from warpmpc.planner.controller.rollout_paths import RolloutPaths
+    from warpmpc.scene.model.layout import ShapeInfo
 
 PAGE = Path(__file__).parents[1] / "docs/gallery.md"
 FRAMES, SHOWN = 40, 4.0
@@ -48,6 +54,13 @@ MARGIN = 1.06
 """Room at the edges of a picture."""
 HOLD = 0.9
 """How long the last frame of an animation stays [s]."""
+SIZE = (1120, 700)
+"""Width and height of what is drawn [pixels]; files have half of it, for smooth edges."""
+FIELD = np.radians(40.0)
+"""Angle that the picture's height shows [rad]."""
+GHOST, TERRAIN = (0.25, 0.8, 0.4, 0.35), (0.62, 0.60, 0.52)
+COLORS = {"robot": (0.95, 0.62, 0.22), "object": (0.20, 0.50, 0.84), "obstacle": (0.58, 0.42, 0.40)}
+"""Colours of the goal, of heightfields, and by kind of all but robots' visuals."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +100,161 @@ SHOTS = {
 }
 
 
+@dataclass(frozen=True)
+class Moment:
+    """What is on the stage at a moment."""
+
+    body_q: np.ndarray
+    """Poses of bodies ``[nb, 7]``."""
+    poses: dict[str, np.ndarray]
+    """Poses ``[7]`` of the goal and of movable obstacles by name."""
+    paths: RolloutPaths | None
+    """Paths of rollouts."""
+
+
+class Stage:
+    """Draws moments of a plant's scene; the floor is at a height [m] where the scene has no ground."""
+
+    def __init__(self, plant: Plant, *, floor: float, look: mujoco.MjvCamera, plain: bool = False):
+        self._plant, self._layout, self._thick = plant, plant.layout, 0.003 * look.distance
+        spec = mujoco.MjSpec()
+        self._dress(spec, floor, look)
+        self._moving: list[tuple[str, int | str]] = []  # body of the drawing, and body or pose that it shows
+        bodies = [self._add_body(spec, f"body_{b}", b) for b in range(self._layout.nb)]
+        for entity in self._layout.entities:
+            parent = self._add_body(spec, f"movable_{entity.name}", entity.name) if entity.movable else None
+            for shape in shown_shapes(self._layout, entity):
+                if shape.kind == "plane":
+                    continue
+                own = shape.color if entity.kind == "robot" and shape.visible and not plain else None
+                color = own or COLORS.get(entity.kind, DEFAULT_COLOR)
+                if entity.kind != "robot":
+                    shape = resized(shape, plant.properties)
+                at = spec.worldbody if shape.body == WORLD else bodies[shape.body]
+                self._add(spec, parent or at, shape, (*color[:3], 1.0), IDENTITY if entity.movable else shape.pose)
+        self._add_terrain(spec)
+        self._add_goal(spec)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self.renderer = mujoco.Renderer(self._model, SIZE[1], SIZE[0], max_geom=100000)
+
+    def picture(self, moment: Moment, look: mujoco.MjvCamera) -> np.ndarray:
+        """A moment as an image ``[height, width, 3]``."""
+        data, model = self._data, self._model
+        for name, shown in self._moving:
+            pose = moment.body_q[shown] if isinstance(shown, int) else moment.poses[shown]
+            i = model.body(name).mocapid[0]
+            data.mocap_pos[i], data.mocap_quat[i] = pose[:3], np.roll(pose[3:], 1)
+        mujoco.mj_forward(model, data)
+        self.renderer.update_scene(data, look)
+        if moment.paths is not None:
+            for path, color in zip(moment.paths.others, moment.paths.colors, strict=True):
+                self._lines(path, (*(color / 255.0), 0.7), mujoco.mjtGeom.mjGEOM_LINE, 2.0)
+            best = (*np.array(BEST_COLOR) / 255.0, 1.0)
+            self._lines(moment.paths.best, best, mujoco.mjtGeom.mjGEOM_CAPSULE, self._thick)
+        self._points()
+        return self.renderer.render()
+
+    def _dress(self, spec: mujoco.MjSpec, floor: float, look: mujoco.MjvCamera) -> None:
+        """Sky, floor, lights; shadows are as fine as what is seen is small."""
+        spec.stat.extent = look.distance
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE
+        spec.visual.global_.fovy = np.degrees(FIELD)
+        spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 0  # quick without a graphics card
+        spec.visual.quality.numslices, spec.visual.quality.numstacks = 20, 12
+        spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.30] * 3, [0.30] * 3
+        spec.visual.headlight.specular = [0.0] * 3
+        spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 100.0, 1.5
+        sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
+        spec.add_texture(name="sky", **sky, rgb1=[0.93, 0.95, 0.98], rgb2=[0.70, 0.78, 0.88], width=64, height=384)
+        squares = {"type": mujoco.mjtTexture.mjTEXTURE_2D, "builtin": mujoco.mjtBuiltin.mjBUILTIN_CHECKER}
+        edge = {"mark": mujoco.mjtMark.mjMARK_EDGE, "markrgb": [0.56, 0.59, 0.63]}
+        shades = {"rgb1": [0.72, 0.74, 0.77], "rgb2": [0.66, 0.69, 0.72]}
+        spec.add_texture(name="squares", **squares, **edge, **shades, width=256, height=256)
+        floor_material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+        floor_material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
+        spec.add_material(name="body", specular=0.35, shininess=0.4)
+        ground = self._plant.scene.ground
+        height = floor if ground is None else ground.height
+        keys = {"size": [0, 0, 1], "pos": [0, 0, height - 0.006], "material": "floor"}
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, **keys)
+        for place, shadow, strength in (((3, -4, 8), True, 0.45), ((-5, 3, 6), False, 0.15)):
+            direction = -np.array(place) / np.linalg.norm(place)
+            light = spec.worldbody.add_light(pos=look.lookat - look.distance * direction, dir=direction)
+            light.castshadow = shadow
+            light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+            light.diffuse, light.specular, light.ambient = [strength] * 3, [0.2] * 3, [0.0] * 3
+
+    def _add_body(self, spec: mujoco.MjSpec, name: str, shown: int | str) -> mujoco.MjsBody:
+        self._moving.append((name, shown))
+        return spec.worldbody.add_body(name=name, mocap=True)
+
+    def _add_terrain(self, spec: mujoco.MjSpec) -> None:
+        """Heightfields that stand still, which are no shapes of the layout."""
+        model = self._plant.compiled.spec().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD):
+            i = model.geom_dataid[geom]
+            rows, columns, first = model.hfield_nrow[i], model.hfield_ncol[i], model.hfield_adr[i]
+            heights = model.hfield_data[first : first + rows * columns]
+            name = f"heights_{geom}"
+            spec.add_hfield(name=name, size=model.hfield_size[i], nrow=rows, ncol=columns, userdata=heights)
+            keys = {"pos": data.geom_xpos[geom], "quat": np.zeros(4), "contype": 0, "conaffinity": 0}
+            mujoco.mju_mat2Quat(keys["quat"], data.geom_xmat[geom])
+            field = mujoco.mjtGeom.mjGEOM_HFIELD
+            spec.worldbody.add_geom(type=field, hfieldname=name, rgba=(*TERRAIN, 1.0), **keys)
+
+    def _add_goal(self, spec: mujoco.MjSpec) -> None:
+        """What shall be at the goal as a ghost where it has a heading, else a ball."""
+        goal, layout = self._plant.scene.goal, self._layout
+        if goal is None:
+            return
+        body = self._add_body(spec, "the goal", "goal")
+        frame = layout.frame(goal.target)
+        moving = int(layout.frame_body[frame])
+        if moving < 0 or (goal.yaw is None and goal.rotation is None and goal.object is None):
+            keys = {"size": [4.0 * self._thick, 0.0, 0.0], "rgba": (*GHOST[:3], 0.6), "contype": 0, "conaffinity": 0}
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, **keys)
+            return
+        back = wp.transform_inverse(wp.transform(*layout.frame_pose[frame].tolist()))
+        entity = next(entity for entity in layout.entities if moving in entity.bodies)
+        for shape in shown_shapes(layout, entity):
+            if shape.body == moving:
+                self._add(spec, body, shape, GHOST, tuple(back * wp.transform(*shape.pose)))
+
+    def _add(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ShapeInfo, rgba: tuple, pose: tuple) -> None:
+        """Add a shape to a body of the drawing."""
+        keys = {"rgba": rgba, "contype": 0, "conaffinity": 0, "mass": 0.0, "material": "body"}
+        if (mesh := mesh_of(shape, self._layout)) is None:
+            return
+        name = f"mesh_{len(spec.meshes)}"
+        form = spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel().astype(int))
+        form.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # visual meshes may be open or flat
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pose[:3], quat=np.roll(pose[3:], 1), **keys)
+
+    def _lines(self, paths: np.ndarray, rgba: tuple, kind: mujoco.mjtGeom, thick: float) -> None:
+        """Draw paths ``[F, T+1, 3]`` as capsules of a radius [m] or lines of a width [pixels]."""
+        for start, end in (ends for path in paths for ends in itertools.pairwise(path)):
+            if np.isfinite([start, end]).all() and np.linalg.norm(end - start) >= 1e-5:
+                mujoco.mjv_connector(self._geom(kind, rgba), kind, thick, start.astype(float), end.astype(float))
+
+    def _points(self) -> None:
+        """Draw what clouds have seen."""
+        for cloud in self._plant.scene.cloud:
+            for point in thinned(self._plant.task.points(cloud.name), cloud):
+                geom = self._geom(mujoco.mjtGeom.mjGEOM_BOX, (*np.array(CLOUD_COLOR) / 255.0, 1.0))
+                geom.pos[:], geom.size[:] = point, 0.3 * cloud.voxel
+
+    def _geom(self, kind: mujoco.mjtGeom, rgba: tuple) -> mujoco.MjvGeom:
+        """A new shape that belongs to no body."""
+        scene = self.renderer.scene
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32))
+        scene.ngeom += 1
+        return geom
+
+
 def record(name: str, *, engine: str, wall: float) -> tuple[Plant, list[Moment], str]:
     """Run a scene's first episode; returns the plant, what was on the stage at each control, and how it ended."""
     episode = Episode(warpmpc.load_scene(name), seed=0, engine=engine, device="cpu")
@@ -101,7 +269,7 @@ def record(name: str, *, engine: str, wall: float) -> tuple[Plant, list[Moment],
     def on_step(*_: object) -> None:
         poses = {pose: controller.task.pose(pose).copy() for pose in controller.task.pose_name}
         rollouts.clear() if controller.info.fallback else rollouts.update()
-        moments.append(Moment(plant.time, plant.body_q.copy(), poses, rollouts.paths))
+        moments.append(Moment(plant.body_q.copy(), poses, rollouts.paths))
         if plant.time >= shot.longest or time.monotonic() - start > wall:
             raise Enough
 
@@ -132,7 +300,7 @@ def corners(plant: Plant, moment: Moment) -> np.ndarray:
     return np.concatenate(found)
 
 
-def framed(points: np.ndarray, shot: Shot) -> Look:
+def framed(points: np.ndarray, shot: Shot) -> mujoco.MjvCamera:
     """The camera that sees all points ``[n, 3]``."""
     azimuth, elevation = np.radians([shot.azimuth, shot.elevation])
     ahead = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -144,7 +312,10 @@ def framed(points: np.ndarray, shot: Shot) -> Look:
     x, y, z = (points - centre) @ right, (points - centre) @ up, (points - centre) @ ahead
     slope = np.tan(0.5 * FIELD)
     distance = np.max(np.maximum(np.abs(y), np.abs(x) * SIZE[1] / SIZE[0]) / slope - z)
-    return Look(centre, MARGIN * float(distance) / shot.closer, shot.azimuth, shot.elevation)
+    look = mujoco.MjvCamera()
+    look.lookat[:], look.distance = centre, MARGIN * float(distance) / shot.closer
+    look.azimuth, look.elevation = shot.azimuth, shot.elevation
+    return look
 
 
 def draw(name: str, folder: Path, *, engine: str, wall: float) -> str:
@@ -161,12 +332,13 @@ def draw(name: str, folder: Path, *, engine: str, wall: float) -> str:
 
     def image(moment: Moment, width: int) -> Image.Image:
         look = framed(corners(plant, moment), shot) if shot.follow else whole
-        drawn = Image.fromarray(stage.picture(moment, replace(look, distance=whole.distance)))
+        look.distance = whole.distance
+        drawn = Image.fromarray(stage.picture(moment, look))
         return drawn.resize((width, width * SIZE[1] // SIZE[0]), Image.Resampling.LANCZOS)
 
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [image(moment, WIDTH) for moment in frames]
-    stage.close()
+    stage.renderer.close()
     size = animate(pictures, folder / f"{name}.webp")
     return f"{name}: {end}, {plant.time:.1f} s of {len(moments)} controls, {size // 1000} kB"
 

@@ -7,10 +7,11 @@
     python tools/gate.py compare before.npz --only @newton    # one engine, scene or setting alone
 
 Every cell is a closed loop of a few plans from a fixed seed: each shipped scene with the engine that users get, some
-scenes with the engines mujoco and newton, and settings of the planner that no shipped scene has. Commands depend on the
+scenes with other engines, and settings of the planner that no shipped scene has. Commands depend on the
 processor, so a record holds for the machine it was made on. Where an engine writes source for a scene, the record has
 the source's digest, too: a compiler may contract products and sums of other source in another way, so that a command
-that moves with its source may be rounding, and one that moves without is not.
+that moves with its source may be rounding, and one that moves without is not. The record has the MuJoCo models of the
+shipped scenes, of their variants and of the robots of PyPI packages, too, field by field (``--only model:``).
 """
 
 from __future__ import annotations
@@ -82,10 +83,12 @@ OTHER_ENGINES = {
         "hand_cube": ("planner.samples=16",),
         "box_carry": ("planner.samples=16",),
     },
-    "newton": {
+    "mujoco_warp": {
         "pendulum": ("planner.samples=8", "planner.horizon=8"),
         "omni_push_box": ("planner.samples=8", "planner.horizon=4"),
-        "point_reach": ("planner.samples=8", "planner.horizon=4", "engine.solver=xpbd"),
+    },
+    "newton": {
+        "omni_push_box": ("planner.samples=8", "planner.horizon=4"),
     },
 }
 """Scenes and overrides with engines that users get when they ask for them."""
@@ -173,7 +176,7 @@ def play(cell: Cell) -> Run:
     import warp as wp
 
     import warpmpc
-    from warpmpc.run.episode import Episode
+    from warpmpc.loop.run.episode import Episode
 
     wp.config.log_level = wp.LOG_ERROR
     start, rows, columns = time.perf_counter(), [], []
@@ -190,6 +193,44 @@ def play(cell: Cell) -> Run:
             columns = [name for name, values in numbers.items() for _ in values]
         controller.engine.close()
     return Run(np.array(rows, np.float32), np.array(columns), digest(), time.perf_counter() - start)
+
+
+def model_names() -> Iterator[str]:
+    """Scenes and robots whose MuJoCo models are recorded."""
+    import robots
+
+    import warpmpc
+    from warpmpc.scene.load import variants
+
+    for name in sorted(warpmpc.shipped_scenes()):
+        yield f"model:{name}"
+        yield from (f"model:{name}:{variant}" for variant in variants(name))
+    yield from (f"model:{path}" for _, _, path in robots.robots())
+
+
+def model_of(name: str) -> Run:
+    """The fields of one MuJoCo model: a row of one number a field, made of its digest."""
+    import robots
+
+    import warpmpc
+    from warpmpc.scene.model.compiled import compile_scene
+    from warpmpc.scene.model.mujoco_model import Options, make_world
+
+    start, source = time.perf_counter(), name.removeprefix("model:")
+    scene = robots.scene_of(Path(source)) if source.startswith("/") else warpmpc.load_scene(source)
+    try:
+        model = make_world(compile_scene(scene), timestep=0.01, options=Options.of(scene.engine)).model
+    except warpmpc.SceneError as error:
+        return Run(np.zeros((1, 1), np.float32), np.array(["refused"]), str(error), time.perf_counter() - start)
+    found = {}
+    for part, of in (("", model), ("opt.", model.opt), ("stat.", model.stat)):
+        for field in dir(of):
+            value = getattr(of, field)
+            if not field.startswith("_") and isinstance(value, np.ndarray | int | float | bytes):
+                held = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
+                found[part + field] = int.from_bytes(hashlib.sha256(held).digest()[:3])
+    rows = np.array([list(found.values())], np.float32)  # 24 bits: exact in single precision
+    return Run(rows, np.array(list(found)), "", time.perf_counter() - start)
 
 
 def write(found: dict[str, Run], file: Path) -> None:
@@ -254,6 +295,11 @@ def compare(found: dict[str, Run], before: dict[str, Run], *, whole: bool) -> in
     return len(moved) + len(gone)
 
 
+def run_one(cell: Cell | str) -> Run:
+    """Run a cell, or compile a model."""
+    return model_of(cell) if isinstance(cell, str) else play(cell)
+
+
 def main() -> int:
     """Command line of this tool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -262,13 +308,13 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", default="", help="cells whose label contains this: @mujoco, storm_, method=cem")
     args = parser.parse_args()
-    chosen = [cell for cell in cells() if args.only in str(cell)]
+    chosen = [cell for cell in (*cells(), *model_names()) if args.only in str(cell)]
     if not chosen:
         parser.error(f"no cell's label contains {args.only!r}")
     before = read(args.file) if args.what == "compare" else {}
     start, found = time.perf_counter(), {}
     with ProcessPoolExecutor(args.jobs) as pool, Bar(len(chosen)) as bar:
-        for cell, run in zip(chosen, pool.map(play, chosen), strict=True):
+        for cell, run in zip(chosen, pool.map(run_one, chosen), strict=True):
             found[str(cell)] = run
             bar.step(str(cell))
     slowest = sorted(found, key=lambda name: -found[name].seconds)[:3]

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from warpmpc import Controller, Plant, Scene, SceneError
-from warpmpc.model.assets import package_dirs
-from warpmpc.model.compiled import compile_scene
+from warpmpc.scene.model.assets import package_dirs
+from warpmpc.scene.model.compiled import compile_scene
 
 PACKAGES = ("example-robot-data", "mjlab")
 VERSIONS = (*PACKAGES, "warpmpc", "newton", "mujoco")

@@ -3,9 +3,9 @@
 
     python tools/rooms.py
 
-Prints every import between two rooms that goes upwards or sideways, every circle of modules inside a room, and the
-picture of ``docs/architecture.md``. Imports for type checkers alone count like the others. Exit code 1 where there is
-such an import or circle.
+Prints every import between two rooms that goes upwards, every circle of modules inside a room, every room whose lines
+exceed its budget in ``tools/rooms.toml``, and the picture of ``docs/architecture.md``. Imports for
+type checkers alone count like the others. Exit code 1 where there is such an import, circle or room.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import ast
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,27 +22,12 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 ROOT = Path(__file__).parents[1]
-FLOORS = (
-    ("cli",),
-    ("live", "tuning", "export"),
-    ("run", "record", "doctor"),
-    ("robots",),
-    ("realtime",),
-    ("controller", "plant", "log"),
-    ("planner",),
-    ("derivatives",),
-    ("engine",),
-    ("terms",),
-    ("cost",),
-    ("task",),
-    ("estimation",),
-    ("model",),
-    ("scene", "physics"),
-    ("launch", "bake"),
-    ("kernels",),
-)
-"""Rooms from the top floor to the bottom; rooms of one floor do not know each other."""
-FLOOR = {room: floor for floor, rooms in enumerate(reversed(FLOORS)) for room in rooms}
+ROOMS = ("cli", "extras", "loop", "planner", "engine", "cost", "scene", "physics", "kernels")
+"""Rooms from the top to the bottom; a room imports those below it."""
+FLOOR = {room: floor for floor, room in enumerate(reversed(ROOMS))}
+PUBLIC = ("__init__", "__main__")
+"""Modules above the rooms, which name what is public."""
+BUDGETS = Path(__file__).with_name("rooms.toml")
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,7 @@ def sources() -> Iterator[tuple[Path, tuple[str, ...]]]:
     for folder, lead in ((ROOT / "warpmpc", ()), (ROOT / "kernels", ("kernels",))):
         for file in sorted(folder.rglob("*.py")):
             parts = (*lead, *file.relative_to(folder).with_suffix("").parts)
-            if len(parts) > 1 or parts[0] == "launch":
+            if parts[0] not in PUBLIC:
                 yield file, parts
 
 
@@ -109,21 +95,39 @@ def imports() -> list[Import]:
 
 def circles() -> list[list[str]]:
     """Modules of a room that import each other in a circle, each circle sorted."""
+    edges: dict[str, set[str]] = {}
     modules = {parts[:-1] if parts[-1] == "__init__" else parts: file for file, parts in sources()}
-    names = list(modules)
-    graph = np.zeros((len(names), len(names)), dtype=bool)
-    for row, (parts, file) in enumerate(modules.items()):
+    for parts, file in modules.items():
         package = parts if file.name == "__init__.py" else parts[:-1]
+        targets = edges.setdefault(".".join(parts), set())
         for node, _, _ in walk(ast.parse(file.read_text(encoding="utf-8")).body):
             if not isinstance(node, ast.ImportFrom) or not node.level:
                 continue
             lead = (*package[: len(package) - node.level + 1], *filter(None, (node.module or "").split(".")))
             for target in {(*lead, alias.name) for alias in node.names} | {lead}:
                 if target in modules and target != parts and target[:1] == parts[:1]:
-                    graph[row, names.index(target)] = True
+                    targets.add(".".join(target))
+    names = sorted({*edges, *(target for targets in edges.values() for target in targets)})
+    graph = np.array([[target in edges.get(name, ()) for target in names] for name in names])
     count, label = connected_components(graph, directed=True, connection="strong")
-    groups = [[".".join(names[i]) for i in np.flatnonzero(label == n)] for n in range(count)]
+    groups = [[names[i] for i in np.flatnonzero(label == n)] for n in range(count)]
     return sorted(sorted(group) for group in groups if len(group) > 1)
+
+
+def lines() -> dict[str, int]:
+    """Lines of Python: of each room, and of the folders ``tests`` and ``tools``."""
+    found = dict.fromkeys((*ROOMS, "tests", "tools"), 0)
+    files = [(parts[0], file) for file, parts in sources()]
+    files += [(folder, file) for folder in ("tests", "tools") for file in (ROOT / folder).rglob("*.py")]
+    for room, file in files:
+        found[room] += len(file.read_text(encoding="utf-8").splitlines())
+    return found
+
+
+def over_budget() -> list[str]:
+    """A sentence for each room or folder that has more lines than ``tools/rooms.toml`` allows."""
+    budgets = tomllib.loads(BUDGETS.read_text(encoding="utf-8"))["lines"]
+    return [f"{room} has {n} lines, {budgets[room]} are its budget" for room, n in lines().items() if n > budgets[room]]
 
 
 def mermaid(found: list[Import]) -> str:
@@ -135,8 +139,7 @@ def mermaid(found: list[Import]) -> str:
         return below[room] | {far for near in below[room] for far in reach(near)}
 
     direct = [(a, b) for a, b in edges if not any(b in reach(c) for c in below[a] - {b})]
-    order = [room for rooms in FLOORS for room in rooms]
-    direct.sort(key=lambda edge: (order.index(edge[0]), order.index(edge[1])))
+    direct.sort(key=lambda edge: (ROOMS.index(edge[0]), ROOMS.index(edge[1])))
     targets = {a: " & ".join(b for c, b in direct if c == a) for a, _ in direct}
     return "\n".join(["graph TD", *(f"    {a} --> {b}" for a, b in targets.items())])
 
@@ -152,8 +155,9 @@ def main() -> int:
     rings = circles()
     for ring in rings:
         print(f"in a circle: {', '.join(ring)}")
+    print("\n".join(over := over_budget()))
     print(mermaid([i for i in found if i not in wrong]))
-    return int(bool(wrong or rings))
+    return int(bool(wrong or rings or over))
 
 
 if __name__ == "__main__":

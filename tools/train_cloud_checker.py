@@ -25,10 +25,9 @@ from learned.network import Network, train
 from scipy.spatial.transform import Rotation
 
 from warpmpc import SceneError, load_scene
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.hulls import SPACING, shape_hull, thinned
-from warpmpc.model.self_shape import link_fingerprint
-from warpmpc.model.spheres import fit_spheres
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.hulls import SPACING, shape_hull, thinned
+from warpmpc.scene.model.spheres import fit_spheres, link_fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from learned.clutter import SeenVolume
 
     from warpmpc import Scene
-    from warpmpc.model.layout import Layout
+    from warpmpc.scene.model.layout import Layout
 
 POINTS = 96
 """Points within a link and around it that its network looks at."""

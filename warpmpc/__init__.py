@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING
 
-from . import registry
+if sys.argv[:1] == ["-m"] and sys.path[:1] == [os.getcwd()] != [os.path.dirname(__path__[0])]:
+    del sys.path[0]  # python -m warpmpc takes no random.py of the working directory, as the program warpmpc does not
+
+from .scene import registry
 
 if TYPE_CHECKING:
-    from .cli.terms import load_terms
-    from .controller.controller import Controller
-    from .controller.rollout import Rollout
     from .cost.residual import residual_term
     from .cost.term import (
         ArrayCost,
@@ -19,7 +21,10 @@ if TYPE_CHECKING:
         array_cost,
         cost_term,
     )
-    from .kernels.terms.view import (
+    from .cost.user_files import load_terms
+    from .extras.record.replay import Replay, replay
+    from .extras.record.switch import RecordingSwitch
+    from .kernels.cost.view import (
         StepView,
         centre_of_mass,
         centre_of_mass_velocity,
@@ -43,29 +48,28 @@ if TYPE_CHECKING:
         step_time,
         task_scalar,
     )
-    from .log.run_log import RunLog
-    from .model.conversion import MujocoStates, NewtonStates
-    from .model.state import Info, State
+    from .loop.log.run_log import RunLog
+    from .loop.plant.monitor import Monitor
+    from .loop.plant.plant import Plant
+    from .loop.realtime.loop import RealTimeReport, RobotLoop
+    from .loop.realtime.planning import PlannerThread
+    from .loop.realtime.process import PlannerProcess
+    from .loop.robots.simulated import simulated_robot
+    from .loop.run.batch import run_batch
+    from .loop.run.episode import run_episode
+    from .loop.run.fit_samples import choose_engine, fit_samples
+    from .loop.run.result import EpisodeResult
+    from .loop.run.run_recorder import RunRecorder
+    from .planner.controller.controller import Controller
+    from .planner.controller.rollout import Rollout
     from .planner.plan import Plan
-    from .plant.monitor import Monitor
-    from .plant.plant import Plant
-    from .realtime.loop import RealTimeReport, RobotLoop
-    from .realtime.planning import PlannerThread
-    from .realtime.process import PlannerProcess
-    from .record.replay import Replay, replay
-    from .record.run_recorder import RunRecorder
-    from .record.switch import RecordingSwitch
-    from .robots.simulated import simulated_robot
-    from .run.batch import run_batch
-    from .run.choose_engine import choose_engine
-    from .run.episode import run_episode
-    from .run.fit_samples import fit_samples
-    from .run.result import EpisodeResult
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
+    from .scene.model.conversion import MujocoStates, NewtonStates
+    from .scene.model.state import Info, State
     from .scene.schema import Scene
-    from .task.ancillary import AncillaryController, ancillary
-    from .task.task import Task
+    from .scene.task.ancillary import AncillaryController, ancillary
+    from .scene.task.task import Task
 
 __version__ = "0.1.0"
 
@@ -132,56 +136,58 @@ __all__ = [
 ]
 
 _HOME = {
-    "PlannerProcess": "realtime.process",
-    "PlannerThread": "realtime.planning",
-    "RealTimeReport": "realtime.loop",
-    "RobotLoop": "realtime.loop",
-    "simulated_robot": "robots.simulated",
-    "Controller": "controller.controller",
-    "EpisodeResult": "run.episode",
-    "RunLog": "log.run_log",
-    "RunRecorder": "record.run_recorder",
-    "Info": "model.state",
-    "Monitor": "plant.monitor",
-    "MujocoStates": "model.conversion",
-    "NewtonStates": "model.conversion",
+    "PlannerProcess": "loop.realtime.process",
+    "PlannerThread": "loop.realtime.planning",
+    "RealTimeReport": "loop.realtime.loop",
+    "RobotLoop": "loop.realtime.loop",
+    "simulated_robot": "loop.robots.simulated",
+    "Controller": "planner.controller.controller",
+    "EpisodeResult": "loop.run.episode",
+    "RunLog": "loop.log.run_log",
+    "RunRecorder": "loop.run.run_recorder",
+    "Info": "scene.model.state",
+    "Monitor": "loop.plant.monitor",
+    "MujocoStates": "scene.model.conversion",
+    "NewtonStates": "scene.model.conversion",
     "Plan": "planner.plan",
-    "Replay": "record.replay",
-    "replay": "record.replay",
-    "RecordingSwitch": "record.switch",
-    "Plant": "plant.plant",
-    "Rollout": "controller.rollout",
+    "Replay": "extras.record.replay",
+    "replay": "extras.record.replay",
+    "RecordingSwitch": "extras.record.switch",
+    "Plant": "loop.plant.plant",
+    "Rollout": "planner.controller.rollout",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",
-    "State": "model.state",
-    "Task": "task.task",
-    "AncillaryController": "task.ancillary",
-    "ancillary": "task.ancillary",
-    "choose_engine": "run.choose_engine",
+    "State": "scene.model.state",
+    "Task": "scene.task.task",
+    "AncillaryController": "scene.task.ancillary",
+    "ancillary": "scene.task.ancillary",
+    "choose_engine": "loop.run.fit_samples",
     "ArrayCost": "cost.term",
     "CostTerm": "cost.term",
     "array_cost": "cost.term",
     "cost_term": "cost.term",
     "residual_term": "cost.residual",
-    "fit_samples": "run.fit_samples",
+    "fit_samples": "loop.run.fit_samples",
     "load_scene": "scene.load",
-    "load_terms": "cli.terms",
-    "run_batch": "run.batch",
-    "run_episode": "run.episode",
+    "load_terms": "cost.user_files",
+    "run_batch": "loop.run.batch",
+    "run_episode": "loop.run.episode",
     "shipped_scenes": "scene.load",
 }
-"""Module of each public name; names that are not here come from ``kernels.terms.view``."""
+"""Module of each public name; names that are not here come from ``kernels.cost.view``."""
 
 
-registry.ROBOTS.load_shipped = lambda: importlib.import_module(".robots.drivers", __name__).DRIVERS
-registry.TERMS.load_shipped = lambda: importlib.import_module(".terms", __name__).TERMS
+registry.ROBOTS.load_shipped = lambda: importlib.import_module(".loop.robots.drivers", __name__).DRIVERS
+registry.ENGINES.load_registered = lambda: importlib.import_module(".engine.registry", __name__)
+registry.STRATEGIES.load_registered = lambda: importlib.import_module(".planner.step", __name__)
+registry.TERMS.load_shipped = lambda: importlib.import_module(".cost.terms", __name__).TERMS
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used: physics and kernels take seconds, and a scene file needs neither."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.terms.view')}", __name__), name)
+    value = getattr(importlib.import_module(f".{_HOME.get(name, 'kernels.cost.view')}", __name__), name)
     globals()[name] = value
     return value
 

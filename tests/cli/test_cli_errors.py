@@ -6,8 +6,6 @@ from subprocess import CompletedProcess
 import pytest
 from program import SCENE, warpmpc
 
-from warpmpc.run import plan_budget
-
 
 @pytest.fixture
 def folder(tmp_path):
@@ -65,7 +63,7 @@ def test_a_mistake_in_the_file(folder, command, old, new, says):
         (["mine.toml:naer"], ["mine.toml", "no such variant", "allowed: near", "Did you mean 'near'?"]),
         (["mine.toml", "--set", "planner.discount=nan"], ["--set", "planner.discount", "must be finite", "found nan"]),
         (["mine.toml", "--set", "planner.samples"], ["--set", "KEY=VALUE"]),
-        (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco, newton"]),
+        (["mine.toml", "--engine", "mujocco"], ["--engine", "'mujocco'", "auto, mujoco, mujoco_warp, newton"]),
         (["mine.toml", "--device", "cuda:7"], ["cpu", "'cuda:7'"]),
         (["mine.toml", "--terms", "none.py"], ["none.py", "cannot be read", "No such file"]),
         (["mine.toml", "--terms", "."], [".: cannot be read", "a folder"]),
@@ -185,8 +183,8 @@ def test_wrong_usage(folder, command, args):
     ],
 )
 def test_files_that_cannot_be_written_are_refused_before_the_run(command, tmp_path, monkeypatch, option, real_time):
-    monkeypatch.setattr("warpmpc.run.real_time.run_real_time", None)
-    monkeypatch.setattr("warpmpc.run.episode.Episode.run", None)
+    monkeypatch.setattr("warpmpc.loop.run.real_time.run_real_time", None)
+    monkeypatch.setattr("warpmpc.loop.run.episode.Episode.run", None)
     suffix = {"--record": "rrd", "--results": "jsonl"}.get(option, option[2:])
     (tmp_path / f"folder.{suffix}").mkdir()
     for file in (f"folder.{suffix}", f"/proc/a.{suffix}"):
@@ -198,17 +196,3 @@ def test_files_that_cannot_be_written_are_refused_before_the_run(command, tmp_pa
         (tmp_path / f"a-4.{suffix}").mkdir()
         done = command("run", "omni_push_box", option, f"a.{suffix}", *several, *real_time)
         assert (done.returncode, f"cannot write 'a-4.{suffix}'" in done.stderr) == (2, True)
-
-
-@pytest.mark.parametrize(
-    "how", [["check"], ["run"], ["run", "--real-time"], ["run", "--envs", "2", "--episodes", "2"]], ids=" ".join
-)
-def test_plans_that_would_take_minutes_are_refused_before_the_first(command, tmp_path, monkeypatch, how):
-    monkeypatch.setattr(plan_budget, "LONGEST", 1e-3)
-    monkeypatch.setattr("warpmpc.run.episode.Episode.run", None)
-    (tmp_path / "mine.toml").write_text(SCENE)
-    large = ["--set", "planner.samples=200000", "--engine", "mujoco", "--device", "cpu"]
-    done = command(how[0], "mine.toml", *how[1:], *large)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    for part in ("mine.toml: planner.samples: a plan would take about", "lower this", "found 200000"):
-        assert part in done.stderr

@@ -43,10 +43,9 @@ position = 0.15
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    for package in ("h5py", "mcap", "minari", "rosbags"):
+def folder(tmp_path):
+    for package in ("h5py", "mcap", "rosbags"):
         need(package)
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     (tmp_path / "goals.toml").write_text(NEAR_OR_FAR)
     return tmp_path
 
@@ -75,7 +74,7 @@ def test_a_data_set_has_the_successful_runs_and_an_export_has_all(folder, comman
     found = demos(folder / "demos.hdf5")
     assert set(found) == successful
 
-    done = command("export", "run", "--hdf5", "all.hdf5", "--minari", "goals-v0", "--mcap", "run.mcap")
+    done = command("export", "run", "--hdf5", "all.hdf5", "--mcap", "run.mcap")
     assert (done.returncode, done.stderr) == (0, "")
     everything = demos(folder / "all.hdf5")
     assert {seed for seed, (success, *_) in everything.items() if success} == successful
@@ -86,15 +85,12 @@ def test_a_data_set_has_the_successful_runs_and_an_export_has_all(folder, comman
         assert (folder / f"run-{seed}.mcap").is_file()
         if seed in found:
             np.testing.assert_array_equal(found[seed][1], actions)
-    import minari
-
-    assert minari.load_dataset("goals-v0").total_episodes == 5
 
     refused = {
         ("run", "--hdf5", "all.hdf5"): "'all.hdf5' is there already",
-        ("run",): "say what to write: --mcap FILE.mcap, --hdf5 FILE.hdf5 or --minari NAME-v0",
+        ("run",): "say what to write: --mcap FILE.mcap or --hdf5 FILE.hdf5",
         ("run", "--mcap", "run.bag"): "--mcap: must be a .mcap file, not 'run.bag'",
-        ("minari", "--hdf5", "b.hdf5"): "minari: no run's folder",
+        ("nowhere", "--hdf5", "b.hdf5"): "error: nowhere",
     }
     refused["run", "--hdf5", "b.hdf5"] = "results.jsonl: has no results of episodes"
     for arguments, message in refused.items():
@@ -136,7 +132,7 @@ def test_options_that_do_not_go_together(folder, command):
 
 
 def test_a_missing_package_is_one_line(folder, command, monkeypatch):
-    monkeypatch.setattr("warpmpc.export.packages.find_spec", lambda name: None)
+    monkeypatch.setattr("warpmpc.extras.export.data_sets.find_spec", lambda name: None)
     (folder / "mine.toml").write_text(SCENE)
     done = command("run", "mine.toml", "--export", "demos", *TINY)
     assert (done.returncode, done.stdout) == (2, "")

@@ -10,7 +10,8 @@ import tomllib
 import pytest
 from program import SCENE, warpmpc
 
-from warpmpc.run.result import EpisodeResult
+from warpmpc.loop.run.result import EpisodeResult
+from warpmpc.scene.load import load_scene, shipped_scenes
 
 
 def test_version():
@@ -28,6 +29,18 @@ def test_scenes_lists_every_shipped_scene_with_its_variants():
     assert "point_reach" in done.stdout
 
 
+def test_show_prints_a_scene_that_loads_again(command, tmp_path):
+    done = command("show", "pendulum")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == shipped_scenes()["pendulum"].read_text()
+    shown = command("show", "omni_push_box:B").stdout
+    (tmp_path / "b.toml").write_text(shown)
+    assert load_scene(tmp_path / "b.toml").goal == load_scene("omni_push_box:B").goal
+    done = command("show", "pendulm")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "Did you mean 'pendulum'?" in done.stderr
+
+
 def test_listing_scenes_loads_no_physics():
     slow = "{'warp', 'mujoco', 'scipy'}"
     code = f"import sys, warpmpc.cli.report as r; r.print_scenes(); print(sorted({slow} & {{*sys.modules}}))"
@@ -36,7 +49,7 @@ def test_listing_scenes_loads_no_physics():
 
 
 def test_terms_lists_every_term_and_key_with_type_default_and_meaning():
-    from warpmpc.terms import TERMS
+    from warpmpc.cost.terms import TERMS
 
     done = warpmpc("terms")
     assert (done.returncode, done.stderr) == (0, "")
@@ -65,7 +78,7 @@ def test_lists_fit_a_narrow_terminal(command, args):
 
 
 def test_a_named_term_has_an_example_that_is_a_table_of_a_scene(command):
-    from warpmpc.terms import TERMS
+    from warpmpc.cost.terms import TERMS
 
     done = command("terms", *TERMS)
     blocks = re.findall(r"^    \[\[cost\]\].*?(?=^$|\Z)", done.stdout, re.MULTILINE | re.DOTALL)
@@ -148,6 +161,7 @@ def test_check_shows_what_was_built(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     for part in (
         "mine, variant near",
+        "nothing: other seeds differ in noise alone",
         "base: 3 DoF",
         "box [0.3, 0.5, 0.3] m, 1 kg",
         "base/tip",

@@ -57,6 +57,18 @@ def test_what_was_mended_is_shown_every_time_and_listed_by_check(files, command)
     assert "and 2 more repaired" in shown[0][0]
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "mujoco_warp"])
+def test_what_newton_corrects_is_listed_by_body_without_advice_on_newton(files, command, engine):
+    light = URDF.replace('value="1"', 'value="1e-9"').replace('".1"', '"0"').replace('".3"', '"0"')
+    (files / "r.urdf").write_text(light.replace("package://foo/x.stl", "x.stl"))
+    done = command("check", "r.toml", "--engine", engine)
+    assert done.returncode == 0
+    said = " ".join((done.stdout + done.stderr).split())
+    assert "r/arm" in said.partition("Eigenvalues below threshold")[2]
+    assert "validat" not in said
+    assert ".py:" not in said
+
+
 def test_a_missing_collision_mesh_is_one_line_with_file_link_and_path(files, command):
     (files / "r.urdf").write_text(URDF.replace("visual>", "collision>"))
     done = command("run", "r.toml")

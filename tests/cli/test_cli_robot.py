@@ -8,8 +8,8 @@ import pytest
 from program import SCENE
 
 from warpmpc import RunLog, State, load_scene
-from warpmpc.model.compiled import compile_scene
-from warpmpc.registry import ROBOTS
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.registry import ROBOTS
 
 ENDS = 0.3  # [s] on the robot's clock
 
@@ -102,7 +102,7 @@ def test_the_scene_ends_the_run_of_a_robot_as_it_ends_a_plants(scene, command, m
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--robot", "driftin", "--real-time"], "no robot 'driftin'; there is: simulated, zmq, ros2, drifting"),
+        (["--robot", "driftin", "--real-time"], "no robot 'driftin'; there is: simulated, zmq, drifting, ros2"),
         (["--robot", "drifting"], "goes with --real-time"),
         (
             ["--robot", "drifting", "--real-time", "--record", "a.rrd"],

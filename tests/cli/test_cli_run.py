@@ -140,7 +140,7 @@ def test_drawn_tasks_say_what_was_drawn(tmp_path, command):
 def test_the_table_has_one_row_per_episode_and_a_sum(command):
     done = command("run", "omni_push_box", "--episodes", "2", *TINY)
     assert (done.returncode, done.stderr) == (1, "")
-    rows = [line.split()[:3] for line in done.stdout.splitlines() if "timeout" in line]
+    rows = [line.split()[:3] for line in done.stdout.splitlines() if "timeout" in line.split()]
     assert rows == [["0", "timeout", "0.40"], ["1", "timeout", "0.40"]]
     assert "0 of 2 reached the goal\nwhy seed 0 did not succeed:\n  - not met: " in done.stdout
 
@@ -170,7 +170,7 @@ def test_many_episodes_make_a_short_table(command):
     assert "plan of 2 environments: p50 - ms, - ms each" in done.stdout  # there was none
     assert done.stdout.endswith("100.0 %: 3 of 3 reached the goal; time to goal 0.00 ± 0.00 s\n")
     done = command("run", "omni_push_box", "--episodes", "3", "--envs", "8", *TINY)
-    (row,) = [line.split() for line in done.stdout.splitlines() if "timeout" in line]
+    (row,) = [line.split() for line in done.stdout.splitlines() if "timeout" in line.split()]
     assert (done.returncode, row[:3], row[-3:]) == (1, ["timeout", "3", "0.40"], ["0,", "1,", "2"])
     assert re.search(r"plan of 3 environments: p50 \d+\.\d ms, \d+\.\d ms each", done.stdout)
 
@@ -218,6 +218,32 @@ def test_what_the_machine_chose_is_never_too_slow(tmp_path):
         assert len([s for s in setup.advice(setup.compiled, plan_ms=1e4) if s.startswith("real time")]) == late
 
 
+ALIKE = "seeds differ in noise alone"
+DRAWS = {
+    "nothing": ("", None),
+    "noise": ("[plant]\nnoise.position = 0.01\n", None),
+    "a goal": (
+        "[randomize_task.draw]\n'goal.position' = { low = [2.0, -0.1], high = [2.2, 0.1] }\n",
+        "goal.position = [2.",
+    ),
+    "a mass": ("[randomize.box]\nmass.uniform = 0.2\n", "box's mass"),
+    "a mass in plans alone": ("[randomize.box]\nmass.uniform = 0.2\n[plant]\nrandomize = false\n", None),
+}
+
+
+@pytest.mark.parametrize("what", DRAWS)
+def test_seeds_that_differ_in_noise_alone_are_told(tmp_path, command, what):
+    more, drawn = DRAWS[what]
+    (tmp_path / "mine.toml").write_text(SCENE.replace("[variants", more + "[variants"))
+    quick = [*TINY, "--engine", "mujoco"]
+    checked = " ".join(command("check", "mine.toml", *quick).stdout.split())
+    assert (f"drawn, seed 0 {drawn}" if drawn else "drawn, seed 0 nothing: other " + ALIKE) in checked
+    told = command("run", "mine.toml", *quick, "--episodes", "2").stdout
+    assert (ALIKE in told) is (drawn is None)
+    if what == "nothing":
+        assert ALIKE not in command("run", "mine.toml", *quick).stdout
+
+
 def test_check_tells_the_phases_and_the_spread_of_the_noise(tmp_path, command):
     phases = """
 [[phase]]
@@ -233,7 +259,31 @@ name = "there"
     done = command("check", "mine.toml", *TINY, "--engine", "mujoco", "--set", "planner.noise.spread=[0.1, 2.0]")
     assert (done.returncode, done.stderr) == (0, "")
     assert "over: goal at [1.5, 0] m, until box below 0.5, for 0.2 s" in done.stdout
+    table = done.stdout.partition("phase over waits for")[2].splitlines()[2:]
+    assert table[0].split()[:6] == ["height", "of", "box", "0.15", "≤", "0.5"]
     assert " × 0.1 to 2, discount" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("until", "row"),
+    [
+        ('until = { term = "distance", below = 0.5 }', "distance - ≤ 0.5 - a cost term: known once the plant runs"),
+        ("after = 3.0", "time in the phase [s] 0 ≥ 3 - ends it, whatever holds"),
+    ],
+)
+def test_check_tells_what_a_phase_waits_for_besides_places(tmp_path, command, until, row):
+    (tmp_path / "mine.toml").write_text(f'{SCENE}\n[[phase]]\nname = "a"\n{until}\n[[phase]]\nname = "b"\n')
+    done = command("check", "mine.toml", *TINY, "--engine", "mujoco")
+    table = done.stdout.partition("phase a waits for")[2].splitlines()[2:]
+    assert " ".join(table[0].split()) == row
+
+
+def test_without_a_terminal_there_is_a_line_now_and_then(command, monkeypatch):
+    monkeypatch.setattr("warpmpc.cli.progress.LINES", 0.0)
+    told = command("run", "omni_push_box", "--engine", "mujoco", *TINY).stderr.splitlines()
+    assert [line.split(" s  cost")[0] for line in told[1:]] == [f"seed 0:  {0.04 * i:.1f}" for i in range(1, 11)]
+    monkeypatch.setattr("warpmpc.cli.progress.LINES", 60.0)
+    assert command("run", "omni_push_box", "--engine", "mujoco", *TINY).stderr == ""
 
 
 def test_notices_are_shown_once_and_warnings_once_per_episode(capsys):
@@ -319,9 +369,10 @@ def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as a shell does
     ) as process:
         end = time.monotonic() + 120.0
-        begun = "warpmpc_run_*/*.0" if real_time else "a.rrd"  # what is noted of plans, what is recorded of steps
+        begun = "a.npz.*.0" if real_time else "a.rrd"  # what is noted of plans, what is recorded of steps
         while not any(file.stat().st_size for file in tmp_path.glob(begun)) and time.monotonic() < end:
             time.sleep(0.1)
+        assert time.monotonic() < end, "it never began"
         time.sleep(1.0)
         process.send_signal(number)
         out, errors = process.communicate(timeout=60)

@@ -66,6 +66,17 @@ def test_a_folder_tells_all_about_its_run(folder, command):
     assert "--out: 'run' is not empty: give a new folder" in done.stderr
 
 
+@pytest.mark.parametrize("options", [[], ["--real-time"], ["--jobs", "1"]], ids=["run", "real time", "jobs"])
+def test_a_start_that_failed_leaves_the_folder_free(command, tmp_path, options):
+    (tmp_path / "mine.toml").write_text(SCENE + '\n[[cost]]\nterm = "far"\ngain = 0.5\n')
+    (tmp_path / "far.py").write_text(TERMS.replace('["control"]', '["contrl"]'))
+    for _ in range(2):
+        done = command("run", "mine.toml", "--out", "run", "--terms", "far.py", "--engine", "mujoco", *TINY, *options)
+        assert done.returncode == 2
+        assert "contrl" in done.stderr
+        assert not (tmp_path / "run").exists()
+
+
 def test_a_folder_is_replayed_and_a_changed_log_is_found(folder, command, tmp_path):
     done = command("replay", "run", "--terms", "run/terms/0_far.py")
     assert (done.returncode, done.stderr) == (0, "")

@@ -2,9 +2,13 @@
 """``warpmpc run`` in several processes, with results that are kept and files of every step."""
 
 import json
+import os
 import subprocess
 import sys
+import time
+from pathlib import Path
 
+import calls
 import pytest
 from program import TINY, results, untimed
 
@@ -91,7 +95,7 @@ def test_results_of_other_code_are_told(command, tmp_path):
         (["--results", "bad.jsonl"], "bad.jsonl:1: is no record"),
         (["--jobs", "1", "--set", 'engine.name="nothing"'], "engine.name"),
         (["--jobs", "1", "--device", "cuda:0"], "cuda:0"),
-        (["--jobs", "2", "--set", 'planner.samples="auto"'], "planner.samples: is measured, which jobs"),
+        (["--jobs", "2", "--set", 'planner.samples="auto"'], "planner.samples: is measured, which parallel jobs"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(args, says, command, tmp_path):
@@ -114,3 +118,33 @@ def test_processes_execute_nothing_of_the_working_directory(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert (done.returncode, len(done.stdout.splitlines())) == (1, 1), done.stderr
     assert not (tmp_path / "executed").exists()
+
+
+def children(process: int) -> list[int]:
+    """Workers of a process."""
+    found = [stat for stat in Path("/proc").glob("[0-9]*/stat") if stat.exists()]
+    found = [int(stat.parent.name) for stat in found if stat.read_text().rpartition(")")[2].split()[1] == str(process)]
+    return [child for child in found if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+@pytest.mark.parametrize(("killed", "number", "code"), [("worker", 9, 1), ("program", 9, -9), ("program", 2, 130)])
+def test_a_series_that_ended_goes_on_and_nothing_is_left_over(killed, number, code, in_seeds, tmp_path):
+    args = ["--episodes", "300", "--jobs", "2", "--results", "r.jsonl"]
+    command = [sys.executable, "-c", INSTALLED, *RUN, "--json", *args]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        printed = [program.stdout.readline() for _ in range(2)]
+        workers = children(program.pid)
+        os.kill(workers[0] if killed == "worker" else program.pid, number)
+        rest, errors = program.communicate(timeout=60.0)
+    assert (program.returncode, len(workers)) == (code, 2), errors
+    assert ("error: a process of --jobs died" in errors) == (killed == "worker")
+    end = time.monotonic() + 20.0
+    while not all(map(calls.gone, workers)):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    printed = {line for line in [*printed, *rest.splitlines(keepends=True)] if line.endswith("}\n")}
+    kept = [json.loads(line)["result"]["seed"] for line in (tmp_path / "r.jsonl").read_bytes().splitlines()]
+    again = in_seeds("--episodes", str(1 + max(kept)), "--results", "r.jsonl")
+    assert [result["seed"] for result in again] == list(range(1 + max(kept)))
+    assert {json.loads(line)["seed"] for line in printed} <= {*kept}
+    assert all(result in again for result in map(json.loads, printed))

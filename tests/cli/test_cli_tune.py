@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc tune``: a planted bad σ is found, studies go on, Ctrl-C keeps the best, mistakes are one message."""
+"""``warpmpc tune``: a planted bad σ is found, studies go on, Ctrl-C keeps the best, mistakes are one message.
+
+Slow ones by hand: pytest -m slow tests/cli/test_cli_tune.py
+"""
 
 import importlib.util
+import os
 import re
 
 import pytest
+from program import small_disk
 
 import warpmpc
 from warpmpc.cli import tune as module
+from warpmpc.extras.tuning.search import Outcome
 
 optuna = pytest.importorskip("optuna", reason="tuning needs optuna")
 SET = ["--set", "timing.timeout=4.0"]
@@ -70,6 +76,55 @@ def test_a_planted_bad_sigma_is_found_and_written(command, bad_scene):
     assert tuned.timing.timeout == warpmpc.load_scene(str(bad_scene)).timing.timeout  # what --set says is not written
 
 
+SIGMA = ["--key", "planner.noise.sigma=x0.5..300"]
+
+
+@pytest.mark.parametrize("passes", ["fewer", "none", "more"])
+def test_only_values_that_pass_as_often_are_written(command, bad_scene, monkeypatch, passes):
+    tried = []
+
+    def outcome(arguments, changes, seed, penalty):
+        tried.append(changes)
+        start = changes == tried[0]
+        return Outcome(9.0 if start else 8.0, {"fewer": start, "none": False, "more": seed == 0 or not start}[passes])
+
+    monkeypatch.setattr(module, "run_trial", outcome)
+    done = command("tune", str(bad_scene), *SIGMA, "--trials", "2", "--episodes", "2", "-o", "good.toml", *SET)
+    assert done.returncode == 0, done.stderr
+    assert os.path.exists("good.toml") == (passes != "fewer")
+    said = {
+        "fewer": "no trial was better than the scene's own values and passed as often",
+        "none": "wrote good.toml: 0 of 2 passed, 0 of 2 before",
+        "more": "wrote good.toml: 2 of 2 passed, 1 of 2 before",
+    }
+    assert said[passes] in done.stdout
+    assert ("warning: no episode passed" in done.stderr) == (passes == "none")
+
+
+@pytest.mark.parametrize("file", ["good.toml", "a.db", "new.db"])
+def test_a_full_disk_ends_a_tuning_in_one_line(command, bad_scene, monkeypatch, file):
+    values = iter(range(100, 0, -1))
+    monkeypatch.setattr(module, "run_trial", lambda *args: Outcome(float(next(values)), True))
+    args = ["tune", str(bad_scene), *SIGMA, "--episodes", "1", *SET]
+    size = 1000
+    if file == "good.toml":
+        args += ["-o", file]
+        bad_scene.write_text(BAD + "#" * 300_000)
+        size = 290_000  # what is compiled is smaller
+        assert command(*args, "--trials", "1").returncode == 0
+    else:
+        args += ["--study", file]
+        if file == "a.db":
+            assert command(*args, "--trials", "1").returncode == 0
+            size = os.path.getsize(file)
+    with small_disk(size):
+        done = command(*args, "--trials", "60")
+    assert done.returncode == 1
+    (line,) = [line for line in done.stderr.splitlines() if not line.startswith(("trial", "--key"))]
+    assert line.startswith(f"error: cannot write '{file}': ")
+    assert ("best   trial" in done.stdout) == (file != "new.db")
+
+
 def test_a_scene_alone_is_enough(command):
     done = command("tune", "omni_push_box", "--trials", "2", "--episodes", "1", *TINY)
     assert done.returncode == 0, done.stderr
@@ -120,8 +175,9 @@ def test_ctrl_c_keeps_the_best_so_far(command, monkeypatch):
         (["point_reach", "--jobs", "none"], "--jobs must be"),
         (["point_reach", "--seed", "998"], "tuning has seeds 0 to 999"),
         (["point_reach", "omni_push_box", "-o", "x.toml"], "stand in several files"),
+        (["point_reach", "-o", "nowhere/x.toml"], "cannot write 'nowhere/x.toml'"),
     ],
-    ids=["key", "scene", "range", "engine", "jobs", "seeds", "files"],
+    ids=["key", "scene", "range", "engine", "jobs", "seeds", "files", "folder"],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(args, says, tmp_path, command):
     done = command("tune", *args, "--study", str(tmp_path / "a.db"))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes by the hundred: every mutated scene, asset or file of terms runs, or is one line that says why."""
+"""Mistakes by the hundred: every mutated scene, asset or file of terms runs, or is one line that says why.
+
+Slow ones by hand: pytest -m slow tests/cli/test_mutants.py
+"""
 
 import pytest
 from fuzzing import outcome, outcomes

@@ -10,7 +10,7 @@ from jsonschema import Draft7Validator
 from program import results, warpmpc
 
 from warpmpc import load_scene
-from warpmpc.cli.new import make_starter
+from warpmpc.cli.lists import make_starter
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from small_scenes import DISC, make_scene
 
 import warpmpc
-from warpmpc.registry import TERMS
+from warpmpc.scene.registry import TERMS
 
 DECORATED = """
 import warp as wp
@@ -23,7 +23,7 @@ def mine(s: warpmpc.StepView, p: Params) -> float:
 REGISTERED = (
     DECORATED
     + """
-from warpmpc.registry import TERMS
+from warpmpc.scene.registry import TERMS
 TERMS.register("mine", mine)
 """
 )

@@ -13,11 +13,11 @@ from small_scenes import layout_of
 from warpmpc import Controller, SceneError, State
 from warpmpc.cost.resources.cloud import CloudVolume, PointClouds
 from warpmpc.cost.stack import CostEvaluator, CostStack
-from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.engine.protocol import TimeGrid
 from warpmpc.kernels.geometry.volume import ABREAST, Volume, between_voxels, voxel_distance
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.scene.schema_cloud import Cloud
-from warpmpc.task.task import Task
+from warpmpc.scene.model.trajectory import BatchSize
+from warpmpc.scene.schema_bodies import Cloud
+from warpmpc.scene.task.task import Task
 
 REGION = {"low": (-0.9, -0.9, -0.2), "high": (1.1, 0.9, 1.2)}
 VOXEL = 0.025

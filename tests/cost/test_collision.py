@@ -15,9 +15,9 @@ from small_scenes import layout_of
 
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
-from warpmpc.model.link_pairs import self_pairs
-from warpmpc.model.spheres import fit_spheres
-from warpmpc.task.task import Task
+from warpmpc.scene.model.pairs import self_pairs
+from warpmpc.scene.model.spheres import fit_spheres
+from warpmpc.scene.task.task import Task
 
 TURNED = (0.1, -0.5, 0.2, 0.8)
 OBSTACLES = [

@@ -7,7 +7,7 @@ from fused_costs import assert_costs, expected_totals, planned
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import State
-from warpmpc.cost.weights import stage_weights
+from warpmpc.cost.stack import stage_weights
 
 TERMINAL = (1.0, 5.0, 0.0)
 

@@ -6,7 +6,7 @@ import pytest
 from rollouts import SHAPE, Rollouts
 
 from warpmpc import SceneError
-from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.engine.protocol import TimeGrid
 
 FEET = ["base/tip", "box", "base/centre"]
 GAIT = {"term": "gait_residual", "feet": FEET, "phases": [0.0, 0.5, 0.8], "cadence": 3.0}

@@ -12,10 +12,10 @@ from train_self_collision import Errors
 
 from warpmpc import Controller, SceneError, State, load_scene
 from warpmpc.cost.stack import CostStack
-from warpmpc.model.assets import resolve_asset
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.scene.model.assets import resolve_asset
+from warpmpc.scene.model.trajectory import BatchSize
 from warpmpc.scene.schema import Cost
-from warpmpc.task.task import Task
+from warpmpc.scene.task.task import Task
 
 SHAPE = BatchSize(1, 16, 1, 4)
 SIZES = [(256, 64), (40, 24), (12, 5)]

@@ -10,9 +10,9 @@ from small_scenes import layout_of
 
 from warpmpc import Controller, SceneError, State
 from warpmpc.cost.stack import CostStack
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.self_shape import link_fingerprint
-from warpmpc.task.task import Task
+from warpmpc.scene.model.spheres import link_fingerprint
+from warpmpc.scene.model.trajectory import BatchSize
+from warpmpc.scene.task.task import Task
 
 LINKS = ("panda_link5", "panda_link7")
 CLOUD = {"name": "seen", "low": (-0.9, -0.9, -0.2), "high": (1.1, 0.9, 1.2), "reach": 0.2}

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from warpmpc.cost.norms import NormKeys
 from warpmpc.cost.residual import fixed_norm
-from warpmpc.kernels.terms.norms import SQUARES, Norm, norm_bend, norm_part, norm_slope, norm_total
+from warpmpc.kernels.cost.norms import SQUARES, Norm, norm_bend, norm_part, norm_slope, norm_total
 
 VALUE = {
     "quadratic": lambda x, p, q: 0.5 * (x * x).sum(),

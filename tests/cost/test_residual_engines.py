@@ -9,7 +9,7 @@ from fused_costs import assert_costs, expected_totals, planned
 from small_scenes import chain_scene, compiled, layout_of, make_engine, observed, random_state
 
 from warpmpc import Scene
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.scene.model.trajectory import BatchSize
 
 COM = {"centre_of_mass": "chain"}
 COSTS = [
@@ -24,6 +24,9 @@ COSTS = [
     {"term": "momentum_residual", "of": "chain/arm", "axes": "xz"},
     {"term": "angular_velocity_residual", "of": ["chain/hand", "chain/head"], "relative_to": "chain/trunk"},
     {"term": "rotation_residual", "of": "chain/hand", "to": "chain/head", "axes": "xz"},
+    {"term": "orientation", "of": "chain/hand", "axis": [1.0, 0.0, 0.5]},
+    {"term": "orientation", "name": "along", "of": "chain/hand", "to": "chain/head", "axis": [0.0, 1.0, 0.0],
+     "along": [0.8, 0.6, 0.0]},
     {"term": "posture_residual", "joints": ["arm_1", "hand_x"], "target": ["height", 0.2]},
     {"term": "joint_velocity_residual", "joints": ["arm_1", "hand_2"], "norm": {"kind": "power", "p": 1.5}},
     {"term": "control_residual", "norm": {"kind": "rectify", "p": 0.3}, "terminal": 0.0},

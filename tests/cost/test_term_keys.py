@@ -12,7 +12,7 @@ from warpmpc import SceneError
 from warpmpc.cost.binding import Binding
 from warpmpc.cost.keys import Frame, Object, TermKeys, term
 from warpmpc.cost.norms import NormKey, NormKind
-from warpmpc.kernels.terms.view import StepView, frame_position
+from warpmpc.kernels.cost.view import StepView, frame_position
 from warpmpc.scene.types import NonNegative
 
 

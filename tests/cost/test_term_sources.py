@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from small_scenes import BOX
 from term_sources import SourceEvaluator
 
-from warpmpc.bake.simd import native_lanes
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.physics.runtime.bake import native_lanes
+from warpmpc.scene.model.trajectory import BatchSize
 
 SHAPE = BatchSize(2, 21, 2, 5)  # a number of worlds that fills no register; 420 states
 BLOCKS = [block(position=(0.0, 0.7)), block("post", size=(0.3, 0.3, 0.4), position=(-0.7, 0.4), yaw=0.7)]

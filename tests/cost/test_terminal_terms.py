@@ -9,8 +9,8 @@ from stepping import stepping
 
 import warpmpc
 from warpmpc import Controller, State
-from warpmpc.cost.weights import term_factors
-from warpmpc.derivatives.rollouts import Policy
+from warpmpc.cost.stack import term_factors
+from warpmpc.planner.derivatives.rollouts import Policy
 
 GAMMA, STEPS = 0.9, 5
 COST = [

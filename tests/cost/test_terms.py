@@ -9,10 +9,10 @@ from rollouts import SHAPE, Rollouts, heading
 from scipy.interpolate import RegularGridInterpolator
 
 from warpmpc import SceneError
-from warpmpc.cost.resources.push_path import ANGLES
+from warpmpc.cost.resources.push_value import ANGLES
 from warpmpc.cost.stack import CostStack
+from warpmpc.cost.terms import TERMS
 from warpmpc.scene.draw import signed_distance
-from warpmpc.terms import TERMS
 
 
 def on_circle(a: np.ndarray) -> np.ndarray:
@@ -252,6 +252,16 @@ CASES = {
             np.arccos((r.pose("base/tip")[1].apply([0, 0, 1.0]) * r.pose("goal")[1].apply([0, 0, 1.0])).sum(-1))
         ),
     ),
+    "axis": (
+        {"term": "orientation", "of": "base/tip", "axis": [3.0, 0.0, 4.0]},
+        lambda r: r.each(np.arccos(r.pose("base/tip")[1].apply([0.6, 0.0, 0.8])[:, 2])),
+    ),
+    "axis along": (
+        {"term": "orientation", "of": "base/tip", "to": "box", "axis": [0.0, 2.0, 0.0], "along": [0.6, 0.8, 0.0]},
+        lambda r: r.each(
+            np.arccos((r.pose("base/tip")[1].apply([0, 1.0, 0]) * r.pose("box")[1].apply([0.6, 0.8, 0])).sum(-1))
+        ),
+    ),
 }
 
 
@@ -294,6 +304,9 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
         ({"term": "distance"}, r"the key 'between' is missing"),
         ({"term": "distance", "between": ["base/tip"]}, r"cost\.distance\.between"),
         ({"term": "distance", "between": ["base/tip", "box"], "metric": "manhattan"}, r"cost\.distance\.metric"),
+        ({"term": "orientation", "of": "box", "axis": [0.0, 0.0, 0.0]}, r"orientation\.axis: .*length above zero"),
+        ({"term": "orientation", "of": "box", "along": [1.0, 0.0, 0.0]}, r"cost\.orientation\.along: .*axis = "),
+        ({"term": "orientation", "of": "box", "to": "gaol"}, r"cost\.orientation\.to.*Did you mean 'goal'"),
         ({"term": "yaw", "of": "boks"}, r"cost\.yaw\.of.*Did you mean 'box'"),
         ({"term": "contact_force", "between": ["base", "obstacle"]}, r"cost\.contact_force.*Did you mean 'obstacles'"),
         ({"term": "control_effort", "of": "bas"}, r"cost\.control_effort\.of.*Did you mean 'base'"),

@@ -3,8 +3,6 @@
 
 import inspect
 import logging
-import re
-import time
 
 import numpy as np
 import pytest
@@ -14,20 +12,14 @@ from small_scenes import compiled, make_scene
 
 import warpmpc
 from warpmpc import SceneError
-from warpmpc.cost import trial
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.state import State
+from warpmpc.scene.model.state import State
+from warpmpc.scene.model.trajectory import BatchSize
 
 
 @wp.struct
 class Params:
     gain: float
     count: int
-
-
-@wp.func
-def far_away(s: warpmpc.StepView, i: int) -> float:
-    return warpmpc.joint_position(s, i)  # far away
 
 
 @warpmpc.cost_term("mixed")
@@ -61,48 +53,15 @@ def unknown(s: warpmpc.StepView, p: Params) -> float:
     return not_there(s)  # noqa: F821  here
 
 
-@warpmpc.cost_term("joint")
-def joint(s: warpmpc.StepView, p: Params) -> float:
-    return warpmpc.joint_position(s, 77)  # here
-
-
-@warpmpc.cost_term("helper")
-def helper(s: warpmpc.StepView, p: Params) -> float:
-    total = float(0.0)  # noqa: UP018
-    for i in range(p.count + 2):
-        total += far_away(s, i)
-    return total
-
-
-@warpmpc.cost_term("direct")
-def direct(s: warpmpc.StepView, p: Params) -> float:
-    return s.controls[s.t - 1, s.w, -p.count]  # here
-
-
 @warpmpc.cost_term("before")
 def before(s: warpmpc.StepView, p: Params) -> float:
     earlier = warpmpc.step_before(s)
-    return warpmpc.joint_position(earlier, 0) + warpmpc.joint_velocity(s, p.count)  # fine: step_before is a copy
+    return warpmpc.joint_position(earlier, 0) + warpmpc.joint_velocity(s, p.count)
 
 
 @warpmpc.cost_term("root")
 def root(s: warpmpc.StepView, p: Params) -> float:
     return wp.sqrt(-p.gain)
-
-
-@warpmpc.cost_term("endless")
-def endless(s: warpmpc.StepView, p: Params) -> float:
-    total = float(0.0)  # noqa: UP018
-    while total < p.gain:
-        total += 0.0 * p.gain
-    return total
-
-
-def endless_array(batch):
-    value = 0.0
-    while value < 1.0:
-        value *= 1.0
-    return np.zeros(batch["control"].shape[:2])
 
 
 def raising(batch):
@@ -133,8 +92,6 @@ def line(function, marker: str) -> int:
         (nothing, "", "without returning"),
         (sometimes, "", "without returning"),
         (unknown, "here", "undefined symbol: not_there"),
-        (joint, "here", "index 77 is out of range: there are 3 joint coordinates"),
-        (direct, "here", "index -2 is out of range: there are 3 controls"),
         (root, "", "NaN at the start"),
     ],
     ids=lambda value: value.name if isinstance(value, warpmpc.CostTerm) else None,
@@ -145,45 +102,6 @@ def test_a_mistake_is_one_line_that_names_file_and_line(own, marker, says, capfd
         tried(own)
     assert "\n" not in str(raised.value)
     assert "error" not in capfd.readouterr().err  # no compiler has its say
-
-
-def test_a_loop_that_does_not_end_is_named_by_its_line(monkeypatch):
-    monkeypatch.setattr(trial, "LONGEST", 0.5)
-    first = line(endless.function.func, "")
-    with pytest.raises(SceneError, match=r"cost\.endless: .*test_terms_tried\.py:(\d+): this takes too long") as raised:
-        tried(endless)
-    number = int(re.search(r"py:(\d+)", str(raised.value))[1])
-    assert number - first in (3, 4)
-    monkeypatch.setattr(trial, "LONGEST_FIRST", 0.5)
-    first = line(endless_array, "")
-    with pytest.raises(SceneError, match=r"cost\.endless_array: .*this takes too long") as raised:
-        tried(warpmpc.array_cost("endless_array")(endless_array))
-    assert int(re.search(r"py:(\d+)", str(raised.value))[1]) - first in (2, 3)
-    assert "\n" not in str(raised.value)
-
-
-def test_the_first_call_of_an_array_cost_may_prepare_what_it_needs(monkeypatch):
-    monkeypatch.setattr(trial, "LONGEST", 0.2)
-
-    def late(batch):
-        for _ in range(8):
-            time.sleep(0.05)  # as long as an import, piece by piece
-        return np.zeros(batch["control"].shape[:2])
-
-    tried(warpmpc.array_cost("late")(late))
-
-
-def test_a_time_that_is_enough_changes_nothing(monkeypatch):
-    monkeypatch.setattr(trial, "LONGEST", 1.0)
-    tried(before)
-    time.sleep(1.2)  # nothing is raised later
-
-
-def test_an_index_in_a_function_that_a_term_calls_is_named_there():
-    number = line(far_away.func, "far away")
-    with pytest.raises(SceneError, match=rf"test_terms_tried\.py:{number}: index 3 is out of range"):
-        tried(helper)
-    tried(helper, count=1)
 
 
 def test_of_several_terms_the_wrong_one_is_named():

@@ -12,7 +12,7 @@ from small_scenes import make_scene
 
 import warpmpc
 from warpmpc import SceneError
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.scene.model.trajectory import BatchSize
 
 
 @wp.struct

@@ -21,7 +21,7 @@ def planned(device: str = "cpu") -> Controller:
         planner={"samples": 6, "horizon": 4, "noise": {"sigma": (0.8,)}},
         cost=[{"term": "contact_force", "between": ["base", "box"]}, {"term": "distance", "between": ["box", "goal"]}],
     )
-    engine = "mujoco" if device == "cpu" else "newton"
+    engine = "mujoco" if device == "cpu" else "mujoco_warp"
     controller = Controller(scene, engine=engine, device=device, envs=2, compiled=compiled(scene))
     controller.step(start(controller))
     return controller

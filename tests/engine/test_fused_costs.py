@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine `fused` judges inside its launch: rollouts cost what the Warp functions of the terms say."""
+"""The engine `fused` judges inside its launch: rollouts cost what the Warp functions of the terms say.
+
+Slow ones by hand: pytest -m slow tests/engine/test_fused_costs.py
+"""
 
 from dataclasses import fields, replace
 
@@ -11,8 +14,8 @@ from small_scenes import BOX, WALL, compiled, make_scene
 
 import warpmpc
 from warpmpc import Controller, State
+from warpmpc.cost.terms import TERMS
 from warpmpc.engine.fused import FusedEngine
-from warpmpc.terms import TERMS
 
 SCENES = ["omni_push_box", "point_reach"]
 MORE = ["omni_push_sphere", "diff_push_box", "panda_push", "panda_push_objects", "panda_reach", "mobile_pick"]

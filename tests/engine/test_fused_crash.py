@@ -9,9 +9,9 @@ from small_scenes import DISC, make_scene, observed
 from warpmpc import Scene
 from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.pairs import Pair, collision_pairs
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.pairs import Pair, collision_pairs
+from warpmpc.scene.model.trajectory import BatchSize
 
 HAMMER = """
 <mujoco><worldbody>

@@ -7,7 +7,7 @@ import pytest
 from needs import CUDA, need
 
 import warpmpc
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 
 pytestmark = pytest.mark.gpu
 

@@ -7,8 +7,8 @@ import pytest
 from small_scenes import BOX, DISC, make_scene
 
 from warpmpc import Controller, SceneError
-from warpmpc.bake.lines import OutOfRange, literal
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
+from warpmpc.physics.runtime.bake import OutOfRange, literal
 
 LIMITS = """
 <mujoco><compiler autolimits="true" angle="radian"/><option timestep="0.004" integrator="implicitfast"/><worldbody>

@@ -11,16 +11,16 @@ from small_scenes import chain_scene
 
 from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.mujoco_model import Options
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.mujoco_model import Options
+from warpmpc.scene.model.trajectory import BatchSize
 
 SHAPE = BatchSize(2, 4, 1, 3)
 
 
 def quadrotor(folder):
     path = folder / "quadrotor.xml"
-    text = QUADROTOR.replace('integrator="RK4" density="1.225" viscosity="1.8e-5"', 'integrator="implicitfast"')
+    text = QUADROTOR.replace('integrator="RK4"', 'integrator="implicitfast"')  # in air
     path.write_text(text)
     return native_scene(path)
 

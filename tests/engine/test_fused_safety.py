@@ -15,14 +15,14 @@ import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine import launched
 from warpmpc.engine.fused_physics import FusedPhysics
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.pairs import Pair
-from warpmpc.model.properties import draw_properties
-from warpmpc.physics import missing as fused_missing
 from warpmpc.physics import source
+from warpmpc.physics import unsupported as fused_missing
 from warpmpc.physics.model import FIELD, PhysicsModel
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.version import VERSION
+from warpmpc.scene.model.pairs import Pair
+from warpmpc.scene.model.properties import draw_properties
+from warpmpc.scene.model.trajectory import BatchSize
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"))
 NAMES = ("joint_q", "joint_qd", "body_q", "body_qd", "contact_force", "diverged", "overflow")
@@ -243,24 +243,27 @@ LACKS = {
     "transmissions of actuators: BODY": drive('<adhesion body="b" ctrlrange="0 1"/>'),
     "actuators of several controls": drive('<pid joint="h" kp="1"/>'),
     "actuators of several activations": drive('<general joint="h" dyntype="user" actdim="3"/>'),
-    "activations of servoed rotations with RK4": {
+    "activations of servoed rotations with RK4 (implicitfast mends it)": {
         "option": 'integrator="RK4"',
         "joint": '<joint name="j" type="ball"/>',
         **drive('<intvelocity joint="j" kp="1" actrange="-1 1"/>'),
     },
     "gains of actuators: USER": drive('<general joint="h" gaintype="user"/>'),
     "delays and intervals (history in the state)": drive('<motor joint="h" delay="0.02" nsample="3"/>'),
-    "shapes of their own in a fluid": {"option": 'density="1.2"', "geom": 'fluidshape="ellipsoid"'},
+    'ellipsoid models of fluid forces (fluidshape="none" mends it)': {
+        "option": 'density="1.2"',
+        "geom": 'fluidshape="ellipsoid"',
+    },
     "stiffness of ball and free joints that grows with the angle": {
         "joint": '<joint name="j" type="ball" stiffness="1 2 0"/>'
     },
-    "noslip iterations": {"option": 'noslip_iterations="3"'},
+    'noslip iterations (noslip_iterations="0" mends it)': {"option": 'noslip_iterations="3"'},
     "solvers that are none of MuJoCo's": {},
-    "solver PGS for elliptic cones": {"option": 'solver="PGS" cone="elliptic"'},
+    "solver PGS for elliptic cones (Newton mends it)": {"option": 'solver="PGS" cone="elliptic"'},
     "models of more than 128 degrees of freedom": {
         "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(21))
     },
-    "fewer than 20 solver iterations for contacts as hard as low friction, impratio or solimp make these": {
+    "few solver iterations for contacts as hard as low friction, impratio or solimp make (10 mend it)": {
         "option": 'iterations="3"',
         "geom": 'priority="1" solimp="0.99 0.9999 0.001"',
     },
@@ -358,12 +361,13 @@ SENSING = """
 """
 
 
-def test_terms_that_read_sensors_take_another_engine(tmp_path):
+def test_terms_that_read_sensors_take_another_engine_where_it_does_not_read_them(tmp_path):
     path = tmp_path / "cart.xml"
-    path.write_text(SENSING)
+    path.write_text(SENSING.replace("<sensor>", '<sensor><clock name="time"/>'))
     scene = native_scene(path)
-    planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "tip_sensor": "r/tip"}]
-    scene = type(scene).model_validate({**scene.model_dump(), "cost": cost, "planner": planner})
-    assert Controller(scene, terms=[sensed], device="cpu").engine.name == "mujoco"
-    with pytest.raises(SceneError, match="the engine fused has no sensors"):
+    for sensor, engine in (("tip", "fused"), ("time", "mujoco")):
+        planner, cost = {"samples": 4, "horizon": 2}, [{"term": "sensed", "tip_sensor": f"r/{sensor}"}]
+        scene = type(scene).model_validate({**scene.model_dump(), "cost": cost, "planner": planner})
+        assert Controller(scene, terms=[sensed], device="cpu").engine.name == engine
+    with pytest.raises(SceneError, match="the engine fused has no sensors of the kinds clock"):
         Controller(scene, terms=[sensed], engine="fused", device="cpu")

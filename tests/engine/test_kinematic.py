@@ -11,7 +11,7 @@ from small_scenes import BOX, make_scene
 import warpmpc
 from warpmpc import Controller, SceneError, State
 from warpmpc.cost.stack import CostEvaluator
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.scene.model.trajectory import BatchSize
 
 ROBOTS = {
     "panda": ("package://example-robot-data/robots/panda_description/urdf/panda.urdf", "panda_hand_tcp", None),
@@ -27,6 +27,7 @@ NATIVE = [
     {"term": "height", "of": "arm/tool", "target": 0.4},
     {"term": "orientation", "of": "arm/tool", "to": "goal"},
     {"term": "orientation", "name": "tilt", "of": "arm/tool", "to": "goal", "tilt": True},
+    {"term": "orientation", "name": "up", "of": "arm/tool", "axis": (1.0, 0.0, 0.2)},
     {"term": "joint_limit", "margin": 0.3},
     {"term": "joint_velocity", "weight": 0.01},
     {"term": "posture", "weight": 0.1},

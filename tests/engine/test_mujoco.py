@@ -9,8 +9,9 @@ import pytest
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, roll
 
 from warpmpc.engine import mujoco as engine_module
-from warpmpc.model.pairs import Pair, collision_pairs
-from warpmpc.model.properties import draw_properties
+from warpmpc.scene.model.mujoco_model import make_world
+from warpmpc.scene.model.pairs import Pair, collision_pairs
+from warpmpc.scene.model.properties import draw_properties
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"), Pair("box", "wall"))
 RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}}}
@@ -190,6 +191,26 @@ def test_a_saturated_servo_presses_with_its_effort_limit():
     np.testing.assert_allclose(force, [[-40.0, 0.0, 0.0], [40.0, 0.0, 0.0]], atol=0.4)
     assert out.joint_q.numpy()[-1, 0, 0] < 1.21  # it stopped at the wall
     assert abs(out.joint_qd.numpy()[-1, 0, 0]) < 1e-2
+
+
+@pytest.mark.parametrize("keys", [{}, {"mode": "position", "stiffness": 4000.0}], ids=["velocity", "position"])
+def test_a_saturated_servo_damps_long_steps(keys):
+    """Whatever MuJoCo is installed: without it long steps go to and fro, and rollouts far from the plant's."""
+    drive = {**DISC["drive"], "damping": 600.0, "effort_limit": 40.0, **keys}
+    world = make_world(compiled(make_scene(robot=[{**DISC, "drive": drive}])), timestep=0.02)
+    data, mass = mujoco.MjData(world.model), np.zeros((world.model.nv,) * 2)
+    data.ctrl[:] = world.actuator_matrix @ [1.0, 0.0, 0.0] + world.actuator_offset
+    mujoco.mj_step(world.model, data)
+    mujoco.mj_fullM(world.model, data, mass)
+    np.testing.assert_allclose(data.qvel[0], 0.02 * 40.0 / (mass[0, 0] + 0.02 * 600.0), rtol=1e-6)
+
+
+def test_many_bodies_are_not_solved_by_a_wrong_sparse_factor():
+    """Which MuJoCo 4.0.0 has, from 60 degrees of freedom on."""
+    boxes = [{**BOX, "name": f"box_{i}", "position": (i, 2.0, 0.1)} for i in range(12)]
+    model = make_world(compiled(make_scene(object=boxes)), timestep=0.02).model
+    assert model.nv > 60
+    assert mujoco.mj_isSparse(model) == (mujoco.__version__ != "4.0.0")
 
 
 def test_the_whole_robot_counts_not_its_first_link():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF files in the engine ``newton``: MuJoCo Warp against plain MuJoCo on the same file, as far as float32 goes.
+"""MJCF files in the engine ``mujoco_warp``, against plain MuJoCo on the same file, as far as float32 goes.
 
 The first run with empty kernel caches compiles for about a minute per file.
 """
@@ -27,8 +27,8 @@ from native_robots import (
 from warpmpc import SceneError
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
 from warpmpc.engine.newton import NewtonSimulator
-from warpmpc.model.batch_size import BatchSize
 from warpmpc.physics.version import VERSION
+from warpmpc.scene.model.trajectory import BatchSize
 
 STEPS = 50
 BOUND = 1e-4 if VERSION >= (4, 0) else 1e-5
@@ -122,12 +122,11 @@ def test_what_mujoco_warp_does_otherwise_is_refused(tmp_path):
         warp_engine(native_scene(path), compiled_native(path), plain_model(path))
 
 
-def test_newtons_other_solvers_name_what_they_lack(tmp_path):
+def test_newton_names_what_it_lacks(tmp_path):
     path = asset_file("cartpole", tmp_path)
     scene = native_scene(path)
-    scene = scene.model_copy(update={"engine": scene.engine.model_copy(update={"solver": "xpbd"})})
     with pytest.raises(SceneError, match=r"actuators of the file.*tendons") as error:
         NewtonSimulator(
             scene, compiled_native(path), BatchSize(1, 1, 1, 2), substeps=[1, 1], timestep=0.005, pairs=(), device="cpu"
         )
-    assert error.value.key == "engine.solver"
+    assert error.value.key == "engine.name"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newton engine: it agrees with MuJoCo's C engine, forgets earlier plans, and keeps a bad world to itself.
+"""MuJoCo Warp, directly and through Newton: agrees with MuJoCo C, forgets plans, keeps a bad world to itself.
 
 On the CPU, kernels for one small scene are compiled once (about a minute with empty caches); the GPU variants run with
 ``-m gpu``.
@@ -23,16 +23,17 @@ from warpmpc import (
     load_scene,
 )
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
-from warpmpc.engine.newton import NewtonSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.newton_model import build_model
-from warpmpc.model.pairs import Pair
-from warpmpc.model.properties import draw_properties
+from warpmpc.engine.newton import NewtonSimulator, build_model
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.pairs import Pair
+from warpmpc.scene.model.properties import draw_properties
+from warpmpc.scene.model.trajectory import BatchSize
 
 PAIRS = (Pair("base", "wall"), Pair("base", "box"), Pair("box", "ground"), Pair("box", "wall"))
 RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.01}}}
 SAMPLES, HORIZON = 6, 8
+ENGINES = {"mujoco_warp": MujocoWarpSimulator, "newton": NewtonSimulator}
+BOTH = pytest.mark.parametrize("name", ENGINES)
 PUSHER = {**DISC, "asset": "omni_base.urdf"}  # a box: contacts of boxes are computed alike by both, of cylinders not
 NEAR_BOX = {**BOX, "position": (0.47, 0.0, 0.1)}
 
@@ -49,9 +50,8 @@ def controls(worlds: int, *, seed: int = 0) -> np.ndarray:
     return rng.uniform([0.2, -0.5, -1.0], [1.0, 0.5, 1.0], size=(HORIZON, worlds, 3)).astype(np.float32)
 
 
-def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
-    engine = MujocoWarpSimulator if scene.engine.solver == "mujoco" else NewtonSimulator
-    return engine(
+def make_simulator(scene, device, *, name, envs=1, samples=SAMPLES, substeps=2, seed=3, pairs=PAIRS, horizon=HORIZON):
+    return ENGINES[name](
         scene,
         compiled(scene),
         BatchSize(envs, samples, 1, horizon),
@@ -63,14 +63,12 @@ def newton_engine(scene, device, *, envs=1, samples=SAMPLES, substeps=2, seed=3,
     )
 
 
-@pytest.fixture(scope="module")
-def engine(scene, device):
-    return newton_engine(scene, device)
+@pytest.fixture(scope="module", params=ENGINES)
+def engine(request, scene, device):
+    return make_simulator(scene, device, name=request.param)
 
 
-def roll_newton(
-    engine: NewtonSimulator, control: np.ndarray, q, qd, *, poison: int | None = None
-) -> dict[str, np.ndarray]:
+def recorded(engine, control: np.ndarray, q, qd, *, poison: int | None = None) -> dict[str, np.ndarray]:
     """Roll controls [T, W, nu] out from states [E, nq], [E, nv]; returns copies of what was recorded.
 
     With ``poison`` the start of that world is NaN.
@@ -102,7 +100,7 @@ def test_it_agrees_with_the_mujoco_engine(scene, engine):
     )
     control = controls(SAMPLES)
     expected = roll(reference, control, *start(scene))
-    found = roll_newton(engine, control, *start(scene))
+    found = recorded(engine, control, *start(scene))
     box = layout.joint_q_start[layout.entity("box").joints[0]]
     assert np.ptp(found["joint_q"][-1, :, box]) > 0.01  # the worlds were pushed differently
     np.testing.assert_allclose(found["joint_q"], expected.joint_q.numpy(), atol=2e-4)
@@ -126,20 +124,20 @@ def test_joint_limits_are_as_soft_as_in_the_mujoco_engine():
 
 def test_a_plan_leaves_nothing_behind(scene, engine):
     control = controls(SAMPLES)
-    first = roll_newton(engine, control, *start(scene))
-    roll_newton(engine, controls(SAMPLES, seed=1) * 3.0, *start(scene))
-    again = roll_newton(engine, control, *start(scene))
+    first = recorded(engine, control, *start(scene))
+    recorded(engine, controls(SAMPLES, seed=1) * 3.0, *start(scene))
+    again = recorded(engine, control, *start(scene))
     for name, values in first.items():
         np.testing.assert_allclose(again[name], values, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
 def test_a_poisoned_world_hurts_nobody_else_and_not_the_next_plan(scene, engine):
     control = controls(SAMPLES)
-    clean = roll_newton(engine, control, *start(scene))
+    clean = recorded(engine, control, *start(scene))
     poisoned = control.copy()
     poisoned[:, 2] = 1e30
     poisoned[3:, 4] = np.nan
-    found = roll_newton(engine, poisoned, *start(scene), poison=4)
+    found = recorded(engine, poisoned, *start(scene), poison=4)
     assert found["diverged"][4] == 1
     others = [0, 1, 3, 5]
     assert not found["diverged"][others].any()
@@ -149,31 +147,33 @@ def test_a_poisoned_world_hurts_nobody_else_and_not_the_next_plan(scene, engine)
         if exact:
             np.testing.assert_array_equal(a, b, err_msg=name)
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
-    after = roll_newton(engine, control, *start(scene))
+    after = recorded(engine, control, *start(scene))
     for name, values in clean.items():
         np.testing.assert_allclose(after[name], values, rtol=1e-4, atol=1e-4, err_msg=name)
 
 
-def test_every_environment_starts_from_its_own_state(scene, device):
-    engine = newton_engine(scene, device, envs=2, samples=3)
+@BOTH
+def test_every_environment_starts_from_its_own_state(scene, device, name):
+    engine = make_simulator(scene, device, name=name, envs=2, samples=3)
     q, qd = (np.stack([a, a]) for a in start(scene))
     q[1, 1] += 0.1
     control = np.concatenate([controls(3), controls(3)], axis=1)
-    both = roll_newton(engine, control, q, qd)
+    both = recorded(engine, control, q, qd)
     np.testing.assert_allclose(both["joint_q"][0, :3], np.tile(q[0], (3, 1)))
     np.testing.assert_allclose(both["joint_q"][0, 3:], np.tile(q[1], (3, 1)))
-    swapped = roll_newton(engine, control, q[::-1], qd[::-1])
+    swapped = recorded(engine, control, q[::-1], qd[::-1])
     # worlds of both environments are randomized alike
     np.testing.assert_allclose(swapped["joint_q"][:, 3:], both["joint_q"][:, :3], atol=1e-5)
 
 
-def test_overflow_is_reported_with_the_setting_to_raise(scene, device):
+@BOTH
+def test_overflow_is_reported_with_the_setting_to_raise(scene, device, name):
     tight = scene.model_copy(
         update={"engine": scene.engine.model_copy(update={"options": {"njmax": 17, "nconmax": 5}})}
     )
-    engine = newton_engine(tight, device, samples=4, pairs=())
+    engine = make_simulator(tight, device, name=name, samples=4, pairs=())
     q, qd = start(scene)
-    found = roll_newton(engine, controls(4), q, qd)
+    found = recorded(engine, controls(4), q, qd)
     bits = int(found["overflow"].max())
     assert bits != 0
     message = engine.overflow_message(bits)
@@ -182,27 +182,34 @@ def test_overflow_is_reported_with_the_setting_to_raise(scene, device):
 
 
 @pytest.mark.parametrize(
-    ("section", "key", "says"),
+    ("name", "section", "key", "says"),
     [
-        ({"options": {"njmx": 3}}, "engine.options.njmx", "njmax"),
-        ({"solver": "featherstone"}, "engine.solver", "contact forces"),
-        ({"solver": "xpbd", "options": {"iterations": 2, "njmax": 5}}, "engine.options.njmax", "iterations"),
-        ({"options": {"cone": "round"}}, "engine.options", "refuses"),
+        ("mujoco_warp", {"options": {"njmx": 3}}, "engine.options.njmx", "njmax"),
+        ("mujoco_warp", {"options": {"cone": "round"}}, "engine.options", "refuses"),
+        ("newton", {"options": {"njmx": 3}}, "engine.options.njmx", "njmax"),
+        ("newton", {"options": {"cone": "round"}}, "engine.options", "refuses"),
+        ("newton", {"friction_combine": "average"}, "engine.friction_combine", "priority"),
+        (
+            "newton",
+            {"solver": "xpbd", "options": {"iterations": 2, "njmax": 5}},
+            "engine.options.njmax",
+            "iterations",
+        ),
     ],
 )
-def test_a_solver_that_does_not_fit_is_refused_with_its_key(scene, section, key, says):
-    section = {**section, "solver": section.get("solver", "mujoco")}
+def test_a_solver_that_does_not_fit_is_refused_with_its_key(scene, name, section, key, says):
     wrong = make_scene(robot=[PUSHER], object=[NEAR_BOX], obstacle=[WALL], engine=section)
     with pytest.raises(SceneError) as error:
-        newton_engine(wrong, "cpu", samples=2)
+        make_simulator(wrong, "cpu", name=name, samples=2)
     assert error.value.key == key
     assert says in str(error.value)
 
 
-def test_the_controller_brings_the_disc_to_its_goal(device):
+@BOTH
+def test_the_controller_brings_the_disc_to_its_goal(device, name):
     planner = {"samples": 24, "horizon": 6, "temperature": {"initial": 0.1}}
     scene = make_scene(robot=[PUSHER], planner=planner, timing={"timeout": 3.0})
-    controller = Controller(scene, engine="newton", device=device, compiled=compiled(scene))
+    controller = Controller(scene, engine=name, device=device, compiled=compiled(scene))
     plant = Plant(scene, compiled=compiled(scene))
     while not plant.done:
         plant.apply(controller.step(plant.observe()))
@@ -211,11 +218,12 @@ def test_the_controller_brings_the_disc_to_its_goal(device):
     assert controller.device == device
 
 
-def test_both_engines_plan_the_same_command(scene, device):
+@BOTH
+def test_both_engines_plan_the_same_command(scene, device, name):
     scene = scene.model_copy(update={"planner": scene.planner.model_copy(update={"samples": SAMPLES, "horizon": 8})})
     controllers = [
         Controller(scene, engine="mujoco", compiled=compiled(scene), seed=2),
-        Controller(scene, engine="newton", device=device, compiled=compiled(scene), seed=2),
+        Controller(scene, engine=name, device=device, compiled=compiled(scene), seed=2),
     ]
     state = State.start(compiled(scene).layout)
     for _ in range(4):
@@ -228,10 +236,11 @@ def test_both_engines_plan_the_same_command(scene, device):
 
 
 @pytest.mark.gpu
-def test_goals_weights_and_limits_change_without_a_new_graph(scene):
+@BOTH
+def test_goals_weights_and_limits_change_without_a_new_graph(scene, name):
     """What a captured plan reads from device arrays may change between replays."""
     need(CUDA)
-    controller = Controller(scene, engine="newton", device="cuda:0", compiled=compiled(scene))
+    controller = Controller(scene, engine=name, device="cuda:0", compiled=compiled(scene))
     state = State.start(compiled(scene).layout)
     for _ in range(3):
         controller.step(state)
@@ -254,7 +263,7 @@ def test_goals_weights_and_limits_change_without_a_new_graph(scene):
 def test_a_warning_names_the_overflow_once(scene, device, caplog):
     options = {"options": {"njmax": 17, "nconmax": 5}}
     tight = make_scene(robot=[PUSHER], object=[NEAR_BOX], obstacle=[WALL], engine=options)
-    controller = Controller(tight, engine="newton", device=device, compiled=compiled(tight))
+    controller = Controller(tight, engine="mujoco_warp", device=device, compiled=compiled(tight))
     with caplog.at_level(logging.WARNING, logger="warpmpc"):
         for _ in range(3):
             controller.step(State.start(compiled(tight).layout))

@@ -4,11 +4,10 @@
 import numpy as np
 import pytest
 
-from warpmpc.engine.physics_step import _error, _Rollouts
-from warpmpc.engine.registry import physics_steps
-from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.model.compiled import compile_scene
+from warpmpc.engine.protocol import TimeGrid
+from warpmpc.engine.registry import _error, _Rollouts, physics_steps
 from warpmpc.scene.load import load_scene
+from warpmpc.scene.model.compiled import compile_scene
 
 ARM = """
 <mujoco>

@@ -10,13 +10,12 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_engine, make_scene
 from warpmpc import Controller, SceneError, run_episode
 from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.drawn_model import ARRAYS, DrawnModel
-from warpmpc.model.mujoco_model import Options, make_world
-from warpmpc.model.properties import Properties, draw_properties
-from warpmpc.model.randomize import randomized_arrays, randomized_models
-from warpmpc.model.state import State
-from warpmpc.physics.kernel import RolloutWork
+from warpmpc.physics.source_parts import RolloutWork
+from warpmpc.scene.model.drawn_model import ARRAYS, DrawnModel, randomized_arrays, randomized_models
+from warpmpc.scene.model.mujoco_model import Options, make_world
+from warpmpc.scene.model.properties import Properties, draw_properties
+from warpmpc.scene.model.state import State
+from warpmpc.scene.model.trajectory import BatchSize
 
 SAMPLES, PLANS = 24, 3
 SHAPE = BatchSize(1, SAMPLES, 1, 4)
@@ -34,7 +33,7 @@ ENGINES = pytest.mark.parametrize(
         ("fused", "cpu"),
         ("mujoco", "cpu"),
         pytest.param("fused", "cuda:0", marks=GPU),
-        pytest.param("newton", "cuda:0", marks=GPU),
+        pytest.param("mujoco_warp", "cuda:0", marks=GPU),
     ],
 )
 
@@ -108,7 +107,7 @@ def repeats(engine, device):
     """How far apart the same rollouts end: MuJoCo Warp's order of contacts is not fixed on a GPU (1.3e-3 m seen)."""
     if device == "cpu":
         return 0.0
-    return 3e-3 if engine == "newton" else 1e-6
+    return 3e-3 if engine == "mujoco_warp" else 1e-6
 
 
 @ENGINES
@@ -189,7 +188,7 @@ def test_arrays_of_mujoco_warp_are_those_of_the_same_draws(device):
     for plan in range(2):
         every = draw_properties(scene, layout, (plan + 1) * SAMPLES, seed=2)
         expected = randomized_arrays(world, every)
-        assert len(simulator.redraw.names) == 10
+        assert len(simulator.redraw.names) == 10 + (world.model.ntendon > 0)
         for name in simulator.redraw.names:
             found, own = getattr(simulator.model, name).numpy(), expected[name][plan * SAMPLES :]
             np.testing.assert_allclose(found.reshape(SAMPLES, -1), own.reshape(SAMPLES, -1), rtol=1e-6, err_msg=name)
@@ -220,7 +219,7 @@ def test_over_many_plans_draws_have_the_distribution_that_is_said(device):
 
 
 def test_solvers_that_keep_their_worlds_say_so():
-    scene = pushing(engine={"name": "newton", "solver": "xpbd"})
+    scene = pushing(engine={"name": "newton"})
     with pytest.raises(SceneError, match="keep what was drawn first"):
         Controller(scene, device="cpu", compiled=compiled(scene))
 

@@ -11,9 +11,9 @@ from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, SceneError, State
 from warpmpc.engine import launched
+from warpmpc.engine.protocol import TimeGrid
 from warpmpc.engine.registry import ENGINES, PhysicsSteps, physics_steps, register
-from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.physics import missing
+from warpmpc.physics import unsupported
 
 UNEVEN = (0.04, 0.05, 0.06)
 
@@ -80,7 +80,7 @@ def test_an_engine_runs_on_the_devices_of_its_entry_alone(enter):
 
 @pytest.mark.parametrize("capturable", [True, False])
 def test_a_plan_is_captured_where_device_terms_and_entry_allow_it(enter, capturable, device):
-    like = "newton" if device.startswith("cuda") else "mujoco"
+    like = "mujoco_warp" if device.startswith("cuda") else "mujoco"
     enter("maybe", like, capturable=capturable)
     scene = scene_of((0.04,))
     controller = Controller(scene, engine="maybe", device=device, compiled=compiled(scene))
@@ -99,7 +99,7 @@ def test_auto_takes_the_fused_engine_where_it_can_do_what_the_scene_asks_for(mon
     assert controller.engine.name == "fused"
     controller.step(State.start(controller.layout))
     rk4 = int(mujoco.mjtIntegrator.mjINT_RK4)
-    monkeypatch.setitem(missing._CHECKS, "integrators of order four", lambda p: p.mj.opt.integrator == rk4)
+    monkeypatch.setitem(unsupported._CHECKS, "integrators of order four", lambda p: p.mj.opt.integrator == rk4)
     fourth = make_scene(planner={"samples": 4, "horizon": 2}, engine={"integrator": "rk4"})
     assert Controller(fourth, device="cpu", compiled=compiled(fourth)).engine.name == "mujoco"
     with pytest.raises(SceneError, match="engine fused has no integrators") as caught:

@@ -7,7 +7,7 @@ import pytest
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import Controller, SceneError, State
-from warpmpc.engine.timegrid import TimeGrid
+from warpmpc.engine.protocol import TimeGrid
 
 
 def grid(**planner) -> TimeGrid:
@@ -49,7 +49,7 @@ def test_a_list_has_one_length_for_every_step():
         grid(dt=(0.1, 0.2))
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+@pytest.mark.parametrize("engine", ["mujoco", "mujoco_warp"])
 @pytest.mark.parametrize("dt", [(0.04, 0.05, 0.08, 0.08, 0.08), {"first": 0.04, "last": 0.1}])
 def test_physics_of_one_length_refuses_steps_that_are_no_multiple_of_it(dt, engine):
     scene = make_scene(planner={"samples": 4, "horizon": 5, "dt": dt})

@@ -8,10 +8,10 @@ from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.joints import joint_table
-from warpmpc.model.link_pairs import moving_bodies
-from warpmpc.model.spheres import fit_spheres
+from warpmpc.scene.model.joints import joint_table
+from warpmpc.scene.model.pairs import moving_bodies
+from warpmpc.scene.model.spheres import fit_spheres
+from warpmpc.scene.model.trajectory import BatchSize
 
 SHAPE = BatchSize(1, 16, 1, 4)
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from small_scenes import layout_of, make_scene
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.joints import joint_table
+from warpmpc.scene.model.joints import joint_table
+from warpmpc.scene.model.trajectory import BatchSize
 
 SHAPE = BatchSize(2, 3, 2, 6)
 DT = np.array([0.02, 0.02, 0.02, 0.04, 0.08, 0.2])

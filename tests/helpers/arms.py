@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from small_scenes import layout_of, make_scene
 
 from warpmpc import Scene
-from warpmpc.model.layout import Layout, ShapeInfo
+from warpmpc.scene.model.layout import Layout, ShapeInfo
 
 DATA = "package://example-robot-data/robots"
 ARMS = {

@@ -13,8 +13,9 @@ import numpy as np
 import warp as wp
 
 import warpmpc.physics
-from warpmpc.bake import simd
 from warpmpc.physics.meshes import Hulls
+from warpmpc.physics.runtime import bake
+from warpmpc.physics.version import RULES
 
 NATIVE = Path(warpmpc.physics.__file__).parent / "native"
 EXTRA = ""
@@ -128,9 +129,9 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         speed: `put` keeps what it gets anywhere, which costs little.
         tables: Constants before the functions.
     """
-    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", simd._ONE)
-    one = f"#if defined(__CUDA_ARCH__)\n{simd._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
-    head = "\n".join(f"#undef {name}" for name in simd.NAMES) + "\n" + one if lanes == 1 else simd.header(lanes)
+    on_cpu = re.sub(r"\b(f\w+f|sqrtf|rintf)\b\(", r"__builtin_\1(", bake._ONE)
+    one = f"#if defined(__CUDA_ARCH__)\n{bake._ONE}#else\n{on_cpu}#endif\n#define LANES 1\n"
+    head = "\n".join(f"#undef {name}" for name in bake.NAMES) + "\n" + one if lanes == 1 else bake.header(lanes)
     cases = "\n".join(f"    case {k}: {name}(w, pair, 0, 1, YES); break;" for k, name in enumerate(calls))
     text = head + _WORLD.replace("SOURCE", "\n".join((NATIVE / f).read_text() for f in ("collide_common.h", *files)))
     # the cases hold words of the others
@@ -141,6 +142,7 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         "MARGIN": f"{MARGIN}f",
     }
     words |= {"TABLES": tables, "MOST": str(MOST), "ROW": str(ROW), "SPEED": str(int(speed))}
+    words |= {rule: str(value) for rule, value in RULES.items()}
     for word, value in words.items():
         text = re.sub(rf"\b{re.escape(word)}" + (r"\b" if word[-1] != ")" else ""), value, text)
     if lanes > 1:
@@ -159,7 +161,7 @@ def make_kernel(files, calls, *, lanes: int, speed: bool = False, tables: str = 
         blocks: wp.array[int],
     ): ...
 
-    flags = (wp.config.cpu_compiler_flags or "") + (simd.WIDE if lanes == 16 else "") + EXTRA
+    flags = (wp.config.cpu_compiler_flags or "") + (bake.WIDE if lanes == 16 else "") + EXTRA
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": flags})
     def kernel(

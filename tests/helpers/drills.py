@@ -6,8 +6,8 @@ from faulty_robots import FaultyRobot
 from small_scenes import compiled, layout_of, make_scene
 
 from warpmpc import Plan, RobotLoop, simulated_robot
-from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.messages import TimedPlan
+from warpmpc.loop.realtime.agent import Agent
+from warpmpc.loop.realtime.messages import TimedPlan
 from warpmpc.scene.schema import SplineKind
 
 MOVE = np.array([0.5, 0.2, 0.0], dtype=np.float32)

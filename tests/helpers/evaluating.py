@@ -9,12 +9,11 @@ from small_scenes import layout_of
 from warpmpc import Scene
 from warpmpc.cost.stack import CostEvaluator, CostStack
 from warpmpc.cost.trial import try_terms
-from warpmpc.engine.timegrid import TimeGrid
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.layout import Layout
-from warpmpc.model.trajectory import Trajectory
-from warpmpc.task.observed import ObservedState
-from warpmpc.task.task import Task
+from warpmpc.engine.protocol import TimeGrid
+from warpmpc.scene.model.layout import Layout
+from warpmpc.scene.model.trajectory import BatchSize, Trajectory
+from warpmpc.scene.task.observed import ObservedState
+from warpmpc.scene.task.task import Task
 
 
 class Evaluating:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from warpmpc import PlannerProcess, Plant, State
-from warpmpc.realtime.messages import TimedObservation, TimedPlan
+from warpmpc.loop.realtime.messages import TimedObservation, TimedPlan
 
 
 class FaultyRobot:

@@ -11,7 +11,7 @@ import warp as wp
 from warpmpc import Controller, Scene, State
 from warpmpc.cost.stack import CostEvaluator
 from warpmpc.engine.protocol import Proposal
-from warpmpc.model.trajectory import Trajectory
+from warpmpc.scene.model.trajectory import Trajectory
 
 
 def held(knots: np.ndarray, device: str = "cpu") -> Proposal:

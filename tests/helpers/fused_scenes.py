@@ -13,14 +13,13 @@ import warp as wp
 import warpmpc
 from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco import MujocoSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.mujoco_model import Options
-from warpmpc.model.pairs import Pair, collision_pairs
-from warpmpc.model.properties import draw_properties
-from warpmpc.model.trajectory import Trajectory
 from warpmpc.physics import model as physics_model
-from warpmpc.task.observed import ObservedState
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.mujoco_model import Options
+from warpmpc.scene.model.pairs import Pair, collision_pairs
+from warpmpc.scene.model.properties import draw_properties
+from warpmpc.scene.model.trajectory import BatchSize, Trajectory
+from warpmpc.scene.task.observed import ObservedState
 
 EDGE = 3e-7
 """How far states are moved to see how MuJoCo C itself replies to the rounding of floats [m, rad]."""
@@ -132,10 +131,15 @@ class Comparison:
         return {name: getattr(out, name).numpy()[-self.horizon :].astype(float).copy() for name in names}
 
     def ends(self, nudge: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
-        """How far joint coordinates are apart after the whole horizon ``[W]``, and how far MuJoCo C takes a nudge."""
+        """How far joint coordinates are apart after the whole horizon ``[W]``, and how far MuJoCo C takes a nudge.
+
+        The nudge is a share of coordinates above one, such as wheels' angles, which single precision holds no better.
+        """
         control = self._controls()
         ours, theirs = (self._roll(engine, control)["joint_q"][-1:] for engine in (self.fused, self.mujoco))
-        near = self._nudged(control, nudge * self._directions()).joint_q.numpy()[-1:]
+        self.mujoco.clone(self.state)
+        size = np.maximum(1.0, np.abs(self.mujoco.initial[:, 1 : 1 + self.mujoco.model.nq]))
+        near = self._nudged(control, nudge * size * self._directions()).joint_q.numpy()[-1:]
         return _most(ours - theirs), _most(near - theirs)
 
     def _controls(self) -> np.ndarray:

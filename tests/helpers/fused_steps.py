@@ -12,7 +12,7 @@ import numpy as np
 
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics import rollout
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

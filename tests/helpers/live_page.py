@@ -17,8 +17,7 @@ import viser
 from needs import CHROMIUM
 from playwright.sync_api import TimeoutError, sync_playwright
 
-from warpmpc.live.access import Access
-from warpmpc.live.page import serve
+from warpmpc.extras.live.page import Access, serve
 
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT = 60e3
@@ -111,4 +110,24 @@ def press(part, key, *, until):
         part.press(key, timeout=WAIT)
         pause = time.monotonic() + 1.0
         while not until() and time.monotonic() < pause:
+            time.sleep(0.02)
+
+
+def choose(page, name, option, condition):
+    """Take an option of a list by their names, until a condition is true.
+
+    The list is opened again in each try: a part that is drawn anew just then closes it.
+    """
+    box = page.get_by_role("combobox", name=name, exact=True)
+    shown = page.get_by_role("option", name=option, exact=True)
+    end = time.monotonic() + 40.0
+    while not condition():
+        assert time.monotonic() < end, f"no choice of {option}"
+        with suppress(TimeoutError):
+            if not shown.is_visible():
+                box.press("ArrowDown", timeout=2e3)
+                shown.wait_for(timeout=2e3)
+            shown.click(force=True, timeout=2e3)
+        pause = time.monotonic() + 3.0
+        while not condition() and time.monotonic() < pause:
             time.sleep(0.02)

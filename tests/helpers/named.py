@@ -19,9 +19,9 @@ from pydantic import BaseModel
 
 from warpmpc import Scene
 from warpmpc.cli.main import app
-from warpmpc.robots.drivers import DRIVERS
+from warpmpc.cost.terms import TERMS
 from warpmpc.scene.describe import keys
-from warpmpc.terms import TERMS
+from warpmpc.scene.registry import ROBOTS
 
 FOREIGN = frozenset(
     [
@@ -174,7 +174,7 @@ def missing(page: str) -> list[str]:
         if kind == "sh":
             found += [name for line in body.splitlines() for name in _command(line.partition(" #")[0])]
         elif kind == "toml":
-            files = [[driver.settings] for driver in DRIVERS.values() if driver.settings]
+            files = [[driver.settings] for driver in ROBOTS.values() if driver.settings]
             paths = list(_paths(tomllib.loads(body)))
             if not any(all(is_key(path, [*sections]) for path in paths) for sections in files):
                 found += [".".join(path) for path in paths if not is_key(path)]

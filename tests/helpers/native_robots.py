@@ -16,11 +16,11 @@ from needs import reason
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import CompiledScene, compile_scene
+from warpmpc.scene.model.compiled import CompiledScene, compile_scene
+from warpmpc.scene.model.trajectory import BatchSize
 
 if TYPE_CHECKING:
-    from warpmpc.model.trajectory import Trajectory
+    from warpmpc.scene.model.trajectory import Trajectory
 
 QUADROTOR = """
 <mujoco model="quadrotor">

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warpmpc.model.assets import package_dirs
 from warpmpc.scene.load import shipped_scenes
+from warpmpc.scene.model.assets import package_dirs
 
 CHROMIUM = Path("/usr/bin/chromium")
 CUDA = "a CUDA device"
@@ -22,7 +22,7 @@ COMMANDS = {
     "Chromium": "apt-get install chromium",
     "dm_control": 'pip install -e ".[bench]"',
     "g++": "apt-get install g++",
-    **dict.fromkeys(("h5py", "mcap", "minari", "rosbags"), 'pip install -e ".[export]"'),
+    **dict.fromkeys(("h5py", "mcap", "rosbags"), 'pip install -e ".[export]"'),
     "gymnasium_robotics": "pip install --no-deps gymnasium-robotics",
     "mjlab": 'pip install --no-deps "mjlab==1.6.0"',
     "mkdocs_autorefs": 'pip install -e ".[docs]"',

@@ -7,10 +7,10 @@ import numpy as np
 from small_scenes import compiled, layout_of, make_scene
 
 from warpmpc.cost.stack import CostStack
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.properties import draw_properties
 from warpmpc.planner.step import PlanStep
-from warpmpc.task.task import Task
+from warpmpc.scene.model.properties import draw_properties
+from warpmpc.scene.model.trajectory import BatchSize
+from warpmpc.scene.task.task import Task
 
 PLANNER = {"samples": 48, "horizon": 8, "noise": {"sigma": (0.5,)}}
 

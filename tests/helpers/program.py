@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
@@ -69,3 +70,16 @@ def results(done: subprocess.CompletedProcess[str]) -> list[dict]:
 def untimed(result: dict) -> dict:
     """A result without its wall times."""
     return {key: value for key, value in result.items() if key not in ("plan_ms", "stages_ms")}
+
+
+@contextmanager
+def small_disk(size: int):
+    """Files hold no more than some bytes, as on a disk that is full."""
+    import resource  # not on Windows
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)

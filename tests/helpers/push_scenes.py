@@ -7,7 +7,7 @@ import numpy as np
 from small_scenes import compiled, make_scene
 
 from warpmpc.cost.resources.geodesic import Grid
-from warpmpc.cost.resources.push_path import PushRequest
+from warpmpc.cost.resources.push_value import PushRequest
 
 YAWS = [0.0, 0.2, 0.7, np.pi / 4]
 

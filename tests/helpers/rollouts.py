@@ -6,7 +6,7 @@ from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, DISC, WALL, make_scene
 
-from warpmpc.model.batch_size import BatchSize
+from warpmpc.scene.model.trajectory import BatchSize
 
 TURN = (0.2, -0.4, 0.1, 0.9)
 OBSTACLES = [

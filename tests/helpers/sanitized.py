@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts whose CPU source is compiled with AddressSanitizer and UBSan: a script, in a process of its own.
+"""Compiled code of the CPU under AddressSanitizer with UBSan, or ThreadSanitizer: a script, in a process of its own.
 
-    python tests/helpers/sanitized.py random SEED COUNT    # that many random models
-    python tests/helpers/sanitized.py limits               # more contacts, corners and sides than there is room for
-    python tests/helpers/sanitized.py faulty               # an index out of bounds, which is to be found
+    python tests/helpers/sanitized.py random SEED COUNT      # that many random models
+    python tests/helpers/sanitized.py limits                 # more contacts, corners and sides than there is room for
+    python tests/helpers/sanitized.py packages PART PARTS    # one part of the small models of installed packages
+    python tests/helpers/sanitized.py threads CLASS          # a public class (threaded_use.py), used by several threads
+    python tests/helpers/sanitized.py faulty                 # an index out of bounds, which is to be found
+    python tests/helpers/sanitized.py racing CLASS           # a race of the worlds, which is to be found
 
 :func:`run` starts it with the sanitizers' libraries. It prints a line for each model; what the sanitizers find is on
 standard error, and an AddressSanitizer error ends it.
@@ -12,6 +15,7 @@ standard error, and an AddressSanitizer error ends it.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -26,15 +30,27 @@ CHECKS = (
 )
 """UBSan's checks; those of pointers (alignment, null, pointer-overflow) are left to AddressSanitizer: they stand at
 every access, and compilers take minutes. Unoptimized, since then it takes seconds."""
-FLAGS = f"-fsanitize=address,{CHECKS} -fsanitize-recover={CHECKS} "
+LIBRARIES = {"address": ("libasan.so", "libubsan.so"), "thread": ("libtsan.so",)}
+OPTIONS = {"ASAN_OPTIONS": "detect_leaks=0:detect_odr_violation=0", "TSAN_OPTIONS": "exitcode=0"}
+IGNORED = "fun:*tile_shared_storage*\nfun:*_cpu_forward*dispatch*\nfun:*_cpu_forward\n"
+"""Functions of Warp around a kernel: all threads write one address there, which kernels with tiles alone read."""
+COPIES = """
+#include <string.h>
+void *__tsan_memcpy(void *to, const void *from, size_t n) { return memcpy(to, from, n); }
+void *__tsan_memmove(void *to, const void *from, size_t n) { return memmove(to, from, n); }
+void *__tsan_memset(void *to, int value, size_t n) { return memset(to, value, n); }
+"""
+"""What Warp's compiler calls and GCC's library lacks: it watches the C library's own."""
+SMALL = 16
+"""Most degrees of freedom of a package's model, whose source then compiles in seconds."""
 WORLDS, STEPS = 21, 12
 """Worlds that fill no register to its end, and steps."""
 
 
-def libraries() -> list[str]:
-    """Files of the sanitizers' libraries; none without a compiler that has them."""
+def libraries(sanitizer: str = "address") -> list[str]:
+    """Files of a sanitizer's libraries; none without a compiler that has them."""
     found = []
-    for name in ("libasan.so", "libubsan.so"):
+    for name in LIBRARIES[sanitizer]:
         try:
             told = subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
         except (OSError, subprocess.CalledProcessError):
@@ -43,15 +59,35 @@ def libraries() -> list[str]:
     return found if all(os.path.isabs(path) for path in found) else []
 
 
-def run(*arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
+def _flags(sanitizer: str, folder: Path) -> str:
+    """Warp's compiler flags; files that they name are in the folder."""
+    if sanitizer == "address":
+        return f"-fsanitize=address,{CHECKS} -fsanitize-recover={CHECKS} "
+    (folder / "ignored").write_text(IGNORED)
+    return f"-fsanitize=thread -fsanitize-ignorelist={folder / 'ignored'} "
+
+
+def _preloaded(sanitizer: str, folder: Path) -> str:
+    """Libraries that the process begins with."""
+    if sanitizer == "address":
+        return " ".join(libraries())
+    command = ["gcc", "-shared", "-fPIC", "-fno-builtin", "-xc", "-", "-o", str(folder / "copies.so")]
+    subprocess.run(command, input=COPIES, text=True, check=True)
+    return " ".join([*libraries(sanitizer), str(folder / "copies.so")])
+
+
+def run(*arguments: str, timeout: float, sanitizer: str = "address") -> subprocess.CompletedProcess[str]:
     """Run the script with a cache of kernels of its own."""
-    with tempfile.TemporaryDirectory() as cache:
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(__file__).parent
+        paths = [str(here), str(here.parents[1] / "tools"), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {
             **os.environ,
-            "LD_PRELOAD": " ".join(libraries()),
-            "ASAN_OPTIONS": "detect_leaks=0:detect_odr_violation=0",
-            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]),
-            "SANITIZED_CACHE": cache,
+            **OPTIONS,
+            "LD_PRELOAD": _preloaded(sanitizer, Path(folder)),
+            "PYTHONPATH": os.pathsep.join(paths),
+            "SANITIZED_CACHE": folder,
+            "SANITIZED_FLAGS": _flags(sanitizer, Path(folder)),
         }
         command = [sys.executable, __file__, *arguments]
         return subprocess.run(
@@ -61,12 +97,19 @@ def run(*arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
 
 def reports(done: subprocess.CompletedProcess[str]) -> list[str]:
     """Lines in which the sanitizers tell what they found; the end of the output of a process that ended otherwise."""
-    lines = done.stderr.splitlines()
-    found = [line for line in lines if "runtime error:" in line or "ERROR: AddressSanitizer" in line]
-    return found or (lines[-5:] or ["it died"] if done.returncode else [])
+    signs = "runtime error:", "ERROR: AddressSanitizer", "WARNING: ThreadSanitizer", "FATAL: ThreadSanitizer"
+    blocks = [text for text in done.stderr.split("=" * 18) if not _of_others(text)]
+    found = [line for text in blocks for line in text.splitlines() if any(sign in line for sign in signs)]
+    return found or (done.stderr.splitlines()[-5:] or ["it died"] if done.returncode else [])
 
 
-def roll(text: str, lanes: int | None) -> None:
+def _of_others(text: str) -> bool:
+    """Whether a race is with a thread of MuJoCo's pool or of USD's, whose locks are unseen, and no code of Warp's."""
+    alien = "GLOBAL__N_14Pool" in text or "libtbb" in text
+    return alien and re.search(r"^ +#\d+ .*(\(0x|warp\.so)", text, re.MULTILINE) is None
+
+
+def roll(text: str | mujoco.MjModel, lanes: int | None) -> None:
     """Roll out from ordinary states, from far ones and fast, and from some that are no numbers.
 
     Args:
@@ -76,9 +119,9 @@ def roll(text: str, lanes: int | None) -> None:
     from fused_models import controls, starts
 
     from warpmpc.physics import rollout
-    from warpmpc.physics.plain import PlainRollout
+    from warpmpc.physics.plain_rollout import PlainRollout
 
-    model = mujoco.MjModel.from_xml_string(text)
+    model = mujoco.MjModel.from_xml_string(text) if isinstance(text, str) else text
     control = controls(model, STEPS, WORLDS)
     engine = PlainRollout(model, WORLDS, STEPS, lanes=lanes) if lanes else rollout.Rollout(fall_back=False)
     for case, speed in enumerate((1.0, 30.0, 1.0)):
@@ -167,21 +210,56 @@ def limits() -> None:
             print(f"{name}, {lanes or 'all'} lanes", flush=True)
 
 
-def faulty() -> None:
-    """A source with an error of each kind."""
-    from warpmpc.physics.parts import Parts
+def packages(part: int, parts: int) -> None:
+    """Small models of installed packages that this physics steps: every so many, in the order of their names."""
+    from shared.packages import load_file, package_files
+
+    from warpmpc.physics.sensors import unread_sensors
+    from warpmpc.physics.unsupported import missing
+
+    for name in sorted(package_files())[part::parts]:
+        try:
+            model = load_file(name)
+        except (ValueError, OSError):
+            continue  # a part of others, or meshes that the package lacks
+        if 0 < model.nv <= SMALL and not missing(model) and not unread_sensors(model):
+            roll(model, None)
+            print(name, flush=True)
+
+
+def planted(wrong: str) -> None:
+    """End every rollout's source with a fault."""
+    from warpmpc.physics.source_parts import Parts
 
     write = Parts.rollouts
-    wrong = """
+    Parts.rollouts = lambda self: write(self) + wrong
+
+
+def faulty() -> None:
+    """A source with an error of each kind."""
+    planted("""
     {
         const int n = k.domains + 3;
         float few[4] = {};
         w.q[0] += (float)(1 << (n + 28));  // before the one that ends it
         few[n] = 1.0f;
         w.q[0] += few[n];
-    }"""
-    Parts.rollouts = lambda self: write(self) + wrong
+    }""")
     roll(_pile('type="box" size=".1 .08 .05"'), 1)
+
+
+def threads(name: str) -> None:
+    """A public class in several threads."""
+    from threaded_use import USES
+
+    USES[name]()
+    print(name, flush=True)
+
+
+def racing(name: str) -> None:
+    """Worlds that count in one place."""
+    planted("{ static int count = 0; count += 1; w.q[0] += 1e-30f * count; }")
+    threads(name)
 
 
 def main() -> None:
@@ -190,11 +268,10 @@ def main() -> None:
 
     wp.config.quiet = True
     wp.config.kernel_cache_dir = os.environ["SANITIZED_CACHE"]
-    wp.config.cpu_compiler_flags, wp.config.optimization_level = FLAGS, 0
-    if sys.argv[1] == "random":
-        random(int(sys.argv[2]), int(sys.argv[3]))
-    else:
-        {"limits": limits, "faulty": faulty}[sys.argv[1]]()
+    wp.config.cpu_compiler_flags, wp.config.optimization_level = os.environ["SANITIZED_FLAGS"], 0
+    command, *arguments = sys.argv[1:]
+    chosen = {f.__name__: f for f in (random, limits, packages, threads, faulty, racing)}[command]
+    chosen(*(int(a) if a.isdecimal() else a for a in arguments))
 
 
 if __name__ == "__main__":

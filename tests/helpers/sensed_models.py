@@ -87,7 +87,7 @@ BUSY = """
     <jointlimitpos joint="ball"/><jointlimitvel joint="ball"/><jointlimitfrc joint="ball"/>
     <tendonlimitpos tendon="mix"/><tendonlimitvel tendon="mix"/><tendonlimitfrc tendon="mix"/>
     <tendonlimitpos tendon="cord"/><tendonlimitfrc tendon="cord"/>
-    <e_potential/><e_kinetic/><rangefinder site="grip"/>
+    <e_potential/><e_kinetic/><rangefinder site="grip" data="dist normal"/>
     <contact name="net" subtree1="cart" geom2="floor" num="1" reduce="netforce"
       data="found force torque dist pos normal tangent"/>
     <contact name="other" geom1="floor" body2="cart" num="1" reduce="netforce" data="force"/>
@@ -106,6 +106,8 @@ RAYS = """
   <asset>
     <mesh name="wedge" vertex="0 0 0  .5 0 0  0 .4 0  0 0 .6  .4 .4 .1"/>
     <material name="glass" rgba="1 1 1 0"/>
+    <hfield name="hills" nrow="4" ncol="6" size=".7 .5 .4 .2"
+      elevation="0 .3 1 .2 .4 .8  .5 .9 .1 .6 1 .3  .2 0 .7 .8 .1 .5  1 .4 .3 .9 .6 0"/>
   </asset>
   <default><geom contype="0" conaffinity="0"/></default>
   <worldbody>
@@ -113,6 +115,7 @@ RAYS = """
     <geom type="box" size=".3 .2 .4" pos="1 0 0" euler="10 20 30"/>
     <geom type="ellipsoid" size=".3 .2 .5" pos="-1 0 .1" euler="40 20 30"/>
     <geom type="mesh" mesh="wedge" pos="0 1.2 0" euler="0 30 10"/>
+    <geom type="hfield" hfield="hills" pos="-.3 1 -.8" euler="25 -20 30"/>
     <geom type="sphere" size=".9" material="glass"/>
     <geom type="sphere" size=".8" rgba="0 0 0 0"/>
     <body pos="0 -1.2 0">
@@ -130,7 +133,9 @@ RAYS = """
   </worldbody>
   <sensor>
     <rangefinder site="beam"/><rangefinder site="a" cutoff=".9"/><rangefinder site="b"/><rangefinder site="c"/>
-    <rangefinder site="d"/><rangefinder site="e"/><rangefinder site="f" data="dist dir origin point depth"/>
+    <rangefinder site="d"/><rangefinder site="e"/><rangefinder site="f" data="dist dir origin point normal depth"/>
+    <rangefinder site="a" data="normal"/><rangefinder site="b" data="normal"/><rangefinder site="c" data="normal"/>
+    <rangefinder site="d" data="normal"/><rangefinder site="e" data="normal"/>
   </sensor>
 </mujoco>
 """

@@ -13,13 +13,13 @@ import warp as wp
 
 from warpmpc import Scene
 from warpmpc.engine.mujoco import MujocoSimulator
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.compiled import CompiledScene, compile_scene
-from warpmpc.task.observed import ObservedState
-from warpmpc.task.task import task_layout
+from warpmpc.scene.model.compiled import CompiledScene, compile_scene
+from warpmpc.scene.model.trajectory import BatchSize
+from warpmpc.scene.task.observed import ObservedState
+from warpmpc.scene.task.task import task_layout
 
 if TYPE_CHECKING:
-    from warpmpc.model.layout import Layout
+    from warpmpc.scene.model.layout import Layout
 
 DISC = {
     "name": "base",
@@ -43,7 +43,7 @@ def plain(planner: dict, control_dt: float) -> dict:
     own = BY_ITSELF.get(planner.get("method"), ())
     out = {key: value for key, value in PLAIN.items() if key not in own} | {"dt": control_dt} | planner
     noise, rounds = planner.get("noise", {}), out.get("iterations", 2) > 1
-    form = planner.get("covariance", {}).get("form", "sigma" if planner.get("method") == "cem" else "fixed")
+    form = planner.get("covariance", {}).get("form", "knots" if planner.get("method") == "cem" else "fixed")
     shape = {key: value for key, value in PLAIN_NOISE.items() if key not in own}
     temperature = planner.get("temperature", {})
     steered = {} if temperature.keys() & {"ess", "eta"} else {"eta": (5.0, 10.0)}
@@ -77,7 +77,8 @@ def make_scene(**sections) -> Scene:
 
 def compiled(scene: Scene) -> CompiledScene:
     """Compile a scene once per run."""
-    bodies = scene.model_dump_json(include={"robot", "object", "obstacle", "ground"})
+    parts = dict.fromkeys(("robot", "object", "obstacle", "ground"), True)
+    bodies = scene.model_dump_json(include={**parts, "engine": {"gravity"}})
     return _compiled(bodies, str(scene.path))
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpmpc import Controller, Scene
-from warpmpc.derivatives.expansion import Differences
-from warpmpc.derivatives.residuals import Residuals
-from warpmpc.derivatives.rollouts import PolicyRollouts
-from warpmpc.derivatives.tangent import Tangent
 from warpmpc.engine.registry import EngineRequest, PhysicsSteps, physics_steps
+from warpmpc.planner.derivatives.expansion import Differences
+from warpmpc.planner.derivatives.residuals import Residuals
+from warpmpc.planner.derivatives.rollouts import PolicyRollouts, Tangent
 
 
 @dataclass

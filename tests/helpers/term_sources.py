@@ -9,11 +9,10 @@ import warp as wp
 from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
-from warpmpc.bake.lines import Lines, Matrix, Operand, Vector, known, text
-from warpmpc.bake.simd import WIDE, header, native_lanes
 from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
-from warpmpc.engine.launch_terms import term_source as write_term
-from warpmpc.kernels.terms.view import TASK_BODY, StepView
+from warpmpc.engine.launched import term_source as write_term
+from warpmpc.kernels.cost.view import TASK_BODY, StepView
+from warpmpc.physics.runtime.bake import WIDE, Lines, Matrix, Operand, Vector, header, known, native_lanes, text
 
 
 @wp.struct

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from warpmpc.physics.kernel import RolloutWork
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
+from warpmpc.physics.source_parts import RolloutWork
 
 COMPILER = shutil.which("g++")
 _TYPES = {wp.float32: "float", wp.float64: "double", wp.int32: "int", float: "float", int: "int"}

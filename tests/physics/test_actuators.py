@@ -12,9 +12,8 @@ from needs import needs
 from warp_lanes import LaneRollout
 
 from warpmpc.physics import rollout
-from warpmpc.physics.kinds import KINDS, lacking_kinds
-from warpmpc.physics.missing import missing
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
+from warpmpc.physics.unsupported import KINDS, lacking_kinds, missing
 
 
 def visited(model: mujoco.MjModel, seed: int, worlds: int = 16):
@@ -49,6 +48,27 @@ def test_rollouts_of_muscles_stay_with_those_of_mujoco(integrator):
             nudged = peer.rollout(model, data, near, u)[0]
         sensitive = np.abs(nudged - expected).max(axis=(1, 2))
         assert (np.abs(found - expected).max(axis=(1, 2)) <= 1e-4 + 100.0 * sensitive).all()
+
+
+FREE = """<mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody>
+  <body><freejoint name="free"/><geom type="box" size="0.1 0.2 0.3" mass="2" pos="0.05 0 0.02"/></body></worldbody>
+  <actuator><velocity joint="free" gear="{gear}" kv="{kv}"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("gear", ["0 0 1 0 0 0", "0 0 0 0 1 0"])
+@pytest.mark.parametrize(("kv", "damping"), [(20, (0,) * 6), (0, (6, 6, 6, 1, 2, 3)), (20, (1, 2, 3, 0, 0, 0))])
+def test_a_free_body_is_damped_along_each_axis_as_in_mujoco(kv, damping, gear):
+    """By a servo about one axis, and by dampings that differ between axes."""
+    model = mujoco.MjModel.from_xml_string(FREE.format(gear=gear, kv=kv))
+    model.dof_damping[:] = damping
+    data = mujoco.MjData(model)
+    data.qvel[:] = np.arange(1.0, 7.0)
+    state = np.empty((1, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    mujoco.mj_getState(model, data, state[0], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    u = np.ones((1, 50, 1))
+    with rollout.Rollout(fall_back=False) as own, mujoco.rollout.Rollout(nthread=0) as peer:
+        found, expected = (one.rollout(model, data, state, u)[0] for one in (own, peer))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 @needs("g++")

@@ -9,7 +9,7 @@ import pytest
 from collide_pairs import MESH, draw
 from collide_world import MARGIN, Poses, compare, make_kernel, mesh_tables, model, nanoseconds, ours, theirs
 
-from warpmpc.bake.simd import native_lanes
+from warpmpc.physics.runtime.bake import native_lanes
 
 KINDS = (
     "plane_sphere", "plane_capsule", "plane_box", "plane_cylinder", "plane_ellipsoid", "sphere_sphere",
@@ -102,7 +102,7 @@ def test_equal_boxes_on_each_other_touch_at_four_corners(kernel):
 @pytest.fixture(scope="module", params=sorted({LANES, 1}))
 def convex(request):
     """The functions for pairs of convex shapes."""
-    return make_kernel(("collide_convex.h",), CONVEX, lanes=request.param), request.param
+    return make_kernel(("shapes.h", "collide_convex.h"), CONVEX, lanes=request.param), request.param
 
 
 @pytest.mark.parametrize("margin", [False, True])
@@ -142,7 +142,7 @@ WITH_MESH = ("plane_mesh", "sphere_mesh", "capsule_mesh", "ellipsoid_mesh", "cyl
 def meshes(request):
     """The functions for pairs with a mesh."""
     tables = mesh_tables(model(("box", "mesh"), asset=MESH))
-    return make_kernel(("collide_convex.h",), WITH_MESH, lanes=request.param, tables=tables), request.param
+    return make_kernel(("shapes.h", "collide_convex.h"), WITH_MESH, lanes=request.param, tables=tables), request.param
 
 
 @pytest.mark.parametrize("kind", WITH_MESH)
@@ -171,7 +171,7 @@ def test_a_convex_mesh_has_mujocos_contacts(meshes, kind):
     reason="prints times: WARPMPC_SPEED=1 python -m pytest -s tests/physics/test_collide.py",
 )
 def test_time_of_a_call():
-    for files, kinds, repeat in ((FILES, KINDS, 200), (("collide_convex.h",), CONVEX, 20)):
+    for files, kinds, repeat in ((FILES, KINDS, 200), (("shapes.h", "collide_convex.h"), CONVEX, 20)):
         compiled = make_kernel(files, kinds, lanes=LANES, speed=True)
         for k, kind in enumerate(kinds):
             poses = shallow(kind, 50 * LANES)

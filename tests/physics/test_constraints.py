@@ -13,9 +13,9 @@ from needs import need, needs
 from shared.models import hand_with_block, spread
 from warp_lanes import LaneRollout
 
-from warpmpc.physics.missing import missing
 from warpmpc.physics.model import PhysicsModel
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
+from warpmpc.physics.unsupported import missing
 
 MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmers": SWIMMERS}
 

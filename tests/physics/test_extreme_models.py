@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models at the edges of single precision roll out as in MuJoCo, as far as rounding lets them, or are refused."""
+"""Models at the edges of single precision roll out as in MuJoCo, as far as rounding lets them, or are refused.
+
+Slow ones by hand: pytest -m slow tests/physics/test_extreme_models.py
+"""
 
 import logging
 
@@ -8,7 +11,7 @@ import pytest
 from extreme_models import MODELS, apart
 from hypothesis import HealthCheck, Phase, given, note, settings
 
-from warpmpc.physics.missing import missing
+from warpmpc.physics.unsupported import missing
 
 ROUNDING = 1e-3
 """Difference of coordinates that is left to single precision where MuJoCo itself is calm, after 50 steps [m, rad]."""

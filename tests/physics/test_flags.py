@@ -12,8 +12,7 @@ from fused_models import controls, starts
 from fused_steps import public_differences, visit
 
 from warpmpc.physics import rollout
-from warpmpc.physics.flags import HEEDED, REFUSED, WITHOUT_EFFECT
-from warpmpc.physics.missing import missing
+from warpmpc.physics.unsupported import HEEDED, REFUSED, WITHOUT_EFFECT, missing
 
 ENUMS = {"disableflags": mujoco.mjtDisableBit, "enableflags": mujoco.mjtEnableBit}
 BITS = [

@@ -7,7 +7,7 @@ import pytest
 from fused_models import starts
 from fused_steps import public_differences, visit
 
-from warpmpc.physics.missing import MOST_DOFS, missing
+from warpmpc.physics.unsupported import MOST_DOFS, missing
 
 BALL = """<body pos="{x} {y} {z}"><freejoint/><geom type="{kind}" size="{size}" friction=".6"/></body>"""
 CHAIN = '<body pos=".12 0 0"><joint axis="0 {y} {z}" damping=".02" armature=".01"/><geom type="capsule" '

@@ -9,7 +9,7 @@ import mujoco.rollout
 import numpy as np
 import pytest
 
-from warpmpc.physics import fields
+from warpmpc.physics import model_numbers
 from warpmpc.physics.model import PhysicsModel
 from warpmpc.physics.model_numbers import ModelNumbers
 from warpmpc.physics.outputs import write_outputs
@@ -246,13 +246,19 @@ def models():
     return [make(text) for text in (ALL, VARIANT, REFUSED)]
 
 
-TABLE = (fields.READ, fields.PLACES, fields.FOLLOWS, fields.REFUSED, fields.WITHOUT_EFFECT)
+TABLE = (
+    model_numbers.READ,
+    model_numbers.PLACES,
+    model_numbers.FOLLOWS,
+    model_numbers.REFUSED,
+    model_numbers.WITHOUT_EFFECT,
+)
 
 
 def test_every_field_is_in_the_table_once(models):
     names = every_field(models[0])
     unknown = [name for name in names if sum(name in part for part in TABLE) != 1]
-    assert not unknown, f"say in warpmpc/physics/fields.py what rollouts make of {unknown}"
+    assert not unknown, f"say in warpmpc/physics/model_numbers.py what rollouts make of {unknown}"
     assert not set().union(*TABLE) - set(names) - OF_ANOTHER_MUJOCO
 
 
@@ -260,7 +266,7 @@ def quantities(model, part):
     """Fields of a part of the table that a model has and that hold quantities or switches."""
     for name in sorted(set(every_field(model)) & part):
         value = np.asarray(operator.attrgetter(name)(model))
-        number = value.dtype.kind in "fb" or name in fields.READ or "." in name
+        number = value.dtype.kind in "fb" or name in model_numbers.READ or "." in name
         if value.size and number and not name.startswith(("flex", "n")):
             yield name
 
@@ -279,26 +285,26 @@ def test_what_is_read_changes_rollouts_and_those_of_mujoco(models):
     for model in models[:2]:
         assert lacking(model) is None
         own, key = read(model), ModelNumbers().of([model])[0]
-        for name, other in effects(model, fields.READ - seen):
+        for name, other in effects(model, model_numbers.READ - seen):
             assert read(other) != own or lacking(other), name
             assert ModelNumbers().of([other])[0] != key, name
             seen.add(name)
-    assert seen == fields.READ
+    assert seen == model_numbers.READ
 
 
 def test_what_is_refused_would_change_rollouts_of_mujoco(models):
-    changes = dict(effects(models[0], fields.REFUSED))
+    changes = dict(effects(models[0], model_numbers.REFUSED))
     assert all(lacking(other) for other in changes.values())
     keys = {name: ModelNumbers().of([other])[0] for name, other in changes.items()}
     assert len({*keys.values(), ModelNumbers().of([models[0]])[0]}) == len(keys) + 1
-    changes = {*changes, *(name for name, _ in effects(models[2], fields.REFUSED))}
-    assert changes - UNTRIED == set(quantities(models[2], fields.REFUSED)) - UNTRIED
+    changes = {*changes, *(name for name, _ in effects(models[2], model_numbers.REFUSED))}
+    assert changes - UNTRIED == set(quantities(models[2], model_numbers.REFUSED)) - UNTRIED
 
 
 def test_what_has_no_effect_changes_nothing(models):
     model, rng, nominal = models[0], np.random.default_rng(0), of_mujoco(models[0])
     other = model
-    for name in quantities(model, fields.WITHOUT_EFFECT):
+    for name in quantities(model, model_numbers.WITHOUT_EFFECT):
         np.testing.assert_allclose(of_mujoco(changed(model, name, rng)), nominal, rtol=0.0, atol=1e-9, err_msg=name)
         other = changed(other, name, rng)
     assert lacking(other) is None

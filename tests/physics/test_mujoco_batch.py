@@ -126,6 +126,7 @@ def test_simulations_have_numbers_of_their_own(model, caplog):
         (lambda b: b.expand("dof_damping").__setitem__((3, 0), 2.0), "worlds that differ in dof_damping"),
         (lambda b: b.expand("opt.timestep").__setitem__(3, 0.001), "worlds that differ in opt.timestep"),
         (lambda b: b.set_models(b.model), "models of the caller"),
+        (lambda b: b.expand("body_mass").__setitem__((3, 1), 1e300), "numbers of body_mass beyond single precision"),
     ],
 )
 @pytest.mark.parametrize("nstep", [1, 3])
@@ -142,6 +143,15 @@ def test_mujoco_takes_steps_with_one_line(model, change, cause, nstep, caplog):
     change(refusing)
     with pytest.raises(ValueError, match=cause):
         refusing.step(nstep=nstep)
+
+
+@pytest.mark.parametrize(
+    ("nstep", "error"), [(2**31, TypeError), (2**63, TypeError), (1.5, TypeError), (0, None), (-1, None)]
+)
+def test_a_number_of_steps_that_is_none_is_an_error_as_in_mujoco(model, nstep, error):
+    for batch in pair(model, 0):
+        with pytest.raises(error or mujoco.FatalError):
+            batch.step(nstep=nstep)
 
 
 def test_simulations_that_diverge_are_reset_by_mujoco(model):

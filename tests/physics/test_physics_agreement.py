@@ -4,6 +4,8 @@
 The reference solves to the end (`fused_steps.exact`); floats then agree to 1e-6 of typical velocities. Where MuJoCo C
 itself jumps when its state moves by the rounding of a float, because a contact begins or ends there, nothing can agree:
 these states are counted and left out.
+
+Slow ones by hand: pytest -m slow tests/physics/test_physics_agreement.py
 """
 
 import functools
@@ -15,7 +17,7 @@ from fused_scenes import Comparison
 from fused_steps import step_differences, visit
 from shared.models import OWN, spread
 
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 
 JUMPS = 1e-4
 """States where MuJoCo C's own step changes so much by rounding are left out [m/s, rad/s]."""

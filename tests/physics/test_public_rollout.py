@@ -235,11 +235,11 @@ def test_a_warm_start_changes_no_result():
 
 @pytest.mark.parametrize(
     ("sensors", "named"),
-    [('<user dim="1"/>', "user"), ('<rangefinder site="s" data="normal"/>', "rangefinder")],
+    [('<user dim="1"/>', "user"), ('<rangefinder camera="s"/>', "rangefinder")],
 )
 def test_what_it_lacks_is_rolled_out_by_mujoco_with_one_line(caplog, sensors, named):
     model, start, control = pushed()
-    text = PUSHED.replace("SENSORS", sensors).replace("<freejoint/>", '<freejoint/><site name="s"/>')
+    text = PUSHED.replace("SENSORS", sensors).replace("<freejoint/>", '<freejoint/><camera name="s" resolution="2 2"/>')
     model = mujoco.MjModel.from_xml_string(text)
     with caplog.at_level(logging.INFO, "warpmpc"), rollout.Rollout() as ours:
         for _ in range(2):

@@ -2,6 +2,8 @@
 """The engine `fused` against MuJoCo C on random small models.
 
 Trees, joints, shapes, drives, contacts, friction of joints, equalities, tendons and activations.
+
+Slow ones by hand: pytest -m slow tests/physics/test_random_models.py
 """
 
 from collections.abc import Callable
@@ -14,7 +16,7 @@ from fused_steps import public_differences, step_differences, visit
 from hypothesis import HealthCheck, Phase, given, note, settings
 from random_models import models
 
-from warpmpc.physics.missing import missing
+from warpmpc.physics.unsupported import missing
 
 # every example is a model to compile: no search for a smaller one
 quiet = settings(deadline=None, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))

@@ -5,6 +5,8 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 import pytest
+from native_robots import installed
+from needs import needs
 from sensed_models import BUSY, RAYS, drawn
 
 from warpmpc.physics import BatchSimulator, rollout
@@ -69,7 +71,7 @@ def test_rays_meet_geoms_of_all_kinds():
                 along = data.site_xmat[site].reshape(3, 3)[:, 2].copy()
                 mujoco.mj_ray(model, data, data.site_xpos[site], along, None, 1, model.site_bodyid[site], hit, None)
                 met.add(int(model.geom_type[hit[0]]) if hit[0] >= 0 else -1)
-    assert len(met) == 8, met  # of seven kinds, and nothing
+    assert len(met) == 9, met  # of eight kinds, and nothing
 
 
 def test_a_simulator_reads_what_the_state_that_it_has_reached_tells():
@@ -116,7 +118,6 @@ def test_all_kinds_of_sensors_are_read_or_refused():
         ('<normal geom1="ball" geom2="plane" cutoff="1"/>', "geomnormal"),
         ('<fromto geom1="ball" geom2="plane" cutoff="1"/>', "geomfromto"),
         ('<rangefinder camera="eye"/>', "rangefinder (of a camera)"),
-        ('<rangefinder site="beam" data="normal"/>', "rangefinder (normal)"),
         ('<gyro site="beam" delay=".02" nsample="3"/>', "gyro (delay, interval)"),
     ],
 )
@@ -129,3 +130,28 @@ def test_what_is_not_read_is_refused_by_name(sensor, named):
     assert rollout.lacking(model)
     with pytest.raises(ValueError, match=named.split(" ")[0]):
         BatchSimulator(model, 2)
+
+
+def test_models_whose_sensors_are_off_are_stepped_all_the_same():
+    off = '<option><flag sensor="disable"/></option><default>'
+    text = RAYS.replace("<sensor>", '<sensor><user dim="2"/>').replace("<default>", off)
+    model = mujoco.MjModel.from_xml_string(text)
+    assert not rollout.lacking(model)
+    sim = BatchSimulator(model, 2)
+    sim.step()
+    assert not sim.sensordata.any()
+
+
+@needs("mjlab")
+def test_an_arm_of_mjlab_as_it_is_has_room_for_its_contacts():
+    model = mujoco.MjModel.from_xml_path(str(installed("mjlab", "asset_zoo/robots/i2rt_yam/xmls/yam.xml")))
+    q = np.random.default_rng(0).uniform(*model.jnt_range.T, size=(200, model.nq))
+    data, touching = mujoco.MjData(model), []
+    for data.qpos[:] in q:
+        mujoco.mj_forward(model, data)
+        touching.append(data.ncon)
+    assert max(touching) > 30
+    sim = BatchSimulator(model, len(q))
+    sim.reset(qpos=q)
+    sim.step()
+    assert not sim.overflow.any()

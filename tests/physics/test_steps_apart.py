@@ -6,9 +6,9 @@ import pytest
 from fused_models import CONTACTS, compile_model, controls, starts
 from small_scenes import compiled, make_scene
 
-from warpmpc.controller.controller import Controller
-from warpmpc.physics.kernel import make_kernel
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
+from warpmpc.physics.source_parts import make_kernel
+from warpmpc.planner.controller.controller import Controller
 
 WORLDS, STEPS = 21, 30
 

@@ -4,7 +4,7 @@
 import numpy as np
 import warp as wp
 
-from warpmpc.physics.tables import floats, ints, packed
+from warpmpc.physics.source_parts import floats, ints, packed
 
 N = 4000
 READ = "out[i] = t[i]; counts[i] = n[i] + k[i];"

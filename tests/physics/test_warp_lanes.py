@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a warp of a GPU does, lane by lane on the CPU: the same as registers do, whichever lane comes first."""
+"""What a warp of a GPU does, lane by lane on the CPU: the same as registers do, whichever lane comes first.
+
+Slow ones by hand: pytest -m slow tests/physics/test_warp_lanes.py
+"""
 
 from dataclasses import replace
 
@@ -16,14 +19,14 @@ from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 from warp_lanes import LaneRollout, Lanes
 
 from warpmpc.engine.fused_physics import FusedPhysics
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.pairs import Pair
-from warpmpc.model.properties import draw_properties
-from warpmpc.physics.parts import AddedCode
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.sensing import within_step
 from warpmpc.physics.source import RolloutSource
+from warpmpc.physics.source_parts import AddedCode
 from warpmpc.physics.state_map import StateMap
+from warpmpc.scene.model.pairs import Pair
+from warpmpc.scene.model.properties import draw_properties
+from warpmpc.scene.model.trajectory import BatchSize
 
 pytestmark = needs("g++")
 WORLDS, STEPS = 4, 12
@@ -74,7 +77,7 @@ class SensingRollout(LaneRollout):
     """Rollouts that read sensors within their steps, into the record of forces."""
 
     def _parts(self, lanes, *, shared):
-        plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu), sensors=True)
+        plain = StateMap(plain=True, matrix=np.eye(self.mj.nu), offset=np.zeros(self.mj.nu), sensors=self.mj.nsensor)
         to = "float* const to = (float*)k.force.data + (size_t)(at * k.force.shape[1] + row) * SENSED;"
         step = f"{{ {to} for (int n = 0; n < SENSED; ++n) PUT(to, SENSED, n, w.sensed[n]) }}"
         code = AddedCode(start="", before="", step=step, end="", first=0)

@@ -8,7 +8,7 @@ from planning import Planning, limited_mean
 from warpmpc import SceneError
 from warpmpc.planner.strategy import proposal
 
-FORMS = ("sigma", "diagonal", "knots", "full", "full_knots")
+FORMS = ("diagonal", "knots", "full", "full_knots")
 MPPI = {"method": "mppi", "samples": 24, "horizon": 6, "temperature": {"initial": 0.05, "eta": None}}
 ALPHA_MEAN, ALPHA_SIGMA, KAPPA, FLOOR = 0.9, 0.7, 0.004, 0.05
 
@@ -43,7 +43,7 @@ def adapted(form: str, before: np.ndarray, deviation: np.ndarray, weight: np.nda
         target = target.mean(axis=1, keepdims=True) if form == "full" else target
         return (1.0 - ALPHA_SIGMA) * before + ALPHA_SIGMA * target
     variance = np.einsum("epuu->epu", target)
-    axes = {"sigma": (1, 2), "diagonal": (1,), "knots": ()}[form]
+    axes = {"diagonal": (1,), "knots": ()}[form]
     shared = variance.mean(axis=axes, keepdims=True) if axes else variance
     variance = (1.0 - ALPHA_SIGMA) * np.einsum("epuu->epu", before) + ALPHA_SIGMA * shared
     return np.maximum(variance, FLOOR**2)[..., None] * np.eye(3)
@@ -164,8 +164,6 @@ def test_noise_of_an_adapted_covariance_is_redrawn_unless_the_scene_says_no(redr
         ({"covariance": {"kappa": 0.1}}, "kappa is of an adapted covariance"),
         ({"covariance": {"form": "fixed", "step_size": 0.5}}, "step_size is of an adapted covariance"),
         ({"covariance": {"form": "full", "kappa": (0.1, 0.2)}}, r"planner.covariance.kappa: needs 1 or 3 values"),
-        ({"covariance": {"form": "sigma"}, "noise": {"sigma": (0.1, 0.1, 0.2)}}, r"planner.noise.sigma: must be one"),
-        ({"covariance": {"form": "sigma"}, "sigma_min": (0.1, 0.1, 0.2)}, r"planner.sigma_min: must be one value"),
         ({"noise": {"shape": "bspline", "knots": 9}}, r"planner.noise: noise_knots must be between 1 and 8"),
         ({"noise": {"shape": "comb", "comb": (0.0, 0.5, 0.5)}}, r"planner.noise: a knot without noise"),
     ],

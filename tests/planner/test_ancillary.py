@@ -19,7 +19,7 @@ from warpmpc import (
     load_terms,
     run_episode,
 )
-from warpmpc.planner.motions import Nearness
+from warpmpc.planner.recall import Nearness
 
 PLANNER = {"samples": 24, "horizon": 8, "noise": {"sigma": (0.5,)}, "randomize": False}
 FIRST = 2  # after the mean and the null particle

@@ -24,7 +24,11 @@ METHODS = {
         "noise": {"null_share": 0.2, "redraw": False},
         "keep_best": True,
     },
-    "one sigma, best": {"method": "mppi", "covariance": {"form": "sigma", "kappa": 0.005}, "execute": "best"},
+    "one sigma a control, best": {
+        "method": "mppi",
+        "covariance": {"form": "diagonal", "kappa": 0.005},
+        "execute": "best",
+    },
     "full at every knot": {"method": "mppi", "iterations": 2, "covariance": {"form": "full_knots", "kappa": 0.005}},
     "diagonal": {"method": "predictive_sampling", "covariance": {"form": "diagonal"}, "keep_best": True},
 }
@@ -45,7 +49,7 @@ def test_a_captured_plan_is_the_plan_launched_piece_by_piece(name, envs):
         planner={"samples": 24, "horizon": 5, **METHODS[name]},
     )
     captured, plain = (
-        Controller(scene, engine="newton", device="cuda:0", envs=envs, compiled=compiled(scene), seed=4)
+        Controller(scene, engine="mujoco_warp", device="cuda:0", envs=envs, compiled=compiled(scene), seed=4)
         for _ in range(2)
     )
     plain.graph.capturable = False

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpmpc.planner.covariance import Covariance
-from warpmpc.planner.moments import SampleMoments
+from warpmpc.planner.covariance import Covariance, SampleMoments
 from warpmpc.scene.schema import CovarianceForm
 
 ADAPTED = pytest.mark.parametrize("form", [form for form in CovarianceForm if form is not CovarianceForm.FIXED])
@@ -16,10 +15,9 @@ SIGMA = np.array([0.5, 1.0, 2.0])
 
 
 def make(form: CovarianceForm, device: str, **options) -> Covariance:
-    """A covariance of E = 2, P = 5 and three controls that starts at SIGMA, or at one σ of 0.5."""
+    """A covariance of E = 2, P = 5 and three controls that starts at SIGMA."""
     defaults = {"sigma_min": np.zeros(NU), "kappa": np.zeros(NU), "step_size": 1.0, "schedule": np.ones((1, KNOTS))}
-    sigma = np.full(NU, 0.5) if form is CovarianceForm.SIGMA else SIGMA
-    return Covariance(form, **{"sigma": sigma, **defaults, **options}, envs=ENVS, device=device)
+    return Covariance(form, **{"sigma": SIGMA, **defaults, **options}, envs=ENVS, device=device)
 
 
 def on(array, device: str, dtype=float) -> wp.array:
@@ -54,8 +52,6 @@ def reference(form, before, knots, weight, mean, *, alpha, floor, schedule) -> n
     variance = np.einsum("epuu->epu", target)
     if form is CovarianceForm.DIAGONAL:
         variance = np.broadcast_to(variance.mean(axis=1, keepdims=True), variance.shape)
-    if form is CovarianceForm.SIGMA:
-        variance = np.broadcast_to(variance.mean(axis=(1, 2), keepdims=True), variance.shape)
     variance = (1.0 - alpha) * np.einsum("epuu->epu", before) + alpha * variance
     return np.maximum(variance, floor**2)[..., None] * np.eye(NU)
 
@@ -85,7 +81,7 @@ def test_every_form_matches_the_reference_update_by_update(form, alpha, seed, de
 
 @ADAPTED
 def test_the_floor_holds_where_the_samples_agree(form, device):
-    floor = np.full(NU, 0.2) if form is CovarianceForm.SIGMA else np.array([0.1, 0.2, 0.3])
+    floor = np.array([0.1, 0.2, 0.3])
     covariance = make(form, device, sigma_min=floor)
     knots = np.ones((ENVS, 8, KNOTS, NU))
     found = follow(covariance, knots, np.ones((ENVS, 8)), knots[:, 0])
@@ -124,7 +120,7 @@ def test_an_environment_without_weights_keeps_its_covariance_bit_by_bit(form, de
 
 @ADAPTED
 def test_kappa_is_added_where_a_plan_moves_on(form, device):
-    kappa = np.full(NU, 0.05) if form is CovarianceForm.SIGMA else np.array([0.05, 0.1, 0.2])
+    kappa = np.array([0.05, 0.1, 0.2])
     covariance = make(form, device, kappa=kappa)
     before = dense(covariance)
     for observed, fresh, grown in (([1, 1], [1, 0], [0, 1]), ([1, 0], [0, 0], [1, 1]), ([1, 1], [0, 0], [2, 2])):

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning import limited_mean
 
-from warpmpc.kernels.planning.moments import spread_kernel, update_mean_kernel
-from warpmpc.planner.moments import SampleMoments
+from warpmpc.kernels.planner.moments import spread_kernel, update_mean_kernel
+from warpmpc.planner.covariance import SampleMoments
 
 INF = np.inf
 

@@ -9,7 +9,7 @@ import warp as wp
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, State
-from warpmpc.kernels.planning.splines import command_kernel
+from warpmpc.kernels.planner.splines import command_kernel
 from warpmpc.planner.plan import Plan
 from warpmpc.planner.splines import SplineKind, spline_table
 

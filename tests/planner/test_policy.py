@@ -111,6 +111,7 @@ def test_policies_that_do_not_fit_are_refused(tmp_path):
         (str(broken), ("joint_q",), r"policy: onnxruntime cannot read it"),
         (saved("wide", np.zeros((9, 3)), [3]), ("joint_q", "goal"), r"reads an array \[1, 9\].*allowed: \[10\]"),
         (saved("out", np.zeros((10, 4)), [4]), ("joint_q", "goal"), r"returns an array \[4\].*allowed: \[3\] or \[8"),
+        (saved("scalar", np.zeros((10, 1)), []), ("joint_q", "goal"), r"returns an array \[\]"),
         (saved("long", np.zeros((10, 15)), [5, 3]), ("joint_q", "goal"), r"returns an array \[5, 3\]"),
         (
             saved("double", np.zeros((3, 3)), [3], kind=onnx.TensorProto.DOUBLE),

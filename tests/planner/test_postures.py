@@ -8,8 +8,8 @@ from arms import arm_scene
 
 from warpmpc import Controller, SceneError, State
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.joints import joint_table
-from warpmpc.planner.postures import NEAR, PostureSamples
+from warpmpc.planner.proposers import NEAR, PostureSamples
+from warpmpc.scene.model.joints import joint_table
 from warpmpc.scene.schema import DriveMode
 
 GOAL = {"frame": "arm/panda_link7", "position": (0.45, 0.2, 0.4), "rotation": (1.0, 0.0, 0.0, 0.0)}

@@ -6,7 +6,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, SceneError, State
-from warpmpc.model.compiled import compile_scene
+from warpmpc.scene.model.compiled import compile_scene
 
 DT, STEPS, FIRST = 0.04, 8, 2  # after the mean and the null particle
 LAP = 20

@@ -9,10 +9,10 @@ import pytest
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State, load_scene, run_episode
-from warpmpc.derivatives.expansion import Linear, Quadratic, held
+from warpmpc.loop.realtime.messages import PlanCodec, TimedPlan
+from warpmpc.planner.derivatives.expansion import Linear, Quadratic, held
 from warpmpc.planner.feedback import Feedback, StateSpace
-from warpmpc.realtime.messages import PlanCodec, TimedPlan
-from warpmpc.scene.load import with_values
+from warpmpc.scene.overrides import with_values
 
 DISC_PLANNER = {"samples": 16, "horizon": 10, "discount": 1.0, "randomize": False}
 
@@ -36,7 +36,7 @@ def planned(scene, *, engine: str = "fused", plans: int = 1, seed: int = 0):
     return controller, costs
 
 
-@pytest.mark.parametrize("engine", ["fused", "mujoco", "newton", "kinematic"])
+@pytest.mark.parametrize("engine", ["fused", "mujoco", "mujoco_warp", "kinematic"])
 def test_ilqg_finds_in_one_plan_what_samples_come_near_to_in_many(engine):
     _, ilqg = planned(disc(), engine=engine, plans=4)
     _, samples = planned(disc("predictive_sampling", samples=64), engine=engine, plans=30)

@@ -7,7 +7,7 @@ from planning import Planning
 from small_scenes import make_scene
 
 from warpmpc import Controller, SceneError, State
-from warpmpc.planner.sequences import sequences
+from warpmpc.planner.proposers import sequences
 
 
 @pytest.mark.parametrize(
@@ -202,10 +202,14 @@ def test_a_library_that_cannot_be_read_is_refused(tmp_path):
     (tmp_path / "some.txt").write_text("1, 2")
     (tmp_path / "some.csv").write_text("one, two")
     (tmp_path / "broken.npz").write_bytes(b"PK")
+    np.save(tmp_path / "lies.npy", ones(100, 8, 3))
+    content = (tmp_path / "lies.npy").read_bytes()
+    (tmp_path / "lies.npy").write_bytes(content.replace(b"(100, 8, 3)", b"(9" + b"9" * 16 + b", 8, 3)", 1))
     np.savez(tmp_path / "two.npz", a=ones(1, 8, 3), b=ones(1, 8, 3))
     for name, message in (
         ("some.txt", "is no file of arrays.*allowed: .csv, .npy, .npz"),
         ("some.csv", "cannot be read as numbers"),
+        ("lies.npy", "cannot be read as numbers"),
         ("broken.npz", "cannot be read as numbers"),
         ("two.npz", "holds 2 arrays, not one"),
         ("none.npy", "no such"),

@@ -5,13 +5,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from warpmpc.kernels.planning import splines as kernels
-from warpmpc.planner.shaping import (
-    bspline,
-    coloured,
-    comb,
-    identity,
-)
+from warpmpc.kernels.planner import splines as kernels
+from warpmpc.planner.noise import bspline, coloured, comb, identity
 from warpmpc.planner.splines import SplineKind, spline_table
 
 COUNTS = pytest.mark.parametrize("count", [1, 2, 3, 8, 30])

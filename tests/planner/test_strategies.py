@@ -7,7 +7,7 @@ import warp as wp
 from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, State
-from warpmpc.planner.registry import STRATEGIES, register
+from warpmpc.planner.step import STRATEGIES, register
 
 
 class Fixed:
@@ -40,12 +40,6 @@ class Fixed:
 
     def reset(self):
         self.mean.zero_()
-
-
-class OldNames(Fixed):
-    """A strategy with the methods' names of before."""
-
-    propose = sample = Fixed.shift
 
 
 @wp.kernel
@@ -140,13 +134,3 @@ def test_every_strategy_and_risk_drives_to_the_goal(name, seed):
     while not plant.done:
         plant.apply(controller.step(plant.observe()))
     assert plant.reason == "goal reached"
-
-
-def test_a_strategy_with_the_old_names_of_methods_is_told_the_new_ones():
-    register("old_names", OldNames)
-    scene = make_scene(planner={"samples": 16, "horizon": 4})
-    try:
-        with pytest.raises(ValueError, match="strategy OldNames: rename its method propose to advance, and sample to"):
-            Controller(scene, strategy="old_names", compiled=compiled(scene))
-    finally:
-        del STRATEGIES["old_names"]

@@ -7,10 +7,10 @@ import pytest
 from pydantic import BaseModel
 
 from warpmpc import Scene
+from warpmpc.cost.terms import TERMS
+from warpmpc.cost.terms.collision import SelfCollision, WorldCollision
 from warpmpc.scene.describe import default, keys, takes, unit
 from warpmpc.scene.schema import Cloud, Drive, Noise, Obstacle, Planner, Robot
-from warpmpc.terms import TERMS
-from warpmpc.terms.collision import SelfCollision, WorldCollision
 
 
 def sections() -> list[type[BaseModel]]:

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scene_text import SMALL, write
 
+from warpmpc import State
 from warpmpc.scene.draw import clearance, draw_task, signed_distance
 from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene
+from warpmpc.scene.load import load_scene, shipped_scenes
+from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.schema import Obstacle
 
 
@@ -150,3 +152,17 @@ def test_meshes_are_left_out(tmp_path):
     text = text.replace("[planner]", '[randomize_task]\nreject = [{ place = "goal", clearance = 0.1 }]\n[planner]')
     scene = load_scene(write(tmp_path, text))
     assert clearance(scene, scene.randomize_task.reject[0]) > 0.5
+
+
+def test_starts_that_are_drawn_lie_about_the_keyframe_that_a_scene_names():
+    """A drawn joint_q takes the place of the keyframe: a cart was to swing its pole up that stood already."""
+    looked_at = []
+    for name in shipped_scenes():
+        scene = load_scene(name)
+        (robot, *others), draws = scene.robot, scene.randomize_task.draw
+        draw = draws.get(f"robot.{robot.name}.joint_q")
+        if robot.keyframe and draw and not others:
+            start = State.start(compile_scene(scene).layout).joint_q
+            assert (np.array(draw.low) <= start).all() and (start <= np.array(draw.high)).all(), name  # noqa: PT018
+            looked_at.append(name)
+    assert "cartpole_swingup" in looked_at

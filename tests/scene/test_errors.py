@@ -90,13 +90,19 @@ def set_to(tmp_path, override: str) -> SceneError:
         ('object = "box"', 'frame = "base"', "goal.frame", ["robot/frame", "base/tip"]),
         ('name = "ball"', 'name = "box"', "obstacle.box.name", ["taken by another object", "found 'box'"]),
         ('name = "ball"', 'name = "goal"', "obstacle.goal.name", ["reserved", "found 'goal'"]),
-        ('term = "contact_force"', 'term = "distance"', "cost.distance", ["2 cost entries", "name of its own"]),
+        ('term = "contact_force"', 'term = "distance"', "cost.distance", ["2 cost entries", "another name"]),
         ("position = 0.05", "position = [1.0, 1.0, 1.0]", "success.position", ["each of the goal's 2 axes"]),
         ("position = 0.05", "yaw = 0.1", "success.yaw", ["goal has no orientation"]),
         ("[planner]", "[randomize.bix]\nmass.uniform = 0.1\n[planner]", "randomize.bix", ["'box'?"]),
         ("[planner]", "[randomize.wall]\nmass.uniform = 0.1\n[planner]", "randomize.wall.mass", ["has no mass"]),
         ("[planner]", "[randomize.base]\nsize.normal = 0.1\n[planner]", "randomize.base.size", ["by its asset"]),
-        ("[planner]", "[timing]\ntimeout = 0.01\n[planner]", "timing.timeout", ["shorter than control_dt"]),
+        (
+            "[planner]",
+            "[timing]\ntimeout = 0.01\n[planner]",
+            "timing.timeout",
+            ["shorter than control_dt", "found 0.01"],
+        ),
+        ("[planner]", "[timing]\ncontrol_dt = 50.0\n[planner]", "timing.timeout", ["than control_dt", "found 45.0"]),
         ("samples = 64", 'samples = 4\nmethod = "cem"', "planner.elites", ["more elites than samples", "found 8"]),
     ],
 )
@@ -268,7 +274,7 @@ def test_an_ambiguous_cost_term_is_told_as_such(tmp_path):
     text = SMALL.replace('term = "distance"', 'name = "near"\nterm = "distance"')
     text = text.replace('term = "contact_force"', 'name = "far"\nterm = "distance"').partition("[variants")[0]
     with pytest.raises(
-        SceneError, match=r"cost\.distance: 2 entries of cost .* own; found 'distance'; allowed: far, near"
+        SceneError, match=r"cost\.distance: 2 entries of cost .* another name; found 'distance'; allowed: far, near"
     ):
         load_scene(write(tmp_path, text), overrides=["cost.distance.weight=3"])
 
@@ -337,7 +343,7 @@ def test_a_folder_or_a_pipe_is_told_as_such(tmp_path):
 
 def test_a_variant_has_no_variants(tmp_path):
     path = write(tmp_path, SMALL + "\n[variants.near.variants.nearer]\nplanner.samples = 5\n")
-    with pytest.raises(SceneError, match=r"variants\.near\.variants: a variant has no variants of its own"):
+    with pytest.raises(SceneError, match=r"variants\.near\.variants: a variant cannot contain variants"):
         load_scene(f"{path}:near")
 
 

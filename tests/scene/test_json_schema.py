@@ -11,7 +11,7 @@ from jsonschema import Draft7Validator
 from program import warpmpc
 
 from warpmpc import shipped_scenes
-from warpmpc.terms import TERMS
+from warpmpc.cost.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]

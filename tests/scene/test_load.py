@@ -9,9 +9,9 @@ import pytest
 from needs import need_scene
 from scene_text import SMALL, write
 
-from warpmpc.model.assets import resolve_asset
 from warpmpc.scene.errors import SceneError
 from warpmpc.scene.load import load_scene, shipped_scenes, variants
+from warpmpc.scene.model.assets import resolve_asset
 from warpmpc.scene.overrides import (
     expand,
     parse_override,
@@ -206,17 +206,6 @@ def test_loading_needs_no_physics():
 def test_minus_nothing_is_nothing():
     scene = load_scene("point_reach", overrides=["plant.noise.velocity=-0.0"])
     assert math.copysign(1.0, scene.plant.noise.velocity) == 1.0  # numpy draws nothing from a deviation of -0
-
-
-def test_the_former_name_of_a_key_is_read_with_a_warning(tmp_path, caplog):
-    text = SMALL + '\n[planner.postures]\nof = "base/base"\n'
-    old = load_scene(write(tmp_path, text + "ripe = 5\n"))
-    assert old.planner.postures.min_age == 5
-    assert "ripe is now called min_age" in caplog.text
-    caplog.clear()
-    with pytest.raises(SceneError, match=r"planner\.postures\.ripe"):
-        load_scene(write(tmp_path, text + "ripe = 5\nmin_age = 6\n"))
-    assert not caplog.text
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 from small_scenes import make_scene
 
-from warpmpc.run.batch import Batch
+from warpmpc.loop.run.batch import Batch
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.errors import SceneError
-from warpmpc.scene.waypoints import is_of, runs_of
-from warpmpc.task.task import Task
+from warpmpc.scene.schema_goal import is_of, runs_of
+from warpmpc.scene.task.task import Task
 
 NEAR = {"frame": "base/centre", "distance": 0.15}
 COURSE = {

@@ -2,11 +2,13 @@
 """The shipped scenes in closed loop, randomized plant against randomized rollouts, over several seeds.
 
 With the engine that ``auto`` takes on the CPU; tests that take ``device`` also on a GPU: pytest -m gpu tests/scenes.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_closed_loop.py
 """
 
 import numpy as np
 import pytest
-from needs import needs
+from needs import need, needs
 
 import warpmpc
 
@@ -23,6 +25,13 @@ def test_the_base_pushes_a_box_to_its_goal():
     assert result.diverged_worlds == 0
     assert result.success, result
     assert result.max_force <= GRAZE, result
+
+
+def test_the_base_of_a_usd_file_pushes_like_that_of_its_urdf():
+    need("pxr")
+    urdf, usd = (episodes(name, (31,))[0] for name in ("omni_push_box", "omni_push_box:usd"))
+    assert usd.success, usd
+    assert usd.sim_time == pytest.approx(urdf.sim_time, abs=1.0)
 
 
 @pytest.mark.slow

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Panda that goes to postures in which its links are close: what keeps them apart in the plant."""
+"""A Panda that goes to postures in which its links are close: what keeps them apart in the plant.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_learned_self_collision.py
+"""
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ from learned.self_distance import SelfDistance
 
 from warpmpc import Controller, Plant, load_scene
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.joints import joint_table
+from warpmpc.scene.model.joints import joint_table
 from warpmpc.scene.schema import Cost
 
 LEARNED = {

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ball on a tray in closed loop, in physics with friction, seen late and with noise."""
+"""A ball on a tray in closed loop, in physics with friction, seen late and with noise.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_storm_balance.py
+"""
 
 from argparse import Namespace
 

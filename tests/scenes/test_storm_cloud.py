@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm among things that a camera sees from one side: what is hidden from it is not taken for free."""
+"""An arm among things that a camera sees from one side: what is hidden from it is not taken for free.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_storm_cloud.py
+"""
 
 import numpy as np
 import pytest

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planar robot among posts in closed loop: what samples are drawn from decides how smooth its commands are."""
+"""A planar robot among posts in closed loop: what samples are drawn from decides how smooth its commands are.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_storm_sampling.py
+"""
 
 import numpy as np
 import pytest
 from shared.measure import Meter
 
 import warpmpc
-from warpmpc.run.episode import Episode
+from warpmpc.loop.run.episode import Episode
 
 SHAPES = ("comb", "bspline")
 

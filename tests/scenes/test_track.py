@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm that follows what moves: how closely, without touching anything, and never stuck at what it cannot reach."""
+"""An arm that follows what moves: how closely, without touching anything, and never stuck at what it cannot reach.
+
+Slow ones by hand: pytest -m slow tests/scenes/test_track.py
+"""
 
 import pytest
 from studies.track import run

@@ -4,9 +4,9 @@
 import json
 
 from benches import plans
-from benches.goals.report import told, verdict
 from benches.goals.rows import CORE, PLAN, WARP, Row, rows_here
 from benches.goals.worker import Worker
+from benches.plans import told, verdict
 
 from warpmpc.scene.load import load_scene
 

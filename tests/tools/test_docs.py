@@ -1,12 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names in README and the documentation exist; their figures are those of docs/data."""
+"""Names and links in README and the documentation exist, figures are those of docs/data, extras are named."""
 
+import re
 import subprocess
 import sys
 
 import named
 import pytest
 from pages import ROOT
+
+EXTRAS = {
+    "cluster": r"--jobs ray",
+    "export": r"warpmpc export\b|--(export|mcap|hdf5)\b",
+    "gymnasium": r"BatchVectorEnv|examples/ppo\.py",
+    "live": r"warpmpc live\b",
+    "onnx": r"\bpolicy ?= ?['\"]|examples/imitate\.py",
+    "plot": r"warpmpc plot\b",
+    "record": r"--record\b|RecordingSwitch",
+    "ros2": r"--robot ros2|--ros2\b",
+    "transport": r"--robot zmq|--zmq\b",
+    "tune": r"warpmpc tune\b",
+    "usd": r"\bUSD \(|\.usda?\b",
+}
+"""What needs an extra."""
 
 
 @pytest.mark.parametrize("page", named.pages())
@@ -18,7 +34,7 @@ def test_every_file_name_option_and_key_that_a_page_names_exists(page):
     "planted",
     [
         "`tools/nope.py`",
-        "`kernels/planning/nope.py`",
+        "`kernels/planner/nope.py`",
         "`tests/nope/`",
         "`omni_push_bax.toml`",
         "`warpmpc.Controler`",
@@ -47,6 +63,21 @@ def test_a_name_that_does_not_exist_is_found(planted, tmp_path, monkeypatch):
     assert len(named.missing("docs/planted.md")) == 1
 
 
+@pytest.mark.parametrize("page", [*named.pages(), "CHANGELOG.md"])
+def test_every_link_of_a_checkout_leads_to_a_file(page):
+    text = re.sub(r"^\s*```.*?^\s*```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    files = [(ROOT / page).parent.joinpath(link).resolve().relative_to(ROOT) for link in links if link]
+    assert [str(file) for file in files if str(file) not in named.repository()] == []
+
+
+@pytest.mark.parametrize("page", [page for page in named.pages() if page != "docs/gallery.md"])
+def test_a_page_names_the_extras_that_it_needs(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    needed = [extra for extra, what in EXTRAS.items() if re.search(what, text)]
+    assert [extra for extra in needed if not re.search(rf"\[[\w,]*\b{extra}\b[\w,]*\]", text)] == []
+
+
 def test_pages_have_the_tables_that_their_figures_make():
     command = [sys.executable, "tools/pages/figures.py", "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
@@ -63,8 +94,16 @@ def test_every_picture_is_shown_and_every_file_of_figures_has_a_table():
 
 
 def test_the_pages_stay_small():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 200
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
     by_tools = ("docs/reference/", "docs/gallery.md", "docs/robots.md")
     by_hand = [page for page in named.pages() if not page.startswith(by_tools)]
     words = {page: len((ROOT / page).read_text(encoding="utf-8").split()) for page in by_hand}
-    assert sum(words.values()) <= 25_000, words
+    assert sum(words.values()) <= 19_800, words
+
+
+def test_the_change_log_says_nothing_twice_and_has_no_long_lines():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    sentences = [" ".join(said.split()) for said in re.split(r"[.:;]\s|\n- ", text)]
+    sentences = [said for said in sentences if len(said) > 40]
+    assert sorted(said for said in {*sentences} if sentences.count(said) > 1) == []
+    assert [line for line in text.splitlines() if len(line) > 128] == []

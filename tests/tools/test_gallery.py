@@ -44,7 +44,7 @@ def test_a_camera_sees_all_points_and_no_more_than_it_must():
     azimuth, elevation = np.radians([look.azimuth, look.elevation])
     ahead = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-    eye = look.centre - look.distance * ahead
+    eye = look.lookat - look.distance * ahead
     away = points - eye
     slope = np.tan(0.5 * gallery.FIELD)
     up = np.abs(away @ np.cross(right, ahead)) / (away @ ahead) / slope

@@ -30,7 +30,7 @@ def test_every_engine_and_every_shipped_scene_has_a_cell():
     import warpmpc
 
     cells = list(gate.cells())
-    assert {cell.engine for cell in cells} == {"fused", "kinematic", "mujoco", "newton"}
+    assert {cell.engine for cell in cells} == {"fused", "kinematic", "mujoco", "mujoco_warp", "newton"}
     assert {cell.scene for cell in cells} >= set(warpmpc.shipped_scenes())
     assert len({str(cell) for cell in cells}) == len(cells)
 

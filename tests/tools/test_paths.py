@@ -6,12 +6,12 @@ import sys
 import numpy as np
 import pytest
 from studies.experiments.tables import TABLES
-from studies.fabrics.episodes import Fabric, drive, task_of
-from studies.paths import FABRICS, METHODS, ROBOTS, figures, picture, read
+from studies.fabrics.episodes import Server, drive, task_of
+from studies.paths import METHODS, OTHERS, ROBOTS, figures, picture, read
 
 from warpmpc import Plant, load_scene
 
-CELLS = {cell.name: cell for cell in (*TABLES["table1"].cells, *FABRICS)}
+CELLS = {cell.name: cell for cell in (*TABLES["table1"].cells, *OTHERS)}
 
 
 def record(*, success=True, path=2.2, clearance=0.1, force=0.0):
@@ -41,9 +41,9 @@ def test_every_method_has_a_row_and_a_box_even_where_none_arrived(tmp_path):
     lines = table["groups"][0]["rows"]
     assert table["columns"][1:] == list(METHODS.values())
     assert [line[0] for line in lines if line[0] in ROBOTS.values()] == [*ROBOTS.values()]
-    assert lines[0] == ["point robot", "2/2", "2/2", "0/2", "2/2"]
-    assert ["path [m]", "2.2", "2.2", "-", "2.2"] in lines
-    assert ["clearance [m]", "0.1", "0.1", "-", "0.1"] in lines
+    assert lines[0] == ["point robot", "2/2", "2/2", "0/2", "2/2", "2/2", "2/2"]
+    assert ["path [m]", "2.2", "2.2", "-", "2.2", "2.2", "2.2"] in lines
+    assert ["clearance [m]", "0.1", "0.1", "-", "0.1", "0.1", "0.1"] in lines
     picture(rows, tmp_path / "paths.png")
     assert (tmp_path / "paths.png").stat().st_size > 1000
 
@@ -61,9 +61,9 @@ def test_a_fabric_gets_the_spheres_the_limits_and_a_model_without_capsules():
 
 def test_a_python_without_fabrics_is_named():
     with pytest.raises(ValueError, match="--fabrics /no/python"):
-        Fabric("/no/python", {"speed": [1.0]})
+        Server("/no/python", {"speed": [1.0]})
     with pytest.raises(ValueError, match="pip install fabrics"):
-        Fabric(sys.executable, {"speed": [1.0]})
+        Server(sys.executable, {"speed": [1.0]})
 
 
 def test_a_plant_is_driven_until_it_is_done():

@@ -10,8 +10,8 @@ from pydantic import BaseModel
 
 from warpmpc import Scene, load_scene
 from warpmpc.cli.lists import EXAMPLES
+from warpmpc.cost.terms import TERMS
 from warpmpc.scene.describe import keys, takes
-from warpmpc.terms import TERMS
 
 PAGES = Path(__file__).parents[2] / "tools" / "pages"
 

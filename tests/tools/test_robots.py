@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots of strangers: each loads, or is refused with file, link and cure."""
+"""Robots of strangers: each loads, or is refused with file, link and cure.
+
+Slow ones by hand: pytest -m slow tests/tools/test_robots.py
+"""
 
 import importlib.metadata
 import re

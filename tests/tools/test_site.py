@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation builds as a site without a warning; its links lead somewhere and nothing comes from the network."""
 
+import inspect
 import os
+import pydoc
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -12,7 +15,7 @@ import pytest
 from needs import reason
 
 from warpmpc import __all__ as public
-from warpmpc.terms import TERMS
+from warpmpc.cost.terms import TERMS
 
 pytest.importorskip("mkdocs_autorefs", reason=reason("mkdocs_autorefs"))
 ROOT = Path(__file__).parents[2]
@@ -79,3 +82,17 @@ def test_every_public_name_and_every_term_has_its_place(site):
     assert TERMS.keys() - anchors["terms.html"] == set()
     assert {"robot-drive", "planner-noise", "success-conditions"} <= anchors["scene.html"]
     assert {"run", "check", "new", "schema"} <= anchors["commands.html"]
+
+
+def test_the_list_of_names_has_the_first_sentences_of_docstrings(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tools" / "pages")
+    from roles import plain
+
+    def sentence(name: str) -> str:
+        value = pydoc.locate(name)
+        text = inspect.getdoc(getattr(value, "func", value)).split("\n\n")[0]
+        return " ".join(plain(text).replace("``", "`").split())
+
+    text = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
+    names = re.findall(r"^\* `(.+?)`: (.*)$", text, flags=re.MULTILINE)
+    assert names == [(name, sentence(name)) for name, _ in names]

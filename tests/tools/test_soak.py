@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planning for long: what the tool finds, and that there is nothing to find."""
+"""Planning for long: what the tool finds, and that there is nothing to find.
+
+Slow ones by hand: pytest -m slow tests/tools/test_soak.py
+"""
 
 from dataclasses import replace
 

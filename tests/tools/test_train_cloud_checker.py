@@ -7,8 +7,8 @@ from learned.clutter import Clutter
 from train_cloud_checker import Link, errors, gathered, trained
 
 from warpmpc import SceneError, load_scene
-from warpmpc.model.compiled import compile_scene
 from warpmpc.scene.draw import signed_distance
+from warpmpc.scene.model.compiled import compile_scene
 
 
 @pytest.fixture(scope="module")

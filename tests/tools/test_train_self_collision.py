@@ -12,8 +12,8 @@ from learned_weights import elbow_scene
 from train_self_collision import Errors, trained
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.batch_size import BatchSize
-from warpmpc.model.joints import joint_table
+from warpmpc.scene.model.joints import joint_table
+from warpmpc.scene.model.trajectory import BatchSize
 
 SHAPE = BatchSize(1, 64, 1, 4)
 

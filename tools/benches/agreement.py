@@ -6,7 +6,7 @@ same sampled controls of a plan; the differences are taken world by world after 
 ``mujoco/rounded`` is the reference again, started from joints that are off by the rounding of single precision: where
 it drifts as far as another engine, the scene is chaotic and the other engine's physics is not to blame.
 
-    python tools/bench.py agreement omni_push_box panda_reach --engines mujoco/rounded,newton --device cuda:0
+    python tools/bench.py agreement omni_push_box --engines mujoco/rounded,mujoco_warp,newton --device cuda:0
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rich.table import Table
 from shared.files import write_json
 
 import warpmpc
-from warpmpc.model.compiled import compile_scene
+from warpmpc.scene.model.compiled import compile_scene
 
 ROUNDED = "mujoco/rounded"
 """The reference, started from rounded joints."""
@@ -59,7 +59,7 @@ def differences(source: str, engine: str, *, device: str, samples: int, seconds:
 
     Args:
         source: Scene and variant.
-        engine: ``newton``, ``newton/SOLVER``, ``mujoco/rounded``.
+        engine: An engine's name, ``newton/SOLVER`` or ``mujoco/rounded``.
         device: Device of the engine.
         samples: Worlds rolled out from every state.
         seconds: Length of the closed-loop run that states are taken from [s].
@@ -115,7 +115,7 @@ def main(arguments: list[str]) -> None:
     """Compare and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+")
-    parser.add_argument("--engines", default="newton", help="newton, newton/steel, ...; separated by commas")
+    parser.add_argument("--engines", default="mujoco_warp", help="names, newton/xpbd, ...; separated by commas")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=8.0, help="length of the run that states are taken from")

@@ -47,7 +47,7 @@ from benches.physics import WarpSteps
 from warpmpc.cli.setup import start_warp
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics import BatchSimulator, rollout
-from warpmpc.thread_pool import thread_count
+from warpmpc.physics.runtime.thread_pool import thread_count
 
 SPECS = {
     "humanoid": humanoid_spec,

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpmpc import State
-    from warpmpc.model.compiled import CompiledScene
+    from warpmpc.scene.model.compiled import CompiledScene
 
 SCENES = (
     *("point_reach", "panda_reach", "panda_push", "panda_push_objects", "omni_push_box", "omni_push_sphere"),
@@ -104,7 +104,7 @@ def compiled_all(scenes: Sequence[str], where: Sequence[Place], cores: int, seco
     On a GPU few samples and many are two programs.
     """
     from warpmpc.cli.setup import start_warp
-    from warpmpc.run.workers import open_workers
+    from warpmpc.loop.run.workers import open_workers
 
     devices = dict.fromkeys(place.device for place in where)
     sizes = {device: (SAMPLES[0],) if device == "cpu" else (SAMPLES[0], max(SAMPLES)) for device in devices}
@@ -134,7 +134,7 @@ class Bench:
     def _run(self) -> tuple[CompiledScene, list[State]]:
         """The compiled scene and eight states of its first 24 controls."""
         import warpmpc
-        from warpmpc.model.compiled import compile_scene
+        from warpmpc.scene.model.compiled import compile_scene
 
         scene = warpmpc.load_scene(self.scene)
         compiled = compile_scene(scene)

@@ -24,9 +24,9 @@ import warp as wp
 from shared.machine import machine
 
 from warpmpc import Controller, Scene, load_scene
-from warpmpc.derivatives.rollouts import Policy
+from warpmpc.planner.derivatives.rollouts import Policy
 from warpmpc.planner.refine import Refiner
-from warpmpc.scene.load import with_values
+from warpmpc.scene.overrides import with_values
 
 SCENES = ("cartpole_swingup:75", "panda_reach:64", "humanoid_stand:40", "quadruped_walk:40")
 

@@ -148,9 +148,8 @@ def main(arguments: list[str]) -> None:
         apart = set(all_cpus[-options.apart :])
         os.sched_setaffinity(0, set(all_cpus) - apart)
 
-    from warpmpc.live.access import Access
-    from warpmpc.live.page import serve
-    from warpmpc.live.session import Session
+    from warpmpc.extras.live.page import Access, serve
+    from warpmpc.extras.live.session import Session
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -31,7 +31,7 @@ from shared.models import FULL, OTHERS, OWN, SCENES, load_model, spread
 from warpmpc.cli.setup import start_warp
 from warpmpc.engine.fused_physics import shares
 from warpmpc.engine.mujoco import silence_mujoco
-from warpmpc.physics.plain import PlainRollout
+from warpmpc.physics.plain_rollout import PlainRollout
 
 STATES = 512
 """States that the worlds of a GPU start from, each in as many worlds as it takes."""

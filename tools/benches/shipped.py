@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile the kernels that all scenes share, and the shipped scenes, for the wheel.
 
-python tools/bench.py shipped                # into warpmpc/objects, from where a wheel takes them
+python tools/bench.py shipped                # into warpmpc/physics/runtime/objects, from where a wheel takes them
 python tools/bench.py shipped --to FOLDER    # to be used with WARPMPC_KERNELS=FOLDER
 """
 
@@ -21,12 +21,13 @@ import warp as wp
 from warp._src import build
 
 import warpmpc
-from warpmpc import kernel_cache, kernels, shipped_kernels
+from warpmpc import kernels
 from warpmpc.cli.setup import start_warp
-from warpmpc.model.compiled import compile_scene, compile_shipped
-from warpmpc.run.episode import draws_bodies
+from warpmpc.loop.run.episode import draws_bodies
+from warpmpc.physics.runtime import kernel_cache
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.load import shipped_scenes
+from warpmpc.scene.model.compiled import compile_scene, compile_shipped
 
 PACKAGE = "package://"
 """Beginning of names of assets in other packages, which may not be there."""
@@ -39,7 +40,7 @@ _build = build.build_cpu
 
 def _portable(*given: object, extra_flags: str = "", **options: object) -> None:
     """Warp's compiler, for more processors than this one."""
-    _build(*given, extra_flags=extra_flags.replace("-march=native", shipped_kernels.flags()), **options)
+    _build(*given, extra_flags=extra_flags.replace("-march=native", kernel_cache.flags()), **options)
 
 
 def shared_modules() -> list[str]:
@@ -78,11 +79,11 @@ def _compile(folder: Path, modules: Sequence[str], scenes: Sequence[str]) -> Non
 def main(arguments: list[str]) -> None:
     """Compile, and copy the object files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--to", type=Path, default=Path(shipped_kernels.__file__).with_name("objects"))
+    parser.add_argument("--to", type=Path, default=Path(kernel_cache.__file__).with_name("objects"))
     given = parser.parse_args(arguments)
     os.environ["WARPMPC_KERNELS"] = os.devnull  # those that were compiled before count for nothing
     start_warp()
-    target, begin = given.to / shipped_kernels.target(), time.perf_counter()
+    target, begin = given.to / kernel_cache.target(), time.perf_counter()
     compile_shared(target, [*shared_modules(), *NEWTONS], SCENES)
     own = [scene for scene in map(warpmpc.load_scene, shipped_scenes()) if PACKAGE not in scene.model_dump_json()]
     shutil.rmtree(given.to / "scenes", ignore_errors=True)

@@ -23,10 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from warpmpc import Controller, load_scene, simulated_robot
-from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.latest_value import LatestValue
-from warpmpc.realtime.messages import ObservationCodec, PlanCodec, TimedObservation
-from warpmpc.realtime.planning import Planning
+from warpmpc.loop.realtime.agent import Agent
+from warpmpc.loop.realtime.messages import LatestValue, ObservationCodec, PlanCodec, TimedObservation
+from warpmpc.loop.realtime.planning import Planning
 from warpmpc.scene.schema import Scene
 
 

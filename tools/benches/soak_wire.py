@@ -28,16 +28,16 @@ from typing import Any
 
 from shared.files import put_group
 from shared.machine import machine
+from shared.wire import start_robot
 
 from warpmpc import PlannerProcess, RobotLoop, load_scene
-from warpmpc.model.compiled import compile_scene
-from warpmpc.robots.drivers import await_state, make_robot
+from warpmpc.loop.robots.drivers import await_state, make_robot
+from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.schema import Scene
-from warpmpc.task.task import Task
+from warpmpc.scene.task.task import Task
 
 TENTHS = 10
 COLUMNS = ["scene", "ticks", "plans", "faults", "late p99 [ms]", "memory of robot, agent, planner [MB]", "robot"]
-PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,7 @@ def soak(
         topics = Path(folder) / "topics.toml"
         topics.write_text(f'namespace = "soak_{os.getpid()}"\nconnect_timeout = 120.0\n')
         changes = [part for change in overrides for part in ("--set", change)]
-        command = [*PROGRAM, "robot", source, "--ros2", "--topics", str(topics), *changes]
-        robot = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        robot = start_robot(source, ["--ros2", "--topics", str(topics), *changes], stdout=subprocess.PIPE)
         try:
             tenths, late = _control(scene, f"ros2:{topics}", robot, seconds)
         finally:

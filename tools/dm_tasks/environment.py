@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from warpmpc import MujocoStates, State
-from warpmpc.model.compiled import CompiledScene, cache_folder
-from warpmpc.model.mujoco_model import make_world
+from warpmpc.scene.model.compiled import CompiledScene, cache_folder
+from warpmpc.scene.model.mujoco_model import make_world
 
 if TYPE_CHECKING:
     import dm_env

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import warpmpc
-from warpmpc.cli.terms import load_terms
-from warpmpc.model.compiled import compile_scene
+from warpmpc.cost.user_files import load_terms
+from warpmpc.scene.model.compiled import compile_scene
 
 from .environment import Eyes, load, save_model, step
 

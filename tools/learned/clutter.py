@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warpmpc.cost.resources.cloud import CloudVolume
-from warpmpc.plant.camera import DepthCamera
+from warpmpc.loop.plant.sensors import DepthCamera
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.errors import SceneError
 
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warpmpc import Scene
-    from warpmpc.scene.schema_bodies import Obstacle
-    from warpmpc.scene.schema_cloud import Cloud
+    from warpmpc.scene.schema_bodies import Cloud, Obstacle
 
 GEOMS = {
     "box": (mujoco.mjtGeom.mjGEOM_BOX, lambda size: np.multiply(size, 0.5)),

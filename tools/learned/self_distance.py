@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 
 from warpmpc.cost.binding import Binding
+from warpmpc.cost.terms import TERMS
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.joints import joint_table
-from warpmpc.model.self_shape import colliding_bodies, self_fingerprint, self_moving_dofs
 from warpmpc.scene.errors import SceneError
-from warpmpc.task.task import task_layout
-from warpmpc.terms import TERMS
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.joints import joint_table
+from warpmpc.scene.model.spheres import colliding_bodies, self_fingerprint, self_moving_dofs
+from warpmpc.scene.task.task import task_layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

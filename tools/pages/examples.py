@@ -13,8 +13,8 @@ from pydantic import BaseModel
 
 from warpmpc import Scene, shipped_scenes
 from warpmpc.cli.lists import EXAMPLES
+from warpmpc.cost.terms import TERMS
 from warpmpc.scene.describe import keys, takes, written
-from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 90

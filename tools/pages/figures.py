@@ -7,8 +7,10 @@
 
 A table stands between ``<!-- data: NAME -->`` and ``<!-- end -->``; ``docs/data/NAME.json`` has its columns
 and groups of rows that were measured together, each with its machine, date and command. ``<!-- data: NAME readme -->``
-takes the rows that a group names under ``readme`` and leaves out where they are from. The episodes of
-``control_suite.json`` are those of ``tools/study.py dm_suite --json``. Exit code 2 for bad figures.
+takes the rows that a group names under ``readme`` and leaves out where they are from. ``{NAME|CELL & CELL|COLUMN}`` in
+a cell is the figure of another file, in the row that has these cells. Episodes of ``control_suite.json`` are those of
+``tools/study.py dm_suite --json``; ``{control_suite}`` is what the line below that table says first. Pages of
+tools/pages/figures.toml are written as a whole: titles, sentences, tables, pictures. Exit code 2 for bad figures.
 """
 
 from __future__ import annotations
@@ -17,15 +19,20 @@ import argparse
 import json
 import re
 import sys
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "docs" / "data"
+WHOLE = Path(__file__).with_name("figures.toml")
+"""Pages that are written as a whole."""
 EPISODES = "control_suite"
 """Figures that are episodes, from which a table is computed."""
 
 _TABLE = re.compile(r"(<!-- data: (\w+)( readme)? -->\n).*?(<!-- end -->)", re.DOTALL)
+_REFERENCE = re.compile(r"\{(\w+)\|([^|}]+)\|([^|}]+)\}")
 
 
 class Group(TypedDict):
@@ -80,7 +87,7 @@ def table(figures: Figures, *, readme: bool = False) -> str:
         rows = group["rows"]
         lines += [_row(row) for row in ([rows[i] for i in group.get("readme", [])] if readme else rows)]
     if not readme:
-        lines += ["", *_sources(figures["groups"])]
+        lines += [f"\n{source}" if i == 0 else source for i, source in enumerate(_sources(figures["groups"]))]
     return "\n".join(lines) + "\n"
 
 
@@ -99,8 +106,38 @@ def rewritten(text: str) -> str:
     return _TABLE.sub(fill, text)
 
 
+def assembled(page: Mapping[str, Any]) -> str:
+    """Text of a page of tables, pictures and sentences, its tables empty.
+
+    Args:
+        page: ``title``, ``text`` and a list of ``section``, each with ``title``, ``text``, ``data`` and ``picture``
+            (file name and words), all but the title if there is any.
+    """
+    parts = [f"# {page['title']}", page["text"]]
+    for section in page["section"]:
+        parts += [f"## {section['title']}", section.get("text", "")]
+        parts += [f"<!-- data: {name} -->\n<!-- end -->" for name in section.get("data", [])]
+        parts += [f"![{words}]({file})" for file, words in section.get("picture", {}).items()]
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
 def _row(cells: list[str]) -> str:
-    return f"|{'|'.join(cells)}|"
+    return f"|{'|'.join(map(_resolved, cells))}|"
+
+
+def _resolved(cell: str) -> str:
+    """A cell with the figures of other files that it refers to."""
+    if "{control_suite}" in cell:
+        cell = cell.replace("{control_suite}", _suite().split("\n\n")[-1].partition(". ")[0])
+    return _REFERENCE.sub(lambda found: _figure(*found.groups()), cell)
+
+
+def _figure(name: str, row: str, column: str) -> str:
+    figures, cells = read(name), set(row.replace("`", "").split(" & "))
+    rows = [r for group in figures["groups"] for r in group["rows"] if cells <= {cell.replace("`", "") for cell in r}]
+    if len(rows) != 1 or column not in figures["columns"]:
+        raise ValueError(f"{DATA / name}.json: {len(rows)} rows have {row}, columns are {figures['columns']}")
+    return rows[0][figures["columns"].index(column)]
 
 
 def _sources(groups: list[Group]) -> list[str]:
@@ -112,7 +149,8 @@ def _sources(groups: list[Group]) -> list[str]:
         text += f" ({group['note']})" if "note" in group else ""
         last = first + len(group["rows"]) - 1
         rows = f"* Row {first}: " if last == first else f"* Rows {first} to {last}: "
-        lines.append(f"{rows if len(groups) > 1 else ''}{text[:1].upper()}{text[1:]}.")
+        if text:
+            lines.append(f"{rows if len(groups) > 1 else ''}{text[:1].upper()}{text[1:]}.")
         first = last + 1
     return lines
 
@@ -132,11 +170,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, tell which pages would change")
     args = parser.parse_args(arguments)
     try:
-        new = {page: rewritten(page.read_text(encoding="utf-8")) for page in pages()}
+        texts = {page: page.read_text(encoding="utf-8") for page in pages()}
+        listed = tomllib.loads(WHOLE.read_text(encoding="utf-8"))
+        texts |= {ROOT / page["file"]: assembled(page) for page in listed["page"]}
+        new = {page: rewritten(text) for page, text in texts.items()}
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    changed = [page for page, text in new.items() if text != page.read_text(encoding="utf-8")]
+    changed = [page for page, text in new.items() if not page.exists() or text != page.read_text(encoding="utf-8")]
     for page in changed:
         print(f"{page.relative_to(ROOT)}: {'is not what its figures say' if args.check else 'written'}")
         if not args.check:

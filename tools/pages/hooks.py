@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hooks of MkDocs: pages written from the source, and the package as an installed one has it for its docstrings."""
+"""Hooks of MkDocs: what pages have from the source, and the package as an installed one has it for its docstrings."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import tempfile
@@ -14,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from graph import drawn
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
-from reference import pages
+from reference import bodies, changelog
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
+NAME = re.compile(r"^\* `(warpmpc[\w.]+)`: .*$", re.MULTILINE)
+"""A name in the list of names, with what it is in a line."""
+SHOWN = {"warpmpc.Scene": "[name, flat_poses, cost_labels]"}
+"""Members of a class that the page shows, where it does not show all: keys of scene files have another page."""
 _view = tempfile.TemporaryDirectory()
+_bodies: dict[str, str] = {}
 
 
 @event_priority(100)  # before mkdocstrings takes its settings
@@ -37,12 +43,18 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are written from the source."""
-    for path, text in pages().items():
-        files.append(File.generated(config, path, content=text))
+    """Write what comes from the source, and add the change log."""
+    _bodies.update(bodies())
+    files.append(File.generated(config, "changelog.md", content=changelog()))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Draw graphs."""
-    return drawn(markdown)
+    """Draw graphs, put what comes from the source below what a page says by hand, and docstrings in place of lines."""
+    markdown += _bodies.get(page.file.src_uri, "")
+    return NAME.sub(_documented, drawn(markdown)) if page.file.src_uri == "reference/python.md" else drawn(markdown)
+
+
+def _documented(name: re.Match[str]) -> str:
+    members = SHOWN.get(name[1])
+    return f"\n::: {name[1]}\n" + (f"    options:\n      members: {members}\n" if members else "")

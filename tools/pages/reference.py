@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of the documentation that are written from the source: scene files, cost terms, commands, the change log."""
+"""What the documentation has from the source: keys of scene files and cost terms, commands, the change log."""
 
 from __future__ import annotations
 
@@ -20,29 +20,11 @@ from pydantic.fields import FieldInfo
 from warpmpc import Scene
 from warpmpc.cli.main import app
 from warpmpc.cost.term import CostTerm
+from warpmpc.cost.terms import TERMS
 from warpmpc.scene.describe import default, keys, takes, unit
-from warpmpc.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 
-_SCENE = """# Scene files: every key
-
-Written from the source of warpmpc. A scene file is [TOML](https://toml.io); lengths are in metres, masses in kilograms,
-times in seconds, angles in radians, forces in newtons, quaternions are (x, y, z, w). `warpmpc schema` prints all of
-this for editors, and [scene files](../scenes.md) tells what the keys are for. `false` switches off a key that may be
-absent, as in `ground = false`.
-"""
-_TERMS = """# Cost terms: every key
-
-Written from the source of warpmpc. A scene's costs are tables `[[cost]]` with these keys of a term's own, besides
-`term`, `name` and `weight` (1 when left out). A frame is `robot/frame`, `robot/link`, an object, an obstacle, a target
-or `goal`. [Your own cost](../tutorial/cost.md) says how to write another.
-"""
-_COMMANDS = """# Commands
-
-Written from the source of warpmpc. Exit codes: 0 when every episode reached its goal, 1 when one did not, 2 for wrong
-input, 130 after Ctrl-C.
-"""
 _GROUPS = {
     "general": "Distances, controls, contacts",
     "joints": "Joints",
@@ -59,15 +41,19 @@ _GROUPS = {
 """What the modules of the terms are about."""
 
 
-def pages() -> dict[str, str]:
-    """The pages in Markdown, by their path."""
+def bodies() -> dict[str, str]:
+    """What follows on pages that say by hand what they are about, in Markdown, by their path."""
     found = examples()
     return {
-        "reference/scene.md": _SCENE + "\n".join(_sections(Scene, "", found, {})),
-        "reference/terms.md": _TERMS + "\n".join(_terms(found)),
-        "reference/commands.md": _COMMANDS + "\n".join(_commands()),
-        "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "]("),
+        "reference/scene.md": "\n".join(_sections(Scene, "", found, {})),
+        "reference/terms.md": "\n".join(_terms(found)),
+        "reference/commands.md": "\n".join(_commands()),
     }
+
+
+def changelog() -> str:
+    """The change log as a page of the site."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "](")
 
 
 def _sections(

@@ -11,8 +11,8 @@ _ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):`~?([^`]+)`")
 
 
 def plain(text: str) -> str:
-    """The text with ``:class:`~warpmpc.Plan``` and the like as the last part of their names."""
-    return _ROLE.sub(lambda found: f"`{found[1].rsplit('.', 1)[-1]}`", text)
+    """The text with ``:class:`~warpmpc.Plan``` and the like as the last part of their names, those of MuJoCo whole."""
+    return _ROLE.sub(lambda found: f"`{re.sub(r'^(?!mujoco).*[.]', '', found[1])}`", text)
 
 
 class Roles(griffe.Extension):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     import warpmpc
-    from warpmpc.estimation.free_joints import FreeJoint
+    from warpmpc.loop.estimation.free_joints import FreeJoint
 
 
 class BaseErrors:

@@ -7,6 +7,7 @@ import ast
 import importlib
 import signal
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[1]
@@ -43,9 +44,7 @@ def run(package: str, about: str, arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return 130
     except Exception as error:
-        from warpmpc.run.job import LostJob  # late: `start` times the import of warpmpc
-
-        if not isinstance(error, LostJob | ValueError | OSError):
+        if not isinstance(error, BrokenProcessPool | ValueError | OSError):
             raise
         print(f"error: {error}", file=sys.stderr)
-        return 1 if isinstance(error, LostJob) else 2
+        return 1 if isinstance(error, BrokenProcessPool) else 2

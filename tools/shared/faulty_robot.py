@@ -1,36 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot's process whose messages go wrong when it is told to.
 
-    python tools/shared/faulty_robot.py SCENE TRANSPORT PLACE SPEED
+    python tools/shared/faulty_robot.py SCENE --zmq PORT | --ros2 --topics FILE [--orders]
 
-Reads orders on standard input, one a line, and answers each by a line of JSON: ``await`` answers when the drives have
-followed plans for :data:`CALM`; ``FAULT SECONDS`` lets messages go wrong for that time and tells how soon the drives
-had their safe command to the end of it (null if they had not), which commands were refused meanwhile, and whether any
-was unsafe; ``end`` answers with the report. The faults are those of :data:`FAULTS`; ``watch`` spoils nothing.
+Without --orders it is `warpmpc robot` behind a link that loses and delays messages; its report counts unsafe commands.
+With --orders it reads orders on standard input, one a line, and answers each by a line of JSON: ``await`` answers when
+the drives have followed plans for :data:`CALM`; ``FAULT SECONDS`` lets messages go wrong for that time and tells how
+soon the drives had their safe command to the end of it (null if they had not), which commands were refused meanwhile,
+and whether any was unsafe; ``end`` answers with the report. The faults are those of :data:`FAULTS`; ``watch`` spoils
+nothing.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from queue import Empty, Queue
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shared.wire import TRANSPORTS
+from shared.drive_monitor import MonitoredProcess
+from shared.faulty_link import FaultyLink
 from warpmpc import State, load_scene
-from warpmpc.model.safe import safe_command
-from warpmpc.robots.process import RobotProcess
+from warpmpc.cli.interrupts import Interrupts
+from warpmpc.cli.robot import transport_of
+from warpmpc.cli.setup import results_only
+from warpmpc.scene.model.control_values import safe_command
 
 if TYPE_CHECKING:
-    from warpmpc.estimation.measurement import Measurement
-    from warpmpc.robots.process import Transport
-    from warpmpc.robots.safety import Command
+    from warpmpc.loop.estimation.measurement import Measurement
+    from warpmpc.loop.robots.safety import Command
+    from warpmpc.loop.robots.simulated import Transport
 
 CALM = 0.3
 """Time for which plans are followed before an order [s]."""
@@ -98,8 +106,8 @@ FAULTS = {
 """What happens to a state."""
 
 
-class DrilledRobot(RobotProcess):
-    """A robot that takes orders; the arguments are those of :class:`~warpmpc.robots.process.RobotProcess`."""
+class DrilledRobot(MonitoredProcess):
+    """A robot that takes orders; the arguments are those of :class:`MonitoredProcess`."""
 
     def __init__(self, *args: object, **keys: object):
         super().__init__(*args, **keys)
@@ -132,7 +140,7 @@ class DrilledRobot(RobotProcess):
         safety = self.safety
         self._calm: float | None = None
         self._safe_since: float | None = None
-        self._before = Counter(safety.refused), self.monitor.unsafe
+        self._before = Counter(safety.refused), safety.monitor.unsafe
         self._start = self.now
         if name in FAULTS:
             self.transport.fault = name
@@ -143,7 +151,7 @@ class DrilledRobot(RobotProcess):
         name, *more = self._order
         if name == "end":
             self.over = True
-            return self.report().to_json()
+            return self.told()
         if name == "await":
             self._calm = None if safe else self._calm or now
             return {"after_s": now - self._start} if self._calm and now - self._calm >= CALM else None
@@ -152,7 +160,7 @@ class DrilledRobot(RobotProcess):
             return None
         # a planner that is gone has sent its last command before or after the order came
         last = self.safety.times.last if name == "watch" else self._start
-        refused, unsafe = self.safety.refused - self._before[0], self.monitor.unsafe - self._before[1]
+        refused, unsafe = self.safety.refused - self._before[0], self.safety.monitor.unsafe - self._before[1]
         return {
             "safe_s": None if self._safe_since is None else self._safe_since - last,
             "refused": {kind.value: count for kind, count in refused.items()},
@@ -168,14 +176,36 @@ class DrilledRobot(RobotProcess):
         return bool(np.allclose(self.control, np.clip(safe, layout.control_lower, layout.control_upper), atol=1e-6))
 
 
-def main(scene: str, transport: str, place: str, speed: str) -> None:
-    """Be the robot until the order to end."""
-    ends = TRANSPORTS[transport]
-    robot = DrilledRobot(
-        load_scene(scene), lambda layout: SpoiltTransport(ends.connect(layout, int(place))), speed=float(speed)
+def main() -> None:
+    """Be the robot until the order to end or a signal."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene")
+    parser.add_argument("--zmq", type=int, metavar="PORT")
+    parser.add_argument("--ros2", action="store_true")
+    parser.add_argument("--topics", type=Path, metavar="FILE")
+    parser.add_argument("--orders", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds in a second")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--delay", type=float, nargs=2, default=(0.0, 0.0), metavar="MS", help="between these, both ways"
     )
-    robot.run(lambda: robot.over)
+    parser.add_argument("--drop", type=float, default=0.0, help="share of messages that is lost, both ways")
+    options = parser.parse_args()
+    scene = load_scene(options.scene, overrides=options.set)
+    connect = transport_of(scene, zmq=options.zmq, ros2=options.ros2, topics=options.topics)
+    keys = {"seed": options.seed, "speed": options.speed}
+    if options.orders:
+        drilled = DrilledRobot(scene, lambda layout: SpoiltTransport(connect(layout)), **keys)
+        drilled.run(lambda: drilled.over)
+        return
+    link = {"delay": tuple(1e-3 * bound for bound in options.delay), "drop": options.drop, **keys}
+    with results_only() as out, suppress(KeyboardInterrupt), Interrupts() as interrupts:
+        robot = MonitoredProcess(scene, lambda layout: FaultyLink(connect(layout), **link), **keys)
+        with suppress(KeyboardInterrupt):
+            robot.run(interrupts.check)
+        print(json.dumps(robot.told()), file=out, flush=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,36 @@ def write_json(path: Path, data: object) -> None:
     new = path.with_name(f"{path.name}.new")
     new.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     os.replace(new, path)
+
+
+def put_rows(
+    path: Path,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    study: str,
+    arguments: Sequence[str],
+    **more: str,
+) -> None:
+    """Put the rows of a study's command, run now and here, into a table's file.
+
+    Args:
+        path: File of the table.
+        columns: Heads of the columns.
+        rows: The rows.
+        study: Name of the study.
+        arguments: Of its command line; where files go is left out.
+        more: ``note``, and ``machine`` where this is not the machine.
+    """
+    from .machine import machine
+
+    here, words = machine(), list(arguments)
+    for option in ("--json", "--waits", "--out"):
+        if option in words:
+            del words[(at := words.index(option)) : at + 2]
+    command = shlex.join(["python", "tools/study.py", study, *words])
+    where = {"machine": f"{here['cores']} cores of {here['cpu']}", "date": f"{date.today()}", "command": command}
+    put_group(path, columns, {**where, **more, "rows": rows})
 
 
 def put_group(path: Path, columns: Sequence[str], group: Mapping[str, Any]) -> None:

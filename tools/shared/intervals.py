@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates, means and paired differences with their 95 % intervals."""
+"""Rates and means with their 95 % intervals."""
 
 from __future__ import annotations
 
@@ -35,23 +35,3 @@ def mean(values: Sequence[float]) -> Estimate:
         return Estimate(middle, None, None, count)
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * stats.sem(values))
     return Estimate(middle, middle - half, middle + half, count)
-
-
-def rate_difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
-    """Difference of two paired rates and its interval: one is added to either kind of disagreement."""
-    n = len(first)
-    more, less = ((first & ~second).sum() + 1) / (n + 2), ((second & ~first).sum() + 1) / (n + 2)
-    half = stats.norm.ppf(0.5 + CONFIDENCE / 2) * np.sqrt((more + less - (more - less) ** 2) / (n + 2))
-    return (
-        float(first.mean() - second.mean()),
-        max(-1.0, float(more - less - half)),
-        min(1.0, float(more - less + half)),
-    )
-
-
-def mean_difference(values: np.ndarray) -> tuple[float, float, float] | None:
-    """Mean of paired differences and its interval, None with less than two of them."""
-    if len(values) < 2:
-        return None
-    half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-    return float(values.mean()), float(values.mean() - half), float(values.mean() + half)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
-from warpmpc.run.workers import Workers, one_thread
+from warpmpc.loop.run.workers import Workers, one_thread
 from warpmpc.scene.schema import EngineName
 
 
@@ -46,7 +46,7 @@ def run_job(job: Job) -> dict:
     """
     import warpmpc
     from shared.measure import Meter
-    from warpmpc.run.episode import Episode
+    from warpmpc.loop.run.episode import Episode
 
     scene = warpmpc.load_scene(job.scene, overrides=job.overrides)
     episode = Episode(scene, seed=job.seed, engine=job.engine, device=job.device)

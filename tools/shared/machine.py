@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from importlib.metadata import version
 
-from warpmpc.origin import hardware, versions
+from warpmpc.scene.origin import hardware, versions
 
 
 def machine() -> dict:

@@ -10,12 +10,14 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from warpmpc.model.movable import movable_body
+from warpmpc.scene.model.mjcf_mocap import movable_body
 
 if TYPE_CHECKING:
     from warpmpc import Controller, Plant
-    from warpmpc.model.compiled import CompiledScene
+    from warpmpc.scene.model.compiled import CompiledScene
 
+AFTER = 8.0
+"""When errors are noted besides [s]."""
 FAR = 1e3
 """Distances beyond this count as this [m]."""
 
@@ -70,7 +72,7 @@ class Clearance:
 
 
 class Meter:
-    """Measures an episode; hand it to :meth:`warpmpc.run.episode.Episode.run` as ``on_step``.
+    """Measures an episode; hand it to :meth:`warpmpc.loop.run.episode.Episode.run` as ``on_step``.
 
     In a scene without a goal there is nothing whose way and errors could be measured: they are ``None``.
 
@@ -85,7 +87,7 @@ class Meter:
             frame = plant.layout.frame(plant.scene.goal.target)
             self._body, self._offset = int(plant.layout.frame_body[frame]), plant.layout.frame_pose[frame][:3]
             self.place = self._goal_target()
-        self._start = plant.error
+        self._start = self._then = plant.error
         self.path_length = 0.0
         self.squared_jerk = 0.0
         """∫ ‖p⃛‖² dt of the goal's frame or object [m²/s⁵], from differences of its place after every control."""
@@ -103,6 +105,8 @@ class Meter:
             self.squared_control_rate += float(np.sum((control - self._control) ** 2)) / dt
         self._control = np.array(control, dtype=float)
         if self._goal:
+            if plant.time <= AFTER + 1e-6:
+                self._then = plant.error
             at = self._goal_target()
             self.path_length += float(np.linalg.norm(at - self.place))
             self.place = at
@@ -120,9 +124,9 @@ class Meter:
 
     def to_json(self) -> dict[str, object]:
         """The measures as data for JSON, ``None`` for what is not finite; units in the keys."""
-        start, end, clearance = self._start, self.plant.error, _number(self.clearance)
+        start, then, end, clearance = self._start, self._then, self.plant.error, _number(self.clearance)
         if not self._goal:
-            of_goal = ("path_length_m", "squared_jerk_m2_s5", "start_position_error_m", "axes_error_m")
+            of_goal = ("path_length_m", "squared_jerk_m2_s5", "start_position_error_m", "axes_error_m", "then_m_rad")
             rest = {"squared_control_rate": self.squared_control_rate, "clearance_m": clearance}
             return {**dict.fromkeys((*of_goal, "rotation_error_rad")), **rest}
         return {
@@ -133,6 +137,7 @@ class Meter:
             "start_position_error_m": _number(start.position),
             "axes_error_m": [_number(value) for value in end.axes],
             "rotation_error_rad": _number(end.rotation),
+            "then_m_rad": [_number(value) for value in (*then.axes[:2], then.yaw)],
         }
 
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 import warpmpc
-from warpmpc.model.compiled import compile_scene
-from warpmpc.model.mujoco_model import Options, make_world
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.model.mujoco_model import Options, make_world
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 OPTION = '<option timestep="0.005" integrator="Euler" iterations="20" tolerance="1e-6"/>'

@@ -11,7 +11,7 @@ import mujoco
 
 from shared.models import model_of
 from warpmpc import Scene
-from warpmpc.model.assets import package_dirs
+from warpmpc.scene.model.assets import package_dirs
 
 ROBOT_DATA = "example-robot-data"
 PACKAGES = (

@@ -61,7 +61,7 @@ class BareRollout:
 
 
 class BareGraph:
-    """The floor of the engine ``newton``: the same solver steps captured alone.
+    """The floor of the engines ``mujoco_warp`` and ``newton``: the same solver steps captured alone.
 
     Args:
         engine: Its simulator.
@@ -89,7 +89,7 @@ def bare_physics(controller: warpmpc.Controller) -> Callable[[], float] | None:
     match controller.engine.name:
         case "mujoco":
             return BareRollout(controller.engine.simulator)
-        case "newton":
+        case "mujoco_warp" | "newton":
             return BareGraph(controller.engine.simulator)
     return None
 

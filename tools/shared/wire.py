@@ -11,16 +11,11 @@ import subprocess
 import sys
 import threading
 import time
-import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, Queue
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from warpmpc.model.layout import Layout
-    from warpmpc.robots.process import Transport
+from typing import Any
 
 TOOLS = Path(__file__).parents[1]
 PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
@@ -70,8 +65,6 @@ class Ends:
     """Name of the driver at the other end."""
     place: Callable[[], int]
     """Finds a free place."""
-    connect: Callable[[Layout, int], Transport]
-    """Makes the robot's end."""
     options: Callable[[int, Path], list[str]]
     """Options of ``warpmpc robot`` that make it, beside the driver's file."""
     settings: Callable[[int], str]
@@ -90,35 +83,22 @@ def free_port() -> int:
             return one.getsockname()[1]
 
 
-def _zmq(layout: Layout, port: int) -> Transport:
-    from warpmpc.robots.zeromq import ZmqTransport
-
-    return ZmqTransport(layout, port)
-
-
 def _ros2(keys: str) -> Ends:
     """Topics in a namespace of their own; the simulated robot has the driver's file, too."""
 
     def settings(place: int) -> str:
         return f'namespace = "wire_{place}"\nconnect_timeout = 60.0\nuse_sim_time = true\n{keys}'
 
-    def connect(layout: Layout, place: int) -> Transport:
-        from warpmpc.robots.ros2.settings import Ros2Settings
-        from warpmpc.robots.ros2.transport import Ros2Transport
-
-        return Ros2Transport(layout, Ros2Settings.model_validate(tomllib.loads(settings(place))))
-
     def options(place: int, file: Path) -> list[str]:
         return ["--ros2", "--topics", str(file)]
 
-    return Ends("ros2", lambda: time.time_ns(), connect, options, settings)
+    return Ends("ros2", lambda: time.time_ns(), options, settings)
 
 
 TRANSPORTS = {
     "zmq": Ends(
         driver="zmq",
         place=free_port,
-        connect=_zmq,
         options=lambda port, _: ["--zmq", str(port)],
         settings=lambda port: (
             f'states = "tcp://127.0.0.1:{port}"\ncommands = "tcp://127.0.0.1:{port + 1}"\n'
@@ -128,6 +108,12 @@ TRANSPORTS = {
     "ros2": _ros2(""),
     "ros2-trajectory": _ros2('[command]\ntype = "trajectory_msgs/JointTrajectory"\n'),
 }
+
+
+def start_robot(scene: str, options: Sequence[str], **pipes: Any) -> subprocess.Popen[str]:
+    """Start ``faulty_robot.py``; it has the options of ``warpmpc robot`` and those of links."""
+    command = [sys.executable, str(TOOLS / "shared" / "faulty_robot.py"), scene, *options]
+    return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(TOOLS)}, text=True, **pipes)
 
 
 class Planner:
@@ -183,9 +169,9 @@ class Drill:
         self.scene.write_text(DRILL, encoding="utf-8")
         file.write_text(ends.settings(place), encoding="utf-8")
         self.robot = f"{ends.driver}:{file}"
-        command = [sys.executable, TOOLS / "shared" / "faulty_robot.py", self.scene, transport, place, speed]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
-        self._process = subprocess.Popen(list(map(str, command)), env={**os.environ, "PYTHONPATH": str(TOOLS)}, **pipes)
+        options = ["--orders", "--speed", str(speed), *ends.options(place, file)]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 1}
+        self._process = start_robot(str(self.scene), options, **pipes)
         self._answers: Queue[str] = Queue()
         threading.Thread(target=self._listen, daemon=True).start()
         self._speed = speed
@@ -238,8 +224,8 @@ class Drill:
         import numpy as np
 
         from warpmpc import load_scene
-        from warpmpc.model.compiled import compile_scene
-        from warpmpc.robots.drivers import await_state, make_robot
+        from warpmpc.loop.robots.drivers import await_state, make_robot
+        from warpmpc.scene.model.compiled import compile_scene
 
         scene = load_scene(str(self.scene))
         compiled = compile_scene(scene)

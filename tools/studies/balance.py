@@ -2,10 +2,13 @@
 """Balance a ball on a tray that an arm holds, the ball seen 30 times a second with noise: STORM's Fig. 6.
 
     python tools/study.py balance --runs 20 --seed 100             # runs, a line each
-    python tools/study.py balance --scene storm_balance:moving --runs 10
+    python tools/study.py balance --scene storm_balance:moving --time 13 --runs 10
+    python tools/study.py balance --model paper                    # planned with STORM's model of the ball
+    python tools/study.py balance --draw docs/storm_balance.png    # of earlier runs' npz
 
 Every run begins with the ball at rest somewhere off the centre. What is seen of it goes through a Kalman filter in the
-tray's frame, which knows the rolling ball's model, too. Joints are seen as they are.
+tray's frame, which knows the rolling ball's model, too. Joints are seen as they are. OUT/SCENE_MODEL.npz has the
+ball's paths.
 """
 
 from __future__ import annotations
@@ -13,14 +16,18 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from shared.files import put_rows
 
 import warpmpc
 from warpmpc.cli.setup import start_warp
+from warpmpc.loop.run.workers import FORMS, open_workers
 
 if TYPE_CHECKING:
     from warpmpc import Plant, State
@@ -29,8 +36,20 @@ START = (0.06, 0.11)
 """How far from the centre the ball begins [m]."""
 SETTLED = 4.0
 """Time after which the ball shall stay near the centre [s]."""
-NEAR = 0.02
-"""[m]"""
+NEAR, PAPER = 0.02, 0.04
+"""What is near, here and in the paper [m]."""
+MODELS = {
+    "ours": ("5/7 (Rᵀ(g - a))_xy", ()),
+    "paper": ("(Rᵀg)_xy, the paper's", ("cost.rolling_ball.share=1.0", "cost.rolling_ball.carried=false")),
+}
+"""The ball's models in the planner."""
+COLUMNS = (
+    "ball's model in the planner",
+    "scene",
+    "within 2 cm from 4 s on",
+    "within 4 cm (paper)",
+    "furthest then [mm]",
+)
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SHARE = 5.0 / 7.0
 """Of the acceleration that a frictionless point would have, for a solid ball."""
@@ -188,6 +207,43 @@ def balance(name: str, seed: int, overrides: list[str], args: argparse.Namespace
     return Run(seed, np.array(path), scene.timing.control_dt, np.array(hand))
 
 
+def figures(args: argparse.Namespace, runs: list[Run]) -> list[str]:
+    """The runs as a row of the table; a ball that is lost is nowhere near."""
+    furthest = [math.inf if f is None else f for f in (run.to_json()["furthest_after_4s_m"] for run in runs)]
+    within = [f"{sum(f <= near for f in furthest)} of {len(runs)}" for near in (NEAR, PAPER)]
+    kept = [1e3 * f for f in furthest if f < math.inf]
+    spread = f"{min(kept):.0f} to {max(kept):.0f}, median {np.median(kept):.0f}" if kept else "-"
+    return [MODELS[args.model][0], f"`{args.scene}`", *within, spread]
+
+
+def draw(folder: Path, scene: str, path: Path) -> None:
+    """Draw the ball's ways in the tray's frame, and how far it is from the centre over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    plan, distance = figure.subplots(1, 2)
+    run = np.load(folder / f"{file_name(scene, 'ours')}.npz")
+    for way in run["paths"]:
+        (line,) = plan.plot(100.0 * way[:, 0], 100.0 * way[:, 1], linewidth=0.8)
+        plan.plot(*(100.0 * way[0, :2]), "o", color=line.get_color(), markersize=4)
+        distance.plot(run["dt"] * np.arange(len(way)), 100.0 * np.linalg.norm(way[:, :2], axis=1), linewidth=0.8)
+    turn = np.linspace(0.0, 2.0 * math.pi, 100)
+    for near, style in ((NEAR, "-"), (PAPER, ":")):
+        plan.plot(100.0 * near * np.cos(turn), 100.0 * near * np.sin(turn), style, color="tab:red")
+        distance.axhline(100.0 * near, linestyle=style, color="tab:red", label=f"{100.0 * near:g} cm")
+    plan.set(xlabel="x of the tray [cm]", ylabel="y of the tray [cm]", aspect="equal")
+    distance.set(xlabel="time [s]", ylabel="ball from the centre [cm]", ylim=(0.0, None))
+    distance.legend()
+    for axes in (plan, distance):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=90)
+
+
+def file_name(scene: str, model: str) -> str:
+    """Name of the file of a scene's paths."""
+    return f"{scene.replace(':', '_')}_{model}"
+
+
 def main(arguments: list[str]) -> None:
     """Command line of this tool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -198,13 +254,29 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--rate", type=float, default=30.0, help="observations of the ball a second (default 30)")
     parser.add_argument("--noise", type=float, default=0.005, help="their standard deviation [m]; 0: all is seen")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--model", choices=MODELS, default="ours", help="of the ball, in the planner")
+    parser.add_argument("--jobs", default="1", metavar="WHERE", help=f"{FORMS} (default 1)")
+    parser.add_argument("--out", type=Path, default=Path("build/balance"), help="folder of the paths")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the table's figures, as docs/data has them")
+    parser.add_argument("--draw", type=Path, metavar="PNG", help="draw earlier runs in OUT, and run nothing")
     args = parser.parse_args(arguments)
-
-    start_warp()
-    runs = []
-    for seed in range(args.seed, args.seed + args.runs):
-        runs.append(balance(args.scene, seed, args.overrides, args))
-        print(json.dumps(runs[-1].to_json()), flush=True)
-    furthest = [run.to_json()["furthest_after_4s_m"] for run in runs]
-    near = sum(value is not None and value <= NEAR for value in furthest)
-    print(f"within 2 cm from {SETTLED:g} s on: {near} of {len(runs)}")
+    if args.draw:
+        draw(args.out, args.scene, args.draw)
+        return
+    overrides = ["engine.threads=1", *MODELS[args.model][1], *args.overrides]
+    workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
+    with workers:
+        seeds = range(args.seed, args.seed + args.runs)
+        jobs: list[Future[Run]] = [workers.submit(balance, args.scene, seed, overrides, args) for seed in seeds]
+        runs = []
+        for job in jobs:
+            runs.append(job.result())
+            print(json.dumps(runs[-1].to_json()), flush=True)
+    longest = max(len(run.path) for run in runs)
+    paths = [np.pad(run.path, ((0, longest - len(run.path)), (0, 0)), constant_values=np.nan) for run in runs]
+    args.out.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(args.out / f"{file_name(args.scene, args.model)}.npz", paths=paths, dt=runs[0].dt)
+    row = figures(args, runs)
+    print(" | ".join(row))
+    if args.json:
+        put_rows(args.json, COLUMNS, [row], study="balance", arguments=arguments)

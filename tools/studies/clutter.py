@@ -32,12 +32,11 @@ from shared.intervals import rate
 from shared.measure import Clearance
 
 import warpmpc
-from warpmpc.model.link_pairs import self_pairs
-from warpmpc.model.spheres import fit_spheres
-from warpmpc.origin import code_digest
-from warpmpc.run.episode import Episode
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, open_workers
+from warpmpc.loop.run.episode import Episode
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers
+from warpmpc.scene.model.pairs import self_pairs
+from warpmpc.scene.model.spheres import fit_spheres
+from warpmpc.scene.origin import code_digest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -156,7 +155,7 @@ def collected(args: argparse.Namespace) -> list[dict]:
     """Results of all forms by seed, until enough seeds of each count; those that are kept are not run again."""
     from warpmpc.cli.setup import start_warp
 
-    records, rows = Records(args.out / "clutter.jsonl"), []
+    records, rows = FinishedJobs(args.out / "clutter.jsonl"), []
     seeds, overrides = range(*map(int, args.seeds.split(":"))), ["engine.threads=1", *args.set]
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     with workers:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Success of every form of covariance over the number of samples, with and without contact.
 
-    python tools/study.py covariance --jobs 16                     # 4 scenes, 6 forms, 50 to 1000 samples, 5 seeds
+    python tools/study.py covariance --jobs 16                     # 4 scenes, 5 forms, 50 to 1000 samples, 5 seeds
     python tools/study.py covariance --scenes holonomic_2d --samples 50 500 --runs 1
     python tools/study.py covariance --draw docs/data/covariance.json --out docs    # docs/covariance.png, no runs
 
 STORM says that adapting it saves samples, Pezzato et al. that it makes an arm stagnate in contact. Posture proposals
 are off. Adapted forms have STORM's α_σ = 0.7, and κ is the variance at the start, as in its code; ``FORM-shrinking``
-has κ = 0, so that nothing widens what has narrowed but ``planner.sigma_min``. A form with one σ for all controls is
-left out where a scene gives them several. Finished runs are kept in OUT/covariance.jsonl and never repeated; the same
-command goes on after an interruption. OUT then holds covariance.json and covariance.png.
+has κ = 0, so that nothing widens what has narrowed but ``planner.sigma_min``. Finished runs are kept in
+OUT/covariance.jsonl and never repeated; the same command goes on after an interruption. OUT then holds covariance.json
+and covariance.png.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ from shared.progress import Bar
 import warpmpc
 from studies.experiments.runs import make_runs, plan_runs
 from studies.experiments.tables import Cell
-from warpmpc.origin import code_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS
+from warpmpc.loop.run.workers import FORMS, FinishedJobs
+from warpmpc.scene.origin import code_digest
 from warpmpc.scene.schema import CovarianceForm
 
 if TYPE_CHECKING:
@@ -60,8 +59,6 @@ def cells(scenes: Sequence[str], forms: Sequence[str], samples: Sequence[int]) -
         own = (*DRAWS.get(scene, ()), *(("planner.postures=false",) if planner.postures else ()))
         for name in forms:
             form = name.removesuffix(SHRINKING)
-            if form == CovarianceForm.SIGMA and len(set(sigma)) > 1:
-                continue
             kappa = [0.0] if name.endswith(SHRINKING) else [round(value**2, 6) for value in sigma]
             adapted = "" if form == CovarianceForm.FIXED else f", step_size=0.7, kappa={kappa}"
             for count in samples:
@@ -132,7 +129,7 @@ def main(arguments: list[str]) -> None:
     wanted = cells(args.scenes, args.forms, args.samples)
     overrides = ["engine.threads=1", *args.overrides]
     runs = plan_runs("covariance", wanted, seeds=seeds, overrides=overrides, engine="auto", device="cpu")
-    records, here = Records(args.out / "covariance.jsonl"), machine()
+    records, here = FinishedJobs(args.out / "covariance.jsonl"), machine()
     circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
     with Bar(sum(run.key not in records.by_key for run in runs)) as bar:
         make_runs(

@@ -30,9 +30,9 @@ from shared.seeds import draw
 
 import warpmpc
 from warpmpc.cli.setup import start_warp
-from warpmpc.origin import code_digest
-from warpmpc.run.episode import run_episode
-from warpmpc.run.workers import FORMS, check_jobs, open_workers
+from warpmpc.loop.run.episode import run_episode
+from warpmpc.loop.run.workers import FORMS, check_jobs, open_workers
+from warpmpc.scene.origin import code_digest
 from warpmpc.scene.schema import Scene
 
 OTHERS = Path(__file__).parents[1] / "others"

@@ -23,13 +23,14 @@ from __future__ import annotations
 import argparse
 import sys
 from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shared.files import write_json
 from shared.seeds import draw, worn
 
-from warpmpc.run.workers import LostJob, check_jobs, open_workers
+from warpmpc.loop.run.workers import check_jobs, open_workers
 
 if TYPE_CHECKING:
     from dm_tasks.play import Episode
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> None:
 
     Raises:
         ValueError: As :func:`episodes`, or if a file of episodes is none.
-        LostJob: If the process of an episode died every time; the others have been played.
+        BrokenProcessPool: If a process died; what was played before is kept.
     """
     from dm_tasks.play import play
     from dm_tasks.table import read, table
@@ -136,7 +137,7 @@ def run(args: argparse.Namespace) -> None:
             what = f"{futures[future].name}, seed {futures[future].seed}"
             try:
                 played = future.result()
-            except LostJob as error:
+            except BrokenProcessPool as error:
                 lost = error
                 bar.step(f"{what}: lost")
                 continue

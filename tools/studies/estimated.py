@@ -39,10 +39,8 @@ from shared.machine import machine
 import warpmpc
 from studies.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
-from warpmpc.estimation.free_joints import FreeJoint
-from warpmpc.run.code import scene_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, open_workers
+from warpmpc.loop.estimation.free_joints import FreeJoint
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 from warpmpc.scene.schema import PoseModel, ProcessNoise, Sensors
 
 FILTERS = (PoseModel.CONSTANT_VELOCITY,)
@@ -80,8 +78,6 @@ class Run:
         for model, (linear, angular) in zip(FILTERS, SCENES.get(self.task, ()), strict=False):
             if self.strategy == model.value:
                 wanted = {"model": model, "process": ProcessNoise(linear=linear, angular=angular)}
-                if model is PoseModel.CONSTANT_VELOCITY:
-                    wanted["gate"] = None  # things in contact stop at once, which it does not foresee
                 changes["estimate"] = {name: part.model_copy(update=wanted) for name, part in scene.estimate.items()}
         return scene.model_copy(update=changes)
 
@@ -98,7 +94,7 @@ def run(job: Run) -> dict:
         and ``rotation`` [rad], the root mean square of errors over time and things; those of
         :meth:`BaseErrors.result` for an estimated base.
     """
-    from warpmpc.run.episode import Episode
+    from warpmpc.loop.run.episode import Episode
 
     episode, errors = Episode(job.scene, seed=job.seed, device="cpu"), []
     plant, known = episode.plant, warpmpc.load_scene(job.task)
@@ -128,7 +124,7 @@ def run(job: Run) -> dict:
     }
 
 
-def rows(jobs: list[Run], records: Records) -> list[list[str]]:
+def rows(jobs: list[Run], records: FinishedJobs) -> list[list[str]]:
     """Cells of the table, a row for each scene and kind of states with the episodes that are done."""
     cells: dict[tuple[str, str], list[dict]] = {}
     for job in jobs:
@@ -177,7 +173,7 @@ def main(arguments: list[str]) -> int:
         for kind in args.states
         if kind in (("true", "estimated") if task in BASES else STATES[:-1])
     ]
-    records = Records(args.out / "estimated.jsonl")
+    records = FinishedJobs(args.out / "estimated.jsonl")
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     with workers:
         whole = gather(run, jobs, records, workers, until=now + args.limit)

@@ -37,9 +37,7 @@ import warpmpc
 from studies.equal_time import cells
 from studies.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
-from warpmpc.run.code import scene_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, open_workers
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 
 SCENE = "quadrotor"
 SAMPLES = (8, 16, 32, 64, 128, 256)
@@ -131,7 +129,7 @@ def clone(demos: int, jobs: str, out: Path) -> str:
     return str(policy.absolute())
 
 
-def rows(flights: Sequence[Flight], records: Records) -> list[list[str]]:
+def rows(flights: Sequence[Flight], records: FinishedJobs) -> list[list[str]]:
     """Cells of the table, a row for each number of samples with the flights that are done."""
 
     def figures(samples: int, with_policy: bool) -> tuple[list[str], str]:
@@ -173,7 +171,7 @@ def main(arguments: list[str]) -> int:
         for used in (None, policy)
     ]
     flights += [Flight(samples=0, seed=seed, policy=policy) for seed in seeds]
-    records = Records(args.out / "imitation.jsonl")
+    records = FinishedJobs(args.out / "imitation.jsonl")
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     with workers:
         whole = gather(fly, flights, records, workers, until=now + args.limit)

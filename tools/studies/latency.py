@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from warpmpc import Controller, Plant, load_scene, simulated_robot
-from warpmpc.realtime.agent import Agent
-from warpmpc.realtime.messages import TimedObservation, TimedPlan
-from warpmpc.realtime.planning import Planning
+from warpmpc.loop.realtime.agent import Agent
+from warpmpc.loop.realtime.messages import TimedObservation, TimedPlan
+from warpmpc.loop.realtime.planning import Planning
 from warpmpc.scene.draw import draw_task
 from warpmpc.scene.schema import Scene
 

@@ -10,9 +10,11 @@ then holds paths.json and paths.png. Paths are those of the disc's centre and of
 path over the shortest way there is, straight to where the goal counts as reached. Clearances are between surfaces,
 after every control.
 
-Fabrics are those of the PyPI package ``fabrics`` 0.10, with its own geometries and gains, on the same tasks and plants.
-It needs NumPy below 2, hence an environment of its own: ``python -m venv ~/fabrics; ~/fabrics/bin/pip install
-fabrics==0.10.0``. Its runs are kept in OUT/fabrics.jsonl.
+MPC with hard constraints stands for the paper's ForcesPro (``studies/constrained``): CasADi and IPOPT keep spheres of
+the robot, one that encloses each link or up to three that cover it, out of the obstacles; ``--casadi PYTHON`` with a
+Python that has the package ``casadi``. Fabrics are those of the PyPI package ``fabrics`` 0.10, with its own geometries
+and gains, on the same tasks and plants. It needs NumPy below 2, hence another environment, which has casadi, too:
+``python -m venv ~/fabrics; ~/fabrics/bin/pip install fabrics==0.10.0``. Runs of either are kept in OUT/fabrics.jsonl.
 """
 
 from __future__ import annotations
@@ -33,17 +35,19 @@ from studies.experiments.runs import make_runs, plan_runs
 from studies.experiments.tables import TABLES, Cell
 from studies.fabrics.episodes import episode
 from warpmpc.cli.setup import start_warp
-from warpmpc.origin import code_digest
-from warpmpc.run.code import scene_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, open_workers
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
+from warpmpc.scene.origin import code_digest
 
 ROBOTS = {"point": "point robot", "panda": "Panda"}
-METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG", "fabrics": "fabrics"}
+METHODS = {"": "ours", "paper": "as in the paper", "ilqg": "iLQG"}
+METHODS |= {"enclosing": "constraints, a sphere a link", "covering": "constraints, more spheres", "fabrics": "fabrics"}
 """Second part of a cell's name → method."""
-FABRICS = tuple(
-    Cell(name=f"{name}_fabrics", title=f"{robot}, fabrics", scenes=(f"{name}_reach",)) for name, robot in ROBOTS.items()
+OTHERS = tuple(
+    Cell(name=f"{name}_{method}", title=f"{robot}, {METHODS[method]}", scenes=(f"{name}_reach",))
+    for method in ("enclosing", "covering", "fabrics")
+    for name, robot in ROBOTS.items()
 )
+"""Rows of methods that run in another environment."""
 QUANTITIES = {"path_m": "path length [m]", "clearance_m": "least clearance [m]"}
 """Keys of a row that the picture shows, with their labels."""
 
@@ -68,22 +72,28 @@ def read(cell: Cell, records: list[dict]) -> dict:
     }
 
 
-def fabrics(cell: Cell, seeds: range, python: str, records: Records, jobs: str) -> list[dict]:
-    """Records of a cell's runs by a fabric, those that are missing made first."""
-    (scene,) = cell.scenes
+def others(cell: Cell, seeds: range, python: str, records: FinishedJobs, jobs: str) -> list[dict]:
+    """Records of a cell's runs by another method, those that are missing made first."""
+    (scene,), method = cell.scenes, cell.name.partition("_")[2]
     digest = scene_digest(warpmpc.load_scene(scene))
-    keys = {seed: json.dumps((scene, seed, digest)) for seed in seeds}
+    keys = {seed: json.dumps((method, scene, seed, digest)) for seed in seeds}
     workers, _ = open_workers(jobs, prepare=start_warp)
     with workers:
         missing = [seed for seed in seeds if keys[seed] not in records.by_key]
-        futures = {seed: workers.submit(episode, python, scene, seed) for seed in missing}
+        futures = {seed: workers.submit(episode, python, scene, seed, method) for seed in missing}
         for seed, future in futures.items():
             records.add(keys[seed], future.result())
     return [records.by_key[key] for key in keys.values()]
 
 
 def figures(rows: list[dict], here: dict, command: str) -> dict:
-    """The table of the documentation: a column for each method, means of the runs that reached the goal."""
+    """The table of the documentation: a column for each method, means of the runs that reached the goal.
+
+    Args:
+        rows: As :func:`read` returns them.
+        here: ``cores`` and ``cpu`` of the machine that ran our methods.
+        command: The command.
+    """
     methods = list(dict.fromkeys(row["method"] for row in rows))
     by = {(row["robot"], row["method"]): row for row in rows}
     lines = [
@@ -150,13 +160,15 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--engine", default="fused", help="engine of the rollouts (default fused)")
     parser.add_argument("--device", default="cpu", help="device of the rollouts (default cpu)")
     parser.add_argument("--fabrics", metavar="PYTHON", help="Python that has the package fabrics: a row more each")
+    parser.add_argument("--casadi", metavar="PYTHON", help="Python that has the package casadi: two rows more each")
+    parser.add_argument("--others", type=int, metavar="N", help="seeds of those two; as many as --runs when left out")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     parser.add_argument("--docs", type=Path, help="folder of pages that get data/paths.json and paths.png, too")
     args = parser.parse_args(arguments)
     cells = sorted(TABLES["table1"].cells, key=lambda cell: list(ROBOTS).index(cell.name.partition("_")[0]))
     seeds = range(args.seed, args.seed + args.runs)
     runs = plan_runs("table1", cells, seeds=seeds, overrides=[], engine=args.engine, device=args.device)
-    records, here = Records(args.out / "table1.jsonl"), machine()
+    records, here = FinishedJobs(args.out / "table1.jsonl"), machine()
     with Bar(sum(run.key not in records.by_key for run in runs)) as bar:
         make_runs(
             runs,
@@ -167,12 +179,15 @@ def main(arguments: list[str]) -> None:
             on_done=lambda run, _: bar.step(f"{run.cell} seed {run.job.seed}"),
         )
     rows = [read(cell, [records.by_key[run.key] for run in runs if run.cell == cell.name]) for cell in cells]
-    if args.fabrics:
-        kept = Records(args.out / "fabrics.jsonl")
-        rows += [read(cell, fabrics(cell, seeds, args.fabrics, kept, args.jobs)) for cell in FABRICS]
-        rows.sort(key=lambda row: [*ROBOTS.values()].index(row["robot"]))
+    kept = FinishedJobs(args.out / "fabrics.jsonl")
+    for cell in OTHERS:
+        if python := args.fabrics if cell.name.endswith("fabrics") else args.casadi:
+            rows.append(read(cell, others(cell, seeds[: args.others], python, kept, args.jobs)))
+    rows.sort(key=lambda row: [*ROBOTS.values()].index(row["robot"]))
+    few = f" --others {args.others}" * bool(args.others)
     command = f"python tools/study.py paths --runs {args.runs} --seed {args.seed} --jobs {args.jobs}"
-    table = figures(rows, here, command + " --fabrics PYTHON" * bool(args.fabrics))
+    command += " --casadi PYTHON" * bool(args.casadi) + " --fabrics PYTHON" * bool(args.fabrics) + few
+    table = figures(rows, records.by_key[runs[0].key], command)
     for line in (table["columns"], *table["groups"][0]["rows"]):
         print(" | ".join(line))
     write_json(args.out / "paths.json", {"machine": here, "rows": rows})

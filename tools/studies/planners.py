@@ -32,9 +32,8 @@ from shared.progress import Bar
 from studies.equal_time.cells import STRATEGIES, Cell, fit, run
 from studies.equal_time.tables import summary, tables
 from warpmpc.cli.setup import start_warp
-from warpmpc.origin import code_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, Workers, check_jobs, open_workers
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, Workers, check_jobs, open_workers
+from warpmpc.scene.origin import code_digest
 
 TASKS = (
     *("pendulum", "cartpole_swingup", "acrobot", "quadrotor", "humanoid_get_up", "quadruped_walk"),
@@ -44,7 +43,7 @@ DAY = 86400.0
 
 
 def gather(
-    work: Callable[[Cell], dict], cells: Iterable[Cell], records: Records, workers: Workers, *, until: float
+    work: Callable[[Cell], dict], cells: Iterable[Cell], records: FinishedJobs, workers: Workers, *, until: float
 ) -> bool:
     """Do what is not recorded yet; False if it was too late for some of it.
 
@@ -69,7 +68,7 @@ def gather(
     return True
 
 
-def episodes(tasks: list[str], strategies: list[str], args: argparse.Namespace, records: Records) -> list[Cell]:
+def episodes(tasks: list[str], strategies: list[str], args: argparse.Namespace, records: FinishedJobs) -> list[Cell]:
     """Episodes of every cell whose number of samples is known, seed by seed."""
     cells = []
     for seed in range(args.seed, args.seed + args.runs):
@@ -98,7 +97,7 @@ def main(arguments: list[str]) -> int:
     args = parser.parse_args(arguments)
     until = time.monotonic() + args.limit
     check_jobs(args.jobs)
-    records = Records(args.out / "planners.jsonl")
+    records = FinishedJobs(args.out / "planners.jsonl")
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     measured = [Cell(task=t, strategy=s, ms=args.ms) for s in args.strategies for t in args.tasks]
     with workers:

@@ -5,6 +5,7 @@
     python tools/study.py reproduce papers --jobs 2               # every row of the three papers
     python tools/study.py reproduce table1/point --runs 20        # one cell
     python tools/study.py reproduce table4 --set planner.samples=300 --out build/samples300
+    python tools/study.py reproduce sampling --json build         # build/sampling.json, as docs/data has it
     python tools/study.py reproduce table1 --jobs gpus            # a process for each GPU of this machine
     python tools/study.py reproduce table4 --jobs ray             # the Ray cluster that this machine belongs to
 
@@ -24,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from studies.experiments.tables import GROUPS, TABLES, Cell
-from warpmpc.run.workers import FORMS, check_jobs
+from warpmpc.loop.run.workers import FORMS, check_jobs
 
 if TYPE_CHECKING:
     from studies.experiments.report import Report
@@ -73,7 +74,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--out", type=Path, default=Path("build/results"), help="folder of the results (default build/results)"
     )
+    parser.add_argument("--json", type=Path, metavar="FOLDER", help="write FOLDER/TABLE.json, as docs/data has them")
     args = parser.parse_args(arguments)
+    if args.json and args.json.resolve() == args.out.resolve():
+        parser.error("--json: another folder than --out, whose reports have the same names")
     if args.runs is not None and args.runs < 1:
         parser.error("--runs must be at least 1")
     if args.seed < 0:
@@ -81,21 +85,22 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return args
 
 
-def reproduce(args: argparse.Namespace, command: str) -> None:
+def reproduce(args: argparse.Namespace, arguments: list[str]) -> None:
     """Plan all runs of all tables, make those that are missing, and report.
 
     Raises:
         ValueError: If a table, a scene, an override, the engine or the device is wrong.
     """
     selection = chosen(args.tables)  # a mistyped name need not wait for imports
+    from shared.files import put_rows
     from shared.jobs import check_engine
     from shared.machine import machine
     from shared.progress import Bar
 
     from studies.experiments.report import Report, Row
     from studies.experiments.runs import Run, make_runs, plan_runs
-    from warpmpc.origin import code_digest
-    from warpmpc.run.records import Records
+    from warpmpc.loop.run.workers import FinishedJobs
+    from warpmpc.scene.origin import code_digest
 
     check_jobs(args.jobs)
     check_engine(args.engine)
@@ -104,7 +109,7 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
         seeds = range(args.seed, args.seed + (args.runs or TABLES[name].runs))
         options = {"overrides": args.overrides, "engine": args.engine, "device": args.device}
         plans[name] = plan_runs(name, cells, seeds=seeds, **options)
-    kept = {name: Records(args.out / f"{name}.jsonl") for name in plans}
+    kept = {name: FinishedJobs(args.out / f"{name}.jsonl") for name in plans}
     here = machine()
     circumstances = {"code": code_digest(), "cpu": here["cpu"], "cores": here["cores"]}
     try:
@@ -130,7 +135,12 @@ def reproduce(args: argparse.Namespace, command: str) -> None:
             rows = [Row(cell, [item for item in made if item[0].cell == cell.name]) for cell in selection[name]]
             if made:
                 today = date.today().isoformat()
-                publish(Report(name, TABLES[name], rows, command, here, today, circumstances["code"]), args.out)
+                command = shlex.join(["python", "tools/study.py", "reproduce", *arguments])
+                report = Report(name, TABLES[name], rows, command, here, today, circumstances["code"])
+                publish(report, args.out)
+                if args.json:
+                    path = args.json / f"{name}.json"
+                    put_rows(path, *report.figures(), study="reproduce", arguments=arguments)
 
 
 def publish(report: Report, folder: Path) -> None:
@@ -148,4 +158,4 @@ def publish(report: Report, folder: Path) -> None:
 
 def main(arguments: list[str]) -> None:
     """Command line of this study."""
-    reproduce(parse(arguments), shlex.join(["python", "tools/study.py", "reproduce", *arguments]))
+    reproduce(parse(arguments), arguments)

@@ -26,19 +26,21 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
+from shared.files import put_rows
 from shared.measure import Clearance
 
 import warpmpc
 from studies.reach.arm import Arm
 from studies.reach.osc import follow, with_torques
-from studies.reach.picture import draw
-from warpmpc.model.compiled import compile_scene
-from warpmpc.run.episode import Episode
+from warpmpc.loop.run.episode import Episode
+from warpmpc.scene.model.compiled import compile_scene
 
 if TYPE_CHECKING:
     from warpmpc import Plant, Scene
     from warpmpc.scene.schema import Motion
 
+LAWS = {"": ("planner", "k", "C1"), "_osc": ("OSC", "0.55", "#f4cf9f")}
+"""Ends of the files' names: what a legend says, colours of the hand's distance and the arm's."""
 SETTLED = 2.0
 """When a run begins to count [s]: the hand starts elsewhere."""
 NEAR = 0.03
@@ -138,11 +140,11 @@ def run(name: str, seed: int, overrides: tuple[str, ...], keep: Path | None, *, 
     turn = (Rotation.from_quat(rows["tool"][:, 3:]).inv() * Rotation.from_quat(rows["goal"][:, 3:])).magnitude()
     stops = []
     for motion in _goal(plant.scene):
-        for (begin, end, _), limit in zip(waits(motion), nearest_of(name, overrides), strict=True):
+        for (begin, end, place), limit in zip(waits(motion), nearest_of(name, overrides), strict=True):
             after = np.flatnonzero((at > end) & (miss < NEAR))
             still = miss[(at > 0.5 * (begin + end)) & (at <= end)]
             back = float(at[after[0]] - end) if len(after) else None
-            stops.append({"came_m": float(np.median(still)), "nearest_m": limit, "back_s": back})
+            stops.append({"place": place, "came_m": float(np.median(still)), "nearest_m": limit, "back_s": back})
     jerk = np.diff(rows["qd"], 2, axis=0) / dt**2
     return {
         "scene": f"{name}, OSC" if osc else name,
@@ -219,6 +221,67 @@ def stops_shown(rows: list[dict]) -> Table:
     return table
 
 
+ERRORS = ("scene", "error: median, p95, largest [mm]", "orientation: median, largest", "runs with contact")
+ERRORS = (*ERRORS, "least clearance [mm]")
+WAITS = ("the ball waits at [m]", "hand came within: median, largest [mm]", "nearest there is [mm]")
+WAITS = (*WAITS, "at the ball again after: median, largest [s]", "never")
+"""Columns of ``docs/data``."""
+
+
+def figures(rows: list[dict]) -> tuple[list[list[str]], list[list[str]]]:
+    """Rows of ``docs/data``: a line for every scene, and one for every wait of the first scene that has any."""
+    found = []
+    for table in (shown(rows), stops_shown(rows)):
+        columns = [list(map(str, column.cells)) for column in table.columns]
+        found.append([list(row) for row in zip(*columns, strict=True)])
+    errors = []
+    for name, runs, error, turned, touched, _, clearance, _ in found[0]:
+        free = "free"
+        if ";" in turned:
+            (percent, most), (angle, widest) = (part.split(", ") for part in turned.split("; "))
+            free = f"{percent} %, {most} % ({angle}°, {widest}°)"
+        scene = name if "OSC" not in name else name.removesuffix(", OSC")
+        law = ", OSC" * ("OSC" in name)
+        errors.append([f"`{scene}`{law}", error, free, f"{touched.split(',')[0]} of {runs}", clearance])
+    first = next((row["stops"] for row in rows if row["stops"]), [])
+    places = ["({:g}, {:g}, {:g})".format(*stop["place"]) for stop in first]
+    return errors, [[place, *line[2:]] for place, line in zip(places, found[1], strict=False)]
+
+
+def draw(folder: Path, scenes: list[str], path: Path) -> None:
+    """Draw the first run of each scene, by the planner and, where there is one, by operational-space control.
+
+    Args:
+        folder: Holds SCENE.npz and SCENE_osc.npz of ``study.py track``.
+        scenes: Names of the scenes, as they were run.
+        path: Where the picture goes.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.2 * len(scenes), 5.2), layout="constrained")
+    rows = figure.subplots(2, len(scenes), squeeze=False, sharex="col")
+    for (upper, lower), scene in zip(rows.T, scenes, strict=True):
+        for end, (law, hand, arm) in LAWS.items():
+            file = folder / f"{scene.replace(':', '_')}{end}.npz"
+            if end and not file.exists():
+                continue
+            run = dict(np.load(file))
+            time, tool, goal = run["time"], run["tool"][:, :3], run["goal"][:, :3]
+            if not end:
+                for i, (axis, color) in enumerate(zip("xyz", ("C3", "C2", "C0"), strict=True)):
+                    upper.plot(time, goal[:, i], color=color, linestyle="--", linewidth=0.8)
+                    upper.plot(time, tool[:, i], color=color, label=axis)
+            miss, near = np.linalg.norm(tool - goal, axis=1), run["clearance"].clip(min=1e-4)
+            lower.plot(time, 1e3 * miss, color=hand, label=f"hand to ball, {law}")
+            lower.plot(time, 1e3 * near, color=arm, label=f"arm to obstacles, {law}")
+        upper.set(title=scene, ylabel="ball (dashed), hand [m]")
+        lower.set(xlabel="time [s]", ylabel="distance [mm]", yscale="log", ylim=(1.0, 500.0))
+        for axes in (upper, lower):
+            axes.grid(alpha=0.3)
+            axes.legend(loc="upper right", fontsize="x-small", ncols=2)
+    figure.savefig(path, dpi=100)
+
+
 def main(arguments: list[str]) -> None:
     """Run, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -229,6 +292,8 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time, on one thread each")
     parser.add_argument("--out", type=Path, default=Path("build/track"))
     parser.add_argument("--draw", type=Path, metavar="PNG", help="draw earlier runs in OUT, both ways, and run nothing")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the table's figures, as docs/data has them")
+    parser.add_argument("--waits", type=Path, metavar="FILE", help="write those of the ball's waits")
     args = parser.parse_args(arguments)
     if args.draw:
         draw(args.out, args.scenes, args.draw)
@@ -256,3 +321,6 @@ def main(arguments: list[str]) -> None:
     console = Console(width=160)
     console.print(shown(rows))
     console.print(stops_shown(rows))
+    for path, columns, found in zip((args.json, args.waits), (ERRORS, WAITS), figures(rows), strict=True):
+        if path:
+            put_rows(path, columns, found, study="track", arguments=arguments)

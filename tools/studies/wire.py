@@ -4,8 +4,8 @@
     python tools/study.py wire --json docs/data
     python tools/study.py wire --transport zmq --scene cartpole_swingup --seeds 2 --speed 0.3
 
-First every scene is run with several seeds, `warpmpc robot` on one side and `warpmpc run --real-time --robot` on the
-other; then one of them over links that lose or delay messages. Then comes the drill: a robot on a long way whose
+First every scene is run with several seeds, the robot on one side and `warpmpc run --real-time --robot` on the other;
+then one of them over links that lose or delay messages. Then comes the drill: a robot on a long way whose
 planner is killed or stopped, whose messages are spoilt, whom a second sender commands. Prints rows of two tables;
 --json FOLDER writes them as wire_runs.json and wire_faults.json, for tools/pages/figures.py. All times are on the
 robot's clock, as the robot measured them.
@@ -30,13 +30,13 @@ from typing import Any
 
 from shared.files import put_group
 from shared.machine import machine
-from shared.wire import PROGRAM, TRANSPORTS, Drill, Planner
+from shared.wire import TRANSPORTS, Drill, Planner, start_robot
 
 SCENES = ("cartpole_swingup", "omni_push_box")
 LINKS = {
     "5 % of messages lost": ("--drop", "0.05"),
     "30 % of messages lost": ("--drop", "0.3"),
-    "each message 20 to 80 ms late": ("--delay", "20..80"),
+    "each message 20 to 80 ms late": ("--delay", "20", "80"),
 }
 """Links with faults, both ways."""
 LOSSY = "omni_push_box"
@@ -115,8 +115,8 @@ def run_pair(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{transport}.toml"
         file.write_text(ends.settings(place), encoding="utf-8")
-        command = [*PROGRAM, "robot", scene, *ends.options(place, file), "--speed", str(speed), *common, *link]
-        robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        given = [*ends.options(place, file), "--speed", str(speed), *common, *link]
+        robot = start_robot(scene, given, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         planner = Planner(scene, f"{ends.driver}:{file}", speed=speed, options=[*common, *options])
         try:
             result = planner.result(timeout=900.0)

@@ -31,9 +31,7 @@ import warpmpc
 from studies.equal_time.cells import drive
 from studies.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
-from warpmpc.run.code import scene_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import FORMS, open_workers
+from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 
 SCENES = ("humanoid_get_up", "humanoid_stand", "quadruped_walk", "quadruped_terrain", "omni_push_box")
 FACTORS = {"mass": (1.3, 0.7), "friction": (1.3, 0.7), "size": (1.1, 0.9)}
@@ -102,7 +100,7 @@ def run(episode: Episode) -> dict:
     return {"reached": reached, "cost": float(np.mean(costs)) if np.isfinite(costs).all() else None}
 
 
-def lines(episodes: list[Episode], records: Records) -> list[str]:
+def lines(episodes: list[Episode], records: FinishedJobs) -> list[str]:
     """The table in Markdown, a line for each scene and setting with the episodes that are done."""
     cells: dict[tuple[str, str], list[dict | None]] = {}
     for episode in episodes:
@@ -132,7 +130,7 @@ def main(arguments: list[str]) -> int:
         for i, task in product(range(args.runs), args.scenes)
         for wrong, overrides in settings(task).items()
     ]
-    records = Records(args.out / "wrong_model.jsonl")
+    records = FinishedJobs(args.out / "wrong_model.jsonl")
     workers, _ = open_workers(args.jobs, device="cpu", prepare=start_warp)
     with workers:
         whole = gather(run, episodes, records, workers, until=now + args.limit)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import time
@@ -11,15 +10,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TextIO
 
-from ..origin import hardware
+from ..scene.origin import hardware
 from .interrupts import Interrupts
 from .progress import Bar, Messages
 from .setup import SUCCESS, RunArguments, Setup, results_only, user_errors
+from .terminal import say_json, screen
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..run.episode import Episode
+    from ..loop.run.episode import Episode
 
 WARM_UP = 10
 """Plans of every setting that do not count: kernels are compiled, memory is touched, caches fill."""
@@ -111,7 +111,7 @@ def bench(
             rows = [setting.to_json(settings[0]) for setting in settings]
             report = {"scene": arguments.source, "seed": seed, "plans": count, "machine": machine, "settings": rows}
             if json_lines:
-                print(json.dumps(report, ensure_ascii=False), file=out)
+                say_json(report, out)
             else:
                 _print(report, settings[0].episode.scene.timing.control_dt, out)
     return code
@@ -171,7 +171,6 @@ def _measure(settings: list[Setting], plans: int, bar: Bar) -> None:
 
 def _print(report: dict, control_dt: float, out: TextIO) -> None:
     """The times as a table, and the machine."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -188,7 +187,7 @@ def _print(report: dict, control_dt: float, out: TextIO) -> None:
             f"{0.1 * ms['p50'] / control_dt:.0f} %",
             f"{ratio['p50']:.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})" if ratio else "",
         )
-    console = Console(file=out, width=None if out.isatty() else 140, highlight=False, markup=False)
+    console = screen(out, width=None if out.isatty() else 140)
     console.print(table)
     machine, load = report["machine"], report["machine"]["load"]
     gpus = f", {', '.join(machine['gpus'])}" if machine["gpus"] else ""

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that print what there is: scenes, cost terms, keys of scene files, and their schema."""
+"""Commands that print what there is: scenes, cost terms, keys of scene files, and their schema.
+
+``warpmpc new``, a folder with a scene, a robot, a cost term and a loop that run as they are; the schema in it.
+"""
 
 from __future__ import annotations
 
+import json
+import shutil
 import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -11,12 +16,17 @@ from typing import TYPE_CHECKING, Annotated, get_origin
 
 import typer
 
-# what takes long to import is imported where it is used, as in main.py
+from ..physics.runtime.files import writing
+from .setup import SceneArgument
+from .terminal import headline, say
+
 if TYPE_CHECKING:
     from pydantic import BaseModel as Section
     from pydantic.fields import FieldInfo
 
     from ..cost.term import CostTerm
+
+# what takes long to import is imported where it is used, as in main.py
 
 EXAMPLES = Path(__file__).parent / "examples.toml"
 """A scene that has every key that no shipped one has; it is not meant to be run."""
@@ -33,6 +43,17 @@ def scenes() -> None:
         print_scenes()
 
 
+def show(scene: SceneArgument) -> None:
+    """Print a scene's file, such as a shipped one to begin with; with SCENE:VARIANT, the scene with the variant."""
+    from ..scene.load import dump_scene, load_scene
+    from .setup import user_errors
+
+    with user_errors():
+        found = load_scene(scene)
+        text = dump_scene(found) if found.variant else found.path.read_text(encoding="utf-8")
+    say(text, end="")
+
+
 def terms(
     names: Annotated[list[str], typer.Argument(metavar="[NAME...]", help="Terms; all when left out.")] = [],  # noqa: B006
 ) -> None:
@@ -41,7 +62,7 @@ def terms(
     from .setup import start_warp, user_errors
 
     start_warp()
-    from ..terms import TERMS
+    from ..cost.terms import TERMS
 
     with user_errors():
         for name in names:
@@ -60,21 +81,26 @@ def robots(
 
     A driver is chosen by warpmpc run --real-time --robot NAME, with its file by NAME:FILE.toml.
     """
-    from ..registry import ROBOTS
+    from ..scene.registry import ROBOTS
     from .setup import start_warp, user_errors
 
     start_warp()
     for name in names or ROBOTS:
-        with user_errors():
-            driver, origin = ROBOTS.find(name), ROBOTS.origin(name)
-        typer.echo(f"{typer.style(name, bold=True)} (from {origin})")
+        try:
+            with user_errors():
+                driver, origin = ROBOTS.find(name), ROBOTS.origin(name)
+        except typer.Exit:
+            if names:
+                raise
+            continue  # the others are there
+        headline(name, f" (from {origin})")
         _echo(getattr(driver, "summary", None) or (driver.__doc__ or "").partition("\n\n")[0], "  ")
         if missing := getattr(driver, "missing", None):
             _echo(missing, "  ")
         if name in names and (section := getattr(driver, "settings", None)):
             _print_section(section)
             for head, below in _tables(section, ""):
-                typer.echo(typer.style(head, bold=True))
+                headline(head)
                 _print_section(below)
 
 
@@ -95,10 +121,10 @@ def keys(
     if field is not None:
         _print_key(table.rpartition(".")[2], field, indent="")
     if section is not None:
-        typer.echo(typer.style(head, bold=True))
+        headline(head)
         _print_section(section)
         if table == "cost":
-            typer.echo("  Each term has keys of its own: warpmpc terms NAME.")
+            say("  Each term also has its own keys: warpmpc terms NAME.")
 
 
 def schema() -> None:
@@ -106,21 +132,20 @@ def schema() -> None:
     from .setup import start_warp
 
     start_warp()
-    from .schema import schema_text
 
-    typer.echo(schema_text(), nl=False)
+    say(schema_text(), end="")
 
 
 def _print_term(term: CostTerm, *, example: bool) -> None:
-    typer.echo(typer.style(term.name, bold=True))
+    headline(term.name)
     _echo(term.summary, "  ")
     for name, field in term.keys.model_fields.items():
         _print_key(name, field, indent="  ")
     if example:
-        typer.echo()
+        say("")
         for line in _example(term.name):
-            typer.echo(f"    {line}")
-    typer.echo()
+            say(f"    {line}")
+    say("")
 
 
 def _print_section(section: type[Section]) -> None:
@@ -149,7 +174,7 @@ def _echo(text: str, indent: str, *, hanging: str | None = None) -> None:
     for line in textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=hanging or indent, break_on_hyphens=False
     ):
-        typer.echo(line)
+        say(line)
 
 
 def _example(name: str) -> list[str]:
@@ -167,9 +192,9 @@ def _example(name: str) -> list[str]:
 
 def _print_tables(root: type[Section]) -> None:
     for head, section in _tables(root, ""):
-        typer.echo(typer.style(head, bold=True))
+        headline(head)
         _echo((section.__doc__ or "").partition("\n\n")[0], "    ")
-    typer.echo("\nwarpmpc keys TABLE, such as planner.noise, has the keys of one.")
+    say("\nwarpmpc keys TABLE, such as planner.noise, has the keys of one.")
 
 
 def _tables(section: type[Section], path: str, seen: tuple[type, ...] = ()) -> Iterator[tuple[str, type[Section]]]:
@@ -221,3 +246,43 @@ def _find(path: str) -> tuple[str, type[Section] | None, FieldInfo | None]:
         section, at = section_in(field.annotation), _below(at, part, field)
     kinds = takes(field).split(" or ")
     return _head(at, field), section, None if kinds[0] in ("table", "tables by name", "array of tables") else field
+
+
+STARTER = Path(__file__).parent / "starter"
+"""The files, but for the schema, which is that of this version."""
+SCHEMA = "scene.schema.json"
+
+
+def make_starter(folder: Path) -> list[str]:
+    """Write the starter into a new or empty folder.
+
+    Args:
+        folder: Where; it is made if there is none.
+
+    Returns:
+        The names of the files.
+
+    Raises:
+        ValueError: If there is something in the way.
+        Unwritable: If it cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file; name a folder that is empty or not there yet")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ValueError(f"{folder}: is not empty; name a folder that is empty or not there yet")
+    names = sorted(file.name for file in STARTER.iterdir() if file.is_file())
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in names:
+            shutil.copyfile(STARTER / name, folder / name)
+        (folder / SCHEMA).write_text(schema_text(), encoding="utf-8")
+    return [*names, SCHEMA]
+
+
+def schema_text() -> str:
+    """The JSON Schema of scene files, built-in cost terms included, as JSON."""
+    from ..cost.terms import TERMS
+    from ..scene.describe import scene_json_schema  # slow to import: a folder in the way is told at once
+
+    terms = {name: (term.keys, term.summary) for name, term in TERMS.items()}
+    return json.dumps(scene_json_schema(terms), indent=2, ensure_ascii=False) + "\n"

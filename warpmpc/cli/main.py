@@ -5,18 +5,31 @@ from __future__ import annotations
 
 import atexit
 import gc
+import logging
+import multiprocessing
 import os
 import signal
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from . import lists, log_commands, robot_command
-from .options import LAST_SEED, SceneArgument, SeedOption, SetOption, TermsOption
-
-if TYPE_CHECKING:
-    from .setup import RunArguments
+from ..physics.runtime.files import Output, Unwritable
+from ..scene.registry import COMMANDS
+from . import lists
+from .setup import (
+    LAST_SEED,
+    DeviceOption,
+    EngineOption,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    TermsOption,
+    run_arguments,
+)
+from .terminal import Plain, say
 
 # physics, kernels and tables take seconds to import: every command imports what it needs, when it needs it
 
@@ -29,24 +42,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-EngineOption = Annotated[
-    str,
-    typer.Option(
-        "--engine",
-        metavar="ENGINE",
-        help="Engine of the rollouts: fused, mujoco (on the CPU), newton (on a GPU), kinematic (no physics), or auto: "
-        "the scene's choice, else fused where it can do what the scene asks for.",
-    ),
-]
-DeviceOption = Annotated[
-    str,
-    typer.Option(
-        "--device",
-        metavar="DEVICE",
-        help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto: the faster, measured once.",
-    ),
-]
-
 
 def main() -> None:
     """Entry point of the program ``warpmpc``."""
@@ -55,14 +50,30 @@ def main() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
     gc.set_threshold(100_000, 50, 100)  # a million objects of imports and models stay: looking at them takes seconds,
     atexit.register(gc.freeze)  # at the end, too
-    app(prog_name="warpmpc")
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:  # closed by the parent: files that are opened would take its number
+            os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+    logging.lastResort.setFormatter(Plain())
+    options = {"encoding": sys.stdout.encoding, "line_buffering": sys.stdout.isatty()}
+    sys.stdout = Output(sys.stdout.detach(), **options)
+    try:
+        try:
+            app(prog_name="warpmpc")
+        finally:
+            sys.stdout.flush()
+    except (Unwritable, BrokenPipeError) as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python flushes once more
+        if isinstance(error, Unwritable):
+            say(f"error: {error}", out=sys.stderr)
+        sys.exit(1)
 
 
 def _version(wanted: bool) -> None:
     if wanted:
         from .. import __version__
 
-        typer.echo(f"warpmpc {__version__}")
+        say(f"warpmpc {__version__}")
         raise typer.Exit
 
 
@@ -75,7 +86,7 @@ def _root(
     pass
 
 
-for _command in (lists.scenes, lists.terms, lists.robots, lists.keys, lists.schema):
+for _command in (lists.scenes, lists.show, lists.terms, lists.robots, lists.keys, lists.schema):
     app.command()(_command)
 
 
@@ -84,41 +95,14 @@ def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make; it may be there and empty.")],
 ) -> None:
     """Write a starter: a scene, a robot, a cost term, a loop in Python, and what to do with them."""
-    from .new import make_starter
+    from .lists import make_starter
     from .setup import start_warp, user_errors
 
     start_warp()
     with user_errors():
         for name in make_starter(folder):
-            typer.echo(folder / name)
-    typer.echo(f"next: cd {folder} && warpmpc run scene.toml --terms cost.py")
-
-
-@app.command()
-def check(
-    scene: SceneArgument,
-    overrides: SetOption = [],  # noqa: B006
-    terms: TermsOption = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of a scene that draws its tasks.")] = 0,
-    engine: EngineOption = "auto",
-    device: DeviceOption = "auto",
-    measure: Annotated[bool, typer.Option("--measure", help="Time plans anew for what is auto.")] = False,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME[:FILE]", help="Listen to a robot for some seconds instead, and send nothing (see robots)."
-        ),
-    ] = None,
-) -> None:
-    """Build everything a run would, make one plan, and show what was built."""
-    from . import run as cli_run
-
-    arguments = _arguments(scene, overrides, terms, engine, device)
-    if robot is not None:
-        from .robot import listen
-
-        raise typer.Exit(listen(arguments, robot))
-    raise typer.Exit(cli_run.check(arguments, seed=seed, measure=measure))
+            say(folder / name)
+    say(f"next: cd {folder} && warpmpc run scene.toml --terms cost.py")
 
 
 @app.command()
@@ -165,7 +149,7 @@ def run(
         typer.Option(
             metavar="NAME",
             help='A data set of the episodes that succeed, pip install "warpmpc[export]": NAME.hdf5 as robomimic reads '
-            "it; of Minari where NAME ends in -v0, -v1, ...",
+            "it.",
         ),
     ] = None,
     jobs: Annotated[
@@ -198,6 +182,10 @@ def run(
             metavar="NAME[:FILE]", help="With --real-time: driver of the robot, and its file (see warpmpc robots)."
         ),
     ] = None,
+    advise: Annotated[
+        bool,
+        typer.Option("--advise", help="After the first episode that fails, try three things that its verdict advises."),
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,
 ) -> None:
@@ -207,34 +195,55 @@ def run(
     2 for wrong input, 130 after Ctrl-C, 143 after SIGTERM.
     """
     from . import run as cli_run
-    from .export import SuccessfulRuns
-    from .outputs import Outputs
+    from .outputs import Outputs, SuccessfulRuns
 
-    arguments, seeds = _arguments(scene, overrides, terms, engine, device), range(seed, seed + episodes)
+    arguments, seeds = run_arguments(scene, overrides, terms, engine, device), range(seed, seed + episodes)
     files = {"record": record, "csv": csv, "npz": npz, "out": out}
     outputs = Outputs(**files, export=SuccessfulRuns(export) if export else None, several=episodes > 1)
     options = {"seeds": seeds, "outputs": outputs, "json_lines": json, "quiet": quiet}
     if real_time:
         from .real_time import run_real_time
 
-        given = {"--envs": envs > 1, "--jobs": jobs, "--results": results, "--export": export}
+        given = {"--envs": envs > 1, "--jobs": jobs, "--results": results, "--export": export, "--advise": advise}
         refused = [option for option, value in given.items() if value]
         options |= {"robot": robot or "simulated", "speed": 1.0 if speed is None else speed}
         raise typer.Exit(run_real_time(arguments, refused=refused, **options))
     for option, value in (("--speed", speed), ("--robot", robot)):
         if value is not None:
             raise typer.BadParameter("goes with --real-time", param_hint=option)
-    raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, **options))
+    raise typer.Exit(cli_run.run(arguments, envs=envs, jobs=jobs, results_file=results, advise=advise, **options))
 
 
-for _command in (
-    robot_command.robot,
-    log_commands.replay,
-    log_commands.diagnose,
-    log_commands.plot,
-    log_commands.export,
-):
-    app.command()(_command)
+@app.command()
+def robot(
+    scene: SceneArgument,
+    zmq: Annotated[
+        int | None,
+        typer.Option(min=1, max=65534, help="Port on which it publishes its states; the next one takes commands."),
+    ] = None,
+    ros2: Annotated[bool, typer.Option("--ros2", help="A ROS 2 node, on the topics of the driver ros2.")] = False,
+    topics: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --ros2: the driver's file, for other topics.")
+    ] = None,
+    seed: SeedOption = 0,
+    speed: Annotated[float, typer.Option(min=0.001, max=1.0, help="Simulated seconds in a second.")] = 1.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.0, help="End so long after the start, on the robot's clock.")
+    ] = None,
+    overrides: SetOption = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
+) -> None:
+    """Be a robot: the scene's plant in real time, which others command over a transport; Ctrl-C ends it.
+
+    Prints one line of JSON at its end: commands that came, were refused and why, and how soon it was safe without.
+    Noise and delay of what it measures are the scene's: --set plant.noise.position=0.005.
+    """
+    from .robot import robot as cli_robot
+    from .setup import RunArguments
+
+    arguments = RunArguments(source=scene, overrides=tuple(overrides), term_files=tuple(terms), device="cpu")
+    transport = {"zmq": zmq, "ros2": ros2, "topics": topics}
+    raise typer.Exit(cli_robot(arguments, transport=transport, seed=seed, speed=speed, seconds=seconds))
 
 
 @app.command()
@@ -270,7 +279,7 @@ def bench(
 
     raise typer.Exit(
         cli_bench(
-            _arguments(scene, overrides, terms, "auto", device),
+            run_arguments(scene, overrides, terms, "auto", device),
             engines=engine,
             samples=samples,
             against=against,
@@ -281,80 +290,40 @@ def bench(
     )
 
 
-@app.command()
-def tune(
-    scenes: Annotated[
-        list[str], typer.Argument(metavar="SCENE...", help="Shipped scenes or TOML files; several are tuned together.")
-    ],
-    keys: Annotated[
-        list[str],
-        typer.Option(
-            "--key",
-            metavar="KEY=SPEC",
-            help="What to search, or a file of such lines: LOW..HIGH, LOW..HIGH:log, xLOW..HIGH (a factor) or A|B|C; "
-            "weights, noise, horizon, knots and temperature within factors of the scene's when left out.",
-        ),
-    ] = [],  # noqa: B006
-    trials: Annotated[int, typer.Option(min=1, help="Trials that the study holds in the end.")] = 50,
-    episodes: Annotated[int, typer.Option(min=1, help="Seeds of a trial, for each scene.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, max=999, help="First of them; tuning has seeds 0 to 999.")] = 0,
-    jobs: Annotated[str, typer.Option(metavar="WHERE", help="Where episodes run, as for warpmpc run.")] = "1",
-    study: Annotated[
-        Path | None, typer.Option(metavar="FILE.db", help="Keep the study; the same command goes on with it.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.toml", help="Write the scene with the best values.")
-    ] = None,
-    overrides: SetOption = [],  # noqa: B006
-    terms: TermsOption = [],  # noqa: B006
-    engine: EngineOption = "auto",
-    device: DeviceOption = "auto",
-    contact_penalty: Annotated[
-        float, typer.Option(min=0.0, metavar="SECONDS", help="Price of a hard contact with an obstacle.")
-    ] = 5.0,
-) -> None:
-    """Search weights and planner settings over seeds, and print what is best as a change of the scene's file.
-
-    The first trial is the scene as it is. A trial is worth the mean time to the goal, failures at least twice the
-    timeout; in a scene without success, the mean cost. Ctrl-C ends the search and keeps the best so far.
-    """
-    from .tune import tune as cli_tune
-
-    raise typer.Exit(
-        cli_tune(
-            [_arguments(scene, overrides, terms, engine, device) for scene in scenes],
-            keys=keys,
-            trials=trials,
-            seeds=range(seed, seed + episodes),
-            jobs=jobs,
-            study_file=study,
-            out=output,
-            contact_penalty=contact_penalty,
-        )
-    )
+def _add_commands() -> None:
+    """Add the commands of entry points; one that cannot be used says so when it is called."""
+    core = {known.name or known.callback.__name__ for known in app.registered_commands}
+    if "check" not in COMMANDS and (Path(__file__).parents[1] / "extras").is_dir():
+        say("warning: commands are missing: warpmpc was installed before it had them, install it again", out=sys.stderr)
+    for name in sorted(COMMANDS):
+        if name in core:
+            say(f"warning: the command '{name}' of {COMMANDS.origin(name)} is left out: warpmpc has it", out=sys.stderr)
+            continue
+        try:
+            command = COMMANDS[name]
+            if COMMANDS.origin(name) != "warpmpc":
+                alone = typer.Typer(add_completion=False)
+                alone.command(name)(command)
+                typer.main.get_command(alone)
+        except Exception as error:  # of a package that is not ours
+            command = _refusing(name, error)
+        app.command(name)(command)
 
 
-@app.command()
-def live(
-    scene: SceneArgument,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for whoever has the URL.")] = "127.0.0.1",
-    overrides: SetOption = [],  # noqa: B006
-    terms: TermsOption = [],  # noqa: B006
-    seed: SeedOption = 0,
-    engine: EngineOption = "auto",
-    device: DeviceOption = "auto",
-) -> None:
-    """Watch and steer the controller on a page in the browser; Ctrl-C ends it."""
-    from .live import live as cli_live
+def _refusing(name: str, error: Exception) -> Callable[[], None]:
+    """A command that cannot be used."""
 
-    cli_live(_arguments(scene, overrides, terms, engine, device), host=host, port=port, seed=seed)
+    def command() -> None:
+        """Cannot be used."""
+        say(f"error: the command '{name}' of {COMMANDS.origin(name)}: {error}", out=sys.stderr)
+        raise typer.Exit(2)
+
+    command.__annotations__ = {}
+    return command
 
 
-def _arguments(scene: str, overrides: list[str], terms: list[Path], engine: str, device: str) -> RunArguments:
-    from .setup import RunArguments
-
-    return RunArguments(source=scene, overrides=tuple(overrides), term_files=tuple(terms), engine=engine, device=device)
+if multiprocessing.parent_process() is None:  # processes that are started have no commands
+    _add_commands()
 
 
 if __name__ == "__main__":

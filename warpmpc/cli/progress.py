@@ -9,19 +9,21 @@ import time
 import warnings
 from typing import TYPE_CHECKING
 
+from ..physics.runtime.files import Unwritable
+from .terminal import say, screen
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
     from rich.console import Console
 
-    from ..controller.controller import Controller
-    from ..plant.batch import PlantBatch
-    from ..plant.plant import Plant
-    from ..run.result import EpisodeResult
+    from ..loop.plant.plant import Plant, PlantBatch
+    from ..loop.run.result import EpisodeResult
+    from ..planner.controller.controller import Controller
 
-PERIOD = 0.1
-"""Time between updates of a bar [s]; it is drawn between plans, never during one."""
+PERIOD, LINES = 0.1, 60.0
+"""Time between updates of a bar, which is drawn between plans, never during one; and between lines without one [s]."""
 
 logger = logging.getLogger("warpmpc")
 
@@ -38,6 +40,8 @@ class Messages(logging.Handler):
         self.warned = False
         """Whether there was a warning; set it back when an episode starts."""
         self._notices, self._noticed = notices, set()
+        self.unwritten = False
+        """Whether a file could not be written; such errors are always shown."""
 
     def __enter__(self) -> Messages:
         self._level_before = logger.level
@@ -61,35 +65,41 @@ class Messages(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record, or not."""
         text = record.getMessage()
+        if any(isinstance(part, Unwritable) for part in record.args or ()):
+            self.unwritten = True
+            if text not in self._noticed:
+                say(f"error: {text}", out=sys.stderr)
+            self._noticed.add(text)
+            return
         if record.levelno < logging.WARNING:
             if self._notices and text not in self._noticed:
-                print(text, file=sys.stderr)
+                say(text, out=sys.stderr)
             self._noticed.add(text)
             return
         if self.warnings and not self.warned:
-            print(f"warning: {text}", file=sys.stderr)
+            say(f"warning: {text}", out=sys.stderr)
         self.warned = True
 
 
 class Bar:
-    """A bar on stderr, if that is a terminal."""
+    """A bar on stderr if that is a terminal, else a line now and then."""
 
     def __init__(self, total: float, *, shown: bool):
         self.total, self.shown = total, shown
         self.console: Console | None = None
-        self._next = 0.0
+        self._next = time.perf_counter() + LINES
 
     def __enter__(self) -> Bar:
         if not self.shown or not sys.stderr.isatty():
             return self
-        from rich.console import Console
+        self._next = 0.0
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self.console = Console(stderr=True)
+        self.console = screen(stderr=True)
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=10 if self.console.width < 100 else 24),
-            TextColumn("{task.fields[numbers]}"),
+            TextColumn("{task.fields[numbers]}", markup=False),
             console=self.console,
             auto_refresh=False,
             transient=True,
@@ -103,14 +113,17 @@ class Bar:
             self._bar.stop()
 
     def due(self) -> bool:
-        """Return whether there is a bar and it is time to draw it again."""
-        return self.console is not None and time.perf_counter() >= self._next
+        """Return whether it is time to draw again."""
+        return self.shown and time.perf_counter() >= self._next
 
     def draw(self, description: str, completed: float, numbers: str) -> None:
-        """Draw the bar."""
+        """Draw the bar, or print a line if it is time to."""
         if self.console:
             self._bar.update(self._task, description=description, completed=completed, numbers=numbers, refresh=True)
             self._next = time.perf_counter() + PERIOD
+        elif self.due():
+            say(f"{description}: {numbers}", out=sys.stderr)
+            self._next = time.perf_counter() + LINES
 
 
 class EpisodeBar(Bar):
@@ -129,7 +142,8 @@ class EpisodeBar(Bar):
         count = f" ({seed - self._seeds[0] + 1}/{len(self._seeds)})" if len(self._seeds) > 1 else ""
         self._name = f"seed {seed}{count}"
         self.draw(self._name, 0.0, "first plan")
-        self._next = 0.0  # the first step is shown
+        if self.console:
+            self._next = 0.0  # the first step is shown
 
     def step(self, controller: Controller, plant: Plant, control: np.ndarray) -> None:
         """An episode's ``on_step``."""

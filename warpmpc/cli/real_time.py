@@ -3,27 +3,26 @@
 
 from __future__ import annotations
 
-import json
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..scene.load import load_scene
+from ..cost.user_files import load_terms
+from ..loop.log.run_log import planner_files
+from ..physics.runtime.files import try_file
 from .interrupts import Interrupts
 from .progress import Messages
-from .run_folder import LOG
-from .setup import FAILURE, SUCCESS, RunArguments, begin, results_only, user_errors
-from .terms import load_terms
+from .setup import FAILURE, SUCCESS, RunArguments, begin, others_whole, results_only, user_errors
+from .terminal import say, say_json
 
 if TYPE_CHECKING:
-    from ..plant.plant import Plant
-    from ..record.run_recorder import RunRecorder
-    from ..robots.monitored import MonitoredRobot
-    from ..run.real_time import RealTimeResult
+    from ..loop.plant.plant import Plant
+    from ..loop.robots.estimated import MonitoredRobot
+    from ..loop.run.real_time import RealTimeResult
+    from ..loop.run.run_recorder import RunRecorder
     from .outputs import Outputs
+    from .run_folder import RunFolder
 
 
 def run_real_time(
@@ -39,8 +38,9 @@ def run_real_time(
 ) -> int:
     """Run one episode per seed in real time, report, and return the exit code."""
     results: list[RealTimeResult] = []
+    folder: RunFolder | None = None
     notices = not quiet and not json_lines
-    with results_only() as out, Messages(notices=notices, warnings=not quiet), Interrupts() as interrupts:
+    with results_only() as out, Messages(notices=notices, warnings=not quiet) as messages, Interrupts() as interrupts:
         try:
             with user_errors():
                 if refused:
@@ -48,12 +48,12 @@ def run_real_time(
                 if outputs.record and robot != "simulated":
                     raise ValueError(f"--robot {robot}: --record shows the simulated one alone: take --out or --npz")
                 outputs.check(seeds, envs=1, jobs=None)
-                scene = load_scene(arguments.source, overrides=arguments.overrides)
+                scene, _ = arguments.load()
                 begin(scene, arguments.device)
                 options = {"engine": arguments.engine, "device": arguments.device, "robot": robot, "speed": speed}
                 asked = {**options, "real_time": True}
                 folder = outputs.folder(scene, seeds=seeds, term_files=arguments.term_files, asked=asked)
-                from ..run.real_time import run_real_time
+                from ..loop.run.real_time import run_real_time
 
                 files = [path.absolute() for path in arguments.term_files]
                 options |= {"check": interrupts.check, "terms": partial(load_terms, files) if files else None}
@@ -63,36 +63,48 @@ def run_real_time(
                         results.append(run_real_time(scene, seed=seed, **options, **recorder))
                         log.save()
                     if folder is not None:
-                        folder.add(results[-1].to_json())
+                        with others_whole():
+                            folder.add(results[-1].to_json())
                     if json_lines:
-                        line = json.dumps(results[-1].to_json(), ensure_ascii=False, allow_nan=False)
-                        print(line, file=out, flush=True)
+                        say_json(results[-1].to_json(), out)
                     elif not quiet:
-                        print(*described(results[-1]), sep="\n", file=out, flush=True)
+                        say(*described(results[-1]), out=out)
                     if results[-1].reason == "interrupted":
                         return interrupts.code
         except KeyboardInterrupt:
             return interrupts.code
-    return SUCCESS if all(result.passed for result in results) else FAILURE
+        finally:
+            if folder is not None:
+                folder.end()
+    return SUCCESS if all(result.passed for result in results) and not messages.unwritten else FAILURE
 
 
 class TickLog:
-    """Log of an episode in real time and the files that are made of it; without a folder for it, a temporary one."""
+    """Log of an episode in real time and the files that are made of it; without a folder it is beside them until then.
+
+    Raises:
+        ValueError: If there is the log of a run that was killed.
+    """
 
     def __init__(self, outputs: Outputs, seed: int):
         self._outputs, self._seed, self._robot = outputs, seed, None
-        self._folder = tempfile.TemporaryDirectory(prefix="warpmpc_run_")
-        self.path = outputs.log(seed) or Path(self._folder.name) / LOG
+        self.path = outputs.log(seed) or outputs.beside(seed)
+        if self.path is not None and self.path.exists():
+            raise ValueError(f"'{self.path}' is left from a run that was killed: warpmpc replay reads it; move it away")
+        if self.path is not None and outputs.out is None:
+            try_file(self.path)
 
     def __enter__(self) -> TickLog:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self._folder.cleanup()
+    def __exit__(self, error: type[BaseException] | None, *more: object) -> None:
+        if self.path is not None and self._outputs.out is None and (error is None or self._robot is None):
+            for file in (*planner_files(self.path), self.path):
+                file.unlink(missing_ok=True)
 
     def recorder(self, robot: Plant | MonitoredRobot) -> RunRecorder:
         """The recorder of a robot's episode."""
-        from ..record.run_recorder import RunRecorder
+        from ..loop.run.run_recorder import RunRecorder
 
         self._robot = robot
         return RunRecorder(robot, path=self.path)
@@ -106,17 +118,18 @@ class TickLog:
         """
         if self._robot is None:
             return
-        from ..log.run_log import RunLog
-        from ..plant.simulated import SimulatedPlant
+        from ..loop.log.run_log import RunLog
+        from ..loop.plant.simulated import SimulatedPlant
 
         log = RunLog.load(self.path)
         self._outputs.save(log, self._seed)
         if not isinstance(self._robot, SimulatedPlant):
             return
         for path in self._outputs.recordings(self._seed):
-            from ..record.tick_recording import record_ticks  # slow to import
+            from ..extras.record.tick_recording import record_ticks  # slow to import
 
-            record_ticks(path, log, self._robot)
+            with others_whole():
+                record_ticks(path, log, self._robot)
 
 
 def described(result: RealTimeResult) -> Iterator[str]:
@@ -142,7 +155,7 @@ def described(result: RealTimeResult) -> Iterator[str]:
 
 def slow_planner(result: RealTimeResult) -> str | None:
     """Advice on a planner that does not keep up with the clock; None where it does."""
-    from ..doctor.advice import slow_plans  # slow to import
+    from ..loop.realtime.pace import slow_plans  # slow to import
 
     if not result.report.plan_rate:
         return "no plan came in time: real time would need a faster planner, or a lower --speed"

@@ -1,28 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc robot``, the simulated robot as a process of its own, and ``warpmpc check --robot``, a look at one."""
+"""``warpmpc robot``, the simulated robot as a separate process, and ``warpmpc check --robot``, a look at one.
+
+A robot's sources and joints as tables, as a driver hears them.
+"""
 
 from __future__ import annotations
 
-import json
-import re
 import sys
 import time
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
-from ..scene.load import load_scene
+import numpy as np
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from ..kernels.geometry.kinematics import FREE
+from ..loop.realtime.watchdog import Watchdog, received
+from ..loop.robots.sources import Heard
+from ..scene.model.layout import rotate
+from .describe import joint_table
 from .interrupts import Interrupts
 from .progress import Messages
 from .setup import SUCCESS, RunArguments, begin, results_only, user_errors
-from .terms import load_terms
+from .terminal import say, say_json, screen
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ..model.layout import Layout
-    from ..robots.process import Transport
+    from ..loop.realtime.loop import Robot
+    from ..loop.robots.simulated import Transport
+    from ..scene.model.layout import Layout
     from ..scene.schema import Scene
 
 LISTEN = 3.0
@@ -36,22 +47,20 @@ def robot(
     seed: int,
     speed: float,
     seconds: float | None,
-    link: dict[str, str | float],
 ) -> int:
     """Be a robot until a signal or the time ends it, print the report, and return the exit code."""
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:
             with user_errors():
-                scene = load_scene(arguments.source, overrides=arguments.overrides)
-                transport_of = _transport(scene, **transport)
-                connect = _linked(transport_of, seed=seed, speed=speed, **link)
+                scene, terms = arguments.load()
+                connect = transport_of(scene, **transport)
                 begin(scene, "cpu")
-                from ..robots.process import RobotProcess
+                from ..loop.robots.simulated import RobotProcess
 
-                process = RobotProcess(scene, connect, seed=seed, speed=speed, terms=load_terms(arguments.term_files))
+                process = RobotProcess(scene, connect, seed=seed, speed=speed, terms=terms)
         except KeyboardInterrupt:
             return interrupts.code
-        print(f"{scene.name}: ready, {scene.agent.rate:g} Hz", file=sys.stderr, flush=True)
+        say(f"{scene.name}: ready, {scene.agent.rate:g} Hz", out=sys.stderr)
 
         def over() -> bool:
             interrupts.check()
@@ -59,7 +68,7 @@ def robot(
 
         with suppress(KeyboardInterrupt):  # as a robot is switched off
             process.run(over)
-        print(json.dumps(process.report().to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
+        say_json(process.report().to_json(), out)
     return SUCCESS
 
 
@@ -72,20 +81,19 @@ def listen(arguments: RunArguments, choice: str) -> int:
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts, ExitStack() as stack:
         try:
             with user_errors():
-                from ..robots.drivers import await_state, find_driver, make_robot
+                from ..loop.robots.drivers import await_state, find_driver, make_robot
 
                 find_driver(choice)  # before anything takes long
-                scene = load_scene(arguments.source, overrides=arguments.overrides)
+                scene, terms = arguments.load()
                 begin(scene, "cpu")
-                from ..model.compiled import compile_scene
                 from ..scene.draw import draw_task
-                from ..task.task import Task
-                from .listened import Listened
+                from ..scene.model.compiled import compile_scene
+                from ..scene.task.task import Task
 
                 scene = draw_task(scene, 0)[0]
                 compiled = compile_scene(scene)
                 keys = {"seed": 0, "task": Task(scene), "watch": (), "compiled": compiled}
-                driver = make_robot(choice, scene, terms=load_terms(arguments.term_files), **keys)
+                driver = make_robot(choice, scene, terms=terms, **keys)
                 stack.callback(getattr(driver, "close", lambda: None))
                 await_state(driver, name)
                 listened, until = Listened(scene, compiled.layout, driver), time.monotonic() + LISTEN
@@ -99,7 +107,7 @@ def listen(arguments: RunArguments, choice: str) -> int:
     return SUCCESS
 
 
-def _transport(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[[Layout], Transport]:
+def transport_of(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | None) -> Callable[[Layout], Transport]:
     """The transport that was asked for.
 
     Args:
@@ -111,41 +119,89 @@ def _transport(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | None
     Raises:
         ValueError: If none was, or two, or it is not installed.
     """
-    from ..robots.drivers import DRIVERS, read_settings
+    from ..loop.robots.drivers import read_settings
+    from ..scene.registry import ROBOTS
 
     if (zmq is not None) == ros2:
         raise ValueError("a robot needs a transport: give --zmq PORT or --ros2")
     if topics is not None and not ros2:
         raise ValueError("--topics: goes with --ros2")
     name = "ros2" if ros2 else "zmq"
-    if missing := DRIVERS[name].missing:
+    if missing := ROBOTS[name].missing:
         raise ValueError(f"--{name}: {missing}")
     if ros2:
-        from ..robots.ros2.settings import Ros2Settings
-        from ..robots.ros2.transport import Ros2Transport
+        from ..extras.ros2.settings import Ros2Settings
+        from ..extras.ros2.simulated_node import Ros2Transport
 
         estimated = {"estimated": scene.estimate, "bases": scene.estimate_base}
         return partial(Ros2Transport, settings=read_settings(Ros2Settings, topics), file=topics, **estimated)
-    from ..robots.zeromq import ZmqTransport
+    from ..loop.robots.zeromq import ZmqTransport
 
     return partial(ZmqTransport, port=zmq)
 
 
-def _linked(
-    connect: Callable[[Layout], Transport], *, delay: str, drop: float, reorder: float, seed: int, speed: float
-) -> Callable[[Layout], Transport]:
-    """The transport with the link's faults that were asked for.
+WIDTH = 160
+"""Width of what is printed, but on a terminal."""
 
-    Raises:
-        ValueError: If the delay is none.
+
+class Listened:
+    """States of a robot over some seconds, and what its driver heard.
+
+    Args:
+        scene: The scene.
+        layout: State layout.
+        robot: The robot, which has shown a state.
     """
-    number = r"(\d+(?:\.\d*)?)"
-    found = re.fullmatch(rf"{number}(?:\.\.{number})?", delay)
-    if found is None or float(found[2] or found[1]) < float(found[1]):
-        raise ValueError(f"--delay: milliseconds, as 20 or 20..80, not '{delay}'")
-    range_ = tuple(1e-3 * float(bound or found[1]) for bound in found.groups())
-    if not any((*range_, drop, reorder)):
-        return connect
-    from ..robots.link import FaultyLink
 
-    return lambda layout: FaultyLink(connect(layout), delay=range_, drop=drop, reorder=reorder, seed=seed, speed=speed)
+    def __init__(self, scene: Scene, layout: Layout, robot: Robot):
+        self._layout, self._robot, self._watchdog = layout, robot, Watchdog(scene, layout)
+        self._states = Heard("state", "put together by the driver")
+        self._begin = time.monotonic()
+        self._faults: dict[str, int] = {}
+        self.look()
+
+    def look(self) -> None:
+        """Take note of the state as it is now."""
+        state = received(self._robot.observe())
+        if state.time == self._states.stamp:
+            return
+        self._state = state
+        self._states.note(state.time)
+        if (found := self._watchdog.observation_fault(state, state.time)) is not None:
+            self._faults[found[1]] = self._faults.get(found[1], 0) + 1
+
+    def show(self, out: TextIO) -> None:
+        """Print the sources, then the joints.
+
+        Args:
+            out: Where to.
+        """
+        console = screen(out, width=None if out.isatty() else WIDTH)
+        console.print(self._sources())
+        for why, count in self._faults.items():
+            console.print(f"{count} × {why}")
+        if np.shape(self._state.joint_q) == (self._layout.nq,):
+            console.print(joint_table(self._layout, self._state.joint_q), *self._floating(), sep="\n")
+        console.print("nothing was sent")
+
+    def _sources(self) -> Table:
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+        table.add_column("source")
+        for name in ("messages", "rate [Hz]", "age [ms]", "stamp [s]"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("what is wrong")
+        for heard in (*getattr(self._robot, "heard", list)(), self._states):
+            refused = f"{heard.refused} refused: {heard.problem}" if heard.refused else ""
+            rate = "" if np.isnan(heard.rate) else f"{heard.rate:.1f}"
+            numbers = (rate, f"{1e3 * heard.age:.1f}", f"{heard.stamp:.3f}") if heard.count else ("", "", "")
+            table.add_row(Text(heard.source), str(heard.count), *numbers, Text(heard.missing or refused))
+        return table
+
+    def _floating(self) -> Iterator[str]:
+        """Lines about where floating bodies are."""
+        layout, q = self._layout, self._state.joint_q
+        for joint in np.flatnonzero(layout.joint_type == FREE):
+            position, quaternion = np.split(q[layout.joint_q_start[joint] :][:7], [3])
+            up = np.clip(rotate(quaternion, np.array([0.0, 0.0, 1.0]))[2], -1.0, 1.0)
+            where, tilt = ", ".join(f"{number:.3f}" for number in position), np.degrees(np.arccos(up))
+            yield f"{layout.joint_name[joint]}: at {where} m, its z axis {tilt:.0f}° from up"

@@ -1,27 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc check`` and ``warpmpc run``: build, run, report, and fail with one message."""
+"""``warpmpc check`` and ``warpmpc run``: build, run, report, and fail with one message.
+
+``warpmpc run --advise``: short runs of what the verdict on a failed episode advises.
+"""
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..scene.load import load_scene, variants
+from ..scene.registry import OBSERVERS
 from .interrupts import Interrupts
 from .progress import BatchBar, EpisodeBar, Messages
-from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, results_only, user_errors
+from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, others_whole, results_only, user_errors
+from .terminal import say, say_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from ..run.episode import Episode
-    from ..run.kept import KeptResults
-    from ..run.result import EpisodeResult
+    from ..loop.run.episode import Episode
+    from ..loop.run.result import EpisodeResult, Guess, Shortfall
+    from ..loop.run.workers import KeptResults
     from .outputs import Outputs
     from .run_folder import RunFolder
 
@@ -48,18 +55,13 @@ def check(arguments: RunArguments, *, seed: int, measure: bool = False) -> int:
                 episode = setup.episode(seed, measure=measure)
                 plan_ms = _plan_ms(episode)
 
-            from ..doctor.examine import examine
-            from ..doctor.steps import step_error
-            from .report import print_check
+            from ..extras.doctor.examine import examine
+            from .describe import print_check
 
             controller = episode.controller
             advice = setup.advice(controller.compiled, plan_ms=plan_ms)
-            steps = step_error(controller)
-            findings = [
-                *examine(controller, episode.plant.monitor),
-                *([steps.finding] if steps and steps.finding else []),
-            ]
-            print_check(episode, out, plan_ms=plan_ms, coarse=steps, advice=[*advice, *map(str, findings)])
+            findings = examine(controller, episode.plant.monitor)
+            print_check(episode, out, plan_ms=plan_ms, advice=[*advice, *map(str, findings)])
         except KeyboardInterrupt:
             return interrupts.code
     return SUCCESS
@@ -96,6 +98,7 @@ def run(
     results_file: Path | None,
     json_lines: bool,
     quiet: bool,
+    advise: bool = False,
 ) -> int:
     """Run one episode per seed, up to ``envs`` at once, report, and return the exit code."""
     results: list[EpisodeResult] = []
@@ -107,6 +110,10 @@ def run(
         try:
             with user_errors():
                 _check_options(outputs, seeds, envs, jobs, results_file)
+                if advise and not OBSERVERS:
+                    raise ValueError("--advise: needs a verdict, which warpmpc's extras bring")
+                if advise and results_file is not None:
+                    raise ValueError("--advise: not with --results, which keeps what came of runs, not of trials")
                 envs = min(envs, len(seeds))
                 setup = Setup(arguments)
                 kept = _kept(results_file, setup, arguments.term_files)
@@ -124,14 +131,20 @@ def run(
             with closing(episodes):
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
+                    if advise and result.shortfall is not None and not interrupted:
+                        result, interrupted = _advised(arguments, result, interrupts)
+                        advise = False  # further episodes mostly fail in the same way
                     results.append(result)
                     if folder is not None:
-                        with user_errors():
+                        with others_whole():
                             folder.add(result.to_json())
                     if json_lines:
-                        print(json.dumps(result.to_json(), ensure_ascii=False, allow_nan=False), file=out, flush=True)
+                        say_json(result.to_json(), out)
         except KeyboardInterrupt:
             interrupted = True
+        finally:
+            if folder is not None:
+                folder.end()
         if kept is not None and kept.outdated:
             logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
         if kept is not None and kept.taken and outputs.any:
@@ -140,20 +153,34 @@ def run(
                 results_file,
                 kept.taken,
             )
-        with user_errors():
+        exported = None
+        with others_whole():
             exported = outputs.export.close() if outputs.export is not None else None
         if results and not json_lines and not quiet:
+            from .describe import ALIKE, properties_drawn
             from .report import print_batch, print_results
 
             results.sort(key=lambda result: result.seed)
             (print_batch if envs > 1 else print_results)(results, out)
+            if len(results) > 1 and not (results[0].drawn or properties_drawn(setup.scene)):
+                say(f"seeds {ALIKE}", out=out)
             for sentence in setup.advice(setup.compiled):
-                print(f"Is it meant? {sentence}", file=out)
+                say(f"Is it meant? {sentence}", out=out)
             if exported is not None:
-                print(exported, file=out)
+                say(exported, out=out)
     if interrupted:
         return interrupts.code
-    return SUCCESS if all(result.passed for result in results) else FAILURE
+    return SUCCESS if all(result.passed for result in results) and not messages.unwritten else FAILURE
+
+
+def _advised(arguments: RunArguments, failed: EpisodeResult, interrupts: Interrupts) -> tuple[EpisodeResult, bool]:
+    """The result of a failed episode with what came of trying its verdict, and whether that was interrupted."""
+    tried, interrupted = [], False
+    try:
+        tried += try_guesses(arguments, failed, interrupts.check)
+    except KeyboardInterrupt:
+        interrupted = True
+    return replace(failed, tried=tuple(tried)), interrupted
 
 
 def _check_options(
@@ -167,7 +194,7 @@ def _check_options(
     """
     outputs.check(seeds, envs=envs, jobs=jobs)
     if jobs is not None:
-        from ..run.workers import check_jobs
+        from ..loop.run.workers import check_jobs
 
         check_jobs(jobs)
     elif results_file is not None and envs > 1:
@@ -183,11 +210,11 @@ def _kept(file: Path | None, setup: Setup, term_files: Sequence[Path]) -> KeptRe
     """
     if file is None:
         return None
-    from ..log.files import try_file
+    from ..physics.runtime.files import try_file
 
     file.parent.mkdir(parents=True, exist_ok=True)
     try_file(file)
-    from ..run.kept import KeptResults
+    from ..loop.run.workers import KeptResults
 
     return KeptResults(file, setup.scene, term_files=term_files, engine=setup.engine, device=setup.device)
 
@@ -211,7 +238,8 @@ def _run_each(
             messages.warned = False
             result = _run_one(setup, seed, outputs, bar, interrupts)
             if kept is not None and result.reason != "interrupted":
-                kept.add([seed], result)
+                with others_whole():
+                    kept.add([seed], result)
             yield result
             if result.reason == "interrupted":
                 return
@@ -219,7 +247,7 @@ def _run_each(
 
 def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interrupts: Interrupts) -> EpisodeResult:
     """Run the episode of one seed, to its end or to Ctrl-C."""
-    from ..run.episode import EpisodeInterrupted
+    from ..loop.run.episode import EpisodeInterrupted
 
     with user_errors():
         episode = setup.episode(seed)
@@ -236,9 +264,8 @@ def _run_one(setup: Setup, seed: int, outputs: Outputs, bar: EpisodeBar, interru
             result = episode.run(recorder=recorders, on_step=on_step)
     except EpisodeInterrupted as error:
         result = error.result
-    with user_errors():
-        if (log := recorders.run_log) is not None:
-            outputs.save(log, seed, result)
+    if (log := recorders.run_log) is not None:
+        outputs.save(log, seed, result)
     return result
 
 
@@ -259,3 +286,70 @@ def _run_batch(
             for result in batch.run(on_step=on_step):
                 bar.finish(result)
                 yield result
+
+
+TRIALS = 3
+"""Guesses that are tried."""
+SHORT, AFTER = 4.0, 1.5
+"""Length of a run [s], and as a multiple of the time after which nothing came nearer in the failed one."""
+MORE = 1.1
+"""Ratio from which something is better, or worse."""
+
+
+def try_guesses(arguments: RunArguments, failed: EpisodeResult, check: Callable[[], None]) -> Iterator[dict[str, Any]]:
+    """Run a failed episode again with what its verdict guesses first, on the same seed.
+
+    Args:
+        arguments: What the episode was run with.
+        failed: Its result.
+        check: Raises ``KeyboardInterrupt`` where it is to end.
+
+    Yields:
+        For every guess the changes (``set``), whether they ``helped``, and the ``outcome`` in words.
+    """
+    for guess in failed.shortfall.tries[:TRIALS]:
+        logger.info("trying %s", guess.sets)
+        try:
+            helped, outcome = _try(arguments, failed, guess, check)
+        except ValueError as error:  # such as a scene that lists its steps
+            helped, outcome = False, f"cannot be tried, {error}"
+        yield {"set": guess.overrides, "helped": helped, "outcome": outcome}
+
+
+def _try(arguments: RunArguments, failed: EpisodeResult, guess: Guess, check: Callable[[], None]) -> tuple[bool, str]:
+    changes = [*arguments.overrides, *guess.overrides]
+    if "timing.timeout" not in guess.changes:
+        until = min(failed.shortfall.timeout, max(SHORT, AFTER * failed.shortfall.turn))
+        changes.append(f"timing.timeout={until:g}")
+    given = {"engine": failed.engine, "device": failed.device, "overrides": tuple(changes)}
+    episode = Setup(replace(arguments, **given)).episode(failed.seed)
+    try:
+        return _compared(failed.shortfall, episode.run(on_step=lambda *_: check()))
+    finally:
+        episode.controller.engine.close()
+
+
+def _compared(before: Shortfall, result: EpisodeResult) -> tuple[bool, str]:
+    """Whether an episode came farther than the one that failed, and how far."""
+    if result.success:
+        return True, f"the goal is reached at {result.sim_time:.2f} s"
+    now = result.shortfall
+    if now is None:
+        return True, f"it does not fail within {result.sim_time:.2f} s"
+    if now.phases != before.phases:
+        return now.phases > before.phases, f"{now.phases} phases instead of {before.phases} end"
+    if before.lasted is not None and now.lasted is not None:
+        return now.lasted > MORE * before.lasted, f"it lasts {now.lasted:.2f} s instead of {before.lasted:.2f} s"
+    if now.lasted is not None:
+        return False, f"it falls or fails at {now.lasted:.2f} s"
+    stands = f"it neither falls nor fails within {result.sim_time:.2f} s"
+    left = {name: excess for name, (_, excess) in before.nearest.items() if excess > 0.0}
+    if not left:
+        return before.lasted is not None, stands if before.lasted is not None else "it does not hold, either"
+    ratio = {name: max(now.nearest.get(name, (0.0, 0.0))[1], 0.0) / excess for name, excess in left.items()}
+    name = max(ratio, key=ratio.get)
+    value = f"{now.nearest[name][0]:.3g}" if name in now.nearest else "its bound"
+    nearer = f"{name} comes to {value} instead of {before.nearest[name][0]:.3g}"
+    if before.lasted is not None:
+        return True, f"{stands}, and {nearer}"
+    return bool(np.mean(list(ratio.values())) * MORE < 1.0), nearer

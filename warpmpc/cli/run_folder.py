@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from ..physics.runtime.files import append_line, writing
 
 if TYPE_CHECKING:
     from ..scene.schema import Scene
@@ -29,21 +33,17 @@ class RunFolder:
         asked: What else was asked for, such as the engine, as plain data.
 
     Raises:
-        OSError: If something cannot be written.
+        ValueError: If the folder is another run's.
+        Unwritable: If something cannot be written.
     """
 
     def __init__(
         self, path: Path, scene: Scene, *, seeds: Sequence[int], term_files: Sequence[Path], asked: dict[str, Any]
     ):
-        from ..origin import origin
-        from ..scene.dump import dump_scene
+        from ..scene.load import dump_scene
+        from ..scene.origin import origin
 
         self._path = path
-        path.mkdir(parents=True, exist_ok=True)
-        (path / SCENE).write_text(dump_scene(scene), encoding="utf-8")
-        for i, file in enumerate(term_files):
-            (path / TERMS).mkdir(exist_ok=True)
-            shutil.copy(file, path / TERMS / f"{i}_{file.name}")
         about = {
             "command": shlex.join(["warpmpc", *sys.argv[1:]]),
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -55,12 +55,35 @@ class RunFolder:
             **origin(),
         }
         text = json.dumps(about, indent=2, ensure_ascii=False)
-        (path / ABOUT).write_text(text + "\n", encoding="utf-8")
+        with writing(path):
+            path.mkdir(parents=True, exist_ok=True)
+            try:
+                with open(path / ABOUT, "x", encoding="utf-8") as file:  # first: of two runs one gets the folder
+                    file.write(text + "\n")
+            except FileExistsError:
+                raise ValueError(f"--out: '{path}' is another run's: give a new folder for each run") from None
+            (path / SCENE).write_text(dump_scene(scene), encoding="utf-8")
+            for i, file in enumerate(term_files):
+                (path / TERMS).mkdir(exist_ok=True)
+                shutil.copy(file, path / TERMS / f"{i}_{file.name}")
+
+    def end(self) -> None:
+        """Remove what was written at the start where no episode began, so that the folder is free for the next try."""
+        begun = [file for file in self._path.rglob("*") if file.is_file()]
+        if all(file.name in (ABOUT, SCENE) or file.parent.name == TERMS for file in begun):
+            for file in begun:
+                file.unlink()
+            for folder in (self._path / TERMS, self._path):
+                with suppress(OSError):
+                    folder.rmdir()
 
     def add(self, result: dict[str, Any]) -> None:
-        """Add the result of an episode, as data for JSON; it is in the file when this returns."""
-        with open(self._path / RESULTS, "a", encoding="utf-8") as file:
-            file.write(json.dumps(result, ensure_ascii=False, allow_nan=False) + "\n")
+        """Add the result of an episode, as data for JSON; it is on disk when this returns.
+
+        Raises:
+            Unwritable: If it cannot be written.
+        """
+        append_line(self._path / RESULTS, json.dumps(result, ensure_ascii=False, allow_nan=False).encode())
 
 
 def check_folder(path: Path) -> None:
@@ -69,7 +92,7 @@ def check_folder(path: Path) -> None:
     Raises:
         ValueError: If it does, or is a file.
     """
-    if path.exists() and not path.is_dir():
+    if os.path.lexists(path) and not path.is_dir():
         raise ValueError(f"--out: '{path}' is a file: give a folder for the run")
     if path.is_dir() and any(path.iterdir()):
         raise ValueError(f"--out: '{path}' is not empty: give a new folder for each run")

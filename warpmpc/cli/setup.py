@@ -1,31 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts that commands share: exit codes, errors as one line, and a scene made ready for its episodes."""
+"""Parts that commands share: exit codes, errors as one line, and a scene made ready for its episodes.
+
+Arguments and options that several commands share.
+"""
 
 from __future__ import annotations
 
+import importlib
 import logging
 import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from ..cost.user_files import load_terms
+from ..physics.runtime.files import Output, Unwritable, reason
 from ..scene.errors import SceneError
 from ..scene.load import load_scene
 from ..scene.schema import EngineName, SampleCount
-from .terms import load_terms
+from .terminal import say
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from types import ModuleType
 
-    from ..model.compiled import CompiledScene
-    from ..run.batch import Batch
-    from ..run.episode import Episode
+    from ..cost.term import UserTerm
+    from ..loop.run.batch import Batch
+    from ..loop.run.episode import Episode
+    from ..scene.model.compiled import CompiledScene
     from ..scene.schema import Scene
 
 logger = logging.getLogger("warpmpc")
@@ -38,16 +45,28 @@ WHILE_RUNNING = (SceneError, OSError)
 
 @contextmanager
 def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
-    """Turn wrong input into one line on stderr and exit code 2.
+    """Turn wrong input into one line on stderr and exit code 2, a file that cannot be written into exit code 1.
 
     Args:
         kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
     """
     try:
         yield
-    except kinds as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        raise typer.Exit(BAD_INPUT) from None
+    except (Unwritable, *kinds) as error:
+        text = str(error)
+        if isinstance(error, OSError) and error.errno and error.filename is not None:
+            text = f"{error.filename}: {reason(error)}"
+        say(f"error: {' '.join(text.split())}", out=sys.stderr)
+        raise typer.Exit(FAILURE if isinstance(error, Unwritable) else BAD_INPUT) from None
+
+
+@contextmanager
+def others_whole() -> Iterator[None]:
+    """Show that a file cannot be written, and go on with the others."""
+    try:
+        yield
+    except Unwritable as error:
+        logger.error("%s", error)
 
 
 @contextmanager
@@ -56,14 +75,19 @@ def results_only() -> Iterator[TextIO]:
     sys.stdout.flush()
     real = os.dup(1)
     os.dup2(2, 1)
-    with open(os.dup(real), "w", encoding="utf-8") as out:
-        try:
-            yield out
-        finally:
-            out.flush()
-            sys.stdout.flush()
-            os.dup2(real, 1)
-            os.close(real)
+    out = Output(os.fdopen(os.dup(real), "wb"), encoding="utf-8")
+    try:
+        with user_errors((Unwritable,)):
+            try:
+                yield out
+            finally:
+                sys.stdout.flush()
+                out.flush()
+    finally:
+        os.dup2(real, 1)
+        os.close(real)
+        with suppress(OSError):
+            out.close()
 
 
 def start_warp() -> None:
@@ -74,8 +98,8 @@ def start_warp() -> None:
     """
     import warp as wp
 
-    from ..compiling import native_output
-    from ..kernel_cache import refusal
+    from ..physics.runtime.compiling import native_output
+    from ..physics.runtime.kernel_cache import refusal
 
     logging.getLogger("newton").setLevel(logging.WARNING)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of ways of reading that failed
@@ -87,7 +111,7 @@ def start_warp() -> None:
         with user_errors():
             raise refusal(error) from error
     except BaseException:
-        print(*said, sep="\n", file=sys.stderr)
+        say(*said, out=sys.stderr)
         raise
 
 
@@ -103,9 +127,9 @@ def begin(scene: Scene, device: str, *, say: Callable[[str], None] = logger.info
     say = say if sys.stderr.isatty() else logger.debug
     say(f"{scene.name}: {scene.title}" if scene.title else scene.name)
     start_warp()
-    from ..bake.simd import native_lanes
-    from ..compiling import LONG, UNOPTIMIZED, compile_beside, prepare_headers
-    from ..physics.kernel import options
+    from ..physics.runtime.bake import native_lanes
+    from ..physics.runtime.compiling import LONG, UNOPTIMIZED, compile_beside, prepare_headers
+    from ..physics.source_parts import options
 
     seconds = 0.0
     if not device.startswith("cuda"):
@@ -124,9 +148,26 @@ class RunArguments:
     overrides: tuple[str, ...] = ()
     """``KEY=VALUE`` texts."""
     term_files: tuple[Path, ...] = ()
-    """Python files of cost terms."""
+    """Python files of cost terms, strategies, engines and robots."""
     engine: str = "auto"
     device: str = "auto"
+
+    def load(self) -> tuple[Scene, list[UserTerm]]:
+        """The scene and the terms of the files, which are executed first: a scene may name what they register."""
+        if self.term_files:
+            start_warp()
+        terms = load_terms(self.term_files)
+        return load_scene(self.source, overrides=self.overrides), terms
+
+
+def extra(name: str) -> ModuleType | None:
+    """A module of the extras; None where they are not installed."""
+    try:
+        return importlib.import_module(f"warpmpc.extras.{name}")
+    except ModuleNotFoundError as error:
+        if f"warpmpc.extras.{name}.".startswith(f"{error.name}."):
+            return None
+        raise
 
 
 class Setup:
@@ -140,22 +181,21 @@ class Setup:
     def __init__(self, arguments: RunArguments):
         engine = self.engine = arguments.engine
         self.device = arguments.device
-        self.scene: Scene = load_scene(arguments.source, overrides=arguments.overrides)
+        self.scene, terms = arguments.load()
         if engine not in EngineName.names():
             raise ValueError(f"--engine: no engine '{engine}'; there is: {', '.join(EngineName.names())}")
         begin(self.scene, self.device)
         from ..engine.mujoco import silence_mujoco
-        from ..run.episode import compile_shared
+        from ..loop.run.episode import compile_shared
 
         silence_mujoco()  # files that are put together differ in sizes that mean nothing here
 
         self.compiled: CompiledScene | None = compile_shared(self.scene)
-        terms = load_terms(arguments.term_files)
         self._shared = {"engine": engine, "device": self.device, "terms": terms, "compiled": self.compiled}
 
     def episode(self, seed: int, **options: bool) -> Episode:
         """The episode of a seed, ready to run."""
-        from ..run.episode import Episode
+        from ..loop.run.episode import Episode
 
         return Episode(self.scene, seed=seed, **self._shared, **options)
 
@@ -166,14 +206,61 @@ class Setup:
             compiled: The scene compiled; None where every episode has bodies of its own.
             plan_ms: Wall time of a plan [ms] where it matters; what ``samples = "auto"`` chose is never too slow.
         """
-        from ..doctor.advice import advise, slow_plans
+        from ..loop.realtime.pace import slow_plans
 
+        doctor = extra("doctor.advice")
         chosen = self.scene.planner.samples is SampleCount.AUTO
         late = None if chosen else slow_plans(plan_ms, self.scene.timing.control_dt)
-        return [*(advise(self.scene, compiled) if compiled else []), *([late] if late else [])]
+        return [*(doctor.advise(self.scene, compiled) if compiled and doctor else []), *([late] if late else [])]
 
     def batch(self, seeds: Sequence[int], envs: int) -> Batch:
         """The episodes of several seeds, ready to run on one controller."""
-        from ..run.batch import Batch
+        from ..loop.run.batch import Batch
 
         return Batch(self.scene, seeds, envs=envs, **self._shared)
+
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="Shipped scene (see warpmpc scenes) or TOML file; SCENE:A or SCENE:A+B for variants of it.",
+    ),
+]
+SetOption = Annotated[
+    list[str],
+    typer.Option("--set", metavar="KEY=VALUE", help="Change the scene, such as planner.samples=500; repeatable."),
+]
+LAST_SEED = 2**28
+"""Largest seed; the kernels' seeds derived from it stay 32-bit integers."""
+SeedOption = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Seed of the episode.")]
+TermsOption = Annotated[
+    list[Path],
+    typer.Option(
+        "--terms",
+        metavar="FILE.py",
+        help="Python file with cost terms, strategies, engines or robots of yours; it is executed.",
+    ),
+]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        "--engine",
+        metavar="ENGINE",
+        help="Engine of the rollouts: fused, mujoco (on the CPU), mujoco_warp and newton (on a GPU), kinematic (no "
+        "physics), or auto: the scene's choice, else fused where it can do what the scene asks for.",
+    ),
+]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        "--device",
+        metavar="DEVICE",
+        help="Device of the rollouts: cpu, a GPU such as cuda:0, or auto: the faster, measured once.",
+    ),
+]
+
+
+def run_arguments(scene: str, overrides: list[str], terms: list[Path], engine: str, device: str) -> RunArguments:
+    """What several commands are given, as one."""
+    return RunArguments(source=scene, overrides=tuple(overrides), term_files=tuple(terms), engine=engine, device=device)

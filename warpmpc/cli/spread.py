@@ -6,24 +6,27 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import typer
 
-from ..run.workers import LostJob, one_thread, open_workers
+from ..loop.run.ray_workers import DIED
+from ..loop.run.workers import one_thread, open_workers
 from ..scene.errors import SceneError
 from ..scene.load import shipped_scenes
 from ..scene.schema import SampleCount
 from .outputs import Outputs
 from .progress import BatchBar
-from .setup import FAILURE, RunArguments, Setup, user_errors
+from .setup import FAILURE, RunArguments, Setup, others_whole, user_errors
+from .terminal import say
 
 if TYPE_CHECKING:
-    from ..log.run_log import RunLog
-    from ..run.kept import KeptResults
-    from ..run.result import EpisodeResult
+    from ..loop.log.run_log import RunLog
+    from ..loop.run.result import EpisodeResult
+    from ..loop.run.workers import KeptResults
 
 
 def portable(source: str, setup: Setup) -> str:
@@ -47,7 +50,7 @@ def run_seeds(arguments: RunArguments, seeds: Sequence[int], logs: bool) -> list
     episode = setup.episode(seeds[0])
     if not logs:
         return [(episode.run(), None)]
-    from ..record.run_recorder import RunRecorder
+    from ..loop.run.run_recorder import RunRecorder
 
     recorder = RunRecorder(episode.plant, episode.controller)
     return [(episode.run(recorder=recorder), recorder.run_log)]
@@ -85,7 +88,7 @@ def run_spread(
         with user_errors():
             if setup.scene.planner.samples is SampleCount.AUTO:
                 raise SceneError(
-                    "is measured, which jobs beside each other would disturb: give a number, or leave out --jobs",
+                    "is measured, which parallel jobs would disturb: give a number, or leave out --jobs",
                     key="planner.samples",
                     file=setup.scene.path,
                     found="auto",
@@ -112,10 +115,10 @@ def run_spread(
             for future in as_completed(futures):
                 for result, log in _outcome(future):
                     if log is not None:
-                        with user_errors():
-                            outputs.save(log, result.seed, result)
+                        outputs.save(log, result.seed, result)
                     if kept:
-                        kept.add(futures[future], result)
+                        with others_whole():
+                            kept.add(futures[future], result)
                     bar.finish(result)
                     bar.advance()
                     yield result
@@ -126,6 +129,6 @@ def _outcome(future: Future) -> list[tuple[EpisodeResult, RunLog | None]]:
     try:
         with user_errors():
             return future.result()
-    except LostJob as error:
-        print(f"error: {error}", file=sys.stderr)
+    except BrokenProcessPool:
+        say(f"error: {DIED}", out=sys.stderr)
         raise typer.Exit(FAILURE) from None

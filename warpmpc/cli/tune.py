@@ -7,17 +7,21 @@ import difflib
 import importlib.util
 import sys
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from ..run.workers import LostJob, check_jobs, one_thread, open_workers
+from ..loop.run.ray_workers import DIED
+from ..loop.run.workers import check_jobs, one_thread, open_workers
+from ..physics.runtime.files import Unwritable, try_file
 from ..scene.load import load_scene
 from .interrupts import Interrupts
 from .progress import Bar, Messages
 from .setup import FAILURE, SUCCESS, RunArguments, Setup, results_only, start_warp, user_errors
 from .spread import portable, shared_setup
+from .terminal import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,9 +29,8 @@ if TYPE_CHECKING:
     from optuna import Study
     from optuna.trial import FrozenTrial
 
+    from ..extras.tuning.search import Outcome, Submit, Task
     from ..scene.schema import Scene
-    from ..tuning.score import Outcome
-    from ..tuning.search import Submit, Task
 
 LAST_SEED = 999
 """Tuning has seeds 0 to 999: results are reported on seeds above them."""
@@ -62,8 +65,10 @@ def tune(
                 scenes = {source: setup.scene for source, setup in setups.items()}
                 overrides = list(given[0].overrides)
                 base = _file_to_change(scenes, out)
-                from ..tuning.search import Task, open_study
-                from ..tuning.space import bind_space, derive_space, parse_space
+                if out is not None:
+                    try_file(out)
+                from ..extras.tuning.search import Task, open_study
+                from ..extras.tuning.space import bind_space, derive_space, parse_space
 
                 space = parse_space(keys or list(dict.fromkeys(t for s in scenes.values() for t in derive_space(s))))
                 space, start = bind_space(space, scenes, overrides)
@@ -77,12 +82,12 @@ def tune(
                 )
                 study = open_study(study_file, task)
             for parameter in space:
-                print(f"--key {parameter.key}={parameter}", file=sys.stderr)
+                say(f"--key {parameter.key}={parameter}", out=sys.stderr)
             with user_errors():
                 submit, parallel = _submitter(given, setups, task, jobs, end)
-                _search(study, task, submit, parallel, trials)
-        except LostJob as error:
-            print(f"error: {error}", file=sys.stderr)
+                code = _search(study, task, submit, parallel, trials, study_file)
+        except BrokenProcessPool:
+            say(f"error: {DIED}", out=sys.stderr)
             return FAILURE
         except KeyboardInterrupt:
             with user_errors():
@@ -90,7 +95,7 @@ def tune(
             return interrupts.code
         with user_errors():
             _report(study, task, base, out, printed)
-    return SUCCESS
+    return code
 
 
 def run_trial(arguments: RunArguments, changes: tuple[str, ...], seed: int, contact_penalty: float) -> Outcome:
@@ -100,7 +105,7 @@ def run_trial(arguments: RunArguments, changes: tuple[str, ...], seed: int, cont
         SceneError: If the values make no scene.
         ValueError: If the engine or device is not to be had here.
     """
-    from ..tuning.score import Score
+    from ..extras.tuning.search import Score
 
     episode = shared_setup(replace(arguments, overrides=(*arguments.overrides, *changes))).episode(seed)
     own = load_scene(arguments.source, overrides=arguments.overrides)
@@ -144,34 +149,51 @@ def _submitter(
     return submit, 1 if workers is None else workers.count
 
 
-def _search(study: Study, task: Task, submit: Submit, parallel: int, trials: int) -> None:
-    """Search with a bar and a line for every trial."""
-    from ..tuning.search import best, done, search
+def _search(study: Study, task: Task, submit: Submit, parallel: int, trials: int, file: Path | None) -> int:
+    """Search with a bar and a line for every trial; returns the exit code of a study whose file could be written."""
+    from ..extras.tuning.search import best, done, search, writing_study
 
     with Bar(trials, shown=True) as bar:
 
         def on_trial(trial: FrozenTrial) -> None:
             line, found = f"trial {trial.number}: {_described(trial, task)}", best(study, task)
             if bar.console:
-                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+                bar.console.print(line, soft_wrap=True)
             else:
-                print(line, file=sys.stderr)
+                say(line, out=sys.stderr)
             count = len(done(study))
-            bar.draw(f"{count}/{trials} trials", count, f"best {found[0].value:.4g}" if found else "")
+            bar.draw(f"{count}/{trials} trials", count, f"best {_worth(found[0], task)}" if found else "")
 
         bar.draw(f"{len(done(study))}/{trials} trials", len(done(study)), "")
-        search(study, task, submit, parallel=parallel, trials=trials, on_trial=on_trial)
+        try:
+            with writing_study(file):
+                search(study, task, submit, parallel=parallel, trials=trials, on_trial=on_trial)
+        except Unwritable as error:  # what was found until then is told
+            say(f"error: {error}", out=sys.stderr)
+            return FAILURE
+    return SUCCESS
 
 
 def _described(trial: FrozenTrial, task: Task) -> str:
     """A trial's value in a line."""
     if refused := trial.user_attrs.get("refused"):
         return f"refused: {refused}"
-    scores = trial.user_attrs["scores"]
-    average, total = sum(scores) / len(scores), len(task.episodes)
-    cut = f", pruned after {len(scores)} of {total} episodes" if len(scores) < total else ""
+    count, total = len(trial.user_attrs["scores"]), len(task.episodes)
+    cut = f", pruned after {count} of {total} episodes" if count < total else ""
+    return f"{_worth(trial, task)}, {_passed(trial)} passed{cut}"
+
+
+def _worth(trial: FrozenTrial, task: Task) -> str:
+    """Mean worth of a trial's episodes with its unit; of costs, what failures add is left out."""
+    from ..extras.tuning.search import FAILED_COST
+
+    scores = [score - FAILED_COST * (score >= FAILED_COST) for score in trial.user_attrs["scores"]]
     unit = "s" if all(scene.success for scene in task.scenes.values()) else "cost"
-    return f"{average:.4g} {unit}, {trial.user_attrs['reached']} of {len(scores)} passed{cut}"
+    return f"{sum(scores) / len(scores):.4g} {unit}"
+
+
+def _passed(trial: FrozenTrial) -> str:
+    return f"{trial.user_attrs['reached']} of {len(trial.user_attrs['scores'])}"
 
 
 def _file_to_change(scenes: dict[str, Scene], out: Path | None) -> tuple[Path, str | None] | None:
@@ -194,31 +216,36 @@ def _report(study: Study, task: Task, base: tuple[Path, str | None] | None, out:
         SceneError: If the file would not be the scene that was tuned.
         OSError: If it cannot be written.
     """
-    from ..live.saving import edited, save
-    from ..tuning.search import best
+    from ..extras.live.saving import edited, save
+    from ..extras.tuning.search import best
 
     if (found := best(study, task)) is None:
-        print("no trial was completed", file=printed)
+        say("no trial was completed", out=printed)
         return
     trial, first, values = found
     if first:
-        print(f"start  trial {first.number}: {_described(first, task)}", file=printed)
-    print(f"best   trial {trial.number}: {_described(trial, task)}", file=printed)
-    print(
+        say(f"start  trial {first.number}: {_described(first, task)}", out=printed)
+    say(f"best   trial {trial.number}: {_described(trial, task)}", out=printed)
+    say(
         f"tuned on {', '.join(task.scenes)}, seeds {task.seeds[0]} to {task.seeds[-1]}: report other seeds",
-        file=printed,
+        out=printed,
     )
-    if trial is first:
-        print("no trial was better than the scene's own values", file=printed)
+    if first is None:
+        say("the scene's own values were not tried to the end: nothing is known to be better", out=printed)
         return
+    if trial is first:
+        say("no trial was better than the scene's own values and passed as often", out=printed)
+        return
+    if not trial.user_attrs["reached"]:
+        say("warning: no episode passed with these values either", out=sys.stderr)
     changes = task.changes(values)
     if base is None:
-        print("", *(f"--set {change}" for change in changes), sep="\n", file=printed)
+        say("", *(f"--set {change}" for change in changes), out=printed)
         return
     path, variant = base
     before, after = path.read_text(encoding="utf-8-sig"), edited(path, variant, changes)
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), path.name, "tuned", n=1, lineterm="")
-    print("", *lines, sep="\n", file=printed)
+    say("", *lines, out=printed)
     if out is not None:
         save(path, variant, changes, to=out)
-        print(f"wrote {out}", file=printed)
+        say(f"wrote {out}: {_passed(trial)} passed, {_passed(first)} before", out=printed)

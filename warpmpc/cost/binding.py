@@ -10,10 +10,10 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from ..kernels.terms.points import Wanted
-from ..model.assets import resolve_asset
-from ..model.pairs import Pair
+from ..kernels.cost.points import Wanted
 from ..scene.errors import SceneError
+from ..scene.model.assets import resolve_asset
+from ..scene.model.pairs import Pair
 from .resources.geodesic import obstacle_outlines, polygon_distance
 from .resources.resource import Resources
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from ..model.layout import Entity, Layout, ShapeInfo
+    from ..scene.model.layout import Entity, Layout, ShapeInfo
     from ..scene.schema import Scene
 
 W = TypeVar("W")
 PRIMITIVES = {"sphere": 0, "box": 1, "cylinder": 2, "capsule": 3, "plane": 4}
-"""Numbers of the shapes whose distance ``kernels.terms.shapes.shape_distance`` knows."""
+"""Numbers of the shapes whose distance ``kernels.cost.points.shape_distance`` knows."""
 
 
 @dataclass
@@ -70,11 +70,7 @@ class Binding:
         return wp.array(values, dtype=dtype, device=self.device)
 
     def scalar(self, name: str, key: str) -> int:
-        """Index of a scalar of the task.
-
-        Raises:
-            SceneError: If there is none.
-        """
+        """Index of a scalar of the task."""
         names = list(self.scene.scalar)
         if name not in names:
             raise self.error("no such scalar", key, found=name, allowed=names)
@@ -87,9 +83,6 @@ class Binding:
             target: Numbers or names of scalars, one or one for each; zeros when None.
             count: How many numbers the residual has.
             key: What the scene file calls it, for errors.
-
-        Raises:
-            SceneError: If there are neither one nor as many as numbers, or a scalar does not exist.
         """
         target = self.spread((0.0,) if target is None else target, count, key)
         out = Wanted()
@@ -98,11 +91,7 @@ class Binding:
         return out
 
     def spread(self, values: Sequence, count: int, key: str) -> list:
-        """One value for each of some joints, axes or numbers, from one for all or a list.
-
-        Raises:
-            SceneError: If the list has another length.
-        """
+        """One value for each of some joints, axes or numbers, from one for all or a list."""
         if len(values) not in (1, count):
             raise self.error(f"needs 1 or {count} values", key, found=list(values))
         return list(values) if len(values) == count else list(values) * count
@@ -113,19 +102,11 @@ class Binding:
         return self.scene.path
 
     def frame(self, name: str, key: str) -> int:
-        """Index of a frame.
-
-        Raises:
-            SceneError: If there is none.
-        """
+        """Index of a frame."""
         return self._found(self.layout.frame, name, key)
 
     def robot(self, name: str, key: str) -> int:
-        """Number of a robot or an object with mass.
-
-        Raises:
-            SceneError: If there is none.
-        """
+        """Number of a robot or an object with mass."""
         bodies = {e.name: list(e.bodies) for e in self.layout.entities if e.kind in ("robot", "object")}
         allowed = [name for name, own in bodies.items() if self.layout.body_mass[own].sum() > 0.0]
         if name not in allowed:
@@ -134,30 +115,18 @@ class Binding:
         return next(i for i, entity in enumerate(self.layout.entities) if entity.name == name)
 
     def joint(self, name: str, key: str) -> int:
-        """Joint coordinate of a joint.
-
-        Raises:
-            SceneError: If there is none, or several.
-        """
+        """Joint coordinate of a joint."""
         return self._found(self.layout.joint, name, key)
 
     def robots(self, of: str | None) -> list[Entity]:
-        """The robot that a key ``of`` names; all robots when it is None.
-
-        Raises:
-            SceneError: If there is no such robot.
-        """
+        """The robot that a key ``of`` names; all robots when it is None."""
         robots = {entity.name: entity for entity in self.layout.entities if entity.kind == "robot"}
         if of is not None and of not in robots:
             raise self.error("no such robot", "of", found=of, allowed=robots)
         return list(robots.values()) if of is None else [robots[of]]
 
     def only_robot(self, of: str | None) -> Entity:
-        """The robot that a key ``of`` names, or the only one when it is None.
-
-        Raises:
-            SceneError: If there is no such robot, or several and none is named.
-        """
+        """The robot that a key ``of`` names, or the only one when it is None."""
         found = self.robots(of)
         if len(found) != 1:
             raise self.error("several robots: name one", "of", allowed=[robot.name for robot in found])
@@ -169,9 +138,6 @@ class Binding:
         Args:
             file: Name of the file.
             load: Reads it; raises OSError or ValueError where it is no such file.
-
-        Raises:
-            SceneError: If there is no such file or it holds something else.
         """
         base = None if self.file is None else self.file.parent
         path = resolve_asset(file, base=base, key=f"{self.key}.weights", file=self.file)
@@ -181,11 +147,7 @@ class Binding:
             raise self.error(f"cannot be read as weights: {error}", "weights", found=file) from error
 
     def owned(self, of: str | None, names: Sequence[str]) -> range:
-        """Indices of the names that belong to a robot; of all when it is None.
-
-        Raises:
-            SceneError: If there is no such robot.
-        """
+        """Indices of the names that belong to a robot; of all when it is None."""
         self.robots(of)
         own = [i for i, name in enumerate(names) if of is None or name.startswith(f"{of}/")]
         return range(own[0], own[-1] + 1) if own else range(0)
@@ -197,11 +159,7 @@ class Binding:
         return [name for name, count in zip(self.layout.joint_name, counts, strict=True) for _ in range(count)]
 
     def dofs(self, of: str | None, joints: Sequence[str] | None) -> list[int]:
-        """Degrees of freedom of joints by name, or of a robot: of the first when both are None.
-
-        Raises:
-            SceneError: If there is no such joint or robot, or one is named twice, or both are given.
-        """
+        """Degrees of freedom of joints by name, or of a robot: of the first when both are None."""
         if joints is None:
             return list(self.owned(of or self.robots(None)[0].name, self.dof_joints))
         if of is not None:
@@ -223,11 +181,7 @@ class Binding:
         return first
 
     def carried(self, name: str, key: str) -> int:
-        """First of the numbers that a term above this one carries along.
-
-        Raises:
-            SceneError: If there is no such term.
-        """
+        """First of the numbers that a term above this one carries along."""
         if name not in self.memory:
             raise self.error(
                 "no cost term above this one carries numbers along under this name",
@@ -266,11 +220,7 @@ class Binding:
         return names.index(name)
 
     def watch(self, first: str, second: str, key: str) -> tuple[int, int]:
-        """Watch the contact forces between two entities or groups; returns (first pair, count).
-
-        Raises:
-            SceneError: If there is no such entity or group, or it is one entity with itself.
-        """
+        """Watch the contact forces between two entities or groups; returns (first pair, count)."""
         try:
             sides = [self.layout.group(name) for name in (first, second)]
         except SceneError as error:
@@ -283,11 +233,7 @@ class Binding:
         return start, len(wanted)
 
     def object_shape(self, name: str, key: str) -> ShapeInfo:
-        """The first shape of an object, a primitive.
-
-        Raises:
-            SceneError: If there is no such object, or its shape is a mesh.
-        """
+        """The first shape of an object, a primitive."""
         objects = {e.name: e for e in self.layout.entities if e.kind == "object"}
         if name not in objects:
             raise self.error("no such object", key, found=name, allowed=objects)

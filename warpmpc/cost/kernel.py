@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from ..kernels.planning.costs import CostWeights, stage_weight
-from ..kernels.terms.view import StepView
+from ..kernels.cost.view import StepView
+from ..kernels.planner.costs import CostWeights, stage_weight
 
 if TYPE_CHECKING:
     from .term import CostTerm

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
 
 import warp as wp
 
-from ..kernels.terms.norms import Norm
+from ..kernels.cost.norms import Norm
 from ..scene.types import Section
 from .term import CostTerm, parse_keys
 

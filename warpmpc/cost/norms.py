@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from ..kernels.terms import norms
+from ..kernels.cost import norms
 from ..scene.types import Positive, Section
 
 
@@ -74,7 +74,6 @@ def _text_or_table(value: object) -> str:
 
 
 def _by_name(kind: NormKind) -> NormKeys:
-    """A norm without parameters."""
     if _NORMS[kind][1]:
         raise ValueError(_takes(kind))
     return NormKeys(kind=kind)

@@ -9,8 +9,8 @@ from typing import Any
 import warp as wp
 from pydantic import TypeAdapter, ValidationError
 
-from ..kernels.terms.norms import L22, SQUARES, Norm, norm_part, norm_total
-from ..kernels.terms.view import StepView
+from ..kernels.cost.norms import L22, SQUARES, Norm, norm_part, norm_total
+from ..kernels.cost.view import StepView
 from .keys import TermKeys, term
 from .norms import NormKey, NormKind
 from .term import CostTerm, Residual, annotations, fill, params_of

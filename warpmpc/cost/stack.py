@@ -1,37 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All cost terms of a scene, bound once, and evaluators that apply them to the rollouts of an engine."""
+"""All cost terms of a scene, bound once, and evaluators that apply them to the rollouts of an engine.
+
+Factors by which cost terms become the cost of a rollout: weight, terminal factor and discount, as data.
+
+J = Σ_t γ_t ρ(Σ_i τ_it w_i n_i; R) with ρ the risk of ``planner.stage_risk``. τ is zero where a term does not count:
+terminal terms take the place of the last stage's cost (Bhardwaj et al. 2021, Eq. 2). Kernels, the source of launches
+and derivatives all read the same arrays.
+"""
 
 from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Collection, Sequence
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from ..kernels.cost.view import StepView
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
-from ..kernels.planning.costs import weigh_values_kernel
-from ..kernels.terms.view import StepView
-from ..launch import Launcher
-from ..model.joints import joint_table
-from ..registry import TERMS
+from ..kernels.planner.costs import CostWeights, weigh_values_kernel
+from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
+from ..scene.model.joints import joint_table
+from ..scene.registry import TERMS
+from ..scene.schema import When
 from .binding import Binding
-from .blame import complaint, raised
-from .deadline import deadline
 from .kernel import EvaluationCode, evaluation_code
 from .term import ArrayCost, CostTerm, UserTerm
-from .weights import cost_weights, term_factors
+from .user_files import complaint, raised
 
 if TYPE_CHECKING:
-    from ..model.batch_size import BatchSize
-    from ..model.layout import Layout
-    from ..model.trajectory import Trajectory
+    from ..scene.model.layout import Layout
+    from ..scene.model.trajectory import BatchSize, Trajectory
     from ..scene.schema import Cost, Scene
-    from ..task.observed import ObservedState
-    from ..task.task import Task
+    from ..scene.task.observed import ObservedState
+    from ..scene.task.task import Task
+
+
+def term_factors(costs: Sequence[Cost]) -> np.ndarray:
+    """Factors on what terms cost before the last step of a horizon, and at it ``[term, 2]``."""
+    ends = [cost.when is When.TERMINAL for cost in costs]
+    replaced = any(end and cost.weight for end, cost in zip(ends, costs, strict=True))
+    counted = [(not end, end or not replaced) for end in ends]
+    return np.array([(a, b * cost.terminal) for cost, (a, b) in zip(costs, counted, strict=True)]).reshape(-1, 2)
+
+
+def cost_weights(weight: wp.array, factors: np.ndarray, discount: np.ndarray) -> CostWeights:
+    """Factors of terms at every step, on the device of their weights.
+
+    Args:
+        weight: Weights ``[E, term]``; the array itself is read, since the task may change them between plans.
+        factors: Factors of :func:`term_factors` ``[term, 2]``.
+        discount: γ_t ``[T]``.
+    """
+    each = np.tile(factors[:, 0], (len(discount), 1))
+    each[-1] = factors[:, 1]
+    out = CostWeights()
+    out.term = weight
+    out.terminal = wp.array(each, dtype=float, device=weight.device)
+    out.discount = wp.array(discount, dtype=float, device=weight.device)
+    return out
+
+
+def stage_weights(weights: CostWeights) -> np.ndarray:
+    """Factor τ_it w_i on what each term costs at each step ``[E, T, term]``."""
+    return weights.term.numpy()[:, None].astype(float) * weights.terminal.numpy()
 
 
 class CostStack:
@@ -147,11 +181,7 @@ class CostStack:
 
 
 def _users(terms: Sequence[UserTerm], scene: Scene) -> dict[str, CostTerm | ArrayCost]:
-    """Users' cost terms by name.
-
-    Raises:
-        SceneError: If one has the name of a built-in term.
-    """
+    """Users' cost terms by name."""
     terms = [term for term in terms if isinstance(term, CostTerm | ArrayCost)]
     for term in terms:
         if TERMS.shipped.get(term.name, term) is not term:
@@ -229,12 +259,11 @@ class CostEvaluator:
             if isinstance(term, ArrayCost):
                 self.evaluate_array(i)
 
-    def evaluate_array(self, i: int, *, longest: float | None = None) -> None:
+    def evaluate_array(self, i: int) -> None:
         """Evaluate a term over whole arrays.
 
         Args:
             i: Which of the stack's terms.
-            longest: How long its function may take [s]; any time if None.
 
         Raises:
             SceneError: If its function raises, or returns anything but an array of numbers ``[T, W]``.
@@ -256,8 +285,7 @@ class CostEvaluator:
         if device == "cpu":
             batch = {name: array.numpy() for name, array in batch.items()}
         try:
-            with nullcontext() if longest is None else deadline(longest):
-                value = term.function({**batch, "params": params})
+            value = term.function({**batch, "params": params})
         except Exception as error:
             raise raised(error, label, term, file=file) from error
         wanted = tuple(self.cost.shape[1:])

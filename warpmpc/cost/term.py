@@ -14,12 +14,12 @@ import numpy as np
 import warp as wp
 from pydantic import ValidationError
 
-from ..kernels.terms.norms import Norm
-from ..kernels.terms.view import StepView
-from ..task.ancillary import AncillaryController
+from ..kernels.cost.norms import Norm
+from ..kernels.cost.view import StepView
+from ..scene.task.ancillary import AncillaryController
 
 if TYPE_CHECKING:
-    from ..bake.lines import Operand
+    from ..physics.runtime.bake import Operand
     from ..scene.types import Section
     from .binding import Binding
     from .code.state import TermCode
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class Residual:
     """The numbers that a term is a norm of, for planners with derivatives.
 
-    ``kernels.terms.norms`` has the norm's value, gradient and Hessian.
+    ``kernels.cost.norms`` has the norm's value, gradient and Hessian.
     """
 
     component: wp.Function

@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import warp as wp
 
 from ..cost.stack import CostEvaluator
-from ..kernels.planning import costs as kernels
-from ..kernels.planning.costs import explain_kernel, finish_kernel
-from ..kernels.planning.splines import spline_control_kernel
-from ..launch import Launcher, Replay, step_lanes
+from ..kernels.planner import costs as kernels
+from ..kernels.planner.costs import explain_kernel, finish_kernel
+from ..kernels.planner.splines import spline_control_kernel
+from ..physics.runtime.launch import CapturedLaunches, Launcher, step_lanes
 from ..scene.schema import Risk
 from .step_worlds import SimulatedWorlds
 
 if TYPE_CHECKING:
     import mujoco
 
-    from ..model.batch_size import BatchSize
-    from ..model.trajectory import Trajectory
-    from .protocol import Proposal, Simulator
+    from ..scene.model.trajectory import BatchSize, Trajectory
+    from .protocol import EngineRequest, PhysicsSteps, Proposal, Simulator
     from .redraw import Redraw
-    from .request import EngineRequest, PhysicsSteps
     from .step_worlds import StepWorlds
 
 RISKS = {risk: getattr(kernels, risk.name) for risk in Risk}
@@ -82,7 +80,7 @@ class RolloutEngine(ABC):
         self.costs, self.shape, self.state = request.costs, request.shape, request.state
         self.layout = request.costs.layout
         self._launch, self._on_gpu = Launcher(self.device), wp.get_device(self.device).is_cuda
-        self._replays: dict[int, tuple[Proposal, Replay, list[Replay]]] = {}
+        self._replays: dict[int, tuple[Proposal, CapturedLaunches, list[CapturedLaunches]]] = {}
         planner, grid, shape = request.scene.planner, request.grid, self.shape
         level = planner.aversion if planner.risk is Risk.EXPONENTIAL else planner.cvar
         self._risk, self._stage_risk = [shape.domains, RISKS[planner.risk], level], planner.stage_risk
@@ -124,8 +122,11 @@ class RolloutEngine(ABC):
                 self._evaluate_part(proposal, part)
         else:
             if id(proposal) not in self._replays:
-                parts = [Replay(partial(self._evaluate_part, proposal, part)) for part in self._split(proposal.samples)]
-                self._replays[id(proposal)] = proposal, Replay(partial(self._begin, proposal)), parts
+                parts = [
+                    CapturedLaunches(partial(self._evaluate_part, proposal, part))
+                    for part in self._split(proposal.samples)
+                ]
+                self._replays[id(proposal)] = proposal, CapturedLaunches(partial(self._begin, proposal)), parts
             _, begin, parts = self._replays[id(proposal)]
             begin()
             self._run(parts)
@@ -149,7 +150,7 @@ class RolloutEngine(ABC):
         """Parts that together try the first samples of every environment."""
 
     @abstractmethod
-    def _run(self, replays: Sequence[Replay]) -> None:
+    def _run(self, replays: Sequence[CapturedLaunches]) -> None:
         """Run one sequence of launches for every part, on as many threads as there are."""
 
     @abstractmethod
@@ -221,12 +222,10 @@ class SimulatorEngine(RolloutEngine):
             if first % rollouts < samples * domains or first // rollouts != (first + count - 1) // rollouts
         ]
 
-    def _run(self, replays: Sequence[Replay]) -> None:
-        """Run one sequence of launches for every part, as the simulator does."""
+    def _run(self, replays: Sequence[CapturedLaunches]) -> None:
         self.simulator.run(replays)
 
     def _simulate(self, proposal: Proposal, part: Part) -> None:
-        """Roll a part of the simulator out."""
         first, count = self.simulator.parts[part.first]
         self.simulator.clone(self.state, first, count)
         lanes = step_lanes(self.shape.horizon, self.device)

@@ -10,24 +10,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.splines import LINEAR, ZERO
-from ..kernels.worlds.launch import TAPS
-from ..launch import capturing
-from ..model.batch_size import BatchSize
-from ..model.trajectory import Trajectory
-from ..physics.kernel import WARP, RolloutWork, options
-from ..scene.errors import SceneError
-from ..thread_pool import PARTS, ThreadPool, thread_count
+from ..kernels.engine.launch import TAPS
+from ..kernels.planner.splines import LINEAR, ZERO
+from ..physics.runtime.launch import capturing
+from ..physics.runtime.thread_pool import PARTS, ThreadPool, thread_count
+from ..physics.source_parts import WARP, RolloutWork, options
+from ..scene.model.trajectory import BatchSize, Trajectory
 from .fused_physics import FusedPhysics
 from .fused_state import PhysicsState, cost_code
 from .launch_kernel import RECORDS_ALONE
-from .launch_terms import launch_terms
-from .launched import LaunchedEngine
+from .launched import LaunchedEngine, launch_terms
 from .step_worlds import LEAD, StepWorlds
 
 if TYPE_CHECKING:
-    from ..physics.parts import AddedCode
-    from .request import EngineRequest, PhysicsSteps
+    from ..physics.source_parts import AddedCode
+    from .protocol import EngineRequest, PhysicsSteps
     from .step_worlds import Residuals
 
 KNOTS = {int(ZERO): 1, int(LINEAR): 2}
@@ -39,7 +36,7 @@ class FusedWorlds(StepWorlds):
 
     def __init__(self, request: EngineRequest, steps: PhysicsSteps, worlds: int, residuals: Residuals):
         one, step = request.one_step(steps, worlds)
-        given = {"device": request.device, "own_start": True, **one.worlds(step)}
+        given = {"device": request.device, "sensors": request.costs.sensors, "own_start": True, **one.worlds(step)}
         self._physics = physics = FusedPhysics(one.scene, one.compiled, one.shape, **given)
         super().__init__(request, worlds, residuals, physics.world)
         physics.trajectory = self._recorded
@@ -96,16 +93,8 @@ class FusedEngine(LaunchedEngine):
     step_worlds = FusedWorlds
 
     def __init__(self, request: EngineRequest, steps: PhysicsSteps):
-        if request.costs.sensors:
-            raise SceneError(
-                "the engine fused has no sensors, but cost terms read some",
-                key="engine.name",
-                file=request.scene.path,
-                allowed=["auto", "mujoco", "newton"],
-            )
-        self.physics = physics = FusedPhysics(
-            request.scene, request.compiled, request.shape, device=request.device, **request.worlds(steps)
-        )
+        given = {"device": request.device, "sensors": request.costs.sensors, **request.worlds(steps)}
+        self.physics = physics = FusedPhysics(request.scene, request.compiled, request.shape, **given)
         self.mj_model = physics.world.model
         super().__init__(request, RolloutWork)
         self.redraw = physics.redraw
@@ -116,7 +105,7 @@ class FusedEngine(LaunchedEngine):
         # a thread for each step keeps a GPU busier than one for all steps of a world, as rollouts have it then
         self._allocate_record(on_record, apart=self._on_gpu and physics.sharing == 1)
         work.records, work.force = int(self.records), self.recorded.contact_force
-        work.record_act = self.recorded.act
+        work.record_act, work.sensor = self.recorded.act, self.recorded.sensor
         source = physics.source(added=written, knots=KNOTS.get(request.spline.kind, int(TAPS)))
         physics.fill(work)
         code, params = (self.costs.code, self.costs.params) if written else self.costs.code_of([])
@@ -156,7 +145,7 @@ class FusedEngine(LaunchedEngine):
             out.diverged,
             out.overflow,
         )
-        work.record_q, work.record_qd = out.joint_q, out.joint_qd
+        work.record_q, work.record_qd, work.sensor = out.joint_q, out.joint_qd, out.sensor
         work.record_body_q, work.record_body_qd, work.record_act = out.body_q, out.body_qd, out.act
         return work
 

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..bake.lines import Lines, Operand, Vector, known
-from ..cost.code.state import Refused, StateCode
-from ..cost.code.terms import POINTERS, TIMES, sums
-from ..cost.code.tree import Axis, Place, Tree
+from ..cost.code.state import POINTERS, TIMES, Refused, StateCode, sums
+from ..cost.code.tree import Axis, KinematicsSource, Place
 from ..kernels.geometry.kinematics import BALL, DISTANCE, FREE
-from ..model.joints import driving
-from ..model.layout import IDENTITY
-from ..physics.parts import AddedCode
+from ..physics.runtime.bake import Lines, Operand, Vector, known
+from ..physics.source_parts import AddedCode
+from ..scene.model.joints import driving
+from ..scene.model.layout import IDENTITY
 
 if TYPE_CHECKING:
-    from ..cost.code.terms import TermSource
-    from ..model.layout import Layout
+    from ..cost.code.state import TermSource
     from ..physics.state_map import StateMap, Turn
+    from ..scene.model.layout import Layout
 
 
 class PhysicsState(StateCode):
@@ -101,6 +100,11 @@ class PhysicsState(StateCode):
             return [0.0, 0.0, 0.0]
         return self._cached(("force", pair), lambda: [self.lines.let(f"w.pushed[{3 * pair + k}]") for k in range(3)])
 
+    def sensor(self, index: int) -> str:
+        """A number of the sensors at the last physics step of the control, in the sensor's own unit."""
+        at = self.numbers.readings.places.index(index)
+        return self._cached(("sensor", index), lambda: self.lines.let(f"shown[{at}]"))
+
     def free_start(self, body: int) -> None:
         """None: physics moves what is free."""
         return
@@ -123,7 +127,7 @@ class Axes:
         return iter(self._write())
 
 
-class PhysicsTree(Tree):
+class PhysicsTree(KinematicsSource):
     """Places of bodies, as the world has them.
 
     Args:

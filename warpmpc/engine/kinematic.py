@@ -2,8 +2,8 @@
 """The engine ``kinematic``: no physics; joints follow the controls, and terms are evaluated in the launch (STORM).
 
 Thousands of samples take less than a millisecond: one launch takes them from knots to costs, with the robot and most
-terms written out as straight-line source (``warpmpc.bake``). Terms without such a form are called in the same launch on
-what it records. What is not driven stands still where it is observed.
+terms written out as straight-line source (``warpmpc.physics.runtime.bake``). Terms without such a form are called in
+the same launch on what it records. What is not driven stands still where it is observed.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..bake.simd import WIDE
 from ..cost.code.state import StateCode, moving_dofs
-from ..kernels.worlds.kinematic import (
+from ..kernels.engine.kinematic import (
     ACCELERATION,
     POSITION,
     VELOCITY,
@@ -25,22 +24,20 @@ from ..kernels.worlds.kinematic import (
     kinematic_rollout_kernel,
     kinematic_step_kernel,
 )
-from ..launch import capturing
-from ..model.batch_size import BatchSize
-from ..model.joints import joint_table
-from ..model.trajectory import Trajectory
+from ..physics.runtime.bake import WIDE
+from ..physics.runtime.launch import capturing
+from ..physics.runtime.thread_pool import thread_count
 from ..scene.errors import SceneError
+from ..scene.model.joints import joint_table
+from ..scene.model.trajectory import BatchSize, Trajectory
 from ..scene.schema_bodies import DriveMode
-from ..thread_pool import thread_count
-from .kinematic_motion import WARP
-from .kinematic_source import RolloutSource
-from .launch_terms import launch_terms
-from .launched import LaunchedEngine
+from .kinematic_source import WARP, RolloutSource
+from .launched import LaunchedEngine, launch_terms
 from .step_worlds import ConvertedWorlds
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
-    from .request import EngineRequest, PhysicsSteps
+    from ..scene.model.layout import Layout
+    from .protocol import EngineRequest, PhysicsSteps
     from .step_worlds import Residuals
 
 MODES = {"velocity": int(VELOCITY), "position": int(POSITION), "acceleration": int(ACCELERATION)}
@@ -125,11 +122,7 @@ def drives(layout: Layout, device: str) -> Drives:
 
 
 def _refuse(request: EngineRequest) -> None:
-    """Refuse what has no meaning without physics.
-
-    Raises:
-        SceneError: If the scene asks for it.
-    """
+    """Refuse what has no meaning without physics."""
     layout, costs = request.costs.layout, request.costs
     wheels = (np.count_nonzero(layout.actuator_matrix, axis=1) > 1).any()
     forces = any(mode not in MODES for mode in layout.actuator_mode)

@@ -7,9 +7,9 @@ from typing import Any
 import warp as wp
 
 from ..cost.kernel import EvaluationCode
-from ..kernels.planning.costs import CostWeights
-from ..kernels.terms.view import StepView
-from ..kernels.worlds.launch import TermSums
+from ..kernels.cost.view import StepView
+from ..kernels.engine.launch import TermSums
+from ..kernels.planner.costs import CostWeights
 
 RECORDS_ALONE = -1
 """Groups of an environment for launches that evaluate nothing they recorded."""

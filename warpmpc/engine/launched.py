@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Engines that roll out in one launch, and evaluate terms in it."""
+"""Engines that roll out in one launch, and evaluate terms in it.
+
+Places of cost terms: the launch, whose source they become part of, or the record.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,21 +14,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..bake.simd import native_lanes
-from ..compiling import compile_made
-from ..cost.term import CostTerm
-from ..kernels.planning.splines import ZERO
-from ..kernels.worlds.launch import TAPS, TermSums, taps_kernel
-from ..model.batch_size import BatchSize
-from ..model.trajectory import Trajectory
-from ..thread_pool import PARTS, ThreadPool, thread_count
+from ..cost.code.state import Refused, TermCode, TermSource
+from ..cost.term import ArrayCost, CostTerm
+from ..cost.trace.tracer import trace
+from ..kernels.engine.launch import TAPS, TermSums, taps_kernel
+from ..kernels.planner.splines import ZERO
+from ..physics.runtime.bake import Lines, OutOfRange, native_lanes
+from ..physics.runtime.compiling import compile_made
+from ..physics.runtime.thread_pool import PARTS, ThreadPool, thread_count
+from ..scene.model.trajectory import BatchSize, Trajectory
 from .evaluation import Part, RolloutEngine
 from .launch_kernel import RECORDS_ALONE, make_kernel
 
 if TYPE_CHECKING:
-    from ..launch import Replay
-    from .protocol import Proposal
-    from .request import EngineRequest
+    from ..cost.code.state import StateCode
+    from ..cost.stack import CostStack
+    from ..physics.runtime.bake import Operand
+    from ..physics.runtime.launch import CapturedLaunches
+    from .protocol import EngineRequest, Proposal
 
 
 class LaunchedEngine(RolloutEngine):
@@ -118,8 +125,7 @@ class LaunchedEngine(RolloutEngine):
                 parts.append(Part(group(first), group(end) - group(first), sample(first), sample(end) - sample(first)))
         return parts
 
-    def _run(self, replays: Sequence[Replay]) -> None:
-        """Run one sequence of launches for every part, on all threads."""
+    def _run(self, replays: Sequence[CapturedLaunches]) -> None:
         self._pool.run(replays)
 
     def _begin(self, proposal: Proposal) -> None:
@@ -138,7 +144,6 @@ class LaunchedEngine(RolloutEngine):
         self._start(self._work, part.first, part.count, groups if self._evaluates else RECORDS_ALONE)
 
     def _start(self, work: Any, first: int, count: int, groups: int) -> None:
-        """Launch the kernel for some groups of lanes, on a GPU for worlds."""
         inputs = [self.evaluator.view, self._params, self._own, first, groups, self.shape.rollouts]
         outputs = [work, self._sums, self.evaluator.cost]
         self._launch(self._kernel, count * self._sharing, inputs, outputs, threads=self._threads)
@@ -146,3 +151,49 @@ class LaunchedEngine(RolloutEngine):
     def close(self) -> None:
         """Stop the threads."""
         self._pool.close()
+
+
+logger = logging.getLogger("warpmpc")
+
+_ON_RECORD = "cost term '%s' is evaluated on the record, not in the launch: %s"
+
+
+def launch_terms(
+    costs: CostStack, state: StateCode, *, stage_risk: float = 0.0
+) -> tuple[tuple[TermSource, ...], list[int]]:
+    """Source of all terms that can be written, and the numbers of those that cannot.
+
+    Args:
+        costs: The terms.
+        state: What they may ask about a state, in which they leave what they share.
+        stage_risk: R of ρ(l; R), which needs all terms of a step together: none is written where it is not zero.
+    """
+    in_launch, on_record = [], []
+    for i, (term, bound) in enumerate(costs.terms):
+        code = TermCode(state, Lines(f"t{i}_"), f"p.p{i}")
+        value = term_source(code, term, bound, costs.labels[i]) if stage_risk == 0.0 else None
+        if value is None:
+            on_record.append(i)
+        else:
+            in_launch.append(TermSource(i, code.lines, value))
+    return tuple(in_launch), on_record
+
+
+def term_source(code: TermCode, term: CostTerm | ArrayCost, bound: Any, label: str) -> Operand | None:
+    """Write a term as source: by hand where it has such a form, else traced; None where neither can be.
+
+    Args:
+        code: Where the source is written.
+        term: The term.
+        bound: Its filled parameter struct.
+        label: What the log calls it.
+    """
+    if not isinstance(term, CostTerm):
+        logger.info(_ON_RECORD, label, "it is a function of whole arrays")
+        return None
+    try:
+        value = term.source(code, bound) if term.source else None
+        return trace(code, term.function, bound) if value is None else value
+    except (OutOfRange, Refused) as error:
+        logger.info(_ON_RECORD, label, error)
+        return None

@@ -12,25 +12,23 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.clone import divergence_kernel, mujoco_control_kernel, mujoco_mocap_kernel
-from ..kernels.worlds.contacts import mujoco_contact_force_kernel
-from ..kernels.worlds.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
-from ..launch import Replay
-from ..model.batch_size import BatchSize
-from ..model.mujoco_model import Options, make_world
-from ..model.pairs import Pair
-from ..model.randomize import randomized_models
-from ..model.trajectory import Trajectory
-from ..thread_pool import PARTS, ThreadPool, thread_count
-from .mujoco_states import MujocoModelSimulator
+from ..kernels.engine.clone import divergence_kernel, mujoco_control_kernel, mujoco_mocap_kernel
+from ..kernels.engine.contacts import mujoco_contact_force_kernel
+from ..kernels.engine.mujoco import MujocoData, MujocoLibrary, mujoco_rollout_kernel
+from ..physics.runtime.launch import CapturedLaunches
+from ..physics.runtime.thread_pool import PARTS, ThreadPool, thread_count
+from ..scene.model.drawn_model import randomized_models
+from ..scene.model.mujoco_model import Options, make_world
+from ..scene.model.pairs import Pair
+from ..scene.model.trajectory import BatchSize, Trajectory
 from .redraw import RedrawnModels
-from .step_worlds import StepWorlds
+from .step_worlds import MujocoModelSimulator, StepWorlds
 
 if TYPE_CHECKING:
-    from ..model.compiled import CompiledScene
-    from ..model.properties import Properties
-    from ..task.observed import ObservedState
-    from .request import EngineRequest, PhysicsSteps
+    from ..scene.model.compiled import CompiledScene
+    from ..scene.model.properties import Properties
+    from ..scene.task.observed import ObservedState
+    from .protocol import EngineRequest, PhysicsSteps
     from .step_worlds import Residuals
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -240,7 +238,7 @@ class MujocoSimulator(MujocoModelSimulator):
         mujoco.mj_setState(self.model, data, self.initial[world], FULL)
         mujoco.mj_setState(self.model, data, self.control[world, 0], self._control_spec)
 
-    def run(self, replays: Sequence[Replay]) -> None:
+    def run(self, replays: Sequence[CapturedLaunches]) -> None:
         """Run one sequence of launches for each of :attr:`parts`, on all threads."""
         self.pool.run(replays)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``newton`` with the solver ``mujoco``: the scene's own MuJoCo model in all worlds at once, by MuJoCo Warp.
+"""The engine ``mujoco_warp``: the scene's MuJoCo model in all worlds at once, by MuJoCo Warp.
 
-Both engines simulate one model: what the engine ``mujoco`` compiles is put on the device as it is, in float32.
+What the engine ``mujoco`` compiles is put on the device as it is, in float32.
 """
 
 from __future__ import annotations
@@ -14,35 +14,34 @@ import mujoco_warp
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.clone import finite_state_kernel
-from ..kernels.worlds.contacts import mujoco_warp_contact_force_kernel
-from ..kernels.worlds.mujoco_warp import (
+from ..kernels.engine.clone import finite_state_kernel
+from ..kernels.engine.contacts import mujoco_warp_contact_force_kernel
+from ..kernels.engine.mujoco_warp import (
     drive_kernel,
     load_state_kernel,
     place_mocap_kernel,
     store_row_kernel,
     store_state_kernel,
 )
-from ..launch import default_device
-from ..model.batch_size import BatchSize
-from ..model.mujoco_model import MujocoWorld, Options, make_world
-from ..model.pairs import pair_table
-from ..model.randomize import batched_arrays
-from ..model.trajectory import Trajectory
 from ..physics.collisions import colliding_pairs
+from ..physics.runtime.launch import default_device
 from ..scene.errors import SceneError
-from .mujoco_states import MujocoModelSimulator
+from ..scene.model.drawn_model import batched_arrays
+from ..scene.model.mujoco_model import MujocoWorld, Options, make_world
+from ..scene.model.pairs import pair_table
+from ..scene.model.trajectory import BatchSize, Trajectory
 from .protocol import LARGEST_SPEED, OnePart
 from .redraw import RedrawnArrays
+from .step_worlds import MujocoModelSimulator
 
 if TYPE_CHECKING:
-    from ..model.compiled import CompiledScene
-    from ..model.layout import Layout
-    from ..model.pairs import Pair
-    from ..model.properties import Properties
+    from ..scene.model.compiled import CompiledScene
+    from ..scene.model.layout import Layout
+    from ..scene.model.pairs import Pair
+    from ..scene.model.properties import Properties
     from ..scene.schema import Scene
 
-_CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
+CAPACITY_BITS = ~int(mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS)
 """Overflow bits of MuJoCo Warp that tell of lost contacts or rows; a solver stopped early is no loss."""
 _ROWS_PER_CONTACT = 4  # a pyramid with sliding friction
 _LARGEST_BOUND = 256
@@ -95,12 +94,9 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
         properties: Draws of physical properties; ``None`` leaves every world nominal.
         sensors: Sensors to record, all if None; the others are left out of the model.
         device: Warp device.
-
-    Raises:
-        SceneError: If there is no such option, or MuJoCo Warp lacks what the model needs.
     """
 
-    name = "newton"
+    name = "mujoco_warp"
 
     def __init__(
         self,
@@ -138,7 +134,6 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
         self._bind(world, compiled)
 
     def _put(self, world: MujocoWorld, layout: Layout, options: dict, properties: Properties | None) -> None:
-        """Put the model and its worlds on the device."""
         shape, model = self.shape, world.model
         drawn = properties is not None and bool(properties.names)
         if drawn and properties.redrawn:
@@ -153,13 +148,8 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
             array.assign(values.astype(np.float32).reshape(array.numpy().shape))
         self.model.opt.graph_conditional = bool(options.get(_GRAPH_CONDITIONAL, True))
         self.model.opt.warn_overflow = 0  # overflows are gathered and told once, not printed by the GPU
-        bound = max(min(contact_bound(model), _LARGEST_BOUND), 1)
-        limits = int((abs(layout.dof_upper - layout.dof_lower) < 1e6).sum())
-        limits += int(model.tendon_limited.sum()) + 6 * model.neq + int((model.dof_frictionloss > 0).sum())
-        limits += int((model.tendon_frictionloss > 0).sum())
-        capacities = {"nconmax": bound, "njmax": max(_ROWS_PER_CONTACT * bound + limits, 1)}
-        capacities |= {name: options[name] for name in _CAPACITIES if name in options}
-        self.data = mujoco_warp.make_data(model, nworld=shape.worlds, **capacities)
+        held = capacities(model, layout) | {name: options[name] for name in _CAPACITIES if name in options}
+        self.data = mujoco_warp.make_data(model, nworld=shape.worlds, **held)
 
     def _bind(self, world: MujocoWorld, compiled: CompiledScene) -> None:
         """Tables and memory between Newton's conventions and MuJoCo's."""
@@ -229,7 +219,7 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
             [
                 *(self._pairs, int(self.mj_model.opt.cone), data.nacon),
                 *(contact.worldid, contact.geom, contact.dim, contact.frame, contact.friction, contact.efc_address),
-                *(data.efc.force, data.overflow, _CAPACITY_BITS, t, share),
+                *(data.efc.force, data.overflow, CAPACITY_BITS, t, share),
             ],
             [out.contact_force, out.overflow],
         )
@@ -251,26 +241,18 @@ class MujocoWarpSimulator(OnePart, MujocoModelSimulator):
 
     def overflow_message(self, bits: int) -> str:
         """A sentence about what overflowed, and which setting to raise."""
-        data = self.data
-        return (
-            f"the solver's capacity was exceeded (bits {bits:#x}): raise engine.options.nconmax (now "
-            f"{data.naconmax // data.nworld} contacts per world) or engine.options.njmax (now {data.njmax} rows)"
-        )
+        return overflow_message(self.data, bits)
 
     def close(self) -> None:
         """Nothing to stop."""
 
 
 def _checked(scene: Scene) -> dict[str, Any]:
-    """The scene's options.
-
-    Raises:
-        SceneError: If there is no such option.
-    """
+    """The scene's options."""
     for name in scene.engine.options:
         if name not in OPTIONS:
             raise SceneError(
-                "the solver mujoco has no such option",
+                "the engine mujoco_warp has no such option",
                 key=f"engine.options.{name}",
                 file=scene.path,
                 found=name,
@@ -280,11 +262,7 @@ def _checked(scene: Scene) -> dict[str, Any]:
 
 
 def _set_options(model: mujoco.MjModel, options: dict[str, Any]) -> None:
-    """Set MuJoCo's own options of a model.
-
-    Raises:
-        ValueError: If an option has no such value.
-    """
+    """Set MuJoCo's own options of a model."""
     for name, value in options.items():
         if name in _ENUMS:
             if value not in _ENUMS[name]:
@@ -299,13 +277,26 @@ def _set_options(model: mujoco.MjModel, options: dict[str, Any]) -> None:
 
 
 def _refuse_rk4(model: mujoco.MjModel) -> None:
-    """MuJoCo Warp's RK4 takes activations otherwise than MuJoCo does: 1e-3 apart after 50 steps of a quadrotor.
-
-    Raises:
-        ValueError: If a model needs both.
-    """
+    """MuJoCo Warp's RK4 takes activations otherwise than MuJoCo does: 1e-3 apart after 50 steps of a quadrotor."""
     if model.na and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         raise ValueError("RK4 with actuators that have activations: set engine.integrator to euler or implicitfast")
+
+
+def overflow_message(data: mujoco_warp.Data, bits: int) -> str:
+    """A sentence about what overflowed in the worlds of MuJoCo Warp, and which setting to raise."""
+    return (
+        f"the solver's capacity was exceeded (bits {bits:#x}): raise engine.options.nconmax (now "
+        f"{data.naconmax // data.nworld} contacts per world) or engine.options.njmax (now {data.njmax} rows)"
+    )
+
+
+def capacities(model: mujoco.MjModel, layout: Layout) -> dict[str, int]:
+    """Contacts and constraint rows that a world of MuJoCo Warp has room for, as its ``make_data`` takes them."""
+    bound = max(min(contact_bound(model), _LARGEST_BOUND), 1)
+    limits = int((abs(layout.dof_upper - layout.dof_lower) < 1e6).sum())
+    limits += int(model.tendon_limited.sum()) + 6 * model.neq + int((model.dof_frictionloss > 0).sum())
+    limits += int((model.tendon_frictionloss > 0).sum())
+    return {"nconmax": bound, "njmax": max(_ROWS_PER_CONTACT * bound + limits, 1)}
 
 
 def contact_bound(model: mujoco.MjModel) -> int:

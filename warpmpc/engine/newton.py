@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ``newton`` engine: all worlds in one Newton model, stepped together by any of its solvers but MuJoCo."""
+"""The engine ``newton``: all worlds in one Newton model, stepped together by one of its solvers.
+
+The Newton model of all worlds of a batch.
+"""
 
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,25 +15,78 @@ import newton
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
-from ..launch import Launcher, default_device
-from ..model.batch_size import BatchSize
-from ..model.joints import joint_table
-from ..model.mujoco_model import make_world
-from ..model.newton_model import build_model
-from ..model.randomize import randomize_newton
-from ..model.trajectory import Trajectory
+from ..kernels.engine.clone import clone_state_kernel, finite_state_kernel, newton_control_kernel
+from ..physics.runtime.launch import Launcher, default_device
+from ..physics.version import BOUNDED_FORCES_DO_NOT_DAMP
 from ..scene.errors import SceneError
+from ..scene.model.builder import World, build_world
+from ..scene.model.drawn_model import randomize_newton
+from ..scene.model.importers import new_builder
+from ..scene.model.joints import joint_table
+from ..scene.model.mujoco_model import make_world
+from ..scene.model.trajectory import BatchSize, Trajectory
+from ..scene.schema import Solver
 from .newton_solver import make_solver
 from .protocol import LARGEST_SPEED, OnePart
 
 if TYPE_CHECKING:
-    from ..model.compiled import CompiledScene
-    from ..model.layout import Layout
-    from ..model.pairs import Pair
-    from ..model.properties import Properties
+    from ..scene.model.compiled import CompiledScene
+    from ..scene.model.layout import Layout
+    from ..scene.model.pairs import Pair
+    from ..scene.model.properties import Properties
     from ..scene.schema import Scene
-    from ..task.observed import ObservedState
+    from ..scene.task.observed import ObservedState
+
+
+def build_model(scene: Scene, worlds: int, device: str, *, over_tendons: bool = False) -> newton.Model:
+    """Finalize a model of ``worlds`` copies of a scene.
+
+    Args:
+        scene: The scene.
+        worlds: Number of worlds.
+        device: Warp device.
+        over_tendons: Whether servos drive over tendons of MuJoCo, see :func:`rows_over_tendons`.
+
+    Raises:
+        SceneError: If an asset is missing or broken, or the scene names links or joints that its asset lacks.
+    """
+    world, builder = build_world(scene), new_builder()
+    if over_tendons:
+        _drive_over_tendons(world)
+    builder.replicate(world.builder, worlds)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Inertia validation corrected")  # the compiled scene says of which bodies
+        return builder.finalize(device=device)
+
+
+def rows_over_tendons(layout: Layout) -> dict[int, int]:
+    """Rows of actuators that can drive over a tendon, and their joint: servos on joints of one axis.
+
+    Such servos damp implicit steps at the joint's effort limit, in MuJoCo 4 those alone; see
+    :func:`~warpmpc.scene.model.mujoco_model.keep_damping`. Their controls are ``control.mujoco.ctrl``, in this order.
+    """
+    joint_of = {int(dof): joint for joint, dof in enumerate(layout.joint_qd_start)}
+    one_axis = (newton.JointType.PRISMATIC, newton.JointType.REVOLUTE)
+    rows = {}
+    for row, (dof, mode) in enumerate(zip(layout.actuator_dof, layout.actuator_mode, strict=True)):
+        joint = joint_of.get(int(dof), -1)
+        if mode in ("velocity", "position") and joint >= 0 and layout.joint_type[joint] in one_axis:
+            rows[row] = joint
+    return rows
+
+
+def _drive_over_tendons(world: World) -> None:
+    builder, layout, mujoco = world.builder, world.layout, newton.solvers.mujoco
+    for row, joint in rows_over_tendons(layout).items():
+        dof = int(layout.actuator_dof[row])
+        stiffness, damping = float(builder.joint_target_ke[dof]), float(builder.joint_target_kd[dof])
+        target = mujoco.ActuatorTarget.tendon(mujoco.add_tendon_fixed(builder, [(joint, 1.0)]))
+        if layout.actuator_mode[row] == "velocity":
+            mujoco.add_actuator_velocity(builder, target, kv=damping)
+        else:
+            mujoco.add_actuator_position(builder, target, kp=stiffness, kv=damping)
+        builder.joint_target_mode[dof] = int(newton.JointTargetMode.NONE)
+
 
 _MODES = {"velocity": 0, "position": 1, "effort": 2}
 
@@ -52,8 +109,7 @@ class NewtonSimulator(OnePart):
         device: Warp device.
 
     Raises:
-        SceneError: If the solver has no such option, or reports no contact forces although terms watch some, or an MJCF
-            file brings what MuJoCo alone simulates.
+        SceneError: If the solver has no such option, or the scene brings what MuJoCo alone simulates.
     """
 
     name = "newton"
@@ -77,13 +133,15 @@ class NewtonSimulator(OnePart):
         _refuse_mujocos_own(scene, compiled)
         if properties and properties.redrawn:
             raise SceneError(
-                "this solver's worlds keep what was drawn first: leave out redraw, or take the solver mujoco",
+                "the worlds of the engine newton keep what was drawn first: leave out redraw, or take mujoco_warp",
                 key="randomize",
                 file=scene.path,
             )
         with default_device(self.device):
-            self.model = build_model(scene, shape.worlds, self.device)
-            self.solver = make_solver(self.model, scene, layout, shape, pairs)
+            over_tendons = scene.engine.solver is Solver.MUJOCO and BOUNDED_FORCES_DO_NOT_DAMP
+            self.model = build_model(scene, shape.worlds, self.device, over_tendons=over_tendons)
+            self.model.set_gravity(layout.gravity)
+            self.solver = make_solver(self.model, scene, compiled, shape, pairs)
             if properties and properties.names:
                 world = make_world(compiled, timestep=timestep)
                 changed = randomize_newton(self.model, layout, shape, properties, world)
@@ -91,7 +149,7 @@ class NewtonSimulator(OnePart):
             self._table = joint_table(layout, self.device)
             self.trajectory = Trajectory.allocate(shape, layout, len(pairs), self.device)
             self._scratch = [self.model.state() for _ in range(min(max(substeps) - 1, 2))]
-            self._make_controls(layout)
+            self._make_controls(layout, list(rows_over_tendons(layout)) if over_tendons else [])
 
     @property
     def trajectory(self) -> Trajectory:
@@ -104,7 +162,6 @@ class NewtonSimulator(OnePart):
         self._states = self._make_states()
 
     def _make_states(self) -> list[newton.State]:
-        """One state per slice of the trajectory, in the trajectory's own memory."""
         out, base = self.trajectory, self.model.state()
         states = []
         for t in range(self.shape.horizon + 1):
@@ -114,8 +171,13 @@ class NewtonSimulator(OnePart):
             states.append(state)
         return states
 
-    def _make_controls(self, layout: Layout) -> None:
-        """One control per step, in the memory of the target arrays."""
+    def _make_controls(self, layout: Layout, direct: list[int]) -> None:
+        """One control per step, in the memory of the target arrays.
+
+        Args:
+            layout: Layout of one world.
+            direct: Rows of actuators that are MuJoCo's own, in its order.
+        """
         t, w = self.shape.horizon, self.shape.worlds
 
         def upload(values: object, dtype: type) -> wp.array:
@@ -124,6 +186,8 @@ class NewtonSimulator(OnePart):
         self._target_q = wp.zeros((t, w, layout.nq), dtype=float, device=self.device)
         self._target_qd = wp.zeros((t, w, layout.nv), dtype=float, device=self.device)
         self._effort = wp.zeros((t, w, layout.nv), dtype=float, device=self.device)
+        self._ctrl = wp.zeros((t, w, len(direct)), dtype=float, device=self.device)
+        number = {row: i for i, row in enumerate(direct)}
         self._actuators = [
             upload(layout.actuator_matrix, float),
             upload(layout.actuator_offset, float),
@@ -131,6 +195,7 @@ class NewtonSimulator(OnePart):
             upload(layout.actuator_dof, int),
             upload(layout.dof_coord[layout.actuator_dof], int),
             upload(np.minimum(layout.actuator_effort, 1e30), float),
+            upload([number.get(row, -1) for row in range(len(layout.actuator_mode))], int),
         ]
         base = self.model.control()
         self._controls = []
@@ -139,6 +204,9 @@ class NewtonSimulator(OnePart):
             control.joint_target_q = self._target_q[i].flatten()
             control.joint_target_qd = self._target_qd[i].flatten()
             control.joint_f = self._effort[i].flatten()
+            if direct:
+                control.mujoco = copy.copy(base.mujoco)
+                control.mujoco.ctrl = self._ctrl[i].flatten()
             self._controls.append(control)
 
     def clone(self, state: ObservedState, first: int = 0, count: int | None = None) -> None:
@@ -159,7 +227,7 @@ class NewtonSimulator(OnePart):
             newton_control_kernel,
             (*control.shape[:2], len(self._actuators[1])),
             [control, *self._actuators],
-            [self._target_q, self._target_qd, self._effort],
+            [self._target_q, self._target_qd, self._effort, self._ctrl],
         )
         out.contact_force.zero_()
         out.overflow.zero_()
@@ -193,27 +261,33 @@ class NewtonSimulator(OnePart):
         """Nothing to stop."""
 
 
-def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
-    """Refuse what Newton's own solvers do not simulate of MJCF files and of obstacles that move.
+_WITH_MUJOCOS_MODEL = ["mujoco", "mujoco_warp"]
 
-    Raises:
-        SceneError: If there is such a thing.
-    """
+
+def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
+    """Refuse what a Newton model lacks of MJCF files, drives, and obstacles that move."""
     if "acceleration" in compiled.layout.actuator_mode:
         raise SceneError(
-            "drives of this mode are actuators of MuJoCo, which this solver does not simulate",
-            key="engine.solver",
+            "drives of this mode are actuators of MuJoCo, which the engine newton does not simulate",
+            key="engine.name",
             file=scene.path,
-            found=str(scene.engine.solver),
-            allowed=["mujoco"],
+            allowed=_WITH_MUJOCOS_MODEL,
         )
     if compiled.layout.movable:
         raise SceneError(
-            "this solver does not move obstacles: leave out movable, or take the solver mujoco",
+            "the engine newton does not move obstacles: leave out movable, or take mujoco_warp",
             key=f"obstacle.{compiled.layout.movable[0]}.movable",
             file=scene.path,
             found=True,
         )
+    for entity in compiled.layout.entities:
+        if any(entity.damping):
+            raise SceneError(
+                "the engine newton does not damp objects: leave out their damping, or take mujoco_warp",
+                key=f"object.{entity.name}",
+                file=scene.path,
+                found=list(entity.damping),
+            )
     if not compiled.mjcf_robots:
         return
     layout, model = compiled.layout, compiled.spec().compile()
@@ -229,9 +303,8 @@ def _refuse_mujocos_own(scene: Scene, compiled: CompiledScene) -> None:
     wrong = [name for name, there in found.items() if there]
     if wrong:
         raise SceneError(
-            f"this solver does not simulate what an MJCF file brings: {', '.join(wrong)}",
-            key="engine.solver",
+            f"the engine newton does not simulate what an MJCF file brings: {', '.join(wrong)}",
+            key="engine.name",
             file=scene.path,
-            found=str(scene.engine.solver),
-            allowed=["mujoco"],
+            allowed=_WITH_MUJOCOS_MODEL,
         )

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..kernels.worlds.randomize import (
+from ..kernels.engine.randomize import (
     FRICTION_COLUMN,
     PYRAMID_COLUMN,
     ColumnTables,
@@ -18,20 +18,20 @@ from ..kernels.worlds.randomize import (
     copy_numbers_kernel,
     put_numbers_kernel,
 )
-from ..launch import Launcher
-from ..model.drawn_model import DrawnModel
-from ..model.properties import extremes
+from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
+from ..scene.model.drawn_model import DrawnModel
+from ..scene.model.properties import extremes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import mujoco_warp
 
-    from ..model.batch_size import BatchSize
-    from ..model.mujoco_model import MujocoWorld
-    from ..model.properties import Properties
     from ..physics.model import PairRow, PhysicsModel
+    from ..scene.model.mujoco_model import MujocoWorld
+    from ..scene.model.properties import Properties
+    from ..scene.model.trajectory import BatchSize
 
 CHANGE = 0.1
 """Share of a number by which it is changed to see which columns follow from it."""
@@ -227,7 +227,7 @@ class RedrawnColumns(RedrawnWorlds):
         raise SceneError(
             "the engine fused cannot draw anew what a fluid's drag follows from: leave out redraw",
             key="randomize",
-            allowed=["mujoco", "newton"],
+            allowed=["mujoco", "mujoco_warp"],
         )
 
     def _frictions(self, model: PhysicsModel, pair: PairRow) -> tuple[int, int]:

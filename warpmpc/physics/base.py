@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ..bake.lines import Matrix, Operand, Vector
-from .rows import REFERENCE, Rows, mixed
-from .springs import powers
+from .coefficients import REFERENCE, Rows, mixed, powers
+from .runtime.bake import Matrix, Operand, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -323,6 +322,11 @@ class Structure:
         own, more = powers(m, "dof_damping"), powers(m, "actuator_damping")
         damping = own + self._geared(more, m.jnt_actuatorid, _ON_JOINTS)[m.dof_jntid]
         return np.zeros_like(damping) if self.off("DAMPER") else damping
+
+    def drawn_damping(self, dof: int) -> Operand:
+        """What a world's own damping of a degree of freedom is above that of the model."""
+        more = self.array("dof_damping")[:, dof] - self.mj.dof_damping[dof]
+        return 0.0 if self.off("DAMPER") else self.columns.operand(more)
 
     @cached_property
     def line_dampings(self) -> np.ndarray:

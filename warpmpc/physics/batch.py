@@ -13,27 +13,24 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..bake.simd import native_lanes
-from ..compiling import compile_kernel
-from ..kernels.worlds.launch import TAPS
-from ..launch import Launcher, Replay, capturing
-from ..thread_pool import PARTS, ThreadPool
+from ..kernels.engine.launch import TAPS
 from .base import MOST_SHARED
-from .data_fields import field_width
-from .kernel import WARP, RolloutWork, options
-from .missing import missing, tell_differences
 from .model import PhysicsModel
-from .outputs import Outputs, write_outputs
+from .outputs import Outputs, field_width, write_outputs
+from .runtime.bake import LARGEST, OutOfRange, native_lanes
+from .runtime.compiling import compile_kernel
+from .runtime.launch import CapturedLaunches, Launcher, capturing
+from .runtime.thread_pool import PARTS, ThreadPool
 from .source import RolloutSource
-from .steps import Steps
-from .tables import packed
+from .source_parts import WARP, RolloutWork, Steps, options, packed
+from .unsupported import missing, tell_differences
 
 if TYPE_CHECKING:
-    from .parts import Parts
+    from .source_parts import Parts
 
 SHARED_PER_DOF = 180
 """Worlds for every degree of freedom up to which a warp shares a world on a GPU; with more there are threads enough for
-one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240 (docs/benchmarks.md)."""
+one each. Five models from 7 to 27 degrees of freedom took equally long at 155 to 240."""
 
 
 def shares(model: mujoco.MjModel, worlds: int) -> bool:
@@ -90,7 +87,7 @@ class BatchRollout:
         held: Whether all controls of a world are one that is held.
         arrays: Arrays of the model that differ between worlds, ``[W, ...]`` each; ``gravity`` may be among them.
         settable: Whether :meth:`set_arrays` takes any numbers, even where all worlds begin alike.
-        fields: Fields of ``MjData`` (:mod:`.data_fields`) that are handed out, in :attr:`sensordata` side by side.
+        fields: Fields of ``MjData`` (:mod:`.outputs`) that are handed out, in :attr:`sensordata` side by side.
         bodies: Bodies whose poses are handed out.
         pairs: Pairs of bodies whose contact forces are.
         mocap: Whether controls go on with the positions of all mocap bodies, then their quaternions.
@@ -156,7 +153,9 @@ class BatchRollout:
         groups = -(-worlds // self._lanes)
         parts = 1 if on_gpu else min(groups, threads * PARTS if threads > 1 else 1)
         edges = np.linspace(0, groups, parts + 1).astype(int).tolist()
-        self._replays = [Replay(lambda a=a, b=b: self._roll(a, b - a), device=self.device) for a, b in pairwise(edges)]
+        self._replays = [
+            CapturedLaunches(lambda a=a, b=b: self._roll(a, b - a), device=self.device) for a, b in pairwise(edges)
+        ]
         self._pool = ThreadPool(threads, parts) if parts > 1 else None
 
     def _write(self, arrays: Mapping[str, np.ndarray] | None) -> tuple[Parts, PhysicsModel]:
@@ -204,7 +203,10 @@ class BatchRollout:
 
     def _put_columns(self, physics: PhysicsModel) -> None:
         if columns := physics.columns.values:
-            self.work.par.assign(np.stack([c[: self.worlds] for c in columns]).astype(np.float32))
+            values = np.stack([c[: self.worlds] for c in columns])
+            if (np.abs(values) > LARGEST).any():
+                raise OutOfRange(f"{np.abs(values).max():g} does not fit into single precision")
+            self.work.par.assign(values.astype(np.float32))
 
     def set_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Give worlds other numbers, without compiling.

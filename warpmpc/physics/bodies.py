@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bake.lines import Lines, Matrix, Vector, known, text
 from .base import BOX, CYLINDER, ELLIPSOID, MESH, rotation
+from .frames import Sites
 from .model import CONVEX, FIELD
-from .sites import Sites
+from .runtime.bake import Lines, Matrix, Vector, known, text
 
 if TYPE_CHECKING:
     from .model import PhysicsModel

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of geoms of a MuJoCo model that may touch."""
+"""Pairs of geoms of a MuJoCo model that may touch, and geoms that rays meet."""
 
 from __future__ import annotations
 
@@ -23,3 +23,13 @@ def colliding_pairs(model: mujoco.MjModel) -> np.ndarray:
         meets &= ~((first[:, None] & second) | (second[:, None] & first))
     meets[model.pair_geom1, model.pair_geom2] = meets[model.pair_geom2, model.pair_geom1] = True
     return meets
+
+
+def seen_geoms(m: mujoco.MjModel) -> set[int]:
+    """Geoms that rangefinders see, none if there are no rangefinders."""
+    if not (m.sensor_type == int(mujoco.mjtSensor.mjSENS_RANGEFINDER)).any():
+        return set()
+    material = m.geom_matid >= 0
+    opacity = m.geom_rgba[:, 3].copy()
+    opacity[material] = m.mat_rgba[m.geom_matid[material], 3]
+    return set(np.flatnonzero(opacity).tolist())

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..bake.lines import Lines, Operand, Vector, text
 from .base import packed
 from .factor import less
+from .runtime.bake import Lines, Operand, Vector, text
 
 if TYPE_CHECKING:
     from .model import PhysicsModel

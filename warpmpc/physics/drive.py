@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source of the forces of bias, springs, dampers and actuators (MuJoCo, "Computation: Passive forces", "Actuation")."""
+"""Source of the forces of bias, springs, dampers and actuators (MuJoCo, "Computation: Passive forces", "Actuation").
+
+Arguments of the functions of muscles (``native/muscle.h``).
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,46 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ..bake.lines import Lines, Operand, Vector, function, literal, text
 from .base import BALL, FREE, packed
+from .coefficients import UNLIMITED, bounds, coefficient, negative, powers, within
 from .constraint_rows import small_rotation
-from .limits import UNLIMITED, bounds, within
-from .muscles import bias_numbers, gain_numbers
-from .springs import coefficient, negative, powers
-from .tables import floats, ints
+from .runtime.bake import Lines, Operand, Vector, function, literal, text
+from .source_parts import floats, ints
 from .transmission import Reach, Transmission
 from .version import BOUNDED_FORCES_DO_NOT_DAMP
 
 if TYPE_CHECKING:
     from .base import Structure
-    from .sites import Sites
+    from .frames import Sites
     from .tendons import Tendons
+
+LEAST = 1e-15
+
+
+def gain_numbers(model: Structure, actuator: int) -> str:
+    """Length at the start of the range, inverse optimum length, and so on, of an active muscle."""
+    start, over, first, p, force = _scale(model, actuator, "gain")
+    fast = over / np.maximum(LEAST, p[:, 6])
+    return _joined(model, start, over, first, p[:, 4], p[:, 5], fast, p[:, 8], force)
+
+
+def bias_numbers(model: Structure, actuator: int) -> str:
+    """The same of a passive one."""
+    start, over, first, p, force = _scale(model, actuator, "bias")
+    return _joined(model, start, over, first, p[:, 5], p[:, 7] * force)
+
+
+def _scale(model: Structure, a: int, kind: str) -> tuple[np.ndarray, ...]:
+    """Start of the range, inverse optimum length, start over it, all parameters, peak force; ``[W]`` each."""
+    p, limits = model.array(f"actuator_{kind}prm")[:, a], model.array("actuator_lengthrange")[:, a]
+    force = np.where(p[:, 2] < 0.0, p[:, 3] / np.maximum(LEAST, model.array("actuator_acc0")[:, a]), p[:, 2])
+    optimum = (limits[:, 1] - limits[:, 0]) / np.maximum(LEAST, p[:, 1] - p[:, 0])
+    return limits[:, 0], 1.0 / np.maximum(LEAST, optimum), p[:, 0], p, force
+
+
+def _joined(model: Structure, *values: np.ndarray) -> str:
+    return ", ".join(text(model.columns.operand(value)) for value in values)
+
 
 TRN = mujoco.mjtTrn
 DYN = mujoco.mjtDyn
@@ -29,7 +58,7 @@ GAIN = mujoco.mjtGain
 BIAS = mujoco.mjtBias
 
 
-class Drive:
+class ForceSource:
     """Writes ``drive``.
 
     Args:
@@ -60,6 +89,11 @@ class Drive:
     def spreads(self) -> dict[tuple[int, int], int]:
         """Numbers of the entries that the implicit step adds to, once all is written."""
         return {entry: n for n, entry in enumerate(self._spread)}
+
+    def damps(self, dof: int, *, actuators: bool = False) -> bool:
+        """Return whether an implicit step damps a degree of freedom, or actuators and tendons do it; once written."""
+        own = self.model.dampings[dof, 0] != 0.0
+        return len(self._damped[dof]) > (int(own) if actuators else 0)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -128,6 +162,8 @@ class Drive:
             driven = lines.sum(driven, (-1.0, carried))  # which is in the bias
             terms: list = [driven, (-1.0, lines.let(f"w.bias[{i}]"))]
             damping, slope = coefficient(lines, self.model.dampings[i], f"w.v[{i}]", damper=True)
+            drawn = self.model.drawn_damping(i)
+            damping, slope = lines.sum(damping, drawn), lines.sum(slope, drawn)
             if damping != 0.0:
                 terms.append((negative(lines, damping), f"w.v[{i}]"))
             if damping != 0.0 and not self._stages and (self.model.implicit or not self.model.off("EULERDAMP")):

@@ -14,9 +14,8 @@ import mujoco
 import numpy as np
 
 from .base import HINGE, SLIDE
-from .limits import UNBOUNDED, bounds, narrow
+from .coefficients import LEAST, UNBOUNDED, Rows, bounds, narrow
 from .mobility import floor
-from .rows import LEAST, Rows
 
 if TYPE_CHECKING:
     from .base import Structure

@@ -13,7 +13,7 @@ import numpy as np
 
 from .base import packed
 from .model import PhysicsModel
-from .tables import ints
+from .source_parts import ints
 
 MOST_OPERATIONS = 45000
 """Of a solve that is written out: as many as 64 degrees of freedom take that are all coupled."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .base import BALL, FREE, HINGE, SLIDE, packed, rotation
-from .tables import floats, ints
+from .source_parts import floats, ints
 
 if TYPE_CHECKING:
     from .dynamics import Dynamics

@@ -13,7 +13,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
-from .rows import LEAST
+from .coefficients import LEAST
 
 LEAST_SHARE = 1e-6
 """Least regularization of a row over the inverse inertia of its points."""

@@ -11,21 +11,19 @@ import mujoco
 import numpy as np
 
 from .base import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, Structure
-from .collisions import colliding_pairs
+from .coefficients import LEAST, Rows, bounds, mixed, narrow
+from .collisions import colliding_pairs, seen_geoms
 from .equalities import Constraint, find_constraints
-from .limits import bounds, narrow
 from .mobility import LEVER, Mobility, floor
-from .rows import LEAST, Rows, mixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LEAST_TOLERANCE = 1e-6
 """Of the solver: single precision has no more."""
-MOST_POWER = 16
-"""Of an impedance."""
-FEW_ITERATIONS = 20
-"""Below so many iterations the solver goes MuJoCo's way, step for step, since it may end before the minimum."""
+FEW_ITERATIONS, FEW_SEARCHES = 10, 20
+"""Below so many iterations, or steps of a line search, the solver goes MuJoCo's way, step for step, since it may end
+before the minimum."""
 HARD = 100.0
 """Least regularization of rows, over its floor, at which that way is still MuJoCo's."""
 PINNED, LEAST_PINNED_FRICTION = 1e-2, 1e-4
@@ -188,7 +186,7 @@ class PhysicsModel(Structure):
     @property
     def few(self) -> bool:
         """Return whether the solver may end before the minimum, for want of iterations."""
-        return self.iterations[0] < FEW_ITERATIONS
+        return self.iterations[0] < FEW_ITERATIONS or self.iterations[1] < FEW_SEARCHES
 
     @cached_property
     def mobility(self) -> Mobility:
@@ -208,9 +206,10 @@ class PhysicsModel(Structure):
 
     @cached_property
     def fields(self) -> dict[int, int]:
-        """Geoms that are heightfields and may touch something: where the heights of each begin."""
+        """Geoms that are heightfields and may touch something or be seen: where the heights of each begin."""
         m, out, first = self.mj, {}, 0
-        for g in sorted({g for pair in self.pairs for g in pair.geoms if m.geom_type[g] == HFIELD}):
+        used = {g for pair in self.pairs for g in pair.geoms} | seen_geoms(m)
+        for g in sorted(g for g in used if m.geom_type[g] == HFIELD):
             out[g] = first
             first += int(m.hfield_nrow[m.geom_dataid[g]] * m.hfield_ncol[m.geom_dataid[g]])
         return out

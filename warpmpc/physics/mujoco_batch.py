@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import operator
 import os
 import threading
 from collections.abc import Callable, Iterable
@@ -27,13 +28,11 @@ import numpy as np
 import warp as wp
 
 from .batch import BatchRollout
-from .callbacks import callbacks
-from .data_fields import field_width, unwritten_field
-from .fields import says_something
-from .missing import missing
-from .model_numbers import VARYING
-from .ready import Ready, put
-from .state_rows import FIELDS, Record, StateRows
+from .model_numbers import VARYING, says_something
+from .outputs import field_width, unwritten_field
+from .ready_batches import FIELDS, Ready, Record, StateRows, put
+from .runtime.bake import LARGEST
+from .unsupported import callbacks, missing
 
 logger = logging.getLogger("warpmpc")
 OWN = (*VARYING, "actuator_gainprm", "actuator_biasprm", "opt.gravity")
@@ -139,7 +138,9 @@ class _Native:
     @_one_at_a_time
     def step(self, ids: np.ndarray | None = None, nstep: int = 1, stage: int = 0) -> int:
         """Advance simulations; returns how many failed."""
-        own, why = int(nstep), self._lacks()
+        if not 1 <= operator.index(nstep) < 2**31:
+            return self._mujoco.step(ids, nstep, stage)  # it complains
+        own, why = nstep, self._lacks()
         if why:
             own = 0
         elif why := self._unwritten(self._outputs) or ("stages after a step" if stage else None):
@@ -258,6 +259,8 @@ class _Native:
                 continue
             if name not in OWN:
                 return f"worlds that differ in {name}"
+            if not (np.abs(values) <= LARGEST).all():
+                return f"numbers of {name} beyond single precision"
             self._arrays[option] = values.reshape(len(values), *nominal.shape).copy()
         return None
 

@@ -27,11 +27,10 @@ import mujoco.rollout
 import numpy as np
 import warp as wp
 
-from .callbacks import callbacks
-from .missing import missing
 from .model_numbers import ModelNumbers
-from .ready import MODELS, Ready, check_sizes, units
-from .sensors import unread_sensors
+from .outputs import unwritten_field
+from .ready_batches import MODELS, Ready, check_sizes, units
+from .unsupported import callbacks, missing
 
 logger = logging.getLogger("warpmpc")
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -41,10 +40,7 @@ _POSITION, _TURN = int(mujoco.mjtState.mjSTATE_MOCAP_POS), int(mujoco.mjtState.m
 
 def lacking(model: mujoco.MjModel) -> str | None:
     """Return what a model has and these rollouts lack, in a few words; None if there is nothing."""
-    unread = [] if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR) else unread_sensors(model)
-    if unread:
-        return f"sensors of the kinds {', '.join(unread)}"
-    return missing(model)
+    return unwritten_field(model, "sensordata") or missing(model)
 
 
 class Rollout(mujoco.rollout.Rollout):
@@ -148,6 +144,10 @@ class _Native:
         sensordata: np.ndarray | None = None,
         chunk_size: int | None = None,
     ) -> None:
+        if nstep < 0:
+            raise ValueError("nstep must be non-negative")
+        if chunk_size is not None and chunk_size <= 0:
+            raise ValueError("chunk_size must be a positive integer")
         worlds = len(initial_state)
         models = [model] if isinstance(model, mujoco.MjModel) else list(model)[:worlds]
         self._theirs.rollout(models[:1], data, 0, control_spec, initial_state[:1])  # takes no step: it checks the data
@@ -312,7 +312,6 @@ _pool = _Pool()
 
 
 def _after_fork() -> None:
-    """Begin anew in a fork."""
     global _pool
     for native in list(_natives):
         native.forked()

@@ -8,20 +8,19 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ..bake.lines import Lines, Operand, Vector, literal, text
 from .base import BALL, FREE, rotation
+from .coefficients import narrow, within
 from .constraint_rows import ball_angle, relative_turn, small_rotation, tied_sites
-from .contact_sensors import ContactSensors
 from .equalities import CONNECT, WELD, ends
 from .frames import Frame
-from .limits import narrow, within
-from .rays import Rays
+from .runtime.bake import Lines, Operand, Vector, literal, text
+from .sensor_tables import ContactSensors, Rays
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from .frames import Sites
     from .model import PhysicsModel
-    from .sites import Sites
     from .tendons import Tendons
 
 SENSOR = mujoco.mjtSensor
@@ -35,12 +34,12 @@ class Sensing:
         model: The model.
         sites: Takes frames of sensors and centres of bodies.
         tendons: Lengths of tendons.
-        on: Whether sensors are read.
+        count: How many sensors are read, the first ones.
     """
 
-    def __init__(self, model: PhysicsModel, sites: Sites, tendons: Tendons, *, on: bool):
+    def __init__(self, model: PhysicsModel, sites: Sites, tendons: Tendons, *, count: int):
         self.model, self.mj, self.sites, self.tendons = model, model.mj, sites, tendons
-        self.sensors = within_step(model.mj) if on and not model.off("SENSOR") else []
+        self.sensors = [] if model.off("SENSOR") else within_step(model.mj, count)
         self.kinds = {SENSOR(int(self.mj.sensor_type[n])) for n in self.sensors}
         self.drives = bool(self.kinds & _DRIVES)
         """Whether lengths, speeds and forces of actuators are kept."""
@@ -354,9 +353,9 @@ class Sensing:
         return [f"VSELECT(inside({int(m.site_type[site])}, V3{{{point}}}, V3{{{size}}}), (T)1.0f, (T)0.0f)"]
 
 
-def within_step(m: mujoco.MjModel) -> list[int]:
-    """Sensors that are read within a step."""
-    return [n for n in range(m.nsensor) if SENSOR(int(m.sensor_type[n])) in _WRITERS]
+def within_step(m: mujoco.MjModel, count: int | None = None) -> list[int]:
+    """Sensors, of the first ``count`` or of all, that are read within a step."""
+    return [n for n in range(m.nsensor if count is None else count) if SENSOR(int(m.sensor_type[n])) in _WRITERS]
 
 
 def _named(*names: str) -> list[mujoco.mjtSensor]:

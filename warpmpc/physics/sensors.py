@@ -1,28 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source of a model's sensors (MuJoCo, "Computation: Sensors"): here of what a state alone tells."""
+"""Source of a model's sensors (MuJoCo, "Computation: Sensors"): here of what a state alone tells.
+
+Source of what sensors show at the last physics step of a control, for cost terms and the record.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from ..bake.lines import Operand, Vector, literal, text
 from .base import WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, Structure, wraps
-from .contact_sensors import untold
 from .frames import Frame, Frames, framed
-from .rays import unseen
+from .runtime.bake import Lines, Operand, Vector, literal, text
 from .sensing import within_step
+from .sensor_tables import unseen, untold
+from .source_parts import ints
+
+if TYPE_CHECKING:
+    from .model import PhysicsModel
 
 SENSOR = mujoco.mjtSensor
 _REAL = int(mujoco.mjtDataType.mjDATATYPE_REAL)
 _POSITIVE = int(mujoco.mjtDataType.mjDATATYPE_POSITIVE)
 
 
-def unread_sensors(model: mujoco.MjModel) -> list[str]:
-    """Kinds of a model's sensors that rollouts cannot read, sorted; empty if they read all."""
-    return sorted({found for n in range(model.nsensor) if (found := _unread(model, n))})
+def unread_sensors(model: mujoco.MjModel, count: int | None = None) -> list[str]:
+    """Kinds of a model's sensors, of the first ``count`` or of all, that rollouts cannot read, sorted."""
+    numbers = range(model.nsensor if count is None else count)
+    return sorted({found for n in numbers if (found := _unread(model, n))})
 
 
 def _unread(m: mujoco.MjModel, n: int) -> str:
@@ -60,28 +69,31 @@ def _pulled(m: mujoco.MjModel, root: int) -> bool:
     return False
 
 
-class Sensors:
+class SensorSource:
     """Writes what the sensors of a model read in the state that a world is in.
 
     Args:
         model: The model.
+        count: How many sensors are read, the first ones; all if None.
     """
 
-    def __init__(self, model: Structure):
+    def __init__(self, model: Structure, count: int | None = None):
         self.model, self.mj = model, model.mj
+        self.count = model.mj.nsensor if count is None else count
         self.off = model.off("SENSOR")
-        self._steps = {} if self.off else dict(zip(within_step(model.mj), self._firsts(), strict=True))
+        self._steps = {} if self.off else self._firsts()
 
-    def _firsts(self) -> list[int]:
+    def _firsts(self) -> dict[int, int]:
         """Place in ``w.sensed`` of the first number of every sensor that is read within a step."""
-        widths = [int(self.mj.sensor_dim[n]) for n in within_step(self.mj)]
-        return np.cumsum([0, *widths])[:-1].tolist()
+        within = within_step(self.mj, self.count)
+        widths = [int(self.mj.sensor_dim[n]) for n in within]
+        return dict(zip(within, np.cumsum([0, *widths])[:-1].tolist(), strict=True))
 
     @property
     def bodies(self) -> frozenset[int]:
         """Bodies whose poses and velocities it needs."""
         m, out = self.mj, set()
-        for n in range(0 if self.off else m.nsensor):
+        for n in range(0 if self.off else self.count):
             kind = SENSOR(int(m.sensor_type[n]))
             if kind in _FRAMES:
                 out |= {frame.body for frame in self._frames(n) if frame is not None}
@@ -97,9 +109,9 @@ class Sensors:
         """
         m = self.mj
         if self.off:
-            return ["(T)0.0f"] * m.nsensordata
+            return ["(T)0.0f"] * int(m.sensor_dim[: self.count].sum())
         out: list[str | None] = []
-        for n in range(m.nsensor):
+        for n in range(self.count):
             if m.sensor_type[n] == int(SENSOR.mjSENS_CLOCK):
                 out.append(None)
                 continue
@@ -255,24 +267,72 @@ _FRAMES = _named("FRAMEPOS", "FRAMEQUAT", "FRAMEXAXIS", "FRAMEYAXIS", "FRAMEZAXI
 _FRAMED = _FRAMES | _named("FRAMELINACC", "FRAMEANGACC", "INSIDESITE")
 """All sensors of frames."""
 _SUBTREES = _named("SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM")
-_READERS: dict[mujoco.mjtSensor, Callable[[Sensors, int, Frames], Sequence[Operand]]] = {
-    SENSOR.mjSENS_JOINTPOS: Sensors.joint_position,
-    SENSOR.mjSENS_JOINTVEL: Sensors.joint_velocity,
-    SENSOR.mjSENS_BALLQUAT: Sensors.joint_position,
-    SENSOR.mjSENS_BALLANGVEL: Sensors.joint_velocity,
-    SENSOR.mjSENS_FRAMEPOS: Sensors.position,
-    SENSOR.mjSENS_FRAMEQUAT: Sensors.rotation,
-    SENSOR.mjSENS_FRAMEXAXIS: Sensors.axis,
-    SENSOR.mjSENS_FRAMEYAXIS: Sensors.axis,
-    SENSOR.mjSENS_FRAMEZAXIS: Sensors.axis,
-    SENSOR.mjSENS_FRAMELINVEL: Sensors.speed,
-    SENSOR.mjSENS_FRAMEANGVEL: Sensors.spin,
-    SENSOR.mjSENS_VELOCIMETER: Sensors.own_speed,
-    SENSOR.mjSENS_GYRO: Sensors.own_spin,
-    SENSOR.mjSENS_SUBTREECOM: Sensors.centre,
-    SENSOR.mjSENS_SUBTREELINVEL: Sensors.centre_speed,
-    SENSOR.mjSENS_SUBTREEANGMOM: Sensors.momentum,
-    SENSOR.mjSENS_MAGNETOMETER: Sensors.field,
-    SENSOR.mjSENS_CAMPROJECTION: Sensors.pixel,
+_READERS: dict[mujoco.mjtSensor, Callable[[SensorSource, int, Frames], Sequence[Operand]]] = {
+    SENSOR.mjSENS_JOINTPOS: SensorSource.joint_position,
+    SENSOR.mjSENS_JOINTVEL: SensorSource.joint_velocity,
+    SENSOR.mjSENS_BALLQUAT: SensorSource.joint_position,
+    SENSOR.mjSENS_BALLANGVEL: SensorSource.joint_velocity,
+    SENSOR.mjSENS_FRAMEPOS: SensorSource.position,
+    SENSOR.mjSENS_FRAMEQUAT: SensorSource.rotation,
+    SENSOR.mjSENS_FRAMEXAXIS: SensorSource.axis,
+    SENSOR.mjSENS_FRAMEYAXIS: SensorSource.axis,
+    SENSOR.mjSENS_FRAMEZAXIS: SensorSource.axis,
+    SENSOR.mjSENS_FRAMELINVEL: SensorSource.speed,
+    SENSOR.mjSENS_FRAMEANGVEL: SensorSource.spin,
+    SENSOR.mjSENS_VELOCIMETER: SensorSource.own_speed,
+    SENSOR.mjSENS_GYRO: SensorSource.own_spin,
+    SENSOR.mjSENS_SUBTREECOM: SensorSource.centre,
+    SENSOR.mjSENS_SUBTREELINVEL: SensorSource.centre_speed,
+    SENSOR.mjSENS_SUBTREEANGMOM: SensorSource.momentum,
+    SENSOR.mjSENS_MAGNETOMETER: SensorSource.field,
+    SENSOR.mjSENS_CAMPROJECTION: SensorSource.pixel,
 }
 """Sensors that a state alone tells; those of :func:`~.sensing.within_step` are read besides."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Statements that leave readings in ``fresh``; ``native/rollout.h`` has them in ``shown`` after the control."""
+
+    places: Sequence[int] = ()
+    """Number of the sensors outside behind each of the readings."""
+    before: str = ""
+    """Before the last physics step: what a state alone tells."""
+    after: str = ""
+    """After it: what was read within the step."""
+
+    @property
+    def tables(self) -> list[str]:
+        """Definitions of tables."""
+        return [ints("shown_of", self.places)]
+
+
+def sensed_bodies(model: PhysicsModel, sensors: int) -> frozenset[int]:
+    """Bodies whose poses and velocities readings need.
+
+    Args:
+        model: The model.
+        sensors: How many of its sensors are read, the first ones.
+    """
+    return SensorSource(model, sensors).bodies
+
+
+def write_readings(model: PhysicsModel, sensors: int, kept: Sequence[int], places: Sequence[int]) -> Readings:
+    """Write the statements.
+
+    Args:
+        model: The model.
+        sensors: Number of sensors that are read, from the first; clocks are not among them.
+        kept: Bodies whose poses and velocities the rollout keeps, in their order.
+        places: Number of the sensors outside behind each of the readings.
+    """
+    lines = Lines("r")
+    frames = Frames(model.mj, lines, {body: row for row, body in enumerate(kept)})
+    puts = [f"fresh[{n}] = {text(value)};" for n, value in enumerate(SensorSource(model, sensors).write(frames))]
+
+    def block(statements: Iterable[str]) -> str:
+        return "\n".join(("{", *statements, "}"))
+
+    within = [put for put in puts if "w.sensed[" in put]
+    others = [put for put in puts if "w.sensed[" not in put]
+    return Readings(places, block((*lines.statements, *others)), block(within))

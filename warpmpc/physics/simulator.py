@@ -13,11 +13,11 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..launch import capturing, one_thread
-from ..thread_pool import thread_count
 from .batch import BatchRollout
-from .callbacks import callbacks
-from .sensors import unread_sensors
+from .outputs import unwritten_field
+from .runtime.launch import capturing, one_thread
+from .runtime.thread_pool import thread_count
+from .unsupported import callbacks
 
 NUMBERS = (
     "body_mass",
@@ -70,16 +70,15 @@ class BatchSimulator:
         contact_pairs: Sequence[tuple[str, str]] = (),
     ):
         if not 1 <= operator.index(worlds) < _MANY:
-            raise ValueError(f"worlds is {worlds}, not at least 1")
+            raise ValueError(f"worlds is {worlds}, not at least 1 and below 2**31")
         if unknown := sorted(set(vary) - set(NUMBERS)):
             raise ValueError(f"vary has {', '.join(unknown)}; there is: {', '.join(NUMBERS)}")
-        if unread := unread_sensors(model):
-            kinds = ", ".join(unread)
+        if unread := unwritten_field(model, "sensordata"):
             raise ValueError(
-                f"the physics of warpmpc reads no sensors of the kinds {kinds}: delete them from the model"
+                f"the physics of warpmpc reads no {unread}: delete them, or switch all off (mjDSBL_SENSOR)"
             )
         self._in_use = threading.RLock()
-        self.model, self.worlds, self._substeps = model, worlds, 1
+        self.model, self.worlds, self._substeps = model, operator.index(worlds), 1
         self._numbers = {name: self._nominal(name) for name in vary}
         self._batch = BatchRollout(
             model,

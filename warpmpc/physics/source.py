@@ -11,25 +11,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bake.knots import CONTROL
-from ..bake.lines import literal
-from ..bake.simd import sincos
 from .base import BALL, BOX, CAPSULE, CYLINDER, ELLIPSOID, FREE, HFIELD, HINGE, MESH, PLANE, SLIDE, SPHERE, packed
-from .constraint_tables import ConstraintTables
+from .coefficients import within
+from .constraint_rows import ConstraintTables
 from .dynamics import Dynamics
 from .factor import MOST_OPERATIONS, couple, loop_tables, operations, write_products, write_solve
-from .limits import within
 from .links import Links
-from .meshes import Hulls
+from .meshes import field_tables, flat_geoms, mesh_tables, ring_size, ring_tables, touching_meshes
 from .model import COLLIDES, CONVEX, FIELD
-from .parts import Parts
-from .rings import flat_geoms, ring_size, ring_tables
-from .tables import floats, ints
+from .runtime.bake import CONTROL, literal, sincos
+from .source_parts import Parts, floats, ints
 from .tendons import with_angles
+from .version import RULES
 
 if TYPE_CHECKING:
     from .model import PairRow, PhysicsModel
-    from .parts import AddedCode
+    from .source_parts import AddedCode
     from .state_map import StateMap
 
 POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
@@ -38,7 +35,7 @@ POINTS = {(PLANE, CAPSULE): 2, (PLANE, BOX): 8, (CAPSULE, BOX): 2,
 """Most contacts of two geoms; one where nothing is said."""
 FACES = 4
 """The same of two flat shapes, by their faces."""
-MOST_CONTACTS, GPU_CONTACTS, MOST_BYTES = 192, 64, 2**20
+MOST_CONTACTS, GPU_CONTACTS, MOST_BYTES = 512, 64, 2**20
 """Contacts that there is room for at most (what touches at once is far less than what could), on a GPU, where a large
 model has more; and bytes that more than these may take on a CPU."""
 JOIN = 3
@@ -71,7 +68,7 @@ class RolloutSource:
 
     def parts(self) -> Parts:
         """Parts of the source."""
-        dynamics = Dynamics(self.model, frozenset(self.state_map.bodies), sensors=self.state_map.sensors)
+        dynamics = Dynamics(self.model, frozenset(self.state_map.kept), sensors=self.state_map.sensors)
         baked = (dynamics.write(), write_products(self.model), self._coupled())
         links, constraints = Links(dynamics), ConstraintTables(self.model)
         step = self._native("step").replace("SINCOS_HALF", sincos("half", "sine", "cosine"))
@@ -100,10 +97,10 @@ class RolloutSource:
         columns = len(self.model.columns.values)  # all have been asked for
         defines = {**self._sizes, **links.sizes, **constraints.sizes, **dynamics.tendons.sizes, **dynamics.drive.sizes}
         defines |= dynamics.fluid.sizes | dynamics.sensing.sizes
-        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns, "LANES": self.lanes}
+        defines |= {"NPAR": max(1, columns), "PARAMETERS": columns, "LANES": self.lanes, **RULES}
         defines |= {"SHARED": int(self.shared), "SIZES_VARY": int(self._sizes_vary), "KNOTS_USED": self.knots}
         defines |= {"TERMS": int(self.added is not None), "FIRST": self.added.first if self.added else 0}
-        defines |= self.state_map.sizes | {"MESHES": int(bool(self._meshes))}
+        defines |= self.state_map.sizes | {"MESHES": int(bool(touching_meshes(self.model)))}
         defines["TOLD"] = int(bool(defines["WATCHED"] or defines["SENSES_CONTACTS"]))
         return Parts(
             lanes=self.lanes,
@@ -119,6 +116,7 @@ class RolloutSource:
 
     def _rollout(self) -> str:
         parts = {"STEP_CONTROL": CONTROL, "START": self._native("start"), "RECORD": self._native("record")}
+        parts |= {"READ_BEFORE": self.state_map.readings.before, "READ_AFTER": self.state_map.readings.after}
         parts |= {f"TERMS_{name}": "" for name in ("START", "BEFORE", "STEP", "END")}
         if (own := self.added) is not None:
             texts = {"START": own.start, "BEFORE": own.before, "STEP": own.step, "END": own.end}
@@ -141,7 +139,6 @@ class RolloutSource:
         return group[0] == condim and set(dofs) <= set(group[1]) and len(group[1]) <= len(dofs) + JOIN
 
     def _group(self, pair: PairRow) -> int:
-        """Group of a pair."""
         return next(i for i, group in enumerate(self._groups) if self._fits(pair.condim, pair.dofs, group))
 
     def _couples(self, dofs: tuple[int, ...]) -> bool:
@@ -180,7 +177,7 @@ class RolloutSource:
             "NU": max(1, m.nu),
             "NMOCAP": max(1, m.nmocap),
             "NG": max(1, m.ngeom),
-            "NB": max(1, len(self.state_map.bodies)),
+            "NB": max(1, len(self.state_map.kept)),
             "NH": packed(m.nv, 0),
             "NLIMIT": max(1, len(model.limited)),
             "LIMITS": len(model.limited),
@@ -188,7 +185,8 @@ class RolloutSource:
             "PAIRS": len(model.pairs),
             **self._row_sizes,
             "RING": ring_size(model),
-            "FIELDS": len(model.fields),
+            "FIELDS": sum(any(g in pair.geoms for pair in model.pairs) for g in model.fields),
+            "HEIGHTS": len(model.fields),
             "LOOPED": int(self._looped),
             "NNZ": longest,
             "SOFT": 7 if model.powers else 4,
@@ -300,9 +298,9 @@ class RolloutSource:
             floats("rest_q", m.qpos0),
             ints("drive_free", (m.actuator_ctrllimited == 0) | model.off("CLAMPCTRL")),
             *self.state_map.tables(len(pairs), groups),
-            *self._mesh_tables(),
+            *mesh_tables(model),
             *(loop_tables(self._coupled_rows) if self._looped else ()),
-            *self._field_tables(),
+            *field_tables(model),
             *ring_tables(model, ring_size(model)),
         ]
 
@@ -310,37 +308,6 @@ class RolloutSource:
         """Columns of a pair's coefficients of friction, -1 where all worlds are alike."""
         index = self.model.columns.index
         return [index(pair.friction[:, k]) if k + 1 < pair.condim else -1 for k in range(self.model.frictions)]
-
-    def _field_tables(self) -> list[str]:
-        m, first = self.model.mj, self.model.fields
-        if not first:
-            return []
-        of = [max(0, int(m.geom_dataid[g])) if g in first else 0 for g in range(m.ngeom)]
-        return [
-            ints("field_first", [first.get(g, 0) for g in range(m.ngeom)]),
-            ints("field_rows", m.hfield_nrow[of]),
-            ints("field_columns", m.hfield_ncol[of]),
-            floats("field_size", m.hfield_size[of]),
-        ]
-
-    def _mesh_tables(self) -> list[str]:
-        if not self._meshes:
-            return []
-        hulls = Hulls.of(self.model.mj, self._meshes)
-        return [
-            floats("mesh_vertex", hulls.vertex),
-            ints("mesh_first", hulls.first),
-            ints("mesh_count", hulls.count),
-            ints("mesh_face_first", hulls.face_first),
-            floats("mesh_face_normal", hulls.face_normal),
-            ints("mesh_face_vertex", hulls.face_vertex),
-        ]
-
-    @cached_property
-    def _meshes(self) -> set[int]:
-        """Meshes that may touch something."""
-        used = {g for pair in self.model.pairs for g in pair.geoms}
-        return {g for g in used if self.model.mj.geom_type[g] == MESH}
 
     def _blocks(self) -> str:
         return " ".join(f"BLOCK({n})" for n in sorted({len(dofs) for _, dofs in self._groups}))
@@ -354,8 +321,9 @@ class RolloutSource:
 
     def _collision_sources(self) -> list[str]:
         found = self._kinds()
-        more = [name for name, size in (("manifold", "RING"), ("field", "FIELDS")) if self._sizes[size]]
-        return [self._native(name) for name in (*(n for n, need in _SOURCES.items() if need & set(found)), *more)]
+        sizes = {"manifold": "RING", "field": "FIELDS"}
+        needed = [n for n, need in _SOURCES.items() if (self._sizes[sizes[n]] if n in sizes else need & set(found))]
+        return [self._native(name) for name in needed]
 
     def _collisions(self) -> str:
         """Statements that look at all pairs, kind by kind."""
@@ -386,9 +354,12 @@ _BOXES = frozenset({(BOX, BOX)})
 _SOURCES = {
     "collide_primitive": COLLIDES - CONVEX - _BOXES,
     "collide_box": _BOXES,
+    "shapes": CONVEX | FIELD,
+    "manifold": CONVEX,
     "collide_convex": CONVEX | FIELD,
+    "field": FIELD,
 }
-"""Files with collision functions, and the kinds of pairs each is for."""
+"""Files with collision functions, each after those that it calls, and the kinds of pairs each is for."""
 
 
 def _near(kind: tuple[int, int]) -> str:

@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from .tables import floats, ints
+from .sensors import Readings
+from .source_parts import floats, ints
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,9 @@ class StateMap:
         activations: The model's activation behind each one outside.
         watched: Watched pairs of geoms.
         pairs: Number of watched pairs of entities.
-        sensors: Whether the model's sensors are read.
+        sensors: How many of the model's sensors are read, the first ones.
+        sensed: Bodies whose poses and velocities these need.
+        readings: What leaves what they show for terms and the record.
     """
 
     matrix: np.ndarray
@@ -86,13 +89,19 @@ class StateMap:
     activations: Sequence[int] = ()
     watched: Sequence[Watch] = ()
     pairs: int = 0
-    sensors: bool = False
+    sensors: int = 0
+    sensed: frozenset[int] = frozenset()
+    readings: Readings = field(default_factory=Readings)
+
+    @cached_property
+    def kept(self) -> list[int]:
+        """The model's bodies whose poses and velocities are kept."""
+        return sorted({*self.bodies, *self.sensed})
 
     @cached_property
     def rows(self) -> list[int]:
         """Row of each body outside among those whose poses are kept."""
-        kept = sorted(set(self.bodies))
-        return [kept.index(body) for body in self.bodies]
+        return [self.kept.index(body) for body in self.bodies]
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -110,6 +119,7 @@ class StateMap:
             "ACTIVATIONS": len(self.activations),
             "BODIES": len(self.bodies),
             "WATCHED": self.pairs if self.watched else 0,
+            "READINGS": len(self.readings.places),
         }
 
     def tables(self, pairs: int, groups: Sequence[int]) -> list[str]:
@@ -137,6 +147,7 @@ class StateMap:
             floats("body_centre", self.centres),
             ints("quaternion_order", (0, 1, 2, 4, 5, 6, 3)),
             *self._watch_tables(pairs, groups),
+            *self.readings.tables,
         ]
 
     def _turn_tables(self) -> list[str]:

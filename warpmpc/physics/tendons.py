@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bake.lines import Lines, Operand, Vector, literal, text
-from ..bake.simd import angle, sincos
 from .base import WRAP_CYLINDER, WRAP_JOINT, WRAP_PULLEY, WRAP_SITE, packed, rotation, wraps
-from .limits import within
-from .springs import coefficient, negative, powers
-from .tables import ints
+from .coefficients import coefficient, negative, powers, within
+from .runtime.bake import Lines, Operand, Vector, angle, literal, sincos, text
+from .source_parts import ints
 
 if TYPE_CHECKING:
     import mujoco
 
     from .base import Structure
-    from .sites import Sites
+    from .frames import Sites
 
 
 class Tendons:

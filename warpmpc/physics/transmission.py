@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from ..bake.lines import Lines, Operand, Vector, text
 from .base import BALL, FREE, rotation
 from .constraint_rows import rotation_vector, small_rotation
-from .sites import scaled
+from .frames import scaled
+from .runtime.bake import Lines, Operand, Vector, text
 
 if TYPE_CHECKING:
     from .base import Structure
-    from .sites import Sites
+    from .frames import Sites
     from .tendons import Tendons
 
 TRN, DYN, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias

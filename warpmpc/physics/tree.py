@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..bake.lines import Lines, Matrix, Operand, Vector, known, text
-from ..bake.simd import sincos
 from .base import BALL, FREE, IDENTITY, NOTHING, SLIDE, packed, rotation
 from .coriolis import Coriolis
+from .runtime.bake import Lines, Matrix, Operand, Vector, known, sincos, text
 
 if TYPE_CHECKING:
     from .bodies import Bodies
@@ -24,7 +23,7 @@ Inertia = list[Operand]
 """Of a body about the tree's point: xx, yy, zz, xy, xz, yz, mass times centre (3), mass."""
 
 
-class Tree:
+class TreeSource:
     """Writes one tree, depth first, so that few values live long.
 
     Args:

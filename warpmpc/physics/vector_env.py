@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..compiling import compile_kernel
-from ..launch import Launcher, Replay, capturing, one_thread
-from ..thread_pool import ThreadPool
+from .runtime.compiling import compile_kernel
+from .runtime.launch import CapturedLaunches, Launcher, capturing, one_thread
+from .runtime.thread_pool import ThreadPool
 from .simulator import BatchSimulator
 from .world_view import KINDS, WorldView
 
@@ -38,7 +38,6 @@ LEAVE, STEP, BEGIN = (wp.constant(n) for n in range(3))
 
 @lru_cache(maxsize=64)
 def _kernel(observe: wp.Function, rewards: tuple[wp.Function, ...], ends: tuple[wp.Function, ...]) -> wp.Kernel:
-    """The kernel of these functions."""
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": max(16, len(rewards), len(ends))})
     def evaluate_kernel(
@@ -212,8 +211,8 @@ class BatchVectorEnv(VectorEnv):
             raise ValueError(f"observe writes number {beyond[0]}, beyond size={size}")
         self._check()
 
-        def part(first: int, end: int) -> Replay:
-            return Replay(lambda: launch(kernel, end - first, [view, first, *inputs], outputs), device=device)
+        def part(first: int, end: int) -> CapturedLaunches:
+            return CapturedLaunches(lambda: launch(kernel, end - first, [view, first, *inputs], outputs), device=device)
 
         parts = 1 if device.is_cuda else max(1, min(batch.threads, worlds // 64))
         self._replays = [part(a, b) for a, b in pairwise(np.linspace(0, worlds, parts + 1).astype(int).tolist())]

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance that samples are drawn with: fixed, or one that follows the samples that carry weight."""
+"""The covariance that samples are drawn with: fixed, or one that follows the samples that carry weight.
+
+Weighted moments of the samples, on any device.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +11,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ..kernels.planning import covariance as kernels
-from ..kernels.planning.covariance import (
+from ..kernels.planner import covariance as kernels
+from ..kernels.planner.covariance import (
     adapt_covariance_kernel,
     adapt_sigma_kernel,
     grow_covariance_kernel,
     grow_sigma_kernel,
 )
-from ..launch import Launcher
+from ..kernels.planner.moments import (
+    keep_best_kernel,
+    spread_kernel,
+    sweep_mean_kernel,
+    sweep_spread_kernel,
+    update_mean_kernel,
+)
+from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
 from ..scene.schema import CovarianceForm, ShareOfRange
+from .weighting import block_dim
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
+    from collections.abc import Sequence
+
+    from ..scene.model.layout import Layout
     from ..scene.schema import Scene
-    from .moments import SampleMoments
 
 
 class Covariance:
     """σ of every knot and control, or full covariances of the controls (Bhardwaj et al. 2021, Eq. 5).
 
-    All forms but the full ones live in :attr:`sigma`, where knots and controls that share one σ hold the same number.
+    All forms but the full ones live in :attr:`sigma`, where knots that share one σ hold the same number.
 
     Args:
         sigma: Standard deviation at the start ``[nu]``, in control units.
@@ -153,42 +165,23 @@ def covariance_form(scene: Scene, *, adapts: bool) -> CovarianceForm:
                 allowed = [str(other) for other in CovarianceForm if other is not form]
                 message = f"{name} is of an adapted covariance: say which form"
                 raise SceneError(message, key=f"{key}.form", file=scene.path, found=str(form), allowed=allowed)
-    if form is CovarianceForm.SIGMA:
-        sigma = planner.noise.sigma
-        sigma = sigma.range if isinstance(sigma, ShareOfRange) else sigma
-        numbers = {"noise.sigma": sigma, "sigma_min": planner.sigma_min}
-        for name, values in {**numbers, "covariance.kappa": planner.covariance.kappa}.items():
-            if len(set(values)) > 1:
-                message = 'must be one value: with planner.covariance.form = "sigma" all controls share it'
-                raise SceneError(message, key=f"planner.{name}", file=scene.path, found=list(values))
     return form
 
 
-def control_sigma(scene: Scene, layout: Layout, *, shared: bool = False) -> np.ndarray:
+def control_sigma(scene: Scene, layout: Layout) -> np.ndarray:
     """Standard deviation of the noise ``[nu]``, in control units.
 
-    Args:
-        shared: Whether all controls have one.
-
     Raises:
-        SceneError: If the scene has neither one value nor one per control, or they differ although they are shared.
+        SceneError: If the scene has neither one value nor one per control.
     """
     key, sigma = "planner.noise.sigma", scene.planner.noise.sigma
     if not isinstance(sigma, ShareOfRange):
         return per_control(sigma, layout, scene, key)
-    found = per_control(sigma.range, layout, scene, f"{key}.range") * (layout.control_upper - layout.control_lower)
-    if shared and np.ptp(found) > 1e-6 * np.max(found):
-        message = 'with planner.covariance.form = "sigma" all controls share one: give it in control units'
-        raise SceneError(message, key=key, file=scene.path, found=[round(float(x), 6) for x in found])
-    return found
+    return per_control(sigma.range, layout, scene, f"{key}.range") * (layout.control_upper - layout.control_lower)
 
 
 def per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: str) -> np.ndarray:
-    """One value per control from one or ``nu`` values.
-
-    Raises:
-        SceneError: If they are neither.
-    """
+    """One value per control from one or ``nu`` values."""
     if len(values) not in (1, layout.nu):
         raise SceneError(
             f"needs 1 or {layout.nu} values, one per control ({', '.join(layout.control_name)})",
@@ -197,3 +190,77 @@ def per_control(values: tuple[float, ...], layout: Layout, scene: Scene, key: st
             found=list(values),
         )
     return np.broadcast_to(np.array(values, dtype=np.float32), layout.nu).copy()
+
+
+class SampleMoments:
+    """Mean and spread of weighted samples: in blocks on a GPU, in one sweep through memory on the CPU.
+
+    Args:
+        knots: Samples ``[E, S, P, nu]``.
+        drawn: The same before the limits; without limits when left out.
+        weight: Their weights ``[E, S]``.
+        limits: Lower and upper limits of the columns, ``[P·nu]`` each; none when left out.
+        variance: Relative variance of their noise, 0 where they are not drawn, ``[S]``; 1 when left out.
+        full: Whether the spread has products of different controls.
+    """
+
+    products: wp.array3d[float]
+    """Sums over the samples, Σ w (θ-μ)_c (θ-μ)_{c+lag} of the columns c = p·nu + u, ``[E, lags, P·nu]``."""
+    total: wp.array[float]
+    """Sums of the weights that belong to them, ``[E]``."""
+
+    def __init__(
+        self,
+        knots: wp.array,
+        weight: wp.array,
+        *,
+        drawn: wp.array | None = None,
+        limits: Sequence[wp.array] = (),
+        variance: wp.array | None = None,
+        full: bool = False,
+    ):
+        envs, samples, count, nu = knots.shape
+        self.device = knots.device
+        self._launch, self._columns, self._block_dim = Launcher(self.device), count * nu, block_dim(samples)
+        none = [wp.full(count * nu, bound, dtype=float, device=self.device) for bound in (-wp.inf, wp.inf)]
+        self._limits = limits or none
+        self._variance = wp.full(samples, 1.0, dtype=float, device=self.device) if variance is None else variance
+        self._knots, self._weight = knots.reshape((envs, samples, count * nu)), weight
+        self._drawn = self._knots if drawn is None else drawn.reshape(self._knots.shape)
+        self._sums = wp.zeros((envs, 3, count * nu), dtype=float, device=self.device)
+        self._deviation = wp.zeros((envs, 2, count * nu), dtype=float, device=self.device)
+        self.products = wp.zeros((envs, nu if full else 1, count * nu), dtype=float, device=self.device)
+        self.total = wp.zeros(envs, dtype=float, device=self.device)
+
+    def _flat(self, plan: wp.array) -> wp.array:
+        return plan.reshape((plan.shape[0], self._columns))
+
+    def move_mean(self, mean: wp.array, alpha: float, *, tried: int | None = None) -> None:
+        """Move a mean ``[E, P, nu]`` towards the weighted samples by step size α; capture-safe.
+
+        Args:
+            tried: Samples that were tried, the first ones; all when left out.
+        """
+        tried = self._weight.shape[1] if tried is None else tried
+        envs, inputs = mean.shape[0], [self._drawn, self._weight, self._variance, tried, *self._limits, alpha]
+        if self.device.is_cpu:
+            self._launch(sweep_mean_kernel, envs, inputs, [self._sums, self._flat(mean)])
+        else:
+            outputs = [self._flat(mean)]
+            self._launch(update_mean_kernel, (envs, self._columns), inputs, outputs, block_dim=self._block_dim)
+
+    def spread_about(self, mean: wp.array) -> None:
+        """Write :attr:`products` and :attr:`total` about a mean ``[E, P, nu]``; capture-safe."""
+        inputs, outputs = [self._knots, self._weight, self._flat(mean)], [self.products, self.total]
+        if self.device.is_cpu:
+            self._launch(sweep_spread_kernel, mean.shape[0], inputs, [self._deviation, *outputs])
+        else:
+            self._launch(spread_kernel, self.products.shape, inputs, outputs, block_dim=self._block_dim)
+
+    def keep_best(self, cost: wp.array, best: wp.array) -> None:
+        """Write the n samples of lowest cost ``[E, S]``, as far as they are finite, into ``best [n, E, P, nu]``.
+
+        Capture-safe.
+        """
+        inputs, outputs = [cost, self._knots], [best.reshape((*best.shape[:2], self._columns))]
+        self._launch(keep_best_kernel, cost.shape[0], inputs, outputs, block_dim=self._block_dim)

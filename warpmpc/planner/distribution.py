@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..kernels.planning.proposals import perturb_knots_kernel
-from ..kernels.planning.sampling import age_plan_kernel, start_plan_kernel
-from ..kernels.planning.splines import LINEAR, Spline, advance_plan_kernel, shift_knots_kernel
-from ..launch import Launcher, step_lanes
+from ..kernels.planner.proposals import perturb_knots_kernel
+from ..kernels.planner.sampling import age_plan_kernel, start_plan_kernel
+from ..kernels.planner.splines import LINEAR, Spline, advance_plan_kernel, shift_knots_kernel
+from ..physics.runtime.launch import Launcher, step_lanes
 
 if TYPE_CHECKING:
-    from ..model.layout import Layout
-    from ..task.observed import ObservedState
-    from .covariance import Covariance
-    from .moments import SampleMoments
+    from ..scene.model.layout import Layout
+    from ..scene.task.observed import ObservedState
+    from .covariance import Covariance, SampleMoments
 
 
 def rows(knots: wp.array) -> wp.array:
@@ -128,7 +127,6 @@ class Gaussian(RecedingPlan):
         self.covariance.reset()
 
     def _move_others(self) -> None:
-        """Move the covariance on where it varies along the horizon, or begin with it anew; capture-safe."""
         if self.covariance.restarts:
             self.covariance.restart()
         elif self.covariance.varies:

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..derivatives.rollouts import Policy
-from ..derivatives.tangent import Tangent
-from ..kernels.planning.splines import KNOT_TOLERANCE
-from ..model.mujoco_model import make_world
-from ..model.state_rows import StateRows
+from ..kernels.planner.splines import KNOT_TOLERANCE
+from ..scene.model.conversion import StateRows
+from ..scene.model.mujoco_model import make_world
+from .derivatives.rollouts import Policy, Tangent
 
 if TYPE_CHECKING:
-    from ..model.compiled import CompiledScene
-    from ..model.state import State
+    from ..scene.model.compiled import CompiledScene
+    from ..scene.model.state import State
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,6 @@ class Feedback:
         return control[np.arange(len(times))[:, None], i]
 
     def _place(self, times: np.ndarray) -> np.ndarray:
-        """Times in its steps, ``[E, N]``."""
         step = self.times[:, -1:] - self.times[:, -2:-1] if self.times.shape[1] > 1 else np.ones((len(times), 1))
         # a time that was rounded down, to single precision, is no step too early
         return (times - self.times[:, :1]) / step + float(KNOT_TOLERANCE)

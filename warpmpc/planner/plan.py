@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans: what a planner hands out, stamped with absolute times."""
+"""Plans: what a planner hands out, stamped with absolute times.
+
+Numbers that come back from the device after a plan.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import numpy as np
 from .splines import SplineKind, fitted_knots, spline_value
 
 if TYPE_CHECKING:
-    from ..model.state import State
+    from ..scene.model.state import State
     from .feedback import Feedback
 
 
@@ -83,3 +86,25 @@ def refitted(plan: Plan, kind: SplineKind, knot_time: np.ndarray) -> np.ndarray:
         return plan.knots
     values = np.stack([plan.at(plan.times[..., 0] + t) for t in knot_time], axis=-2)
     return fitted_knots(kind, knot_time, values, knot_time)
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """Outcome of a plan; views of the block that was copied back, overwritten by the next plan."""
+
+    command: np.ndarray  # [E, nu]
+    beta: np.ndarray  # [E]
+    eta: np.ndarray  # [E]
+    cost: np.ndarray  # [E] of the best sample, +inf when every sample diverged
+    best: np.ndarray  # [E] sample
+    diverged: np.ndarray  # [E] worlds whose physics failed
+    overflow_halves: np.ndarray  # [2, E] capacity bits of all worlds together, the lower 16 first
+    terms: np.ndarray  # [E, terms] of the best sample
+    knots: np.ndarray  # [E, P, nu] of the plan
+    offset: np.ndarray  # [E] time from the first knot to the present [s]
+
+    @property
+    def overflow(self) -> np.ndarray:
+        """Capacity bits of all worlds together ``[E]``."""
+        low, high = self.overflow_halves.astype(np.int64)
+        return low | high << 16

@@ -5,29 +5,29 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
-from ..derivatives.expansion import Differences, Quadratic, gauss_newton, held
-from ..derivatives.residuals import Residuals
-from ..derivatives.rollouts import Policy, PolicyRollouts
-from ..engine.protocol import Proposal
+from ..engine.protocol import Proposal, TimeGrid
 from ..engine.registry import physics_steps
-from ..engine.timegrid import TimeGrid
-from ..kernels.planning.weights import forget_cost_kernel
-from ..launch import Launcher
+from ..kernels.planner.riccati import backward_kernel, scratch_size
+from ..kernels.planner.weights import forget_cost_kernel
+from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
 from ..scene.schema import Method, Refinement
+from .derivatives.expansion import Differences, Quadratic, gauss_newton, held
+from .derivatives.residuals import Residuals
+from .derivatives.rollouts import Policy, PolicyRollouts
 from .feedback import Feedback, StateSpace
-from .riccati import Backward, backward
 from .splines import spline_value
 
 if TYPE_CHECKING:
-    from ..derivatives.expansion import Linear
-    from ..engine.protocol import Engine
-    from ..engine.request import EngineRequest, PhysicsSteps
+    from ..engine.protocol import Engine, EngineRequest, PhysicsSteps
     from ..scene.schema import Scene
+    from .derivatives.expansion import Linear
     from .strategy import SamplingStrategy
 
 logger = logging.getLogger("warpmpc")
@@ -175,7 +175,6 @@ class GradientRefiner(Refiner):
         self._shares = shares(count)
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
-        """Improve the mean."""
         strategy, rows = self._strategy, np.arange(len(start))
         for _ in range(self._settings.iterations):
             mean, blend = strategy.mean.numpy().astype(float), self._blend()
@@ -237,7 +236,6 @@ class IlqgRefiner(Refiner):
         self._damping[:] = DAMPING[1]
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
-        """Improve the mean."""
         strategy, hold, steps = self._strategy, self.hold, self._request.grid.steps
         control = np.clip(strategy.mean.numpy().astype(float), self._lower, self._upper)
         control = control.repeat(hold, axis=1)[:, :steps]
@@ -321,3 +319,47 @@ def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: Samp
         )
     steps = physics_steps(name, request.scene, request.compiled, request.grid)
     return REFINERS[settings.method](engine, request, steps, strategy)
+
+
+@dataclass(frozen=True)
+class Backward:
+    """Result of the backward pass."""
+
+    change: np.ndarray
+    """k ``[E, T, nu]``."""
+    gain: np.ndarray
+    """K ``[E, T, nu, n]``; zero for controls at their limits."""
+    failed: np.ndarray
+    """True where ∂²Q/∂u² is not positive definite with the damping ``[E]``."""
+
+
+def backward(
+    model: Linear, cost: Quadratic, room: tuple[np.ndarray, np.ndarray], scale: np.ndarray, damping: np.ndarray
+) -> Backward:
+    """Solve the quadratic models of all environments from their ends to their starts.
+
+    Tassa, Erez and Todorov 2012, Eq. 6 to 11, and with limits Tassa, Mansard and Todorov 2014. Controls are taken in
+    units of ``scale``, so that one damping suits all of them.
+
+    Args:
+        model: Derivatives of the steps.
+        cost: Expansion of what they cost.
+        room: How far each control may go down and up ``[E, T, nu]`` each.
+        scale: Unit of each control ``[nu]``.
+        damping: μ of each environment, added to the diagonal of ∂²Q/∂u² ``[E]``.
+    """
+    given = [model.a, model.b * scale, cost.x, cost.u * scale, cost.xx, cost.ux * scale[:, None]]
+    given += [cost.uu * np.outer(scale, scale), *(limit / scale for limit in room), damping]
+    envs, steps, n, nu = given[1].shape
+    scratch = np.empty((envs, scratch_size(n, nu)))
+    out = [np.empty(shape) for shape in ((envs, steps, nu), (envs, steps, nu, n))]
+    failed = np.zeros(envs, dtype=np.int32)
+
+    def seen(array: np.ndarray) -> wp.array:
+        kind = int if array.dtype == np.int32 else wp.float64
+        return wp.array(np.ascontiguousarray(array), dtype=kind, device="cpu", copy=False)
+
+    outputs = [seen(array) for array in (scratch, *out, failed)]
+    wp.launch(backward_kernel, envs, [seen(array) for array in given], outputs, device="cpu")
+    change, gain = out
+    return Backward(change * scale, gain * scale[:, None], failed != 0)

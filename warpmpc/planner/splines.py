@@ -1,13 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splines over the knots of a plan: their tables for kernels, and their values on the host."""
+"""Splines over the knots of a plan: their tables for kernels, and their values on the host.
+
+From controls over the horizon to knots of a plan, for all that proposes samples.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from ..kernels.planning import splines as kernels
+from ..engine.protocol import TimeGrid
+from ..kernels.planner import splines as kernels
+from ..scene.model.state import State
 from ..scene.schema import SplineKind
+
+if TYPE_CHECKING:
+    from ..scene.schema import Scene
 
 
 def spline_table(kind: SplineKind, time: np.ndarray, step: float, device: str) -> kernels.Spline:
@@ -84,3 +95,61 @@ def _slope(times: np.ndarray, knots: np.ndarray, j: int) -> np.ndarray:
     """Mean of the slopes on both sides of a knot, one-sided at the ends (Howell et al. 2022, Eqs. 17 and 18)."""
     sides = [k for k in (j - 1, j) if 0 <= k < len(times) - 1]
     return sum((knots[k + 1] - knots[k]) / (times[k + 1] - times[k]) for k in sides) / len(sides)
+
+
+Ask = Callable[[State, Mapping[str, "np.ndarray | float"]], "np.ndarray | None"]
+"""``(state, task) -> knots [n, P, nu]``, or None where there is nothing to propose."""
+
+
+class Horizon:
+    """Turns controls over the horizon into knots of a plan.
+
+    Args:
+        knot_time: Times of the knots after the first ``[P]`` [s].
+    """
+
+    def __init__(self, scene: Scene, knot_time: np.ndarray, nu: int):
+        self.nu, self.knot_time, self.time = nu, knot_time, TimeGrid.of(scene).t[:-1]
+        """Times at which the steps begin ``[T]`` [s]."""
+        self.kind = scene.planner.spline
+        self._matrix = fitting_matrix(self.kind, knot_time, self.time)
+
+    @property
+    def shapes(self) -> list[str]:
+        """Shapes of a sequence of controls."""
+        return [f"[{count}, {self.nu}]" for count in dict.fromkeys((len(self.time), len(self.knot_time)))]
+
+    def knots(self, controls: np.ndarray) -> np.ndarray:
+        """Knots ``[n, P, nu]`` of controls ``[n, T, nu]``, the nearest ones, or of knots as they are."""
+        if controls.ndim != 3 or controls.shape[2] != self.nu:
+            raise ValueError
+        if controls.shape[1] == len(self.knot_time):
+            return controls
+        if controls.shape[1] != len(self.time):
+            raise ValueError
+        return self._matrix @ controls
+
+    def proposed(self, controls: object, samples: int) -> np.ndarray:
+        """Knots ``[n, P, nu]`` of what a function or a policy returned.
+
+        Args:
+            controls: One control for the whole horizon ``[nu]``, or a sequence; a list of n of those where n is not 1.
+            samples: How many are expected, n.
+        """
+        values = np.asarray(controls, dtype=np.float64)
+        if samples == 1 and values.shape == (self.nu,):
+            values = np.broadcast_to(values, (len(self.knot_time), self.nu))
+        if samples == 1 and values.ndim == 2:
+            values = values[None]
+        if values.ndim != 3 or len(values) != samples:
+            raise ValueError(f"returns an array {list(np.shape(controls))}")
+        try:
+            return self.knots(values)
+        except ValueError:
+            raise ValueError(f"returns an array {list(np.shape(controls))}") from None
+
+    def allowed(self, samples: int) -> str:
+        """Shapes that may be returned, in words."""
+        if samples > 1:
+            return " or ".join(f"[{samples}, {shape[1:]}" for shape in self.shapes)
+        return " or ".join([f"[{self.nu}]", *self.shapes])

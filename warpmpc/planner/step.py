@@ -1,39 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan step: begin (shift) → n × (sample → evaluate → update) → command. Every strategy is this one step."""
+"""The plan step: begin (shift) → n × (sample → evaluate → update) → command. Every strategy is this one step.
+
+The strategies by name.
+
+A whole plan as one step from host to host: one copy in, one copy out, on CUDA a single captured graph between.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
+from ..engine.protocol import TimeGrid
 from ..engine.registry import EngineRequest, make_engine
-from ..engine.timegrid import TimeGrid
-from ..kernels.planning.splines import command_kernel
-from ..launch import Launcher, Replay
-from ..registry import STRATEGIES
-from ..task.observed import ObservedState
-from . import registry  # noqa: F401 (the shipped strategies)
+from ..kernels.engine.packing import REPORT, report_kernel, survey_kernel, unpack_kernel
+from ..kernels.planner.splines import command_kernel
+from ..physics.runtime.launch import CapturedLaunches, Launcher, step_lanes
+from ..scene.registry import STRATEGIES
+from ..scene.schema import Method
+from ..scene.task.observed import ObservedState
 from .ancillary import Ancillaries
-from .plan import Plan, refitted
+from .plan import Plan, PlanReport, refitted
 from .refine import control_hold, refiner_of
 from .splines import spline_table
-from .strategy import proposal
+from .strategy import DerivativeStrategy, SamplingStrategy, Strategy, proposal
+from .weighting import CrossEntropy, Mppi, PredictiveSampling, Tsallis, block_dim
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from ..cost.stack import CostStack
     from ..engine.redraw import Redraw
-    from ..model.batch_size import BatchSize
-    from ..model.compiled import CompiledScene
-    from ..model.properties import Properties
+    from ..scene.model.compiled import CompiledScene
+    from ..scene.model.properties import Properties
+    from ..scene.model.trajectory import BatchSize
     from ..scene.schema import Scene
-    from ..task.ancillary import AncillaryController
+    from ..scene.task.ancillary import AncillaryController
     from .feedback import Feedback
+
+
+def register(name: str, make: Callable[..., Strategy]) -> None:
+    """Add a strategy, for scene files (``planner.method``) and controllers.
+
+    Args:
+        name: The name.
+        make: ``make(scene, layout, state, spline, limits, cost, *, seed)``, with the arguments of
+            :class:`~warpmpc.planner.strategy.SamplingStrategy`.
+
+    Raises:
+        ValueError: If there is one of this name.
+    """
+    STRATEGIES.register(name, make)
+
+
+for names, weighting in (
+    ((Method.MPPI, Method.DIAL), Mppi.of),
+    ((Method.PREDICTIVE_SAMPLING, Method.ILQS), lambda planner: PredictiveSampling()),
+    ((Method.CEM, Method.ICEM), lambda planner: CrossEntropy(elites=planner.elites)),
+    ((Method.TSALLIS,), lambda planner: Tsallis(elites=planner.elites, entropic_index=planner.entropic_index)),
+):
+    for name in names:
+        register(str(name), partial(SamplingStrategy, weighting=weighting))
+for name in (Method.GRADIENT_DESCENT, Method.ILQG):
+    register(str(name), DerivativeStrategy)
+
 
 STAGES = ("begin", "noise", "evaluate", "update")
 
@@ -48,8 +83,7 @@ class PlanStep:
 
     Raises:
         SceneError: If the engine cannot do what the scene asks for, or a list has the wrong number of values.
-        ValueError: If there is no such strategy, its methods have their names of before, or it tries more samples than
-            there are.
+        ValueError: If there is no such strategy, or it tries more samples than there are.
     """
 
     command: wp.array2d[float]
@@ -100,10 +134,8 @@ class PlanStep:
         self._redraw: Redraw | None = getattr(self.engine, "redraw", None)
         on_gpu = wp.get_device(self.device).is_cuda
         self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
-        kind = type(self.strategy).__name__
-        if hasattr(self.strategy, "propose"):
-            raise ValueError(f"strategy {kind}: rename its method propose to advance, and sample to sample_knots")
         if (most := max(self.strategy.population, default=0)) > shape.samples:
+            kind = type(self.strategy).__name__
             raise ValueError(f"strategy {kind}: its population has {most} samples, planner.samples are {shape.samples}")
         self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
         """Improves the samples' plan by derivatives, None without."""
@@ -169,11 +201,11 @@ class PlanStep:
             for _, piece in sampling:
                 piece()
 
-        return [("evaluate", Replay(sample, blocks=True, device=self.device)), *rest]
+        return [("evaluate", CapturedLaunches(sample, blocks=True, device=self.device)), *rest]
 
     def _replayed(self, piece: Callable[[], None]) -> Callable[[], None]:
         """A piece that is launches alone; on CUDA the graph of the whole plan replays it."""
-        return piece if wp.get_device(self.device).is_cuda else Replay(piece, blocks=True)
+        return piece if wp.get_device(self.device).is_cuda else CapturedLaunches(piece, blocks=True)
 
     def _begin(self) -> None:
         """Let resources and plans follow the observed state."""
@@ -184,7 +216,6 @@ class PlanStep:
         self.strategy.shift()
 
     def _finish(self) -> None:
-        """Write the command."""
         self._launch(
             command_kernel,
             self.command.shape,
@@ -204,3 +235,135 @@ def knot_times(grid: TimeGrid, knots: int | None, hold: int = 1) -> np.ndarray:
     if knots is None or knots == grid.steps:
         return grid.t[:-1:hold]
     return np.linspace(0.0, grid.t[-2], knots)
+
+
+LANES = 32
+"""Threads of a GPU that share an environment's numbers."""
+
+
+class PlanGraph:
+    """Runs a plan step on packed observations and reports what came of it.
+
+    On a CUDA device the first plan runs launch by launch, which loads the kernels; then the same sequence is captured
+    and later plans replay it. Terms that are plain functions over arrays cannot be captured: with one of them every
+    plan runs launch by launch. With derivatives all before them is one graph, rollouts under feedback and differences
+    one each, and the host works between them.
+    """
+
+    def __init__(self, plan: PlanStep):
+        self.plan = plan
+        self.device = wp.get_device(plan.device)
+        self._launch = Launcher(self.device)
+        self._kept: list[wp.array] = []
+        envs, terms = plan.shape.envs, len(plan.costs.labels)
+        cuda = self.device.is_cuda
+        self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
+        state = plan.state
+        widths = [3, state.joint_q.shape[1], state.joint_qd.shape[1], state.act.shape[1], 7 * state.mocap.shape[1]]
+        self._observed_columns = slice(3, sum(widths))
+        widths += [state.proposed.shape[1], plan.costs.task.block.shape[1]]
+
+        reported = self._nu + int(REPORT) + terms + self._knots[1] * self._nu + 1
+        self._packed, self._in = self._packed_arrays(envs, sum(widths))
+        self._report, self._out = self._packed_arrays(envs, reported)
+        self._lanes = step_lanes(LANES, self.device)
+        self._best = wp.zeros(envs, dtype=int, device=self.device)
+        self._best_cost = wp.zeros(envs, dtype=float, device=self.device)
+        self._failures = wp.zeros((envs, 2), dtype=int, device=self.device)
+        self._planned = self._views()
+        pieces = (self._unpack, self._pack)
+        self._take_in, self._give_out = pieces if cuda else [CapturedLaunches(piece, blocks=True) for piece in pieces]
+        self.captured: wp.Graph | None = None
+        self.capturable = plan.capturable
+
+    @property
+    def stages(self) -> dict[str, float]:
+        """Wall time of each stage of the last plan [s]; NaN where a graph runs them all as one."""
+        return self.plan.stages if self.captured is None else dict.fromkeys(self.plan.stages, float("nan"))
+
+    @property
+    def task(self) -> np.ndarray:
+        """Values of the task that the last plan was made for ``[E, n]``, overwritten by the next."""
+        return self._packed[:, -self.plan.costs.task.block.shape[1] :]
+
+    def __call__(self, observed: np.ndarray, elapsed: np.ndarray, start: np.ndarray, state: np.ndarray) -> PlanReport:
+        """Plan for what the task wants at present.
+
+        Args:
+            observed: Whether there is an observation to plan from ``[E]``.
+            elapsed: Time since the last plan ``[E]`` [s].
+            start: Time of the observation ``[E]`` [s].
+            state: Joint coordinates, joint velocities, activations, poses of mocap bodies ``[E, nq + nv + na + 7 nm]``.
+        """
+        packed, task = self._packed, self.plan.costs.task.block
+        packed[:, 0], packed[:, 1], packed[:, 2] = observed, elapsed, start
+        seen = self._observed_columns
+        packed[:, seen] = state
+        packed[:, seen.stop : -task.shape[1]] = self.plan.ancillaries(observed, start, state, self._planned)
+        packed[:, -task.shape[1] :] = task
+        self.plan.costs.refresh()
+        if self.captured is not None:
+            wp.capture_launch(self.captured)
+        else:
+            self._sequence()
+            if self.capturable:
+                with wp.ScopedCapture(device=self.device) as capture:
+                    self._sequence()
+                self.captured = capture.graph
+        if self.device.is_cuda:
+            wp.synchronize_device(self.device)
+        return self._planned
+
+    def _packed_arrays(self, envs: int, columns: int) -> tuple[np.ndarray, wp.array]:
+        """A block ``[E, columns]`` that host and device both see: a GPU reads and writes the host's pinned memory."""
+        host = wp.zeros((envs, columns), dtype=float, device="cpu", pinned=self.device.is_cuda)
+        self._kept.append(host)
+        if not self.device.is_cuda:
+            return host.numpy(), host
+        return host.numpy(), wp.array(ptr=host.ptr, shape=host.shape, dtype=float, device=self.device)
+
+    def _views(self) -> PlanReport:
+        row, nu = self._report, self._nu
+        numbers, at = row[:, nu : nu + int(REPORT)].T, nu + int(REPORT)
+        return PlanReport(
+            command=row[:, :nu],
+            beta=numbers[0],
+            eta=numbers[1],
+            cost=numbers[2],
+            best=numbers[3],
+            diverged=numbers[4],
+            overflow_halves=numbers[5:],
+            terms=row[:, at : at + self._terms],
+            knots=row[:, at + self._terms : -1].reshape(self._knots),
+            offset=row[:, -1],
+        )
+
+    def _sequence(self) -> None:
+        self._take_in()
+        self.plan()
+        self._give_out()
+
+    def _unpack(self) -> None:
+        """Spread the block that came in over the arrays of the plan."""
+        state = self.plan.state
+        observed = [state.observed, state.elapsed, state.start, state.joint_q, state.joint_qd, state.act]
+        task = [_numbers(state.pose), state.scalar, state.weight]
+        outputs = [*observed, _numbers(state.mocap), state.proposed, *task]
+        self._launch(unpack_kernel, self._in.shape, [self._in], outputs)
+
+    def _pack(self) -> None:
+        """Gather what came of the plan into the block that goes out."""
+        plan, strategy, engine = self.plan, self.plan.strategy, self.plan.engine
+        envs = self._in.shape[0]
+        inputs, outputs = [engine.cost, engine.diverged, engine.overflow], [self._best, self._best_cost, self._failures]
+        self._launch(survey_kernel, envs, inputs, outputs, block_dim=block_dim(engine.cost.shape[1]))
+        engine.explain(self._best)
+        numbers = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
+        arrays = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
+        self._launch(report_kernel, (envs, self._lanes), [*numbers, *arrays, self._lanes], [self._out])
+
+
+def _numbers(poses: wp.array) -> wp.array:
+    """The same memory of poses ``[E, n]`` as numbers ``[E, 7 n]``."""
+    envs, count = poses.shape
+    return wp.array(ptr=poses.ptr, shape=(envs, 7 * count), dtype=float, device=poses.device)

@@ -11,29 +11,25 @@ import numpy as np
 import warp as wp
 
 from ..engine.protocol import Proposal
-from ..kernels.planning.proposals import null_rows_kernel, proposed_rows_kernel
-from ..kernels.planning.weights import forget_cost_kernel
-from ..launch import Launcher
+from ..kernels.planner.proposals import null_rows_kernel, proposed_rows_kernel
+from ..kernels.planner.weights import forget_cost_kernel
+from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
-from ..scene.schema import CovarianceForm, Execute, NoiseShape, Renewal, TryMean
+from ..scene.schema import Execute, NoiseShape, Renewal, TryMean
 from ..scene.schema import NoiseSource as NoiseKind
-from .covariance import Covariance, control_sigma, covariance_form, per_control
+from .covariance import Covariance, SampleMoments, control_sigma, covariance_form, per_control
 from .distribution import Gaussian, RecedingPlan
-from .moments import SampleMoments
-from .noise import NoiseSource
-from .postures import PostureSamples
-from .proposers import BestSamples, LaunchedSamples, Proposer, StoredSamples
-from .sequences import sequences
-from .shaping import schedule, shaping_matrix
+from .noise import NoiseSource, schedule, shaping_matrix
+from .proposers import BestSamples, LaunchedSamples, PostureSamples, Proposer, StoredSamples, sequences
 from .weighting import Mppi, Weighting, WeightingState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ..kernels.planning.splines import Spline
-    from ..model.layout import Layout
+    from ..kernels.planner.splines import Spline
+    from ..scene.model.layout import Layout
     from ..scene.schema import Planner, Scene
-    from ..task.observed import ObservedState
+    from ..scene.task.observed import ObservedState
 
 
 CARRIED_OUT = 0xAC7
@@ -138,7 +134,7 @@ class SamplingStrategy(Strategy):
         form = covariance_form(scene, adapts=self.weighting.adapts_sigma)
         covariance = Covariance(
             form,
-            sigma=control_sigma(scene, layout, shared=form is CovarianceForm.SIGMA),
+            sigma=control_sigma(scene, layout),
             sigma_min=per_control(planner.sigma_min, layout, scene, "planner.sigma_min"),
             kappa=per_control(planner.covariance.kappa, layout, scene, "planner.covariance.kappa"),
             step_size=planner.covariance.step_size or planner.step_size,
@@ -217,7 +213,6 @@ class SamplingStrategy(Strategy):
         return wp.zeros(self.distribution.dim, dtype=float, device=self._cost.device)
 
     def _draw_plan(self, iteration: int) -> None:
-        """Draw the plan from the distribution as it is now; capture-safe."""
         envs, knots = len(self.mean), self.mean.reshape((len(self.mean), 1, *self.mean.shape[1:]))
         self._drawn.advance(self._state.observed)
         self._drawn.draw(0, envs)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import warp as wp
 
-from ..kernels.planning.weights import (
+from ..kernels.planner.weights import (
     best_weight_kernel,
     bisect_temperature_kernel,
     elite_weight_kernel,
     importance_weight_kernel,
     tsallis_weight_kernel,
 )
-from ..launch import Launcher
+from ..physics.runtime.launch import Launcher
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, get_args, get_origin
 
 from pydantic import BaseModel
 
-from ..registry import Name
+from .registry import Name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -144,6 +144,8 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
     kind, loc, value, context = detail["type"], detail["loc"], detail["input"], detail.get("ctx") or {}
     parts, element = _key(loc, data, missing=kind == "missing")
     section, annotation = _schema(loc, root)
+    if kind == "value_error" and loc and loc[-1] in section.model_fields and parts[-1:] != [loc[-1]]:
+        parts.append(loc[-1])  # what is left out does not fit to the rest
     key = join_key(parts)
     found = None if isinstance(value, dict | BaseModel) else value
     if kind == "extra_forbidden":
@@ -160,7 +162,8 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
     if kind == "enum":
         choices = re.findall(r"'([^']*)'", context["expected"])
         choices = annotation.names() if isinstance(annotation, type) and issubclass(annotation, Name) else choices
-        return {"message": "no such choice", "key": key, "found": found, "allowed": choices}
+        more = " (your own ones come with --terms FILE.py)" if hasattr(annotation, "registry") else ""
+        return {"message": f"no such choice{more}", "key": key, "found": found, "allowed": choices}
     if kind == "value_error":
         return {"message": str(context["error"]), "key": key, "found": found}
     if kind == "tuple_type" and section_in(annotation):
@@ -250,7 +253,7 @@ def _length(annotation: object, context: dict) -> str:
 
 def _meaning(text: object) -> str:
     """First sentence of what a key means, where that is short."""
-    first = re.split(r"[.;:](?:\s|$)", " ".join(text.split()))[0] if isinstance(text, str) else ""
+    first = re.split(r"(?<!\bal)[.;:](?:\s|$)", " ".join(text.split()))[0] if isinstance(text, str) else ""
     return f" ({first})" if 0 < len(first) <= SHORT else ""
 
 

@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a scene file to a validated scene; nothing in the file is ever executed."""
+"""From a scene file to a validated scene; nothing in the file is ever executed.
+
+A scene as the text of a scene file, complete: variant and changes applied, every key written out.
+"""
 
 from __future__ import annotations
 
 import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ..physics.runtime.files import require_regular
+from .check import check_scene
 from .errors import SceneError, file_keys, join_key
-from .overrides import expand, leaves, merge, nest, parse_override, split_key, validated, with_values
-from .schema import DriveMode, Method, SampleCount, Scene
-from .sizes import check_sizes
+from .overrides import leaves, merge, nest, parse_override, split_key, validated
+from .schema import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from .overrides import Key
-
-RESERVED = ("goal", "ground", "world", "obstacles", "objects")
-"""Names with a meaning of their own in costs and frames."""
 
 
 def load_scene(source: str | Path, *, overrides: Sequence[str] = ()) -> Scene:
@@ -134,6 +135,10 @@ def read_toml(path: Path) -> dict:
         SceneError: If it cannot be read, or is no TOML.
     """
     try:
+        require_regular(path)
+    except ValueError as error:
+        raise SceneError(str(error), file=path) from None
+    try:
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise SceneError(f"cannot be read: {error.strerror}", file=path) from error
@@ -160,7 +165,7 @@ def _pick(patches: object, variant: str | None, path: Path) -> dict:
         raise SceneError("must be a table", key=join_key(("variants", variant)), file=path, found=patches[variant])
     if "variants" in patches[variant]:
         key = join_key(("variants", variant, "variants"))
-        raise SceneError("a variant has no variants of its own: write each as [variants.NAME]", key=key, file=path)
+        raise SceneError("a variant cannot contain variants: write each as [variants.NAME]", key=key, file=path)
     return patches[variant]
 
 
@@ -181,217 +186,43 @@ def _touches(key: str | None, origin: Key) -> bool:
     return bool(parts) and all(b in ("*", a) for a, b in zip(parts, origin, strict=False))
 
 
-def check_scene(scene: Scene) -> None:
-    """Check what the types alone cannot: names, references between sections, drives and draws.
+def dump_scene(scene: Scene) -> str:
+    """The text of a scene file that says all of a scene, defaults included.
+
+    Files that lie beside the scene are named by their absolute paths, except those that ship with warpmpc.
+    """
+    import tomlkit  # slow to import
+
+    data = scene.model_dump(mode="json", exclude_none=True, exclude={"path", "variant"})
+    if scene.ground is None:
+        data["ground"] = False
+    if scene.path is not None and scene.path.parent != shipped_folder():
+        data = _placed(data, scene.path.parent)
+    return tomlkit.dumps(data)
+
+
+def parse_scene(text: str, *, path: Path | None = None, variant: str | None = None) -> Scene:
+    """The scene that :func:`dump_scene` wrote.
+
+    Args:
+        text: Text of the scene file.
+        path: The file that the scene was made from, for its name.
+        variant: The variant that was applied.
 
     Raises:
-        SceneError: If names clash, a reference leads nowhere or sections contradict each other.
+        SceneError: If it is no scene of this warpmpc.
     """
-    checks = (
-        _check_names,
-        _check_goal,
-        _check_phases,
-        _check_motions,
-        _check_drives,
-        _check_plant,
-        _check_randomization,
-        _check_draws,
-        check_sizes,
-    )
-    for check in checks:
-        try:
-            check(scene)
-        except SceneError as error:
-            error.file = error.file or scene.path
-            raise
+    scene = validated(tomllib.loads(text), file=path).model_copy(update={"path": path, "variant": variant})
+    check_scene(scene)
+    return scene
 
 
-def _names(entries: Iterable) -> list[str]:
-    return [entry.name for entry in entries]
-
-
-def _check_names(scene: Scene) -> None:
-    owner: dict[str, str] = {}
-    for kind in ("robot", "object", "obstacle"):
-        for name in _names(getattr(scene, kind)):
-            key = f"{kind}.{name}.name"
-            if name in RESERVED:
-                raise SceneError(f"this name is reserved, as are {', '.join(RESERVED)}", key=key, found=name)
-            if name in owner:
-                raise SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
-            owner[name] = kind
-    # targets stand among the frames; targets, movable obstacles, scalars, clouds and weights among the task's values
-    movable = [obstacle.name for obstacle in scene.obstacle if obstacle.movable]
-    values = {
-        "target": _names(scene.target),
-        "obstacle": movable,
-        "scalar": list(scene.scalar),
-        "cloud": _names(scene.cloud),
-        "cost": sorted(set(scene.cost_labels)),
-    }
-    taken: dict[str, str] = {}
-    for kind, names in values.items():
-        for name in names:
-            other = taken.get(name) or (owner.get(name) if kind == "target" else None)
-            if other is not None or name in (RESERVED if kind != "cost" else ("goal",)):
-                what = f"taken by another {other}" if other else f"reserved, as are {', '.join(RESERVED)}"
-                raise SceneError(f"this name is {what}", key=join_key((kind, name)), found=name)
-            taken[name] = kind
-    labels = [cost.label for cost in scene.cost]
-    for label in labels:
-        if labels.count(label) > 1:
-            raise SceneError(
-                f'{labels.count(label)} cost entries are called this: give each a name of its own, name = "..."',
-                key=f"cost.{label}",
-                found=label,
-            )
-
-
-def _check_goal(scene: Scene) -> None:
-    goal, success = scene.goal, scene.success
-    if goal is None:
-        if success is not None and success.of_goal:
-            raise SceneError("there is no goal to compare with: give [goal], or conditions alone", key="success")
-        return
-    if goal.object is not None and goal.object not in _names(scene.object):
-        raise SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
-    if goal.frame is not None:
-        _check_frame(scene, goal.frame, "goal.frame")
-    if success is None:
-        return
-    if success.position is not None and len(success.position) not in (1, len(goal.position)):
-        raise SceneError(
-            f"give one number, or one for each of the goal's {len(goal.position)} axes",
-            key="success.position",
-            found=list(success.position),
-        )
-    for name in ("yaw", "rotation"):
-        if getattr(success, name) is not None and goal.yaw is None and goal.rotation is None:
-            raise SceneError("the goal has no orientation: give goal.yaw or goal.rotation", key=f"success.{name}")
-
-
-def _check_phases(scene: Scene) -> None:
-    known = {"target": _names(scene.target), "scalar": list(scene.scalar), "weight": scene.cost_labels}
-    for i, phase in enumerate(scene.phase):
-        key = f"phase.{phase.name}"
-        if phase.name in _names(scene.phase[:i]):
-            raise SceneError("this name is taken by an earlier phase", key=f"{key}.name", found=phase.name)
-        if phase.goal is not None and scene.goal is None:
-            raise SceneError("the scene has no goal that a phase could move: give [goal]", key=f"{key}.goal")
-        for kind, names in known.items():
-            for name in getattr(phase, kind):
-                if name not in names:
-                    what = "cost term" if kind == "weight" else kind
-                    raise SceneError(
-                        f"no such {what}", key=join_key(("phase", phase.name, kind, name)), found=name, allowed=names
-                    )
-        if i < len(scene.phase) - 1 and not phase.until and phase.after is None:
-            raise SceneError("this phase never ends: give until or after, or put it last", key=key)
-
-
-def _check_motions(scene: Scene) -> None:
-    poses = [*(["goal"] if scene.goal else []), *_names(scene.target), *(o.name for o in scene.obstacle if o.movable)]
-    for i, motion in enumerate(scene.motion):
-        key = f"motion.{motion.name}.name"
-        if motion.name not in poses:
-            what = "nothing that can move has this name: the goal, targets and obstacles with movable = true can"
-            raise SceneError(what, key=key, found=motion.name, allowed=poses)
-        if motion.name in _names(scene.motion[:i]):
-            raise SceneError("this moves already", key=key, found=motion.name)
-
-
-def _check_frame(scene: Scene, frame: str, key: str) -> None:
-    robot, slash, place = frame.partition("/")
-    known = [f"{r.name}/{name}" for r in scene.robot for name in r.frames]
-    if not slash or not place:
-        robots = " or ".join(f"{name}/LINK" for name in _names(scene.robot))
-        allowed = ", ".join([*known, f"{robots} with a link of the robot's asset"])
-        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=allowed)
-    if robot not in _names(scene.robot):
-        raise SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
-
-
-def _check_drives(scene: Scene) -> None:
-    for robot in scene.robot:
-        taken: set[str] = set()
-        for i, drive in enumerate(robot.drive):
-            key = f"robot.{robot.name}.drive" + f".{i}" * (len(robot.drive) > 1)
-            if drive.joints is None:
-                if len(robot.drive) > 1 and drive.mode is not DriveMode.MOCAP:
-                    raise SceneError("of several drives each must name its joints", key=f"{key}.joints")
-                continue
-            for joint in drive.joints:
-                if joint in taken:
-                    raise SceneError("this joint is driven twice", key=f"{key}.joints", found=joint)
-                taken.add(joint)
-            count = len(drive.joints)
-            for name in ("stiffness", "damping", "effort_limit", "limit", "lower", "upper"):
-                values = getattr(drive, name)
-                if values is not None and len(values) not in (1, count):
-                    what = "controls" if drive.mode is DriveMode.DIFF_DRIVE else "joints"
-                    allowed = f"1 value, or {count}: one for each of its {what}"
-                    raise SceneError("wrong number of values", key=f"{key}.{name}", found=values, allowed=allowed)
-
-
-def _check_plant(scene: Scene) -> None:
-    if scene.timing.timeout < scene.timing.control_dt:
-        raise SceneError("is shorter than control_dt", key="timing.timeout", found=scene.timing.timeout)
-    samples = scene.planner.samples
-    if (
-        scene.planner.method in (Method.CEM, Method.TSALLIS)
-        and samples is not SampleCount.AUTO
-        and scene.planner.elites > samples
-    ):
-        raise SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
-    movable = _names(scene.robot) + _names(scene.object)
-    for i, kick in enumerate(scene.plant.kicks):
-        key = "plant.kicks" + f".{i}" * (len(scene.plant.kicks) > 1)
-        if kick.target not in movable:
-            raise SceneError("no such robot or object", key=f"{key}.target", found=kick.target, allowed=movable)
-        if kick.target in _names(scene.object) and len(kick.velocity) != 3:
-            raise SceneError("an object's velocity is (x, y, z)", key=f"{key}.velocity", found=kick.velocity)
-        if kick.time >= scene.timing.timeout:
-            allowed = f"less than timing.timeout = {scene.timing.timeout:g}"
-            raise SceneError("comes after the end of the run", key=f"{key}.time", found=kick.time, allowed=allowed)
-
-
-def _check_randomization(scene: Scene) -> None:
-    fixed, robots = _names(scene.obstacle), _names(scene.robot)
-    known = robots + _names(scene.object) + fixed
-    for name, random in scene.randomize.items():
-        key = join_key(("randomize", name))
-        if name not in known:
-            raise SceneError("no such robot, object or obstacle", key=key, found=name, allowed=known)
-        if random.mass is not None and name in fixed:
-            raise SceneError("an obstacle has no mass", key=f"{key}.mass")
-        if random.size is not None and name in robots:
-            raise SceneError("a robot's size is fixed by its asset", key=f"{key}.size")
-
-
-def _check_draws(scene: Scene) -> None:
-    data = scene.model_dump(mode="json")
-    drawn: set[Key] = set()
-    for text, draw in scene.randomize_task.draw.items():
-        key = join_key(("randomize_task", "draw", text))
-        try:
-            keys = list(expand(data, split_key(text)))
-            for end in (draw.low, draw.high):
-                with_values(scene, {text: end[0] if len(end) == 1 else end})
-        except SceneError as error:
-            message = f"cannot be drawn: {error.key}: {error.message}"
-            raise SceneError(message, key=key, found=error.found, allowed=error.allowed) from None
-        if not keys or drawn & set(keys):
-            raise SceneError("addresses nothing" if not keys else "addresses a value that is drawn already", key=key)
-        drawn.update(keys)
-    objects, robots = _names(scene.object), _names(scene.robot)
-    for i, rejection in enumerate(scene.randomize_task.reject):
-        key = "randomize_task.reject" + f".{i}" * (len(scene.randomize_task.reject) > 1)
-        place = rejection.place
-        if place == "goal" and scene.goal is None:
-            raise SceneError("the scene has no goal", key=f"{key}.place", found=place)
-        if "/" in place:
-            _check_frame(scene, place, f"{key}.place")
-            if rejection.at is None:
-                raise SceneError("say where this frame is at the start: at = [x, y, z]", key=f"{key}.at")
-        elif place not in ("goal", *objects, *robots):
-            raise SceneError("no such place", key=f"{key}.place", found=place, allowed=["goal", *objects, *robots])
+def _placed(value: Any, folder: Path) -> Any:
+    """The same data with names of files in a folder made absolute."""
+    if isinstance(value, dict):
+        return {key: _placed(item, folder) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_placed(item, folder) for item in value]
+    if isinstance(value, str) and Path(value).suffix and (folder / value).is_file():
+        return str((folder / value).absolute())
+    return value

@@ -149,7 +149,7 @@ def select(entries: list, name: str, at: Key) -> list[int]:
     key = join_key((*at, name))
     if found:
         raise SceneError(
-            f"{len(found)} entries of {join_key(at)} answer to this name: give each a name of its own",
+            f"{len(found)} entries of {join_key(at)} answer to this name: give each another name",
             key=key,
             found=name,
             allowed=sorted({labels[i] for i in found} - {name}) or None,

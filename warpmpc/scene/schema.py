@@ -12,31 +12,67 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
-from .schema_agent import AgentSettings, SafeCommand
-from .schema_ancillary import Ancillary
-from .schema_base import EstimateBase, ImuNoise, ImuSensor, JointNoise, JointSensor, StartNoise
-from .schema_bodies import Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
-from .schema_cloud import Camera, Cloud
-from .schema_engine import EngineName, EngineSettings, FrictionCombine, Solver
+from .schema_bodies import Camera, Cloud, Drive, DriveMode, Frame, Ground, Object, Obstacle, Robot, ShapeKind
 from .schema_estimate import (
     Estimate,
+    EstimateBase,
+    ImuNoise,
+    ImuSensor,
+    JointNoise,
+    JointSensor,
     MeasurementNoise,
     PoseError,
     PoseModel,
     PoseSensor,
     ProcessNoise,
     Sensors,
+    StartNoise,
 )
-from .schema_goal import Goal, Phase, Pose, Target
-from .schema_motion import Motion, Seen
-from .schema_noise import Noise, NoiseShape, NoiseSource, Renewal, ShareOfRange, Temperature
-from .schema_over import Condition, Failure, Success
-from .schema_planner import Growing, Method, Planner, Refinement, Risk, SampleCount, SplineKind, StepCount
-from .schema_plant import Kick, PlantFactors, PlantNoise, PlantSettings
-from .schema_random import Draw, Normal, Randomization, RandomizeTask, Rejection, Uniform
-from .schema_sampling import Covariance, CovarianceForm, Execute, TryMean
+from .schema_goal import Condition, Failure, Goal, Phase, Pose, Success, Target, is_of, one_by_one
+from .schema_planner import (
+    AgentSettings,
+    Growing,
+    Method,
+    Planner,
+    Refinement,
+    Risk,
+    SafeCommand,
+    SampleCount,
+    SplineKind,
+    StepCount,
+)
+from .schema_plant import (
+    Draw,
+    EngineName,
+    EngineSettings,
+    FrictionCombine,
+    Kick,
+    Motion,
+    Normal,
+    PlantFactors,
+    PlantNoise,
+    PlantSettings,
+    Randomization,
+    RandomizeTask,
+    Rejection,
+    Seen,
+    Solver,
+    Uniform,
+)
+from .schema_sampling import (
+    Ancillary,
+    Covariance,
+    CovarianceForm,
+    Execute,
+    Noise,
+    NoiseShape,
+    NoiseSource,
+    Renewal,
+    ShareOfRange,
+    Temperature,
+    TryMean,
+)
 from .types import Finite, Name, NonNegative, OneOrMore, Param, Positive, Section
-from .waypoints import is_of, one_by_one
 
 __all__ = [
     "AgentSettings",
@@ -119,6 +155,13 @@ class Timing(Section):
     """Length of one planned control [s]."""
     timeout: Positive = 45.0
     """Simulated time after which a run counts as failed [s]."""
+
+    @field_validator("timeout")
+    @classmethod
+    def _one_control(cls, timeout: float, info: ValidationInfo) -> float:
+        if timeout < info.data.get("control_dt", 0.0):
+            raise ValueError("is shorter than control_dt")
+        return timeout
 
 
 class When(StrEnum):

@@ -1,12 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of the simulated plant: what befalls it and how it is observed."""
+"""The types of the simulated plant: what befalls it, what moves by itself and how both are observed.
+
+The types of what is drawn: properties of worlds, and the task of an episode.
+
+The types of the engine: the physics of the rollouts.
+"""
 
 from __future__ import annotations
 
-from pydantic import Field
+from enum import StrEnum, nonmember
+from itertools import pairwise
+from typing import Annotated
 
+from pydantic import Field, field_validator, model_validator
+
+from .registry import ENGINES, Name
 from .schema_estimate import Sensors
-from .types import Count, Flag, Floats, NonNegative, Positive, Section
+from .types import Count, Finite, Flag, Floats, Fraction, Natural, NonNegative, Param, Positive, Section, Vec3
 
 
 class Kick(Section):
@@ -61,3 +71,197 @@ class PlantSettings(Section):
     """Sensors that measure at rates of their own."""
     kicks: tuple[Kick, ...] = ()
     """Shoves during the run."""
+
+
+class Seen(Section):
+    """Observation of something that moves."""
+
+    rate: Positive | None = None
+    """Observations a second [1/s]; one for every control when left out."""
+    noise: NonNegative = 0.0
+    """Standard deviation of every observed coordinate [m]."""
+    lead: NonNegative = 0.0
+    """How far ahead of the present the planner is shown it, on a straight line through what was observed last [s];
+    0 shows the last observation as it was."""
+    over: Positive = 0.3
+    """Time of the observations that the line is laid through [s]."""
+
+
+class Motion(Section):
+    """The way of a pose of the task in a simulated plant: the goal, a target or a movable obstacle."""
+
+    name: str
+    """``goal``, or the target or movable obstacle."""
+    through: Annotated[tuple[Vec3, ...], Field(min_length=2)]
+    """Points that it passes through, smoothly and without overshooting [m]; equal ones make it wait."""
+    times: tuple[NonNegative, ...] | None = None
+    """When it is at each of them [s], from 0 on; at even distances over the period when left out."""
+    period: Positive | None = None
+    """Time after which it is back at the first point and goes round again [s]; else it stays at the last."""
+    start: Finite = 0.0
+    """When it sets out [s]; below zero it is on its way from the beginning."""
+    seen: Seen = Seen()
+    """How the planner comes to know where it is."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Motion:
+        times, period = self.times, self.period
+        if times is None:
+            if period is None:
+                raise ValueError("a motion needs a period, or times of its points")
+            return self
+        if len(times) != len(self.through):
+            raise ValueError(f"there are {len(self.through)} points and {len(times)} times")
+        if times[0] != 0.0 or any(a >= b for a, b in pairwise(times)):
+            raise ValueError("times begin with 0 and grow")
+        if period is not None and period <= times[-1]:
+            raise ValueError("the period ends after the last of the times")
+        return self
+
+
+class Uniform(Section):
+    """A fraction of the nominal value, uniform in ± ``uniform``."""
+
+    uniform: Fraction
+    """Largest deviation, as a fraction of the nominal value."""
+    ends: Flag = False
+    """Whether it is off by the whole of it always, up or down."""
+
+
+class Normal(Section):
+    """A Gaussian with standard deviation ``normal``."""
+
+    normal: NonNegative
+    """Standard deviation [m]."""
+
+
+class Randomization(Section):
+    """Random physical properties of one robot, object or obstacle, drawn per world."""
+
+    mass: Uniform | None = None
+    """Factor on every mass."""
+    friction: Uniform | None = None
+    """Factor on every coefficient of friction."""
+    size: Normal | None = None
+    """Added to each dimension [m]."""
+    redraw: Flag = False
+    """Whether rollouts draw it anew in every plan."""
+
+
+class Draw(Section):
+    """Uniform draw of a scene key at the start of an episode."""
+
+    low: Floats
+    """Least value, in the unit of the key that is drawn: one, or one for each of its numbers."""
+    high: Floats
+    """Largest value, likewise."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Draw:
+        if len(self.low) != len(self.high) or any(lo > hi for lo, hi in zip(self.low, self.high, strict=False)):
+            raise ValueError("a draw needs low = [...] and high = [...] of one length with low ≤ high")
+        return self
+
+
+class Rejection(Section):
+    """Draws in which a place lies too close to an obstacle are drawn again."""
+
+    place: str
+    """``goal``, an object, a robot (the start position of its root), or a robot frame (``robot/frame``) with ``at``."""
+    at: Vec3 | None = None
+    """Where the place is at the start [m], for robots whose joints carry them away from their root."""
+    clearance: NonNegative
+    """Least distance from the obstacles' surfaces [m]."""
+
+
+class RandomizeTask(Section):
+    """Goals, starts and obstacles drawn anew for every episode, from its seed."""
+
+    draw: dict[str, Draw] = Field(default_factory=dict)
+    """Scene key (as in ``--set``, ``*`` for every name) → range; in a variant, false leaves one out."""
+    reject: tuple[Rejection, ...] = ()
+    """Which draws are drawn again."""
+
+    @field_validator("draw", mode="before")
+    @classmethod
+    def _left_out(cls, draw: object) -> object:
+        return {key: value for key, value in draw.items() if value is not False} if isinstance(draw, dict) else draw
+
+
+class EngineName(Name):
+    """Engines of rollouts."""
+
+    AUTO = "auto"
+    MUJOCO = "mujoco"
+    MUJOCO_WARP = "mujoco_warp"
+    NEWTON = "newton"
+    KINEMATIC = "kinematic"
+    FUSED = "fused"
+
+    registry = nonmember(ENGINES)
+
+
+class Solver(StrEnum):
+    """Solvers of the engine ``newton``."""
+
+    MUJOCO = "mujoco"
+    XPBD = "xpbd"
+
+
+class Integrator(StrEnum):
+    """Integrators by which MuJoCo moves on from accelerations to velocities and positions."""
+
+    EULER = "euler"
+    RK4 = "rk4"
+    IMPLICIT = "implicit"
+    IMPLICITFAST = "implicitfast"
+
+
+class Cone(StrEnum):
+    """MuJoCo's friction cone."""
+
+    PYRAMIDAL = "pyramidal"
+    ELLIPTIC = "elliptic"
+
+
+class FrictionCombine(StrEnum):
+    """Friction of two surfaces that touch."""
+
+    PRIORITY = "priority"
+    AVERAGE = "average"
+
+
+class EngineSettings(Section):
+    """The physics of the rollouts.
+
+    What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.
+    """
+
+    name: EngineName = EngineName.AUTO
+    """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
+    substeps: Count | None = None
+    """Physics steps in a step of a rollout; else as the MJCF file's timestep asks for, a half or a quarter as many
+    where that hardly changes rollouts, or 2, none longer than 0.02 s."""
+    threads: Annotated[Natural, Field(le=1024)] = 0
+    """CPU threads; 0 means one per core."""
+    iterations: Count | None = None
+    """Largest number of constraint solver iterations; else the MJCF file's, or 20."""
+    tolerance: NonNegative | None = None
+    """Constraint solver tolerance; else the MJCF file's, or 1e-6."""
+    gravity: Vec3 | None = None
+    """Gravity of the rollouts and of the plant (x, y, z) [m/s²]; else the MJCF file's, or (0, 0, -9.81)."""
+    integrator: Integrator | None = None
+    """Of the rollouts and of the plant; else the MJCF file's, or ``implicitfast``."""
+    cone: Cone | None = None
+    """Friction cone of the rollouts and of the plant; else the MJCF file's, or ``pyramidal``."""
+    impratio: Positive | None = None
+    """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
+    friction_combine: FrictionCombine | None = None
+    """Friction where two things touch, in rollouts and plant: ``average`` of both (PhysX), or ``priority``, an
+    object's own, else the larger (MuJoCo). Left out it is ``priority``, but ``average`` where ``randomize`` draws the
+    friction of anything but the only object: every draw counts. Newton's solver ``mujoco`` has
+    priorities alone, ``xpbd`` averages alone."""
+    solver: Solver = Solver.MUJOCO
+    """``newton``: its solver ``SolverMuJoCo`` (``mujoco``) or ``SolverXPBD`` (``xpbd``)."""
+    options: dict[str, Param] = Field(default_factory=dict)
+    """``mujoco_warp``, ``newton``: further options of the solver, by name."""

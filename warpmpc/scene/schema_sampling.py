@@ -1,14 +1,135 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of what samples are drawn from and of what becomes of them."""
+"""The types of noise and temperature: how samples differ from the mean, and how strongly cheap ones count.
+
+The types of what samples are drawn from and of what becomes of them.
+
+The types of what proposes samples beside those that are drawn.
+"""
 
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, ClassVar
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from .types import Count, Flag, Fraction, NonNegatives, Positive, Section, Share
+from .types import (
+    Channel,
+    Count,
+    Flag,
+    Fraction,
+    Fractions,
+    Names,
+    NonNegative,
+    NonNegatives,
+    Positive,
+    Positives,
+    Section,
+    Share,
+    Vec3,
+)
+
+
+class NoiseSource(StrEnum):
+    """Sources of standard normals."""
+
+    HALTON = "halton"
+    SOBOL = "sobol"
+    RANDOM = "random"
+
+
+class NoiseShape(StrEnum):
+    """Correlations of standard normals along the horizon."""
+
+    IDENTITY = "identity"
+    BSPLINE = "bspline"
+    COMB = "comb"
+    COLOURED = "coloured"
+
+
+class Renewal(StrEnum):
+    """Ways in which a low-discrepancy table is drawn anew."""
+
+    ROTATE = "rotate"
+    START = "start"
+
+
+class ShareOfRange(Section):
+    """A standard deviation by the range of each control, from its lower to its upper limit."""
+
+    range: Positives
+    """Share of the range, one value or one per control: 0.25 is half of the way from the middle to a limit."""
+
+
+def numbers_or_table(value: object) -> str:
+    """Tag of numbers, or of a table in their place."""
+    return "table" if isinstance(value, dict | Section) else "numbers"
+
+
+Sigma = Annotated[
+    Annotated[Positives, Tag("numbers")] | Annotated[ShareOfRange, Tag("table")], Discriminator(numbers_or_table)
+]
+
+
+class Noise(Section):
+    """Perturbation of the knots, ε = σ ⊙ (B z)."""
+
+    source: NoiseSource = NoiseSource.HALTON
+    """Where standard normals z come from."""
+    shape: NoiseShape = NoiseShape.IDENTITY
+    """How they are correlated along the horizon, B."""
+    sigma: Sigma = ShareOfRange(range=(0.25,))
+    """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
+    range, as when left out."""
+    spread: tuple[Positive, Positive] = (0.02, 1.0)
+    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
+    constant: Channel = 0.1
+    """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
+    several controls hardly ever draw."""
+    redraw: Flag = True
+    """Fresh noise in every round; when false it is drawn once, as in the papers."""
+    renewal: Renewal = Renewal.ROTATE
+    """How a Halton or Sobol table is drawn anew: ``rotate`` every column by a random shift modulo one, or ``start``
+    every column somewhere else, which takes a tenth of the time."""
+    comb: Vec3 = (0.3, 0.0, 0.7)
+    """Coefficients of the comb filter (STORM)."""
+    exponent: NonNegative = 1.0
+    """Exponent α of coloured noise, power ∝ 1/f^α."""
+    knots: Count | None = None
+    """Noise knots of the shape ``bspline``, fewer of them smoother; half of the knots of a plan when left out."""
+    null_sample: Flag = True
+    """One sample asks for nothing: the observed position, or what holds the start; zero where nothing does."""
+    null_share: Fraction = 0.0
+    """Share of the samples that ask for nothing, where that is more than the one: an arm that is nearly there coasts
+    and stops (STORM)."""
+    anneal: tuple[Positive, Positive] | None = None
+    """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
+    present, h from 1/P at the first of P knots to 1 at the last."""
+
+
+class Temperature(Section):
+    """The inverse-exponential temperature β of MPPI."""
+
+    initial: Positive = 1.0
+    """β of the first plan with ``eta``, of every plan with neither, in units of cost; ``ess`` finds its own."""
+    eta: tuple[Positive, Positive] | None = None
+    """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. When
+    false, β stays."""
+    ess: Annotated[Positive, Field(ge=1.0)] | None = 4.0
+    """Effective sample size (Σw)²/Σw² that β is solved for within each plan."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _eta_replaces_default_ess(cls, data: object) -> object:
+        return {"ess": None, **data} if isinstance(data, dict) and "eta" in data else data
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Temperature:
+        if self.eta is not None and self.ess is not None:
+            raise ValueError("only one of eta and ess can steer the temperature: switch one off, as in eta = false")
+        if self.eta is not None and self.eta[0] >= self.eta[1]:
+            raise ValueError(f"eta = [low, high] needs low < high; found {list(self.eta)}")
+        return self
 
 
 class CovarianceForm(StrEnum):
@@ -16,8 +137,6 @@ class CovarianceForm(StrEnum):
 
     FIXED = "fixed"
     """Nothing."""
-    SIGMA = "sigma"
-    """One σ for all controls and knots, Σ = σ²I."""
     DIAGONAL = "diagonal"
     """One σ for every control (STORM's code)."""
     KNOTS = "knots"
@@ -44,8 +163,6 @@ class Covariance(Section):
 class Postures(Section):
     """Samples that bring a frame to a pose: straight ways of the joints to postures in which it is there."""
 
-    renamed: ClassVar = {"ripe": "min_age"}
-
     of: str
     """Frame of a robot."""
     to: str = "goal"
@@ -54,12 +171,6 @@ class Postures(Section):
     """Postures that are searched for at a time; the worst makes room for others, again and again."""
     durations: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.5, 0.8, 1.2, 1.8)
     """How long the ways take [s]: one sample for each of these to every posture."""
-    steps: Count = 3
-    """Steps of damped least squares towards the pose in every plan."""
-    min_age: Count = 12
-    """Plans for which a posture stays at least, before it may make room for another."""
-    margin: Fraction = 0.05
-    """Share of the range of every joint that postures keep away from its limits, both ends together."""
 
 
 class Execute(StrEnum):
@@ -78,3 +189,58 @@ class TryMean(StrEnum):
     """In every iteration."""
     LAST = "last"
     """In the last one alone: until then samples would narrow about it early (iCEM)."""
+
+
+KINDS = {
+    "function": (),
+    "motions": ("nearest", "joints"),
+    "recall": ("nearest", "joints", "splice"),
+    "policy": ("observation",),
+}
+"""What may propose, and the keys that each of them has for itself."""
+
+
+class Ancillary(Section):
+    """Samples that something else proposes for the observed state: a function, stored motions, the past, a policy."""
+
+    function: str | None = None
+    """Name of an ancillary controller of your own (``@warpmpc.ancillary``), from a file of ``--terms`` or given to the
+    ``Controller``."""
+    motions: str | None = None
+    """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]``, ``time [K]`` after
+    each of these states [s]; or a run that ``--npz`` wrote, from any of its states on."""
+    recall: Positive | None = None
+    """How long a run remembers what it was sent and in which states, with a plan for every control [s]: what followed
+    the states most like the observed one is tried again. A walking robot was in a similar state one stride ago."""
+    nearest: Count = 1
+    """``motions`` and ``recall``: how many are tried, those whose states are nearest to the observed one; recalled ones
+    a tenth of the horizon apart at least."""
+    joints: Names | None = None
+    """``motions`` and ``recall``: joints whose positions and velocities say what is near; all when left out, without
+    the places of floating bodies and of joints that slide without end for ``recall``. Each number counts by its
+    spread over what is stored."""
+    splice: Fractions = (0.0, 0.3, 0.6)
+    """``recall``: shares of the horizon for which the plan goes on as it was before the recalled controls take over;
+    each is a separate sample for every one of the ``nearest``."""
+    policy: str | None = None
+    """``.onnx`` file of a policy, run by onnxruntime (``pip install "warpmpc[onnx]"``)."""
+    observation: Names = ("joint_q", "joint_qd")
+    """``policy``: what it reads, side by side: ``joint_q``, ``joint_qd``, ``act``, poses of the task (x, y, z, qx, qy,
+    qz, qw) and its scalars, by name. It returns one control ``[nu]``, or controls ``[T, nu]`` or ``[n, T, nu]``."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Ancillary:
+        given = [kind for kind in KINDS if getattr(self, kind) is not None]
+        if len(given) != 1:
+            found = ", ".join(given) if given else "none of them"
+            raise ValueError(f"needs one of function, motions, recall and policy; found {found}")
+        for kind, keys in KINDS.items():
+            for key in keys:
+                if key not in KINDS[given[0]] and getattr(self, key) != type(self).model_fields[key].default:
+                    raise ValueError(f"'{key}' is a key of {kind}, not of {given[0]}")
+        return self
+
+    @property
+    def file(self) -> str | None:
+        """The file it is read from, if any."""
+        return self.motions or self.policy

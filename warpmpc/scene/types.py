@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from types import NoneType
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
-
-logger = logging.getLogger(__name__)
 
 
 def _as_tuple(value: object) -> object:
@@ -117,18 +114,6 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True)
-    renamed: ClassVar[dict[str, str]] = {}
-    """Former name of a key → its name; a file may use the former one for one release, with a warning."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_names(cls, data: object) -> object:
-        if not isinstance(data, dict):
-            return data
-        for old in [old for old in cls.renamed if old in data and cls.renamed[old] not in data]:
-            logger.warning("the key %s is now called %s: rename it in the scene file", old, cls.renamed[old])
-            data = {cls.renamed[old] if key == old else key: value for key, value in data.items()}
-        return data
 
     @model_validator(mode="before")
     @classmethod

@@ -10,10 +10,9 @@ from small_scenes import BOX, compiled, layout_of, make_scene
 
 from warpmpc import Controller, State
 from warpmpc.cost.resources import push_value as module
-from warpmpc.cost.resources.push_path import push_value
-from warpmpc.cost.resources.push_value import PushValues, Search
+from warpmpc.cost.resources.push_value import PushValues, Search, push_value
 from warpmpc.cost.stack import CostStack
-from warpmpc.task.task import Task
+from warpmpc.scene.task.task import Task
 
 COST = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
 BLOCKING = 0.02  # [s] a refresh takes less than that while a search runs

@@ -10,14 +10,7 @@ from push_scenes import YAWS, block, make_grid, request, round_request
 from small_scenes import make_scene
 
 from warpmpc.cost.resources.geodesic import Grid
-from warpmpc.cost.resources.push_path import (
-    ANGLES,
-    OBSTRUCTED,
-    STEPS,
-    PushRequest,
-    push_value,
-)
-from warpmpc.cost.resources.push_value import Search
+from warpmpc.cost.resources.push_value import ANGLES, OBSTRUCTED, STEPS, PushRequest, Search, push_value
 from warpmpc.scene.draw import signed_distance
 
 GOALS = [(0.0, 0.0, 0.0), (0.13, -0.27, 0.7), (-0.342, 0.561, -2.0)]

@@ -11,9 +11,9 @@ from small_scenes import chain_scene, compiled, make_scene, random_state
 
 from warpmpc.kernels.geometry.jacobian import Chain, jacobian_column, manipulability_of, solve_damped
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.assets import resolve_asset
-from warpmpc.model.joints import chain, chain_axes, joint_table
-from warpmpc.model.layout import Layout
+from warpmpc.scene.model.assets import resolve_asset
+from warpmpc.scene.model.joints import chain, chain_axes, joint_table
+from warpmpc.scene.model.layout import Layout
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,8 +10,8 @@ import warp as wp
 from small_scenes import chain_scene, make_scene, random_state
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
-from warpmpc.model.builder import build_world
-from warpmpc.model.joints import joint_table
+from warpmpc.scene.model.builder import build_world
+from warpmpc.scene.model.joints import joint_table
 
 PANDA = "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
 

@@ -11,7 +11,7 @@ from small_scenes import layout_of
 from warpmpc import SceneError
 from warpmpc.cost.stack import CostStack
 from warpmpc.kernels.geometry.mesh_volume import MeshVolumes, mesh_distance
-from warpmpc.task.task import Task
+from warpmpc.scene.task.task import Task
 
 REACH = 0.05
 """Margin of the terms here; the largest sphere's radius comes on top [m]."""

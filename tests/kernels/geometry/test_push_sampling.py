@@ -7,7 +7,7 @@ import warp as wp
 from field_samples import CELL, ORIGIN, sampled
 from scipy.interpolate import RegularGridInterpolator
 
-from warpmpc.cost.resources.push_path import ANGLES
+from warpmpc.cost.resources.push_value import ANGLES
 from warpmpc.kernels.geometry.fields import sample_push, side_of
 
 

@@ -13,7 +13,7 @@ from shared.plan_times import bare_physics, batched, time_plans
 import warpmpc
 from benches.physics import physics, physics_on_device
 from warpmpc.engine.mujoco import silence_mujoco
-from warpmpc.model.compiled import compile_scene
+from warpmpc.scene.model.compiled import compile_scene
 
 from .rows import CORE, MOST_WORLDS, PLAN, WARP, Row
 
@@ -85,7 +85,7 @@ def _plan(row: Row, *, plans: int, floor: bool, small: bool, end: float) -> Iter
     yield _percentiles("plan_ms", times) | {"plans": len(times)}
     if not floor:
         return
-    other = "newton" if row.cores is None else "mujoco"
+    other = "mujoco_warp" if row.cores is None else "mujoco"
     controller = warpmpc.Controller(scene, engine=other, device=device, seed=0, envs=envs, compiled=compiled)
     turns = batched(some, envs)
     for state in turns[:2]:

@@ -14,7 +14,7 @@ import numpy as np
 from shared.machine import machine
 
 import warpmpc
-from warpmpc.run.code import scene_digest
+from warpmpc.loop.run.workers import scene_digest
 
 SINGLE = ("planner.iterations=1", "planner.execute=mean")
 STRATEGIES = {
@@ -161,9 +161,9 @@ def drive(cell: Drive, *, to_the_end: bool = True) -> tuple[list[float], list[fl
         The cost of every control step, infinite once the plant diverged; the wall time of every plan [ms]; and when
         the goal was reached [s].
     """
-    from warpmpc.model.compiled import compile_scene
-    from warpmpc.run.episode import draws_bodies
+    from warpmpc.loop.run.episode import draws_bodies
     from warpmpc.scene.draw import draw_task
+    from warpmpc.scene.model.compiled import compile_scene
 
     scene, _ = draw_task(cell.scene, cell.seed)
     compiled = compile_scene(scene, cache=not draws_bodies(scene))

@@ -11,12 +11,12 @@ from shared.intervals import mean, rate
 from shared.machine import machine
 
 from studies.experiments.metrics import METRICS, shown
-from warpmpc.run.records import Records
+from warpmpc.loop.run.workers import FinishedJobs
 
 from .cells import Cell
 
 
-def summary(cells: list[Cell], records: Records) -> list[dict]:
+def summary(cells: list[Cell], records: FinishedJobs) -> list[dict]:
     """Figures of every task and strategy of which there are any, from its episodes."""
     rows = []
     for (task, strategy), group in _grouped(cells).items():

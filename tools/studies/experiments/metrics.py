@@ -38,11 +38,17 @@ def _when_reached(of: Callable[[dict], float | None]) -> Callable[[dict], float 
 
 
 def _final_cost(run: dict) -> float | None:
+    return _cost(*run["measured"]["axes_error_m"][:2], run["result"]["final"]["yaw_error_rad"])
+
+
+def _cost_then(run: dict) -> float | None:
+    """The same after 8 s, or at the end of a run that ended before."""
+    return _cost(*run["measured"]["then_m_rad"])
+
+
+def _cost(x: float | None, y: float | None, yaw: float | None) -> float | None:
     """1.5 (|ex| + |ey|) + 0.01 |eψ|, metres and radians (Pezzato et al. 2025, Table II)."""
-    axes, yaw = run["measured"]["axes_error_m"][:2], run["result"]["final"]["yaw_error_rad"]
-    if None in (*axes, yaw):
-        return None
-    return 1.5 * sum(map(abs, axes)) + 0.01 * abs(yaw)
+    return None if None in (x, y, yaw) else 1.5 * (abs(x) + abs(y)) + 0.01 * abs(yaw)
 
 
 METRICS = {
@@ -54,8 +60,10 @@ METRICS = {
     "rate": Metric("squared control rate", "", _when_reached(lambda run: run["measured"]["squared_control_rate"]), 0),
     "clearance": Metric("least clearance", "m", _when_reached(lambda run: run["measured"]["clearance_m"]), 3),
     "error": Metric("left at the end", "m", lambda run: run["result"]["final"]["position_error_m"]),
+    "turns": Metric("goals in a row", "", lambda run: run["result"].get("reached"), 1),
     "solver": Metric("plan", "ms", lambda run: run["result"]["plan_ms"]["p50"], 1),
     "cost": Metric("final cost", "", _final_cost, 3),
+    "cost_then": Metric("cost at 8 s", "", _cost_then, 3),
 }
 """Metrics by name. Times, paths, jerks, rates and clearances are those of runs that reached the goal; a plan's wall
 time is the median over its run."""

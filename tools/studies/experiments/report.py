@@ -82,6 +82,18 @@ class Report:
         lines += ["", *self._failures(), *self._circumstances()]
         return "\n".join(lines) + "\n"
 
+    def figures(self) -> tuple[list[str], list[list[str]]]:
+        """Columns and rows as ``docs/data`` has them: rates as counts, other figures as in :meth:`markdown`."""
+        metrics = [METRICS[name] for name in self.table.metrics]
+        rows = []
+        for row in self.rows:
+            cells = [row.cell.title]
+            for metric, found in zip(metrics, row.estimates(self.table.metrics).values(), strict=True):
+                counted = found is not None and metric.rate
+                cells.append(f"{found.value * found.count:.0f} of {found.count}" if counted else shown(metric, found))
+            rows.append(cells)
+        return ["", *(metric.heading for metric in metrics)], rows
+
     def _figures(self, row: Row) -> list[str]:
         return [shown(METRICS[name], found) for name, found in row.estimates(self.table.metrics).items()]
 

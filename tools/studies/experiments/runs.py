@@ -14,11 +14,9 @@ from shared.jobs import Job, submit
 
 import warpmpc
 from warpmpc.cli.setup import start_warp
-from warpmpc.run.code import scene_digest
-from warpmpc.run.records import Records
-from warpmpc.run.workers import open_workers
+from warpmpc.extras.tuning.space import present
+from warpmpc.loop.run.workers import FinishedJobs, open_workers, scene_digest
 from warpmpc.scene.overrides import parse_override
-from warpmpc.tuning.space import present
 
 from .tables import Cell
 
@@ -103,7 +101,7 @@ def plan_runs(
 
 def make_runs(
     runs: Sequence[Run],
-    records: Records,
+    records: FinishedJobs,
     *,
     jobs: str,
     device: str,
@@ -115,7 +113,7 @@ def make_runs(
     Args:
         runs: Runs wanted.
         records: Where they are kept.
-        jobs: Where they are made, as for :func:`warpmpc.run.workers.open_workers`.
+        jobs: Where they are made, as for :func:`warpmpc.loop.run.workers.open_workers`.
         device: Device that was asked for.
         circumstances: Kept with every run.
         on_done: Called after each.
@@ -123,7 +121,7 @@ def make_runs(
     Raises:
         SceneError: If a scene cannot be built.
         ValueError: If the place, the engine or the device is unknown or not to be had here.
-        LostJob: If a run's process died whenever it was tried.
+        BrokenProcessPool: If a process of the jobs died.
     """
     missing = [run for run in runs if run.key not in records.by_key]
     if not missing:

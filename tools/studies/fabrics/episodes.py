@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studies.constrained import task as constrained
+
 if TYPE_CHECKING:
     from warpmpc import Plant, Scene
 
@@ -39,7 +41,7 @@ def task_of(scene: Scene) -> dict:
     Raises:
         ValueError: If the scene is not one of Table I.
     """
-    from warpmpc.model.assets import resolve_asset
+    from warpmpc.scene.model.assets import resolve_asset
 
     robot = scene.robot[0]
     kinds = {
@@ -61,31 +63,42 @@ def task_of(scene: Scene) -> dict:
     return {**kind, **common, "dt": scene.timing.control_dt, "steps": STEPS}
 
 
-class Fabric:
-    """The server's process.
+class Server:
+    """A server's process: a fabric's, or that of another method that answers as it does.
 
     Args:
-        python: A Python that has the package ``fabrics``.
+        python: A Python that has the package.
         task: As :func:`task_of` returns it.
+        script: The server.
+        option: Option of the command line that names the Python.
+        package: What it needs of PyPI.
 
     Raises:
-        ValueError: If the Python does not exist or its fabric cannot be built; the message has the last line it said.
+        ValueError: If the Python does not exist or the method cannot be built; the message has the last line it said.
     """
 
-    def __init__(self, python: str, task: dict):
+    def __init__(
+        self,
+        python: str,
+        task: dict,
+        *,
+        script: Path = SERVER,
+        option: str = "--fabrics",
+        package: str = "fabrics==0.10.0",
+    ):
         self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115 (a pipe that nobody reads would fill)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._said}
         try:
-            self._process = subprocess.Popen([python, str(SERVER)], text=True, **pipes)
+            self._process = subprocess.Popen([python, str(script)], text=True, **pipes)
         except OSError as error:
-            raise ValueError(f"--fabrics {python}: {error}") from None
+            raise ValueError(f"{option} {python}: {error}") from None
         self.plan_ms: list[float] = []
         self._joints = len(task["speed"])
         if self._asked(task) != "ready\n":
             self._process.wait()
             self._said.seek(0)
             last = (self._said.read().splitlines() or ["it ended"])[-1]
-            raise ValueError(f"--fabrics {python}: {last}; it needs: pip install fabrics==0.10.0")
+            raise ValueError(f"{option} {python}: {last}; it needs: pip install {package}")
 
     def __call__(self, q: np.ndarray, qd: np.ndarray, nu: int) -> np.ndarray:
         """Control ``[nu]`` for joints ``[n]`` and their velocities."""
@@ -110,14 +123,14 @@ class Fabric:
         self._said.close()
 
 
-def drive(plant: Plant, fabric: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> dict:
-    """Let a fabric drive a plant to the end of its episode; ``result`` and ``measured`` as of other runs."""
+def drive(plant: Plant, method: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> dict:
+    """Let a method drive a plant to the end of its episode; ``result`` and ``measured`` as of other runs."""
     from shared.measure import Meter
 
     meter = Meter(plant)
     while not plant.done:
         state = plant.observe()
-        control = fabric(state.joint_q, state.joint_qd, plant.layout.nu)
+        control = method(state.joint_q, state.joint_qd, plant.layout.nu)
         plant.apply(control)
         meter(None, plant, control)
     result = {
@@ -129,22 +142,27 @@ def drive(plant: Plant, fabric: Callable[[np.ndarray, np.ndarray, int], np.ndarr
     return {"result": result, "measured": meter.to_json()}
 
 
-def episode(python: str, source: str, seed: int) -> dict:
-    """Run one episode: the task and the plant are those of our run with this seed.
+def episode(python: str, source: str, seed: int, method: str = "fabrics") -> dict:
+    """Run one episode by ``fabrics`` or a key of ``MOST``: task and plant are those of our run with this seed.
 
     Raises:
-        ValueError: As :class:`Fabric`.
+        ValueError: As :class:`Server`.
     """
     import warpmpc
-    from warpmpc.model.compiled import compile_scene
     from warpmpc.scene.draw import draw_task
+    from warpmpc.scene.model.compiled import compile_scene
 
     scene, _ = draw_task(warpmpc.load_scene(source), seed)
-    plant = warpmpc.Plant(scene, seed=seed, compiled=compile_scene(scene))
-    fabric = Fabric(python, task_of(scene))
+    compiled = compile_scene(scene)
+    plant = warpmpc.Plant(scene, seed=seed, compiled=compiled)
+    if method == "fabrics":
+        server = Server(python, task_of(scene))
+    else:
+        options = {"script": constrained.SERVER, "option": "--casadi", "package": "casadi"}
+        server = Server(python, constrained.task_of(scene, compiled, method), **options)
     try:
-        record = drive(plant, fabric)
+        record = drive(plant, server)
     finally:
-        fabric.close()
-    record["result"]["plan_ms"] = {"p50": float(np.median(fabric.plan_ms))}
+        server.close()
+    record["result"]["plan_ms"] = {"p50": float(np.median(server.plan_ms))}
     return record

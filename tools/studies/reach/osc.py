@@ -23,6 +23,8 @@ FREQUENCY = 10.0
 """Of the critically damped error [rad/s]; its lag, 2 over it, is the ``lead`` with which scenes show what moves."""
 POSTURE = 5.0
 """Of the way back to the start's posture, as far as the task leaves the joints free [rad/s]."""
+FASTEST = (1.0, 2.0)
+"""Speeds that the task asks for at most, where a pose is far away [m/s, rad/s]."""
 LEAST = 0.01
 """Singular values of the task's inverse mass are inverted as if they were this at least [1/kg]."""
 
@@ -43,9 +45,10 @@ class OperationalSpace:
 
     Args:
         plant: The plant, driven by torques; its scene's goal says which frame follows, and whether with its rotation.
+        fastest: Speeds that the error asks for at most [m/s, rad/s]; any when left out.
     """
 
-    def __init__(self, plant: Plant):
+    def __init__(self, plant: Plant, *, fastest: tuple[float, float] | None = None):
         layout, goal = plant.layout, plant.scene.goal
         frame = layout.frame(goal.target)
         self._plant, self._data, self._offset = (
@@ -55,6 +58,7 @@ class OperationalSpace:
         )
         self._body = plant.model.body(plant.compiled.body_name[layout.frame_body[frame]]).id
         self._dofs = np.asarray(layout.actuator_dof)
+        self._most = None if fastest is None else 2.0 / FREQUENCY * np.array(fastest)  # errors that ask for them
         self._rows = 3 if goal.rotation is None else 6
         self._start, self._limits = (
             layout.joint_q[self._dofs].astype(float),
@@ -82,7 +86,12 @@ class OperationalSpace:
         q, qd, adrift = data.qpos[dofs], data.qvel[dofs], data.qacc_smooth[dofs]
         inverse = np.linalg.inv(self._mass)[np.ix_(dofs, dofs)]
         miss = Rotation.from_quat(goal[3:]) * (turn * Rotation.from_quat(self._offset[3:])).inv()
-        error = np.concatenate([goal[:3] - point, miss.as_rotvec()])[: self._rows]
+        errors = [goal[:3] - point, miss.as_rotvec()]
+        if self._most is not None:
+            errors = [
+                e * min(1.0, most / max(np.linalg.norm(e), 1e-9)) for e, most in zip(errors, self._most, strict=True)
+            ]
+        error = np.concatenate(errors)[: self._rows]
         wanted = FREQUENCY**2 * error - 2.0 * FREQUENCY * jacobian @ qd
         left, values, right = np.linalg.svd(jacobian @ inverse @ jacobian.T)
         task_mass = right.T @ np.diag(1.0 / np.maximum(values, LEAST)) @ left.T

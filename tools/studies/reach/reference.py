@@ -24,15 +24,6 @@ class Way:
     """[s]"""
 
 
-def available() -> bool:
-    """Whether ruckig is installed."""
-    try:
-        import ruckig  # noqa: F401
-    except ImportError:
-        return False
-    return True
-
-
 def fastest(arm: Arm, acceleration: float, postures: list[np.ndarray]) -> float:
     """Least time from the start to rest in any of some postures [s]: no obstacle, no other limit."""
     return min(quickest(arm, acceleration, arm.start[arm.dofs], q, dt=None).duration for q in postures)

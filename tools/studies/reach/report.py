@@ -23,6 +23,22 @@ COLUMNS = (
 )
 
 
+FIGURES = ("", "reached", "touched", "time [s], mean ± std", "median error", "jerk max, rms [rad/s³]", "limits kept")
+FIGURES = (*FIGURES, "plan [ms]")
+"""Columns of ``docs/data``."""
+
+
+def figures(name: str, records: list[dict]) -> list[str]:
+    """One row of ``docs/data``; for the least time there is no run."""
+    cells = [cell.strip() for cell in summary(name, records).strip("| ").split(" | ")]
+    if records[0]["position_error_m"] is None:
+        return [name, "", "", cells[5], "", "", "", ""]
+    _, poses, reached, touched, _, time, _, _, near, turned, _, jerk, kept, *_ = cells
+    plan = f"{np.median([record['plan_ms'] for record in records]):.3g}"
+    time, error = (time, f"{near} mm, {turned} mrad") if int(reached) else ("-", "-")
+    return [name, f"{reached} of {poses}", touched, time, error, jerk, kept, plan]
+
+
 def line() -> str:
     """The head of the table."""
     return f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Protocol
@@ -11,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .arm import Arm
+from .osc import FASTEST, PERIOD, OperationalSpace, with_torques
 from .poses import Reachable, draw_pose
 from .reference import fastest
 
@@ -51,6 +53,24 @@ class Planner:
         return self.controller.step(state)
 
 
+class Torques:
+    """Operational-space control.
+
+    Args:
+        plant: A plant that takes torques.
+    """
+
+    def __init__(self, plant: Plant):
+        self._law, self._task = OperationalSpace(plant, fastest=FASTEST), plant.task
+
+    def begin(self, target: Reachable, *, seed: int) -> None:
+        """Nothing to forget: the goal is the task's."""
+
+    def step(self, state: State) -> np.ndarray:
+        """Torques for the plant as it is."""
+        return self._law(self._task["goal"])
+
+
 @dataclass
 class Track:
     """What an arm did on its way to one pose."""
@@ -59,6 +79,7 @@ class Track:
     """Distance [m] and angle [rad] from the pose after every control."""
     q: list[np.ndarray] = field(default_factory=list)
     qd: list[np.ndarray] = field(default_factory=list)
+    plan_ms: list[float] = field(default_factory=list)
     touched: set[str] = field(default_factory=set)
     """What overlapped, of the arm's own links at the ends of the controls, or pushed at any physics step."""
 
@@ -68,11 +89,12 @@ class Course:
 
     Args:
         plant: The plant.
+        every: Controls from one look at the arm to the next.
     """
 
-    def __init__(self, plant: Plant):
-        self.plant, self.arm = plant, Arm(plant.scene, plant.compiled)
-        self._dt, self._success = plant.scene.timing.control_dt, plant.scene.success
+    def __init__(self, plant: Plant, *, every: int = 1):
+        self.plant, self.arm, self._every = plant, Arm(plant.scene, plant.compiled), every
+        self._dt, self._success = every * plant.scene.timing.control_dt, plant.scene.success
 
     def run(self, pilot: Pilot, target: Reachable, *, seed: int = 0) -> tuple[dict, Track]:
         """Drive to a pose until it has been held, or time is out; returns what is reported, and the way."""
@@ -83,7 +105,11 @@ class Course:
         held, wanted = 0, round(HOLD / self._dt)
         track.qd.append(plant.state.joint_qd[arm.dofs].astype(float))
         while held < wanted and plant.time < plant.scene.timing.timeout - 1e-9 and not plant.diverged:
-            plant.apply(pilot.step(plant.observe()))
+            for _ in range(self._every):
+                state, before = plant.observe(), time.perf_counter()
+                control = pilot.step(state)
+                track.plan_ms.append(1e3 * (time.perf_counter() - before))
+                plant.apply(control)
             state = plant.state
             q = state.joint_q[arm.dofs].astype(float)
             track.q.append(q)
@@ -111,6 +137,7 @@ class Course:
             "rms_jerk": float(np.sqrt((jerk**2).mean())),
             "limits_kept": bool(over <= 1e-3 and (np.abs(qd) <= 1.01 * arm.speed).all()),
             "touched": sorted(track.touched),
+            "plan_ms": float(np.median(track.plan_ms)),
         }
 
 
@@ -124,12 +151,22 @@ def pose_miss(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 def planned(scene: str, overrides: tuple[str, ...]) -> tuple[Course, Planner]:
     """Plant and planner of a scene, built once in every process."""
     import warpmpc
-    from warpmpc.model.compiled import compile_scene
+    from warpmpc.scene.model.compiled import compile_scene
 
     loaded = warpmpc.load_scene(scene, overrides=overrides)
     compiled = compile_scene(loaded)
     controller = warpmpc.Controller(loaded, device="cpu", seed=0, compiled=compiled)
     return Course(warpmpc.Plant(loaded, seed=0, task=controller.task, compiled=compiled)), Planner(controller)
+
+
+@cache
+def torqued(scene: str, overrides: tuple[str, ...]) -> tuple[Course, Torques]:
+    """Plant and operational-space control of a scene, looked at as often as its planner would be."""
+    import warpmpc
+
+    every = round(warpmpc.load_scene(scene, overrides=overrides).timing.control_dt / PERIOD)
+    plant = warpmpc.Plant(with_torques(scene, overrides), seed=0)
+    return Course(plant, every=every), Torques(plant)
 
 
 def run_pose(method: str, scene: str, overrides: tuple[str, ...], seed: int, clearance: float) -> dict:
@@ -139,7 +176,7 @@ def run_pose(method: str, scene: str, overrides: tuple[str, ...], seed: int, cle
         SceneError: If the scene does not fit.
         ValueError: If a package is missing.
     """
-    course, pilot = planned(scene, overrides)
+    course, pilot = (torqued if method == "osc" else planned)(scene, overrides)
     target = draw_pose(course.arm, seed, clearance=clearance)
     if method == "least":
         return {"seed": seed, **_least(course, target, seed)}

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...bake.lines import Lines, Matrix, Operand, Vector, known
-from ...bake.simd import sincos
 from ...kernels.geometry.kinematics import BALL, DISTANCE, FREE
+from ...physics.runtime.bake import Lines, Matrix, Operand, Vector, known, sincos
 
 if TYPE_CHECKING:
-    from ...model.layout import Layout
+    from ...scene.model.layout import Layout
 
 _GIVEN = (int(FREE), int(DISTANCE), int(BALL))
 """Joints whose transform comes from outside as it is."""
@@ -68,7 +67,7 @@ class Given:
     """(x, y, z, w)."""
 
 
-class Tree:
+class KinematicsSource:
     """Places of all bodies, written into a list of statements when they are first asked for.
 
     Args:
@@ -148,7 +147,6 @@ class Tree:
         return self.lines.cross(axis.direction, self.lines.difference(point, axis.origin))
 
     def _across(self, joint: int, parent: Place) -> Place:
-        """The child's place across a joint."""
         layout, body = self.layout, int(self.layout.joint_child[joint])
         anchor = layout.joint_pose_parent[joint].astype(float)
         place = parent.moved(Rotation.from_quat(anchor[3:]).as_matrix(), anchor[:3])

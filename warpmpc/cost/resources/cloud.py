@@ -19,13 +19,13 @@ from ...kernels.geometry.volume import (
     sweep_y_kernel,
     sweep_z_kernel,
 )
-from ...launch import Launcher, capturing
+from ...physics.runtime.launch import Launcher, capturing
 from .resource import Resource
 
 if TYPE_CHECKING:
-    from ...scene.schema_cloud import Cloud
-    from ...task.observed import ObservedState
-    from ...task.task import Task
+    from ...scene.schema_bodies import Cloud
+    from ...scene.task.observed import ObservedState
+    from ...scene.task.task import Task
     from .resource import Resources
 
 
@@ -165,7 +165,6 @@ class CloudVolume:
 
 
 def _volume(cloud: Cloud) -> Any:
-    """A volume without numbers in it."""
     volume = VolumeWork().volume
     volume.origin, volume.inverse = wp.vec3(*cloud.low), 1.0 / cloud.voxel
     volume.nx, volume.ny, volume.nz = volume_size(cloud)

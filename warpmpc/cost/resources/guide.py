@@ -9,15 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ...kernels.geometry.fields import GuideTable, guide_field_kernel, guide_target_kernel, guide_waypoint_kernel
-from ...kernels.terms.paths import PathFields
-from ...launch import Launcher
-from .ground import Ground
+from ...kernels.geometry.fields import (
+    GuideTable,
+    PathFields,
+    guide_field_kernel,
+    guide_target_kernel,
+    guide_waypoint_kernel,
+)
+from ...physics.runtime.launch import Launcher
+from .geodesic import Ground
 from .resource import Resource
 
 if TYPE_CHECKING:
-    from ...model.layout import Layout
-    from ...task.observed import ObservedState
+    from ...scene.model.layout import Layout
+    from ...scene.task.observed import ObservedState
     from .geodesic import Grid
     from .resource import Resources
 

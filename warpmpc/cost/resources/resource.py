@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from ...model.layout import Layout
+    from ...scene.model.layout import Layout
     from ...scene.schema import Scene
-    from ...task.observed import ObservedState
-    from ...task.task import Task
+    from ...scene.task.observed import ObservedState
+    from ...scene.task.task import Task
 
 
 class Resource:

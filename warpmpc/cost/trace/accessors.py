@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...bake import simd
+from ...physics.runtime import bake
 from .functions import Functions
-from .values import Num, Pose, Refused, Rot, Step, Time, Vec, constant, plain, value
+from .values import Num, PoseSymbol, Refused, Rot, Step, Time, Vec, constant, plain, value
 
 BY_STEP = ("body_q", "body_qd", "joint_q", "joint_qd", "controls", "force", "sensor")
 
@@ -29,19 +29,19 @@ class Accessors(Functions):
             return x
         if step.back != 1:
             raise Refused(f"a state {step.back} steps before")
-        if isinstance(x, Pose):
-            return Pose(self.earlier(self.rot(x), step), self.earlier(self.pos(x), step))
+        if isinstance(x, PoseSymbol):
+            return PoseSymbol(self.earlier(self.rot(x), step), self.earlier(self.pos(x), step))
         if isinstance(x, Rot):
             return Rot(tuple(tuple(self.earlier(y, step) for y in column) for column in x.columns))
         if isinstance(x, Vec):
             return Vec(tuple(self.earlier(y, step) for y in x.x))
         return x if plain(x) else Num(self.state.before(x.text))
 
-    def _frame(self, frame: int) -> Pose:
+    def _frame(self, frame: int) -> PoseSymbol:
         code = self.state.frame(frame)
-        return Pose(self.rotation(code.columns), self.vector(code.position))
+        return PoseSymbol(self.rotation(code.columns), self.vector(code.position))
 
-    def view_frame_pose(self, s: Step, frame: int) -> Pose:
+    def view_frame_pose(self, s: Step, frame: int) -> PoseSymbol:
         return self.earlier(self._frame(frame), s)
 
     def view_frame_position(self, s: Step, frame: int) -> Vec:
@@ -100,7 +100,7 @@ class Accessors(Functions):
         miss = Vec(tuple(d for x, y in pairs for d in self.binary("-", Vec(x), Vec(y)).x))
         squared = self.binary("*", 0.125, self.dot(miss, miss))
         cosine = self.wp_sqrt(self.wp_max(self.binary("-", 1.0, squared), 0.0))
-        half = self.defined(simd.angle, self.lanes(self.wp_sqrt(squared)), self.lanes(cosine))
+        half = self.defined(bake.angle, self.lanes(self.wp_sqrt(squared)), self.lanes(cosine))
         return self.binary("*", 2.0, half)
 
     def view_wrap_angle(self, a: Any) -> Any:
@@ -143,7 +143,7 @@ class Accessors(Functions):
             "controls": lambda s, i: self.view_control(Step(s.back - 1), i),
             "force": lambda s, i: self.view_contact_force(Step(s.back - 1), i),
             "sensor": lambda s, i: self.view_sensor(Step(s.back - 1), i),
-            "body_q": lambda s, i: self.earlier(Pose(None, None, i), s),
+            "body_q": lambda s, i: self.earlier(PoseSymbol(None, None, i), s),
             "body_qd": self._twist,
             "scalar": lambda s, i: self.view_task_scalar(Step(), i),
             "pose": lambda s, i: self._task_pose(i),
@@ -163,9 +163,9 @@ class Accessors(Functions):
         linear, angular = self.state.point_velocity(body, np.asarray(self.layout.body_com[body], dtype=float))
         return self.earlier(self.vector((*linear, *angular)), s)
 
-    def _task_pose(self, index: int) -> Pose:
+    def _task_pose(self, index: int) -> PoseSymbol:
         given = self.state.task_pose(index)
-        return Pose(self.rotation(given.rotation), self.vector(given.position))
+        return PoseSymbol(self.rotation(given.rotation), self.vector(given.position))
 
     def shape(self, name: str) -> list:
         """Return the shape of an array of the view."""

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ...bake.lines import literal
+from ...physics.runtime.bake import literal
 from ..code.state import StateCode
-from .values import Mat, Num, Pose, Record, Refused, Rot, Shared, Time, Vec, plain, value
+from .values import Mat, Num, PoseSymbol, Refused, Rot, Shared, StructSymbol, Time, Vec, plain, value
 
 PYTHON = {
     "+": operator.add,
@@ -45,11 +45,7 @@ class Arithmetic:
         self.out, self.state, self.layout = out, state, state.layout
 
     def operand(self, x: Any) -> str | float:
-        """Return a number as an operand of ``bake.lines``.
-
-        Raises:
-            Refused: If it is no number.
-        """
+        """Return a number as an operand of ``bake``."""
         if plain(x):
             return float(min(max(float(x), -LARGEST), LARGEST))
         if isinstance(x, Num):
@@ -68,7 +64,7 @@ class Arithmetic:
         return literal(float(min(max(x, -LARGEST), LARGEST))) if plain(x) else self.operand(x)
 
     def symbol(self, x: Any) -> Any:
-        """Return an operand of ``bake.lines`` as a symbol."""
+        """Return an operand of ``bake`` as a symbol."""
         return x if plain(x) else Num(x)
 
     def vector(self, operands: Any) -> Vec:
@@ -103,7 +99,7 @@ class Arithmetic:
             return self._known(op, a, b)
         if isinstance(a, Time) and op == "-" and plain(b):
             return Time(a.back + int(b))
-        if isinstance(a, Vec | Mat | Rot | Pose) or isinstance(b, Vec | Mat | Rot | Pose):
+        if isinstance(a, Vec | Mat | Rot | PoseSymbol) or isinstance(b, Vec | Mat | Rot | PoseSymbol):
             return self._composite(op, a, b)
         kinds = {self.kind(a), self.kind(b)}
         if kinds <= INTEGERS:
@@ -163,8 +159,8 @@ class Arithmetic:
             return Mat(tuple(tuple(each(op, a, x) for x in row) for row in b.rows))
         if op == "*" and isinstance(a, Rot) and isinstance(b, Rot):
             return Rot(tuple(self.rotate(a, Vec(column)).x for column in b.columns))
-        if op == "*" and isinstance(a, Pose) and isinstance(b, Pose):
-            return Pose(self.binary("*", self.rot(a), self.rot(b)), self.point(a, self.pos(b)))
+        if op == "*" and isinstance(a, PoseSymbol) and isinstance(b, PoseSymbol):
+            return PoseSymbol(self.binary("*", self.rot(a), self.rot(b)), self.point(a, self.pos(b)))
         raise Refused(f"{type(a).__name__} {op} {type(b).__name__}")
 
     def compare(self, op: str, a: Any, b: Any) -> Any:
@@ -210,11 +206,11 @@ class Arithmetic:
             return Mat(tuple(self._merged(c, *pair) for pair in zip(a.rows, b.rows, strict=True)))
         if isinstance(a, Rot):
             return Rot(tuple(self._merged(c, *pair) for pair in zip(a.columns, b.columns, strict=True)))
-        if isinstance(a, Pose):
-            return Pose(self.merge(c, self.rot(a), self.rot(b)), self.merge(c, self.pos(a), self.pos(b)))
-        if isinstance(a, Record):
+        if isinstance(a, PoseSymbol):
+            return PoseSymbol(self.merge(c, self.rot(a), self.rot(b)), self.merge(c, self.pos(a), self.pos(b)))
+        if isinstance(a, StructSymbol):
             pairs = zip(a.fields, b.fields, strict=True)
-            return Record(tuple((name, self.merge(c, x, y)) for (name, x), (_, y) in pairs))
+            return StructSymbol(tuple((name, self.merge(c, x, y)) for (name, x), (_, y) in pairs))
         if {self.kind(a), self.kind(b)} <= INTEGERS:
             return Num(self.out.let(f"{c.text} ? (I)({self.raw(a)}) : (I)({self.raw(b)})", "I"), "I")
         return Num(self.out.let(f"VSELECT({c.text}, {self.lanes(a)}, {self.lanes(b)})"))
@@ -257,15 +253,15 @@ class Arithmetic:
         """Write Rᵀ v."""
         return Vec(tuple(self.dot(Vec(column), v) for column in r.columns))
 
-    def rot(self, p: Pose) -> Rot:
+    def rot(self, p: PoseSymbol) -> Rot:
         """Return the rotation of a pose."""
         return self.rotation(self.state.body_columns(p.body)) if p.rot is None else p.rot
 
-    def pos(self, p: Pose) -> Vec:
+    def pos(self, p: PoseSymbol) -> Vec:
         """Return the position of a pose."""
         return self.vector(self.state.body_point(p.body, np.zeros(3))) if p.pos is None else p.pos
 
-    def point(self, p: Pose, v: Vec) -> Vec:
+    def point(self, p: PoseSymbol, v: Vec) -> Vec:
         """Write a point that is given in a pose's frame; points of bodies that terms share are written once."""
         at = [value(x) for x in v.x]
         if p.body is not None and None not in at:

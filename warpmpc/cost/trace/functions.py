@@ -8,17 +8,17 @@ from collections.abc import Callable
 from functools import partialmethod
 from typing import Any
 
-from ...bake import simd
-from ...bake.lines import literal
+from ...physics.runtime import bake
+from ...physics.runtime.bake import literal
 from .arithmetic import INTEGERS, Arithmetic
-from .values import Mat, Num, Pose, Refused, Rot, Vec, plain, value
+from .values import Mat, Num, PoseSymbol, Refused, Rot, Vec, plain, value
 
 
 class Functions(Arithmetic):
     """Writes calls of Warp's functions."""
 
     def defined(self, write: Callable[..., str], *args: str) -> Num:
-        """Write a function of ``bake.simd``, once for the same arguments."""
+        """Write a function of ``bake``, once for the same arguments."""
         key = f"{write.__name__}({', '.join(args)})"
         if key not in self.out.memo:
             self.out.memo[key] = name = self.out.fresh()
@@ -33,7 +33,7 @@ class Functions(Arithmetic):
         key = f"sincos({name})"
         if key not in self.out.memo:
             self.out.memo[key] = own = self.out.fresh()
-            self.out.add(simd.sincos(name, f"{own}s", f"{own}c"))
+            self.out.add(bake.sincos(name, f"{own}s", f"{own}c"))
         own = self.out.memo[key]
         return Num(f"{own}s"), Num(f"{own}c")
 
@@ -76,10 +76,10 @@ class Functions(Arithmetic):
     def wp_exp(self, x: Any) -> Any:
         if plain(x):
             return math.exp(x)
-        return self.defined(simd.two_to, f"{literal(1.0 / math.log(2.0))} * {self.lanes(x)}")
+        return self.defined(bake.two_to, f"{literal(1.0 / math.log(2.0))} * {self.lanes(x)}")
 
     def _log_two(self, x: Any) -> Num:
-        return self.defined(simd.log_two, self.lanes(self.wp_max(x, 1e-37)))
+        return self.defined(bake.log_two, self.lanes(self.wp_max(x, 1e-37)))
 
     def wp_log(self, x: Any) -> Any:
         return math.log(x) if plain(x) else self.binary("*", math.log(2.0), self._log_two(x))
@@ -92,7 +92,7 @@ class Functions(Arithmetic):
             for _ in range(int(b) - 1):
                 out = self.binary("*", out, a)
             return out
-        return self.defined(simd.two_to, self.lanes(self.binary("*", b, self._log_two(a))))
+        return self.defined(bake.two_to, self.lanes(self.binary("*", b, self._log_two(a))))
 
     def wp_sin(self, x: Any) -> Any:
         return self.sincos(x)[0]
@@ -106,7 +106,7 @@ class Functions(Arithmetic):
     def wp_atan2(self, y: Any, x: Any) -> Any:
         if plain(y) and plain(x):
             return math.atan2(y, x)
-        return self.defined(simd.direction, self.lanes(y), self.lanes(x))
+        return self.defined(bake.direction, self.lanes(y), self.lanes(x))
 
     def wp_atan(self, x: Any) -> Any:
         return self.wp_atan2(x, 1.0)
@@ -261,24 +261,24 @@ class Functions(Arithmetic):
     def wp_quat_from_matrix(self, m: Mat) -> Rot:
         return Rot(tuple(zip(*m.rows, strict=True)))
 
-    def wp_transform(self, p: Vec, q: Rot) -> Pose:
-        return Pose(q, p)
+    def wp_transform(self, p: Vec, q: Rot) -> PoseSymbol:
+        return PoseSymbol(q, p)
 
-    def wp_transform_identity(self) -> Pose:
-        return Pose(self.wp_quat_identity(), Vec((0.0, 0.0, 0.0)))
+    def wp_transform_identity(self) -> PoseSymbol:
+        return PoseSymbol(self.wp_quat_identity(), Vec((0.0, 0.0, 0.0)))
 
     wp_transform_get_translation, wp_transform_get_rotation = Arithmetic.pos, Arithmetic.rot
     wp_transform_point = Arithmetic.point
 
-    def wp_transform_vector(self, p: Pose, v: Vec) -> Vec:
+    def wp_transform_vector(self, p: PoseSymbol, v: Vec) -> Vec:
         return self.rotate(self.rot(p), v)
 
-    def wp_transform_multiply(self, a: Pose, b: Pose) -> Pose:
+    def wp_transform_multiply(self, a: PoseSymbol, b: PoseSymbol) -> PoseSymbol:
         return self.binary("*", a, b)
 
-    def wp_transform_inverse(self, p: Pose) -> Pose:
+    def wp_transform_inverse(self, p: PoseSymbol) -> PoseSymbol:
         turn = self.rot(p)
-        return Pose(self.wp_quat_inverse(turn), self.negative(self.rotate_back(turn, self.pos(p))))
+        return PoseSymbol(self.wp_quat_inverse(turn), self.negative(self.rotate_back(turn, self.pos(p))))
 
     def wp_spatial_top(self, v: Vec) -> Vec:
         return Vec(v.x[:3])

@@ -13,7 +13,22 @@ from collections.abc import Callable
 from typing import Any
 
 from .accessors import Accessors
-from .values import Array, Mat, Num, Params, Pose, Record, Refused, Rot, Step, Time, Vec, flat, plain, shaped
+from .values import (
+    Array,
+    Mat,
+    Num,
+    Params,
+    PoseSymbol,
+    Refused,
+    Rot,
+    Step,
+    StructSymbol,
+    Time,
+    Vec,
+    flat,
+    plain,
+    shaped,
+)
 
 BLOCK = 40
 """A branch of more statements is jumped over where no lane takes it."""
@@ -121,11 +136,11 @@ class Statements(Accessors, ABC):
             return Mat(tuple(tuple(self._keep(y, None, kept) for y in row) for row in x.rows))
         if isinstance(x, Rot):
             return Rot(tuple(tuple(self._keep(y, None, kept) for y in column) for column in x.columns))
-        if isinstance(x, Pose):
-            return Pose(self._keep(self.rot(x), None, kept), self._keep(self.pos(x), None, kept))
-        if isinstance(x, Record):
-            olds = dict(old.fields) if isinstance(old, Record) else {}
-            return Record(tuple((name, self._keep(y, olds.get(name), kept)) for name, y in x.fields))
+        if isinstance(x, PoseSymbol):
+            return PoseSymbol(self._keep(self.rot(x), None, kept), self._keep(self.pos(x), None, kept))
+        if isinstance(x, StructSymbol):
+            olds = dict(old.fields) if isinstance(old, StructSymbol) else {}
+            return StructSymbol(tuple((name, self._keep(y, olds.get(name), kept)) for name, y in x.fields))
         name, kind = self.out.fresh(), {"S": "T", "i": "I", "M": "I", "m": "bool"}.get(x.kind, x.kind)
         self.out.add(f"{kind} {name} = ({kind})0;")
         kept.append(f"{name} = {x.text};")
@@ -246,8 +261,8 @@ class Statements(Accessors, ABC):
         old = env[name]
         if isinstance(old, Step) and field == "t" and isinstance(x, Time):
             env[name] = Step(x.back)
-        elif isinstance(old, Record):
-            env[name] = Record(tuple({**dict(old.fields), field: x}.items()))
+        elif isinstance(old, StructSymbol):
+            env[name] = StructSymbol(tuple({**dict(old.fields), field: x}.items()))
         else:
             raise Refused(f"{name}.{field} = ...")
 
@@ -266,7 +281,6 @@ class Statements(Accessors, ABC):
 
 
 def _assigned(node: ast.AST) -> list[str]:
-    """Return the names of variables that a statement changes."""
     targets = node.targets if isinstance(node, ast.Assign) else []
     if isinstance(node, ast.AugAssign | ast.AnnAssign):
         targets = [node.target]

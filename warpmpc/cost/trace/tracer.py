@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ...kernels.terms import points, view
+from ...kernels.cost import points, view
 from .statements import OPERATORS, UNWRITTEN, Statements
 from .values import (
     Array,
     Mat,
     Num,
     Params,
-    Record,
     Refused,
     Rot,
     Shared,
     States,
     Step,
+    StructSymbol,
     Time,
     Vec,
     constant,
@@ -32,7 +32,7 @@ from .values import (
 )
 
 if TYPE_CHECKING:
-    from ...bake.lines import Operand
+    from ...physics.runtime.bake import Operand
     from ..code.state import TermCode
 
 COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -180,7 +180,7 @@ class Tracer(Statements):
                 raise Refused(x.__name__)
             return own
         if hasattr(x, "vars") and hasattr(x, "cls"):
-            return lambda: Record(tuple((name, zero_of(var.type)) for name, var in x.vars.items()))
+            return lambda: StructSymbol(tuple((name, zero_of(var.type)) for name, var in x.vars.items()))
         return x
 
     def _attribute(self, x: Any, name: str) -> Any:
@@ -200,7 +200,7 @@ class Tracer(Statements):
             return constant(getattr(x.value, name), f"{x.text}.{name}")
         if isinstance(x, Array) and name == "shape":
             return list(x.value.shape)
-        if isinstance(x, Record):
+        if isinstance(x, StructSymbol):
             return dict(x.fields)[name]
         if isinstance(x, Vec) and name in "xyzw":
             return x.x["xyzw".index(name)]

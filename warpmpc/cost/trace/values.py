@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from ...bake.lines import Lines, known
+from ...physics.runtime.bake import Lines, known
 from ..code.state import Refused
 
 MOST = 60000
@@ -58,7 +58,7 @@ class Rot:
 
 
 @dataclass(frozen=True)
-class Pose:
+class PoseSymbol:
     """A transform, or the pose of a body whose two parts are written when they are asked for."""
 
     rot: Rot | None
@@ -67,7 +67,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Record:
+class StructSymbol:
     """A struct that a function makes."""
 
     fields: tuple
@@ -198,7 +198,7 @@ def constant(x: Any, text: str, dtype: Any = None, at: int | None = None) -> Any
         quaternion = numbers[-4:]
         columns = Rotation.from_quat(quaternion).as_matrix().T if quaternion.any() else np.zeros((3, 3))
         turn = Rot(tuple(tuple(known(column)) for column in columns), tuple(quaternion.tolist()))
-        return turn if kind == "quat_t" else Pose(turn, Vec(tuple(numbers[:3].tolist())))
+        return turn if kind == "quat_t" else PoseSymbol(turn, Vec(tuple(numbers[:3].tolist())))
     if kind == "vec_t":
         numbers = np.asarray(x)
         if numbers.dtype.kind == "i":

@@ -22,3 +22,16 @@ INLINE V3 in_world(const T* r, V3 d) {
     const V3 o = {r[0] * d.x + r[1] * d.y + r[2] * d.z, r[3] * d.x + r[4] * d.y + r[5] * d.z, r[6] * d.x + r[7] * d.y + r[8] * d.z};
     return o;
 }
+#if HEIGHTS
+// A height of a heightfield for every lane
+INLINE T height_at(const World& w, int g, I at) {
+    const float* heights = w.given + GIVEN_FIELD + field_first[g];
+#if defined(__CUDA_ARCH__)
+    return heights[at];
+#else
+    T out;
+    for (int l = 0; l < LANES; ++l) ((float*)&out)[l] = heights[((const int*)&at)[l]];
+    return out;
+#endif
+}
+#endif

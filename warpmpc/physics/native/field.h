@@ -2,17 +2,6 @@
 // A heightfield against any convex shape: two prisms for each cell of its grid under the shape's box, each of which may have
 // one contact (MuJoCo, "XML reference: hfield"). Each lane goes through its own cells. After collide_convex.h.
 
-// A number of a table for every lane
-INLINE T height_at(const World& w, int g, I at) {
-    const float* heights = w.given + GIVEN_FIELD + field_first[g];
-#if defined(__CUDA_ARCH__)
-    return heights[at];
-#else
-    T out;
-    for (int l = 0; l < LANES; ++l) ((float*)&out)[l] = heights[((const int*)&at)[l]];
-    return out;
-#endif
-}
 // How far a shape reaches from its centre along an axis of the field
 INLINE T reach(const Shapes& s, V3 d) {
     return dot(along_axes(s.r, d), farthest(s.kind2, s.g2, s.s2, along_axes(s.r, d))) + s.round2;

@@ -2,7 +2,7 @@
 // Several contacts between flat shapes that meet in one: the face that looks most at the other shape and what the other one
 // has against it (a face, the line of a capsule or of a cylinder's mantle), clipped by the face's sides. Up to four of the
 // points below the face remain, each as deep as it lies. Measured with MuJoCo 3.17 (flag multiccd), whose manual tells
-// this for boxes and meshes; rims of cylinders are 16 points there, too. After collide_convex.h's Shapes.
+// this for boxes and meshes; rims of cylinders are 16 points there, too. After shapes.h.
 //
 // Meshes have tables of their faces: those of geom g are ring_count[g] from ring_first[g] on; of face f ring_normal [3],
 // ring_size corners and ring_corner [RING, 3], the last one repeated.
@@ -180,7 +180,8 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
     const I one = touch & (a.count > (I)2) & (dot(n, a.normal) > 0.99f), two = touch & (b.count > (I)2) & (dot(n, b.normal) < -0.99f);
     if (!VANY(one | two)) return NO;
     const V3 back = b.normal * splat(-1.0f);
-    const I first = one & VNOT(two & (apart(s, back) > apart(s, a.normal)));
+    const I both = one & two & (dot(a.normal, back) > 0.996f);  // then the second's normal is the way, as in MuJoCo
+    const I first = one & (both | VNOT(two & (apart(s, back) > apart(s, a.normal))));
     Ring face = b, other;
     other.count = (I)0;
     for (int k = 0; k < RING; ++k) other.at[k] = b.at[k];
@@ -196,8 +197,9 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
         for (int k = 0; k < RING; ++k) other.at[k] = choose(second, a.at[k], other.at[k]);
         other.count = second ? a.count : other.count;
     }
-    const V3 m = face.normal, o = face.at[0], u = unit(face.at[1] - o), v = cross(m, u);
+    const V3 m = face.normal, way = choose(both, back, m), o = face.at[0], u = unit(face.at[1] - o), v = cross(m, u);
     const V3 round = n * (first ? zero - s.round2 : s.round1);  // capsules touch beside their axis
+    const T lean = dot(way, m);  // from a point of the face to the other's plane
     T fx[RING], fy[RING], x[RING], y[RING], z[RING], size = zero;
     for (int k = 0; k < RING; ++k) {
         const V3 f = face.at[k] - o, q = other.at[k] + round - o;
@@ -205,7 +207,7 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
         fy[k] = dot(f, v);
         x[k] = dot(q, u);
         y[k] = dot(q, v);
-        z[k] = dot(q, m);
+        z[k] = dot(q, m) * lean;
         size = VMAX(size, VABS(fx[k]) + VABS(fy[k]));
     }
     Points p;
@@ -217,7 +219,8 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
     I on[4] = {NO, NO, NO, NO};
     for (int k = 0; k < 4; ++k) px[k] = py[k] = pz[k] = zero;
     for (int k = 0; k < 4; ++k) {
-        T most = k ? least * (k == 1 ? least : size) : splat(-1e10f);
+        const T lx = px[1] - px[0], ly = py[1] - py[0];
+        T most = k > 1 ? least * VSQRT(lx * lx + ly * ly) : k ? least * least : splat(-1e10f);
         for (int i = 0; i < p.count; ++i) {
             const T dx = p.x[i] - px[0], dy = p.y[i] - py[0], ax = px[1] - px[0], ay = py[1] - py[0];
             T gain;
@@ -245,9 +248,9 @@ FN I manifold(World& w, int pair, const Shapes& s, I touch, V3 n) {
         pz[1] = twice ? pz[0] : pz[1];
         on[1] = on[1] | twice;
     }
-    const V3 normal = in_world(w.gmat[s.g1], choose(first, m, m * splat(-1.0f))), t = tangent(normal);
+    const V3 normal = in_world(w.gmat[s.g1], choose(first, way, m * splat(-1.0f))), t = tangent(normal);
     for (int k = 0; k < 4; ++k) {
-        const V3 at = o + u * px[k] + v * py[k] + m * (0.5f * pz[k]);
+        const V3 at = o + u * px[k] + v * py[k] + way * (0.5f * pz[k]);
         if (VANY(on[k])) put(w, pair, on[k], pz[k], in_world(w.gmat[s.g1], at) + load(w.gpos[s.g1]), normal, t);
     }
     return on[0];

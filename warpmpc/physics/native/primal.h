@@ -202,13 +202,7 @@ FN void newton(World& w, I done) {
     Islands g;
     find_islands(w, g);
     EACH(n, w.contacts) w.con_island[n] = island_of(g, w.con[n]);
-#if COOPERATE
-    EACH(i, NH) w.h[i] = w.mm[i];
-    SYNC
-    solve_lanes(w.h, w.fs, w.search, 1.0f);
-#else
-    solve_tree(w.mm, w.fs, w.search, 1.0f);
-#endif
+    free_accelerations(w);
     SYNC
     EACH(i, NV) w.search[i] -= w.x[i];
     SYNC

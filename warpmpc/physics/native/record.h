@@ -56,6 +56,11 @@
         float* const to_force = (float*)k.force.data + ((size_t)h * records + row) * 3 * WATCHED;
         EACH(i, 3 * WATCHED) PUT(to_force, 3 * WATCHED, i, w.pushed[i])
 #endif
+#if READINGS
+        const int sensors = k.sensor.shape[2];
+        float* const to_sensor = (float*)k.sensor.data + ((size_t)h * records + row) * sensors;
+        EACH(i, READINGS) PUT(to_sensor, sensors, shown_of[i], shown[i])
+#endif
     }
 #endif
 }

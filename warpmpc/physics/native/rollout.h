@@ -51,6 +51,10 @@ EACH(i, NQ) w.q[i] = doomed ? (T)rest_q[i] : w.q[i];
 EACH(i, NV) w.v[i] = doomed ? (T)0.0f : w.v[i];
 SYNC
 T kept_q[NQ], kept_v[NV];
+#if READINGS
+T fresh[READINGS], shown[READINGS];  // what sensors show at the last physics step of a control
+for (int i = 0; i < READINGS; ++i) shown[i] = (T)0.0f;
+#endif
 int passed = 0, held[lanes];  // physics steps, and after how many of them a world stays
 for (int l = 0; l < lanes; ++l) held[l] = 0x7fffffff;
 PLACE_WORLD(w);
@@ -112,11 +116,18 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
         }
 #endif
         for (int n = 0; n < substeps; ++n) {
+#if READINGS
+            if (n == substeps - 1) READ_BEFORE
+            SYNC
+#endif
             STEP_WORLD(w);
 #if WATCHED
             WATCH_WORLD(w);
 #endif
         }
+#if READINGS
+        if (substeps) READ_AFTER
+#endif
 #if WATCHED
         const float mean = 1.0f / (substeps ? substeps : 1);
         EACH(i, 3 * WATCHED) w.pushed[i] *= mean;
@@ -128,6 +139,9 @@ for (int h = k.records || FIRST < 0 ? -1 : 0; h < steps; ++h) {
             for (int i = 0; i < NV; ++i) bad |= VNOT(VABS(w.v[i]) < 1e10f) | VNOT(VABS(w.x[i]) < 1e10f);
 #if ACTS
             for (int i = 0; i < ACTS; ++i) bad |= VNOT(VABS(w.act[i]) < 1e10f);
+#endif
+#if READINGS
+            for (int i = 0; i < READINGS; ++i) shown[i] = bad ? shown[i] : fresh[i];
 #endif
             SYNC
             if (VANY(bad)) {

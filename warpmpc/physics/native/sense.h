@@ -5,14 +5,8 @@
 // Accelerations of all lanes into w.x: those of lanes that nothing constrains the solver has not touched
 INLINE void settle(World& w, I alone) {
     if (VANY(alone)) {
-#if COOPERATE
-        EACH(i, NH) w.h[i] = w.mm[i];
+        free_accelerations(w);
         SYNC
-        solve_lanes(w.h, w.fs, w.search, 1.0f);
-        SYNC
-#else
-        solve_tree(w.mm, w.fs, w.search, 1.0f);
-#endif
         EACH(i, NV) w.x[i] = alone ? w.search[i] : w.x[i];
         SYNC
     }

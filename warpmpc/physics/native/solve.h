@@ -84,6 +84,16 @@ FN void hessian(World& w, unsigned live) {
     SYNC
     add_ties(w, w.h, w.grad, 1.0f);
 }
+// Accelerations without constraints, into w.search
+INLINE void free_accelerations(World& w) {
+#if COOPERATE
+    EACH(i, NH) w.h[i] = w.mm[i];
+    SYNC
+    solve_lanes(w.h, w.fs, w.search, 1.0f);
+#else
+    solve_tree(w.mm, w.fs, w.search, 1.0f);
+#endif
+}
 // The step of Newton's method
 INLINE void descend(World& w, unsigned live) {
 #if COOPERATE

@@ -61,15 +61,7 @@ INLINE void displace(World& w, const T* v, float time) {
 // Accelerations of all forces, into w.search: with those that resist velocity implicit, where the integrator has them so
 FN void respond(World& w, I alone) {
 #if EXPLICIT
-    if (VANY(alone)) {
-#if COOPERATE
-        EACH(i, NH) w.h[i] = w.mm[i];
-        SYNC
-        solve_lanes(w.h, w.fs, w.search, 1.0f);
-#else
-        solve_tree(w.mm, w.fs, w.search, 1.0f);
-#endif
-    }
+    if (VANY(alone)) free_accelerations(w);
     EACH(i, NV) w.search[i] = alone ? w.search[i] : w.x[i];
 #elif SKEWED
     solve_skewed(w);

@@ -34,6 +34,11 @@ INLINE T angle_of(T height, T width) {
     return width < 0.0f ? 3.14159265f - part : part;
 }
 INLINE T arcsine(T x) { return angle_of(x, VSQRT(VMAX((1.0f - x) * (1.0f + x), zero()))); }
+// Signed angle from a to b, in [-π, π]
+INLINE T turned(V2 a, V2 b) {
+    const T area = cross(a, b), angle = angle_of(VABS(area), dot(a, b));
+    return area < 0.0f ? -angle : angle;
+}
 // Lanes in which the segments from a to b and from c to d meet
 INLINE I meet(V2 a, V2 b, V2 c, V2 d) {
     const V2 u = b - a, v = d - c, way = a - c;
@@ -42,11 +47,15 @@ INLINE I meet(V2 a, V2 b, V2 c, V2 d) {
     const T over = 1.0f / (crossing ? det : splat(1.0f)), s = cross(v, way) * over, t = cross(u, way) * over;
     return crossing & (s >= 0.0f) & (s <= 1.0f) & (t >= 0.0f) & (t <= 1.0f);
 }
-// Tangent points of the shorter way around a circle, or of the one on a side; the length of the arc
+// Tangent points of the shorter way around a circle, or of the one on a side; the length of the arc. From MuJoCo 4.0 on
+// (SIDES_WIND) the way with a side turns about the centre by as much as the line over the side's point
 INLINE I outside(V2 a, V2 b, V2 nearest, T radius, const V2* side, V2& first, V2& last, T& arc) {
     const T aa = dot(a, a), bb = dot(b, b), rr = radius * radius, none = splat(1e-30f);
     I on = (aa >= rr) & (bb >= rr) & (radius >= 1e-15f) & (dot(b - a, b - a) >= 1e-15f);
-    on &= VNOT(dot(nearest, nearest) > rr) | (side ? dot(*side, nearest) < 0.0f : NO);
+    const bool winds = SIDES_WIND && side;
+    const T swept = winds ? turned(a, *side) + turned(*side, b) : zero();
+    const I beyond = winds ? VABS(swept - turned(a, b)) >= 3.14159265f : side ? dot(*side, nearest) < 0.0f : NO;
+    on &= VNOT(dot(nearest, nearest) > rr) | beyond;
     const T la = VSQRT(aa), lb = VSQRT(bb);
     const T ra = radius * VSQRT(VMAX((la - radius) * (la + radius), zero())), oa = 1.0f / VMAX(aa, none);
     const T rb = radius * VSQRT(VMAX((lb - radius) * (lb + radius), zero())), ob = 1.0f / VMAX(bb, none);
@@ -57,7 +66,7 @@ INLINE I outside(V2 a, V2 b, V2 nearest, T radius, const V2* side, V2& first, V2
         const V2 p = (a * rr + V2{a.y, -a.x} * (sign * ra)) * oa, q = (b * rr + V2{-b.y, b.x} * (sign * rb)) * ob;
         const I cut = meet(a, p, b, q);
         const T good = cut ? splat(-10000.0f) : side ? dot(unit(p + q), *side) : -dot(p - q, p - q);
-        const I better = n ? VNOT(best > good) : YES;
+        const I better = !n ? YES : winds ? swept > 0.0f : VNOT(best > good);
         best = better ? good : best;
         first = choose(better, p, first), last = choose(better, q, last);
         met = (better & cut) | (VNOT(better) & met);
@@ -66,6 +75,7 @@ INLINE I outside(V2 a, V2 b, V2 nearest, T radius, const V2* side, V2& first, V2
     const T angle = angle_of(VABS(turn), dot(first, last));
     // the long way round, unless rounding makes it of none
     arc = radius * (turn > 1e-6f * rr ? 6.28318531f - angle : angle);
+    if (winds) arc = radius * VABS(swept - turned(a, first) - turned(last, b));
     return on & VNOT(met);
 }
 // The point on a circle that a tendon touches from inside: the angles there with both ends are equal
@@ -94,8 +104,8 @@ INLINE I inside(V2 a, V2 b, V2 nearest, I between, T radius, V2& touch) {
     const V2 from = unit(choose(ahead, a, b));
     angle = angle - (ahead ? left : right);
     SINCOS_ANGLE
-    const V2 turned = {from.x * cosine - from.y * sine, from.x * sine + from.y * cosine};
-    touch = choose(found, turned, unit(a + b)) * radius;
+    const V2 place = {from.x * cosine - from.y * sine, from.x * sine + from.y * cosine};
+    touch = choose(found, place, unit(a + b)) * radius;
     return on;
 }
 INLINE V3 outward(const T* r, V3 v) {

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How source becomes launches: files, compiling, the kernel cache, shipped kernels and the thread pool."""
