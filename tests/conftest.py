@@ -6,11 +6,13 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from foreign_kernels import compile_soonest
 from needs import CUDA, Lacking, need
 
 # a fixed search: a failure seen once is seen again; launches are too uneven for deadlines
 hypothesis.settings.register_profile("warpmpc", deadline=None, derandomize=True, max_examples=40)
 hypothesis.settings.load_profile("warpmpc")
+compile_soonest()
 
 
 os.environ.pop("COLUMNS", None)  # readline sets it in the environment that workers of pytest-xdist begin with

@@ -35,7 +35,7 @@ def test_newton_plans_as_mujoco_does_from_every_observed_state():
 def test_xpbd_sweeps_the_pile_towards_its_place():
     scene = load_scene(
         "omni_sweep_cubes:xpbd",
-        overrides=["planner.samples=12", "planner.lookahead=0.4", "robot.base.joint_q=[0.22, 0.0, 0.0]"],
+        overrides=["planner.samples=8", "planner.lookahead=0.4", "robot.base.joint_q=[0.22, 0.0, 0.0]"],
     )
     compiled = compile_scene(scene)
     controller = Controller(scene, device="cpu", compiled=compiled, seed=0)
@@ -44,11 +44,11 @@ def test_xpbd_sweeps_the_pile_towards_its_place():
     layout = compiled.layout
     ahead = [layout.joint_q_start[layout.entity(f"cube_{i}").joints[0]] for i in range(1, 5)]  # x of each cube
     before = plant.observe().joint_q[ahead].copy()
-    for _ in range(12):
+    for _ in range(9):
         plant.apply(controller.step(plant.observe()))
         assert controller.info.diverged_worlds == 0
     moved = plant.observe().joint_q[ahead] - before
-    assert (moved > 0.05).all()  # 0.8 m/s at most, for half a second
+    assert (moved > 0.05).all()  # 0.8 m/s at most, for a third of a second
 
 
 @pytest.mark.gpu

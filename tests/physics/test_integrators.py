@@ -2,6 +2,8 @@
 """Each integrator against MuJoCo C: single steps from states that it visits, and short rollouts.
 
 The model has contacts, limits, tendons, a free body, forces that depend on velocity, and activations of every kind.
+
+Slow ones by hand: pytest -m slow tests/physics/test_integrators.py
 """
 
 import mujoco
@@ -68,16 +70,16 @@ FLUID = 'density="80" viscosity=".4" wind="1 .2 0"'
     [
         ("Euler", ""),
         ("implicitfast", ""),
-        ("implicit", ""),
+        pytest.param("implicit", "", marks=pytest.mark.slow),
         ("RK4", FLUID),
-        ("implicitfast", FLUID),
+        pytest.param("implicitfast", FLUID, marks=pytest.mark.slow),
         ("implicit", FLUID),
     ],
     ids=lambda text: "fluid" if text == FLUID else text,
 )
 def test_steps_and_rollouts_are_those_of_mujoco(integrator, more):
     model = mujoco.MjModel.from_xml_string(ARM.format(integrator=integrator, more=more))
-    worlds, steps = 16, 50
+    worlds, steps = 8, 50
     q, v = starts(model, worlds, seed=1, speed=3.0)
     control = controls(model, steps, worlds, seed=2)
     states = visit([model], q, v, control, every=2)

@@ -27,8 +27,8 @@ JUMPS = 1e-4
 def visited(text: str, integrator: str = "implicitfast"):
     """A model, and states that it visits under random controls."""
     model = compile_model(text, integrator)
-    q, v = starts(model, 24)
-    return model, visit([model], q, v, controls(model, 120, 24), every=3)
+    q, v = starts(model, 12)
+    return model, visit([model], q, v, controls(model, 120, 12), every=4)
 
 
 def check(found, *, median: float = 5e-6, p99: float = 5e-5, largest: float = 1e-3) -> None:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors that are read within a step, against ``mujoco.rollout`` and ``mj_forward``; rays; what is refused by name."""
+"""Sensors that are read within a step, against ``mujoco.rollout`` and ``mj_forward``; rays; what is refused by name.
+
+Slow ones by hand: pytest -m slow tests/physics/test_sensor_readings.py
+"""
 
 import mujoco
 import mujoco.rollout
@@ -42,12 +45,12 @@ def check(model, expected, found, close=2e-4):
         assert apart < close, (n, SENSOR(model.sensor_type[n]).name, model.sensor(n).name, apart)
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "RK4"])  # implicitfast below
+@pytest.mark.parametrize("integrator", [pytest.param("Euler", marks=pytest.mark.slow), "RK4"])  # implicitfast below
 def test_forces_accelerations_contacts_and_limits_are_those_of_mujoco(integrator):
     model = mujoco.MjModel.from_xml_string(BUSY.replace("INTEGRATOR", integrator))
     touched = np.zeros(model.nsensordata, bool)
     for seed in range(3):
-        start, control = drawn(model, seed, worlds=24, steps=3)
+        start, control = drawn(model, seed, worlds=16, steps=3)
         expected, found = readings(model, start, control)
         check(model, expected, found)
         touched |= (expected != 0.0).any(axis=(0, 1))

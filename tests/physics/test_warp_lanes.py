@@ -60,7 +60,7 @@ def check(model, tmp_path_factory) -> None:
     """Lanes give what registers give, and the same bits in each order."""
     q, v = starts(model, WORLDS, seed=3)
     control = controls(model, STEPS, WORLDS, seed=3)
-    expected = [x.copy() for x in PlainRollout(model, WORLDS, STEPS)(q, v, control)]
+    expected = [x.copy() for x in PlainRollout(model, WORLDS, STEPS, lanes=4)(q, v, control)]
     lanes = LaneRollout(model, WORLDS, STEPS, folder=tmp_path_factory.getbasetemp())
     found = []
     for order in (0, 2, 4 * 5 + 1):  # a missing synchronization shows as a result that depends on who comes first
