@@ -3,9 +3,11 @@
 
 import os
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import hypothesis
 import pytest
+import warp as wp
 from foreign_kernels import compile_soonest
 from needs import CUDA, Lacking, need
 
@@ -34,3 +36,24 @@ def device(request) -> str:
     if request.param.startswith("cuda"):
         need(CUDA)
     return request.param
+
+
+@pytest.fixture
+def command(tmp_path, capfd, monkeypatch):
+    """Runs ``warpmpc ARGS`` in a folder of its own, but in this process: imports take longer than the rest.
+
+    What native code prints is seen, too. What a fresh process prints or leaves out is not.
+    """
+    from warpmpc.cli.main import app
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+
+    def run(*args: str) -> CompletedProcess[str]:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            app(args, prog_name="warpmpc")
+        out, err = capfd.readouterr()
+        return CompletedProcess(args, end.value.code, out, err)
+
+    return run

@@ -11,7 +11,7 @@ import pytest
 import typer.main
 from needs import needs
 from pages import ROOT, blocks, commands, files, write_files
-from program import results, warpmpc
+from program import results
 
 from warpmpc import Controller, Plant, State, load_scene, load_terms, run_episode
 from warpmpc import __all__ as public
@@ -33,10 +33,17 @@ def folder(tmp_path_factory):
     return path
 
 
-def reaches_its_goal(folder, *args: str) -> bool:
-    done = warpmpc("run", *args, "--json", folder=folder)
-    assert done.stderr == ""
-    return results(done)[0]["success"]
+@pytest.fixture
+def reaches_its_goal(command, folder, monkeypatch):
+    """Whether a run in the folder does."""
+    monkeypatch.chdir(folder)
+
+    def run(*args: str) -> bool:
+        done = command("run", *args, "--json")
+        assert done.stderr == ""
+        return results(done)[0]["success"]
+
+    return run
 
 
 def shown(*args: str) -> tuple[str, ...]:
@@ -46,12 +53,12 @@ def shown(*args: str) -> tuple[str, ...]:
 
 
 @needs("example-robot-data")
-def test_a_ur5_from_its_urdf_reaches_the_goal(folder):
-    assert reaches_its_goal(folder, *shown("run", "ur5.toml"), "--engine", "mujoco")
+def test_a_ur5_from_its_urdf_reaches_the_goal(reaches_its_goal):
+    assert reaches_its_goal(*shown("run", "ur5.toml"), "--engine", "mujoco")
 
 
-def test_a_cost_of_the_users_own_moves_the_arm(folder):
-    assert reaches_its_goal(folder, *shown("run", "reach_up.toml", "--terms", "reach_up.py"), "--engine", "mujoco")
+def test_a_cost_of_the_users_own_moves_the_arm(reaches_its_goal):
+    assert reaches_its_goal(*shown("run", "reach_up.toml", "--terms", "reach_up.py"), "--engine", "mujoco")
 
 
 def test_a_term_reads_everything_there_is():
@@ -63,17 +70,18 @@ def test_a_term_reads_everything_there_is():
     assert not mpc.info.fallback
 
 
-def test_a_cart_pole_keeps_the_motor_of_its_file(folder):
+def test_a_cart_pole_keeps_the_motor_of_its_file(folder, command, monkeypatch):
     assert load_scene(folder / "cartpole.toml").robot[0].drive == ()
-    done = warpmpc("check", "cartpole.toml", "--engine", "mujoco", folder=folder)
+    monkeypatch.chdir(folder)
+    done = command("check", "cartpole.toml", "--engine", "mujoco")
     assert (done.returncode, done.stderr) == (0, "")
     assert "cartpole/push" in done.stdout
     assert "the file's own" in done.stdout
 
 
 @pytest.mark.slow
-def test_the_cart_pole_swings_up(folder):
-    assert reaches_its_goal(folder, *shown("run", "cartpole.toml"))
+def test_the_cart_pole_swings_up(reaches_its_goal):
+    assert reaches_its_goal(*shown("run", "cartpole.toml"))
 
 
 def test_the_loop_runs_block_by_block(folder, monkeypatch):

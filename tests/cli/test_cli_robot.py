@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots that a package registers are driven by ``warpmpc run --real-time --robot NAME``."""
+"""Robots that a package registers are driven by ``warpmpc run --real-time --robot NAME``.
+
+Slow ones by hand: pytest -m slow tests/cli/test_cli_robot.py
+"""
 
 import json
 
@@ -89,7 +92,7 @@ def test_a_registered_robot_is_sent_plans_until_it_ends_the_run(scene, command, 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        (["--set", "timing.timeout=0.1"], "timeout"),
+        pytest.param(["--set", "timing.timeout=0.1"], "timeout", marks=pytest.mark.slow),
         (["--set", "failure=[{name='stuck', after=0.05}]"], "failed: stuck"),
         (["--set", "success={position=5.0}"], "goal reached"),
     ],

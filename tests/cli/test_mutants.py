@@ -8,7 +8,7 @@ import pytest
 from fuzzing import outcome, outcomes
 from mutants import FILES, mutant
 
-FAST, ALL = 80, 1200
+FAST, ALL = 40, 1240
 """Seeds of the suite and of the long run begin at 0."""
 
 

@@ -119,12 +119,10 @@ def scene(folder, *, term="distance", method="mppi"):
     ("text", "parts", "options", "says"),
     [
         (TERM, {"term": "mine"}, [], ""),
-        (STRATEGY, {"method": "mine"}, [], "planned by mine"),
         (STRATEGY, {"method": "mine"}, ["--episodes", "2", "--jobs", "2"], ""),
-        (STRATEGY, {"method": "mine"}, ["--real-time"], ""),
-        (ROBOT, {}, ["--real-time", "--robot", "mine"], "driven by mine"),
+        (STRATEGY + ROBOT, {"method": "mine"}, ["--real-time", "--robot", "mine"], "driven by mine"),
     ],
-    ids=["term", "strategy", "strategy-jobs", "strategy-real-time", "robot"],
+    ids=["term", "strategy-jobs", "strategy-robot-real-time"],
 )
 def test_a_part_of_ones_own_is_one_file(tmp_path, text, parts, options, says):
     scene(tmp_path, **parts)
@@ -172,14 +170,15 @@ def test_a_run_with_a_strategy_of_a_file_is_replayed_with_the_file(tmp_path):
     (tmp_path / "mine.py").write_text(STRATEGY)
     done = call("run", "mine.toml", "--terms", "mine.py", "--out", "out", "--advise", folder=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert "planned by mine" in done.stdout + done.stderr
     done = call("replay", "out", "--terms", "mine.py", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "agree bit for bit" in done.stdout
 
 
-def test_a_strategy_of_a_file_that_is_not_given_is_no_choice(tmp_path):
+def test_a_strategy_of_a_file_that_is_not_given_is_no_choice(tmp_path, command):
     scene(tmp_path, method="mine")
-    done = call("run", "mine.toml", folder=tmp_path)
+    done = command("run", "mine.toml")
     assert done.returncode == 2
     assert "planner.method" in done.stderr
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors in cost terms of `fused`: they show what the engine `mujoco` shows, and its sums are those of its terms."""
+"""Sensors in cost terms of `fused`: they show what the engine `mujoco` shows, and its sums are those of its terms.
+
+Slow ones by hand: pytest -m slow tests/engine/test_fused_sensors.py
+"""
 
 import logging
 from types import SimpleNamespace
@@ -103,6 +106,7 @@ def test_a_sensor_that_fused_cannot_read_is_named(busy, sensor, kind):
         warpmpc.Controller(scene, engine="fused")
 
 
+@pytest.mark.slow
 @needs("g++")
 def test_lanes_of_a_warp_show_what_registers_do(busy, tmp_path_factory):
     compiled = compile_scene(busy)

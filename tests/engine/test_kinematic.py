@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine ``kinematic``: its rollouts against the plain kernels, on arms, a mobile base and other trees."""
+"""The engine ``kinematic``: its rollouts against the plain kernels, on arms, a mobile base and other trees.
+
+Slow ones by hand: pytest -m slow tests/engine/test_kinematic.py
+"""
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ ROBOTS = {
     "kinova": ("package://example-robot-data/robots/kinova_description/robots/kinova.urdf", "j2s6s200_link_6", None),
     "mobile_panda": ("mobile_panda.xml", "panda_hand", None),
 }
+SOME = ["panda", "mobile_panda", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ur10", "kinova"))]
 GROWING = {"first": 0.02, "last": 0.2, "constant": 4}
 NATIVE = [
     {"term": "distance", "between": ["arm/tool", "goal"], "weight": 2.0},
@@ -141,9 +145,9 @@ def check(mpc, expected, rtol: float = 2e-5):
     np.testing.assert_allclose(mpc.engine.cost.numpy().ravel(), found.sum(axis=0), rtol=1e-5)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", SOME)
 def test_baked_rollouts_cost_what_the_plain_kernels_say(robot):
-    for seed in range(3):
+    for seed in range(2):
         mpc, expected = planned(scene_of(robot), seed=seed)
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= len(NATIVE) - 1  # not every arm has limits within reach
@@ -152,7 +156,7 @@ def test_baked_rollouts_cost_what_the_plain_kernels_say(robot):
 
 @pytest.mark.parametrize(("robot", "mode"), [("panda", "acceleration"), ("mobile_panda", "velocity")])
 def test_terms_of_an_arm_cost_what_the_plain_kernels_say(robot, mode):
-    for seed in range(3):
+    for seed in range(2):
         mpc, expected = planned(scene_of(robot, mode, ARM), seed=seed)
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= len(ARM) - 1  # the wide reach of a mobile arm
@@ -166,21 +170,21 @@ def test_residuals_cost_what_the_plain_kernels_say():
     check(mpc, expected, 5e-5)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", SOME)
 def test_collisions_cost_what_the_plain_kernels_say(robot):
-    for seed in range(3):
+    for seed in range(2):
         mpc, expected = planned(scene_of(robot, cost=COLLISION, obstacles=OBSTACLES), envs=2, seed=seed)
         assert not mpc.engine.records
         assert (expected.max(axis=1) > 0.0).sum() >= 2
         check(mpc, expected)
 
 
-@pytest.mark.parametrize("robot", ["panda", "mobile_panda"])
+@pytest.mark.parametrize("robot", ["panda", pytest.param("mobile_panda", marks=pytest.mark.slow)])
 def test_swept_collisions_cost_what_the_plain_kernels_say_but_for_an_eighth_of_a_radius(robot):
     wall = {"name": "wall", "shape": "box", "size": (0.01, 1.0, 1.0), "position": (0.45, 0.0, 0.5)}
     swept = {"term": "world_collision", "margin": 0.1, "swept": True, "against": ["obstacles", "ground"]}
     hit = {**swept, "name": "hit", "form": "binary", "margin": 0.0}
-    for seed in range(3):
+    for seed in range(2):
         scene = scene_of(robot, cost=[swept, hit], obstacles=[wall, *OBSTACLES[1:]], noise={"sigma": 2.0})
         mpc, expected = planned(scene, envs=2, seed=seed)
         assert not mpc.engine.records
@@ -229,19 +233,19 @@ def test_every_drive_and_spline_moves_the_joints_alike(mode, spline):
     check(mpc, expected)
 
 
-def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch():
-    for robot in ("panda", "mobile_panda"):
-        mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2, terms=[low])
-        assert mpc.engine.records
-        check(mpc, expected)
-        plain = mpc.engine.rollouts(range(mpc.shape.worlds))
-        recorded = mpc.engine.recorded
-        for name in ("joint_q", "body_q", "body_qd"):
-            a, b = getattr(plain, name).numpy()[1:], getattr(recorded, name).numpy()[1:]
-            if name == "body_q":  # both signs of a quaternion are one rotation
-                b = b.copy()
-                b[..., 3:] *= np.sign((a[..., 3:] * b[..., 3:]).sum(axis=-1, keepdims=True))
-            np.testing.assert_allclose(a, b, atol=1e-5, err_msg=name)
+@pytest.mark.parametrize("robot", ["panda", pytest.param("mobile_panda", marks=pytest.mark.slow)])
+def test_terms_without_baked_source_are_judged_on_the_record_of_the_same_launch(robot):
+    mpc, expected = planned(scene_of(robot, cost=NATIVE + WARP), envs=2, terms=[low])
+    assert mpc.engine.records
+    check(mpc, expected)
+    plain = mpc.engine.rollouts(range(mpc.shape.worlds))
+    recorded = mpc.engine.recorded
+    for name in ("joint_q", "body_q", "body_qd"):
+        a, b = getattr(plain, name).numpy()[1:], getattr(recorded, name).numpy()[1:]
+        if name == "body_q":  # both signs of a quaternion are one rotation
+            b = b.copy()
+            b[..., 3:] *= np.sign((a[..., 3:] * b[..., 3:]).sum(axis=-1, keepdims=True))
+        np.testing.assert_allclose(a, b, atol=1e-5, err_msg=name)
 
 
 def test_users_terms_of_both_kinds_are_judged():

@@ -27,6 +27,7 @@ def test_the_base_pushes_a_box_to_its_goal():
     assert result.max_force <= GRAZE, result
 
 
+@pytest.mark.slow
 def test_the_base_of_a_usd_file_pushes_like_that_of_its_urdf():
     need("pxr")
     urdf, usd = (episodes(name, (31,))[0] for name in ("omni_push_box", "omni_push_box:usd"))
@@ -59,8 +60,8 @@ def test_the_disc_reaches_drawn_goals_without_collisions(device):
 
 
 def test_a_strangers_arm_reaches_a_pose(device):
-    for result in episodes("panda_reach_pose", (300, 301), device=device):
-        assert result.success, result
+    (result,) = episodes("panda_reach_pose", (300,), device=device)
+    assert result.success, result
 
 
 def test_the_mobile_arm_picks_the_cube_up_and_carries_it_off(device):
@@ -90,7 +91,7 @@ def test_nine_of_ten_seeds_succeed(variant):
 
 
 def test_the_arm_reaches_drawn_goals_between_spheres(device):
-    results = episodes("panda_reach", (500, 501), ["timing.timeout=5.0"], device)
+    results = episodes("panda_reach", (500,), ["timing.timeout=5.0"], device)
     assert all(r.success for r in results), results
     assert all(r.max_force == 0.0 for r in results), results
     assert np.mean([r.sim_time for r in results]) <= 1.2
@@ -144,6 +145,13 @@ def test_the_base_pushes_the_ball_into_the_gap(variant):
     assert sum(r.sim_time for r in results) / len(results) <= {"A": 8.76, "B": 7.45}[variant], results
 
 
+def test_the_stick_pushes_a_long_object_towards_its_goal():
+    scene = warpmpc.load_scene("panda_push_objects:E_left", overrides=["planner.samples=64", "timing.timeout=1.2"])
+    result = warpmpc.run_episode(scene, seed=540, engine="mujoco")  # at 0.39 m in the beginning
+    assert result.position_error < 0.3, result
+
+
+@pytest.mark.slow
 def test_the_stick_pushes_a_long_object_and_turns_it_on_its_way():
     (result,) = episodes("panda_push_objects:E_left", (540,), ["planner.samples=64"])
     assert result.success, result
@@ -179,6 +187,12 @@ def test_a_cube_that_is_knocked_away_is_picked_up_again():
     assert sum(r.success for r in results) >= 2, results
 
 
+def test_two_arms_lift_a_box():
+    (result,) = episodes("box_carry", (310,), ["timing.timeout=2.4"])
+    assert [name for name, _ in result.phases[:2]] == ["squeeze", "lift"], result
+
+
+@pytest.mark.slow
 def test_two_arms_carry_a_box_over_a_wall():
     (result,) = episodes("box_carry", (310,))
     assert result.success, result
@@ -221,10 +235,14 @@ def test_a_quadruped_leaps_and_lands_on_its_feet():
 
 
 @needs("gymnasium_robotics")
-def test_a_hand_turns_a_cube_to_one_orientation_after_the_other():
-    (result,) = episodes("hand_cube:exact", (310,), ["timing.timeout=8.0"])
+@pytest.mark.parametrize(
+    ("engine", "seconds", "least"), [("mujoco", 0.4, 1), pytest.param("auto", 8.0, 6, marks=pytest.mark.slow)]
+)
+def test_a_hand_turns_a_cube_to_one_orientation_after_the_other(engine, seconds, least):
+    scene = warpmpc.load_scene("hand_cube:exact", overrides=[f"timing.timeout={seconds}"])
+    result = warpmpc.run_episode(scene, seed=310, engine=engine)
     assert result.reason == "timeout", result
-    assert result.reached >= 6, result
+    assert result.reached >= least, result
     assert len(result.phases) == result.reached
 
 

@@ -74,13 +74,12 @@ def garbled(code: bytes) -> bytes:
 
 DAMAGES = {
     "cut off": (".o", lambda code: code[: len(code) // 2]),
-    "empty": (".o", lambda code: b""),
     "garbled": (".o", garbled),
     "without its description": (".meta", lambda text: text[: len(text) // 2]),
 }
 
 
-@pytest.mark.parametrize(("how", "signed"), [*((how, True) for how in DAMAGES), ("cut off", False)])
+@pytest.mark.parametrize(("how", "signed"), [("garbled", True), ("without its description", True), ("cut off", False)])
 def test_a_damaged_kernel_is_built_again_once(run, built, how, signed):
     folder, files = built
     put_back(files)
@@ -178,15 +177,7 @@ def compiled_quietly(run, kernels: Path, **options) -> None:
     assert "precompiled" not in done.stderr
 
 
-def test_headers_of_an_environment_that_is_gone_are_not_read(run, other, tmp_path):
-    kernels = tmp_path / "kernels"
-    kernels.mkdir()
-    compiled_quietly(run, kernels, env={**os.environ, "PYTHONPATH": str(other)})
-    shutil.rmtree(other)
-    compiled_quietly(run, kernels)
-
-
-def test_headers_of_an_environment_that_was_made_anew_are_compiled_again(run, other, tmp_path):
+def test_headers_of_an_environment_that_was_made_anew_or_is_gone_are_not_read(run, other, tmp_path):
     kernels, options = tmp_path / "kernels", {"env": {**os.environ, "PYTHONPATH": str(other)}}
     kernels.mkdir()
     compiled_quietly(run, kernels, **options)
@@ -196,3 +187,5 @@ def test_headers_of_an_environment_that_was_made_anew_are_compiled_again(run, ot
     compiled_quietly(run, kernels, **options)
     (second,) = (kernels / "headers").iterdir()
     assert second != first
+    shutil.rmtree(other)
+    compiled_quietly(run, kernels)
