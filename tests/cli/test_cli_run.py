@@ -92,7 +92,7 @@ def test_the_same_seed_gives_the_same_result(two_episodes, command):
 
 def test_success_ends_in_exit_code_0(command):
     easy = ["--set", "success.position=5.0", "--set", "success.yaw=3.2", "--set", "success.hold=0.08"]
-    done = command("run", "omni_push_box", "--json", *TINY, *easy)
+    done = command("run", "omni_push_box", "--engine", "mujoco", "--json", *TINY, *easy)
     assert done.returncode == 0
     (result,) = results(done)
     assert (result["success"], result["reason"], result["steps"]) == (True, "goal reached", 2)
@@ -126,7 +126,7 @@ def test_a_goal_that_is_reached_at_the_start_needs_no_plan(command):
 def test_drawn_tasks_say_what_was_drawn(tmp_path, command):
     draw = '[randomize_task.draw]\n"goal.position" = { low = [1.0, -1.0], high = [2.0, 1.0] }\n\n[planner]'
     (tmp_path / "mine.toml").write_text(SCENE.replace("[planner]", draw))
-    done = command("run", "mine.toml", "--json", "--episodes", "2", *TINY)
+    done = command("run", "mine.toml", "--engine", "mujoco", "--json", "--episodes", "2", *TINY)
     first, second = results(done)
     assert list(first) == [*KEYS, "drawn", "foresight", "verdict"]
     assert first["drawn"].keys() == second["drawn"].keys() == {"goal.position"}
@@ -158,7 +158,7 @@ def test_many_episodes_at_once(tmp_path, command):
 
 
 def test_many_episodes_make_a_short_table(command):
-    easy = ["--set", "success={ position = 5.0 }"]
+    easy = ["--engine", "mujoco", "--set", "success={ position = 5.0 }"]
     done = command("run", "omni_push_box", "--episodes", "3", "--envs", "2", *TINY, *easy)
     assert (done.returncode, done.stderr) == (0, "")
     (row,) = [line.split() for line in done.stdout.splitlines() if "goal reached" in line]

@@ -87,7 +87,7 @@ def check(text: str) -> None:
         assert found.worst <= ROUNDING, text
 
 
-@settings(quiet, max_examples=5)
+@settings(quiet, max_examples=3)
 @given(MODELS)
 def test_drawn_models_roll_out_as_in_mujoco(text):
     check(text)

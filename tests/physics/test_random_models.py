@@ -42,13 +42,13 @@ def check(text: str, take_steps: Callable = step_differences, **how: int) -> Non
         assert np.median((found.v.max(axis=1) / likely)[sane]) <= 1.0, found
 
 
-@settings(quiet, max_examples=4)
+@settings(quiet, max_examples=3)
 @given(models())
 def test_random_models_step_as_in_mujoco(text):
     check(text, lanes=1)
 
 
-@settings(quiet, max_examples=3)
+@settings(quiet, max_examples=2)
 @given(models())
 def test_random_models_step_as_in_mujoco_by_the_public_rollouts(text):
     check(text, public_differences)

@@ -73,7 +73,7 @@ def of_mujoco(models, qpos, qvel, ctrl, n):
     return out, force
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_worlds_are_those_of_mujoco(model, seed):
     qpos, qvel, ctrl = starts(model, seed)
     sim = BatchSimulator(model, WORLDS, threads=2, contact_pairs=[("base", "box")])
