@@ -48,12 +48,14 @@ def follow_kernel(
     first: int,  # world of thread 0
     rollouts: int,  # worlds of an environment
     hold: int,  # steps that a control is held for
+    policies: int,  # policies of an environment, P
+    policy: wp.array[int],  # [N] which of them each world of an environment follows
     table: TangentTable,
     end: wp.array3d[wp.float64],  # [W, N, 1+nx] the last slice is the state after the step before
-    nominal: wp.array3d[wp.float64],  # [E, T, nx]
-    control: wp.array3d[wp.float64],  # [E, T, nu] of the nominal rollout
-    change: wp.array3d[wp.float64],  # [E, T, nu] k
-    gain: wp.array4d[wp.float64],  # [E, T, nu, n] K
+    nominal: wp.array3d[wp.float64],  # [E·P, T, nx]
+    control: wp.array3d[wp.float64],  # [E·P, T, nu] of the nominal rollout
+    change: wp.array3d[wp.float64],  # [E·P, T, nu] k
+    gain: wp.array4d[wp.float64],  # [E·P, T, nu, n] K
     share: wp.array[wp.float64],  # [N] α of each world of an environment
     feedback: wp.array[wp.float64],  # [N] how much of K each has
     lower: wp.array[wp.float64],  # [nu]
@@ -68,8 +70,8 @@ def follow_kernel(
 ):
     """One thread: one world's control u = ū + αk + K (x ⊖ x̄) at a step, within its limits, and its start."""
     w = first + wp.tid()
-    e = w // rollouts
     i = w % rollouts
+    e = policies * (w // rollouts) + policy[i]
     width = states.shape[2]
     steps = controls.shape[0]
     last = end.shape[1] - 1

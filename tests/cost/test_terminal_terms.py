@@ -80,7 +80,7 @@ def test_the_line_search_of_derivatives_counts_the_same():
     control = np.random.default_rng(0).uniform(-1.0, 1.0, (1, STEPS, 3)).astype(np.float32).astype(float)
     start, before = s.rollouts.worlds.observed(), s.request.state.last_control.numpy().astype(float)
     gain, nominal = np.zeros((1, STEPS, 3, s.tangent.size)), np.ones((1, STEPS, s.tangent.width))
-    outcome = s.rollouts(start, before, Policy(nominal, control, 0.0 * control, gain), np.zeros(3), 0.0)
+    outcome = s.rollouts(start, before, [Policy(nominal, control, 0.0 * control, gain)], np.zeros(3), 0.0)
     state, nq = outcome.state[0, 0, 1:], len(s.controller.layout.joint_q)
     stage = stages(state[:, None, :nq], state[:, None, nq:], control[0, :, None], s.controller.layout.joint_q)
     np.testing.assert_allclose(outcome.cost[0, 0], reference(stage)[0], rtol=1e-5)

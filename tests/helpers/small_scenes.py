@@ -32,7 +32,7 @@ BOX = {"name": "box", "shape": "box", "size": (0.3, 0.5, 0.2), "mass": 1.0, "pos
 WALL = {"name": "wall", "shape": "box", "size": (0.2, 2.0, 0.4), "position": (1.5, 0.0, 0.2)}
 
 
-PLAIN = {"iterations": 1, "knots": "steps", "spline": "zero", "discount": 0.95}
+PLAIN = {"iterations": 1, "knots": "steps", "spline": "zero", "discount": 0.95, "refine": None}
 PLAIN_NOISE = {"shape": "bspline", "spread": (1.0, 1.0), "constant": 0.0}
 BY_ITSELF = {"icem": ("iterations", "shape"), "dial": ("iterations", "shape")}
 """What methods mean by themselves."""

@@ -52,7 +52,7 @@ def stepping(
         compiled=controller.compiled,
         shape=controller.shape,
         grid=plan.grid,
-        spline=plan.spline,
+        spline=plan.sampled.table(float(plan.grid.dt[0]), device),
         limits=plan.limits,
         state=plan.state,
         costs=controller.costs,

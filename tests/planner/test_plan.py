@@ -134,7 +134,7 @@ def test_zero_order_knots_longer_than_a_control_move_with_time(keys):
     assert np.ptp(best, axis=0).max() > 0.1
     planning.elapsed = planning.scene.timing.control_dt
     planning.plan.state.weight.fill_(0.0)  # all samples are alike from now on, and the first, the mean, wins
-    per_knot = planning.plan.knot_time[1] / planning.scene.timing.control_dt
+    per_knot = planning.plan.plan_spline.times[1] / planning.scene.timing.control_dt
     assert per_knot > 1.5
     for n in range(1, 25):
         command = planning()[0, 0]

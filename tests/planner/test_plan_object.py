@@ -82,8 +82,10 @@ def test_a_plan_at_the_time_of_the_state_is_the_step_of_a_twin(keys, envs):
         state = State(q, qd, time)
         plan = planner.plan(state)
         np.testing.assert_allclose(plan.at(time), twin.step(state), atol=2e-6)
-        assert plan.times.shape == (envs, len(planner.plan_step.knot_time))
-        np.testing.assert_allclose(np.diff(plan.times), np.tile(np.diff(planner.plan_step.knot_time), (envs, 1)))
+        assert plan.times.shape == (envs, len(planner.plan_step.plan_spline.times))
+        np.testing.assert_allclose(
+            np.diff(plan.times), np.tile(np.diff(planner.plan_step.plan_spline.times), (envs, 1))
+        )
         assert np.all((plan.times[:, 0] <= time + 1e-6) & (plan.times[:, 0] > time - 0.1))
         q = q + 0.02
         plans.append((plan, plan.knots.copy(), plan.times.copy()))

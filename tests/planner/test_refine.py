@@ -219,7 +219,7 @@ def test_feedback_crosses_processes_as_numbers():
     controller, _ = planned(scene, plans=2)
     state = replace(State.start(controller.layout), time=0.0, joint_q=np.float32([0.9, 0.45, 0.0]))
     plan = controller.plan(state)
-    codec = PlanCodec(controller.layout, plan.spline, len(plan.times), StateSpace.of(controller.compiled))
+    codec = PlanCodec(controller.layout, len(plan.times), StateSpace.of(controller.compiled))
     letter = codec.encode(TimedPlan(plan, 3, 0.0, 0.01, 5.0, True))
     assert len(letter) == codec.capacity
     told = codec.decode(letter)

@@ -61,7 +61,7 @@ def soak(scene: Scene, plans: int, *, seed: int = 0) -> Iterator[Tenth]:
     robot = simulated_robot(scene, seed=seed, task=controller.task, compiled=controller.compiled)
     context = multiprocessing.get_context("spawn")
     observations = ObservationCodec(layout, controller.task.block.shape[1])
-    codec = PlanCodec(layout, scene.planner.spline, len(controller.plan_step.knot_time))
+    codec = PlanCodec(layout, len(controller.plan_step.plan_spline.times))
     seen, planned = LatestValue(context, observations.capacity), LatestValue(context, codec.capacity)
     agent, command, acting = Agent(scene, layout), np.zeros(layout.nu, np.float32), None
     faults = 0

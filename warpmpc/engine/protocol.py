@@ -232,9 +232,9 @@ class EngineRequest:
         }
 
     def one_step(self, steps: PhysicsSteps, worlds: int) -> tuple[Self, PhysicsSteps]:
-        """Request and physics steps of nominal worlds that take one control step, so many of every environment."""
+        """Request and physics steps of worlds that take one control step, so many of every environment."""
         shape, grid = BatchSize(self.shape.envs, worlds, 1, 1), TimeGrid(self.grid.dt[:1], self.grid.discount[:1])
-        return replace(self, shape=shape, grid=grid, properties=None), PhysicsSteps(steps.count[:1], steps.length[:1])
+        return replace(self, shape=shape, grid=grid), PhysicsSteps(steps.count[:1], steps.length[:1])
 
 
 @dataclass(frozen=True)

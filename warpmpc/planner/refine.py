@@ -5,18 +5,18 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
 from ..engine.protocol import Proposal, TimeGrid
-from ..engine.registry import physics_steps
 from ..kernels.planner.riccati import backward_kernel, scratch_size
 from ..kernels.planner.weights import forget_cost_kernel
 from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
+from ..scene.model.properties import Properties
 from ..scene.schema import Method, Refinement
 from .derivatives.expansion import Differences, Quadratic, gauss_newton, held
 from .derivatives.residuals import Residuals
@@ -36,8 +36,22 @@ LEAST_SHARE = 1e-3
 """Smallest step of a line search, as a share of the whole one: what needs smaller ones is left to the next plan."""
 DAMPING = (1e-6, 1e-3, 1e6)
 """Least, first and largest damping μ of ∂²Q/∂u², per squared half range of the controls."""
+DRAWS = 4
+"""Worlds that a candidate is tried in where properties are drawn: the nominal one and the first draws. With the nominal
+one alone, pushes of what weighs or slides otherwise took up to a fifth longer than with the samples' plan."""
 FACTOR = 10.0
 """By which the damping grows when a step does not help, and shrinks when it does."""
+
+
+def some_draws(properties: Properties, candidates: int, draws: int) -> Properties:
+    """Properties of the worlds that candidates are tried in: each in the nominal one first, then in the first draws."""
+
+    def of_worlds(values: np.ndarray, nominal: float) -> np.ndarray:
+        first = np.full_like(values[:1], nominal)
+        return np.tile(np.concatenate([first, values[: draws - 1]]), (candidates, *[1] * (values.ndim - 1)))
+
+    mass, friction = (of_worlds(x, 1.0) for x in (properties.mass, properties.friction))
+    return Properties(properties.names, mass, friction, of_worlds(properties.size, 0.0))
 
 
 class Refiner(ABC):
@@ -52,6 +66,8 @@ class Refiner(ABC):
 
     feedback: Feedback | None = None
     """Gains of the last plan, if there are any, over the time since its start."""
+    policies = 1
+    """Policies that are rolled out at once, at most."""
 
     def __init__(self, engine: Engine, request: EngineRequest, steps: PhysicsSteps, strategy: SamplingStrategy):
         scene, layout = request.scene, request.costs.layout
@@ -65,10 +81,18 @@ class Refiner(ABC):
         self._settings = planner.refine
         self._launch = Launcher(request.device)
         self.residuals = Residuals(request.costs)
-        self.hold = control_hold(scene)
-        self.rollouts = PolicyRollouts(engine, request, steps, self.residuals, self._settings.candidates, self.hold)
+        self.hold = (
+            control_hold(scene.timing.control_dt, request.grid) if refined(scene) is not Refinement.GRADIENT else 1
+        )
+        count, drawn = self._settings.candidates, request.properties
+        nominal = tried = replace(request, properties=None)
+        draws = min(DRAWS, 1 + drawn.draws) if drawn is not None and drawn.names else 1
+        if draws > 1:
+            tried = replace(request, properties=some_draws(drawn, count, draws))
+        sizes = {"policies": self.policies, "draws": draws, "hold": self.hold}
+        self.rollouts = PolicyRollouts(engine, tried, steps, self.residuals, count, **sizes)
         self.tangent = self.rollouts.tangent
-        self.differences = Differences(engine, request, steps, self.residuals, self.tangent)
+        self.differences = Differences(engine, nominal, steps, self.residuals, self.tangent)
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
@@ -141,12 +165,19 @@ class Refiner(ABC):
         self.differences.close()
 
 
-def control_hold(scene: Scene) -> int:
-    """Steps of a rollout that iLQG holds a control for, since it is sent for as long; 1 for other planners."""
-    refine = scene.planner.refine
-    if refine is None or refine.method is not Refinement.ILQG:
-        return 1
-    return max(round(scene.timing.control_dt / TimeGrid.of(scene).dt[0]), 1)
+def refined(scene: Scene) -> Refinement | None:
+    """Method of a scene's refinement, None without."""
+    return scene.planner.refine and scene.planner.refine.method
+
+
+def control_hold(control_dt: float, grid: TimeGrid) -> int:
+    """Steps of a time grid that a control is sent for, at least one.
+
+    Args:
+        control_dt: Length of a control [s].
+        grid: The time grid.
+    """
+    return max(round(control_dt / float(grid.dt[0])), 1)
 
 
 def shares(candidates: int) -> np.ndarray:
@@ -179,7 +210,7 @@ class GradientRefiner(Refiner):
         for _ in range(self._settings.iterations):
             mean, blend = strategy.mean.numpy().astype(float), self._blend()
             control = np.clip(np.einsum("etp,epu->etu", blend, mean), self._lower, self._upper)
-            outcome = self.rollouts(start, before, self._nominal(control), np.zeros_like(self._shares), 0.0)
+            outcome = self.rollouts(start, before, [self._nominal(control)], np.zeros_like(self._shares), 0.0)
             state = outcome.state[:, 0, :-1]
             if not np.isfinite(outcome.state).all():
                 raise FloatingPointError("the physics of the plan's own rollout failed")
@@ -216,8 +247,17 @@ class GradientRefiner(Refiner):
 class IlqgRefiner(Refiner):
     """iLQG on all controls, with limits and feedback gains."""
 
+    policies = 3
+
     def __init__(self, *args: object):
         super().__init__(*args)
+        self._check_knots()
+        self._shares = shares(self._settings.candidates)
+        self._damping = np.full(self._request.shape.envs, DAMPING[1])
+        self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
+        self._control = None
+
+    def _check_knots(self) -> None:
         if self._strategy.mean.shape[1] != -(-self._request.grid.steps // self.hold):
             raise SceneError(
                 'iLQG solves for every control: planner.knots = "steps"',
@@ -225,10 +265,6 @@ class IlqgRefiner(Refiner):
                 file=self._request.scene.path,
                 found=self._planner.knots,
             )
-        self._shares = shares(self._settings.candidates)
-        self._damping = np.full(self._request.shape.envs, DAMPING[1])
-        self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
-        self._control = None
 
     def reset(self) -> None:
         """Forget earlier plans."""
@@ -236,54 +272,65 @@ class IlqgRefiner(Refiner):
         self._damping[:] = DAMPING[1]
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
-        strategy, hold, steps = self._strategy, self.hold, self._request.grid.steps
-        control = np.clip(strategy.mean.numpy().astype(float), self._lower, self._upper)
-        control = control.repeat(hold, axis=1)[:, :steps]
-        state, control, cost = self._follow(start, before, control)
-        rows, gains = np.arange(len(start)), None
+        hold, steps = self.hold, self._request.grid.steps
+        state, control, cost, gains = self._follow(start, before, self._starts())
+        rows = np.arange(len(start))
         if not np.isfinite(cost).all():
             raise FloatingPointError("the physics of the plan's own rollout failed")
+        improved = np.zeros(len(start), dtype=bool)
         for _ in range(self._settings.iterations):
             solved = self._solve(*held(*self._expand(state[:, :-1], control, before), hold), control[:, ::hold])
-            gains = solved.gain
-            change, gain = (x.repeat(hold, axis=1)[:, :steps] for x in (solved.change, gains))
+            change, gain = (x.repeat(hold, axis=1)[:, :steps] for x in (solved.change, solved.gain))
             policy = Policy(state[:, :-1], control, change, gain)
-            outcome = self.rollouts(start, before, policy, self._shares)
+            outcome = self.rollouts(start, before, [policy], self._shares)
             best = np.argmin(outcome.cost, axis=1)
             found = outcome.cost[rows, best]
-            helps = found < cost
-            up = np.where(helps, 1.0 / FACTOR, FACTOR)
+            up = np.where(found < cost, 1.0 / FACTOR, FACTOR)
             self._damping = np.clip(self._damping * up, DAMPING[0], DAMPING[2])
-            state, control = outcome.state[rows, best], outcome.control[rows, best]
-            cost = np.minimum(found, cost)
-        strategy.mean.assign(control[:, ::hold].astype(np.float32))
-        strategy.offset.zero_()
+            helps = (found <= cost)[:, None, None]
+            state = np.where(helps, outcome.state[rows, best], state)
+            control = np.where(helps, outcome.control[rows, best], control)
+            gains = np.where(helps[..., None], solved.gain, gains)
+            cost, improved = np.minimum(found, cost), improved | helps[:, 0, 0]
+        self._take(control[:, ::hold], improved)
         times = np.tile(self._request.grid.t[:-1:hold], (len(start), 1))
         self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
         self._control = control[:, ::hold]
 
-    def _follow(self, start: np.ndarray, before: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Roll the plan out with and without the last plan's feedback, behind samples the last plan with it, too.
+    def _starts(self) -> list[np.ndarray]:
+        """Controls ``[E, T, nu]`` that are tried first."""
+        control = np.clip(self._strategy.mean.numpy().astype(float), self._lower, self._upper)
+        return [control.repeat(self.hold, axis=1)[:, : self._request.grid.steps]]
+
+    def _take(self, control: np.ndarray, improved: np.ndarray) -> None:
+        """Let the plan be controls ``[E, T/hold, nu]``, better ones where they are improved ``[E]``."""
+        self._strategy.mean.assign(control.astype(np.float32))
+        self._strategy.offset.zero_()
+
+    def _follow(self, start: np.ndarray, before: np.ndarray, controls: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Roll controls out with and without the last plan's feedback, behind samples the last plan with it, too.
 
         What is unstable follows no controls for long without feedback: samples would replace a plan that holds it.
 
         Returns:
-            States ``[E, T+1, nx]``, controls ``[E, T, nu]`` and cost ``[E]`` of the cheapest.
+            States ``[E, T+1, nx]``, controls ``[E, T, nu]``, cost ``[E]`` and gains ``[E, T/hold, nu, n]`` of the
+            cheapest.
         """
-        policies = [self._nominal(control)]
+        policies = [self._nominal(control) for control in controls]
         if self.feedback is not None:
             times = self._request.state.elapsed.numpy().astype(float)[:, None] + self._request.grid.t[:-1]
-            policies = [self.feedback.policy(times, control)]
+            policies = [self.feedback.policy(times, control) for control in controls]
             if self._planner.method is not Method.ILQG:
                 policies.append(self.feedback.policy(times, self.feedback.planned(times, self._control)))
-        with_feedback = np.zeros(self._settings.candidates)
-        with_feedback[1] = 1.0
-        found = [self.rollouts(start, before, x, np.zeros_like(with_feedback), with_feedback) for x in policies]
-        state, control, cost = (
-            np.concatenate([getattr(x, name) for x in found], axis=1) for name in ("state", "control", "cost")
-        )
-        rows, best = np.arange(len(start)), np.argmin(cost, axis=1)
-        return state[rows, best], control[rows, best], cost[rows, best]
+        each = np.arange(self._settings.candidates) // 2
+        followed = np.where(each < len(policies), each, 0)
+        feedback = np.arange(len(each)) % 2.0
+        outcome = self.rollouts(start, before, policies, np.zeros(len(each)), feedback, followed)
+        rows, best = np.arange(len(start)), np.argmin(outcome.cost, axis=1)
+        gain = np.stack([policy.gain for policy in policies], axis=1)[rows, followed[best], :: self.hold]
+        self.winner = followed[best], feedback[best]
+        gain = gain * feedback[best][:, None, None, None]
+        return outcome.state[rows, best], outcome.control[rows, best], outcome.cost[rows, best], gain
 
     def _solve(self, linear: Linear, cost: Quadratic, control: np.ndarray) -> Backward:
         """The backward pass of every environment, with as much damping as it needs."""
@@ -294,31 +341,6 @@ class IlqgRefiner(Refiner):
             more = np.minimum(self._damping * FACTOR, DAMPING[2])
             self._damping = np.where(solved.failed, more, self._damping)
         return solved
-
-
-REFINERS = {Refinement.GRADIENT: GradientRefiner, Refinement.ILQG: IlqgRefiner}
-"""Refiners by the name in ``planner.refine``."""
-
-
-def refiner_of(name: str, request: EngineRequest, engine: Engine, strategy: SamplingStrategy) -> Refiner | None:
-    """Refiner that a scene asks for, None without.
-
-    Raises:
-        SceneError: If no derivatives of the engine are to be had, or the scene does not allow them.
-    """
-    settings = request.scene.planner.refine
-    if settings is None:
-        return None
-    if not hasattr(engine, "step_worlds"):
-        raise SceneError(
-            f"no derivatives of the engine {name}: its class {type(engine).__name__} has no step_worlds (as "
-            "SimulatorEngine has); take another engine or a planner without derivatives",
-            key="engine.name",
-            file=request.scene.path,
-            found=name,
-        )
-    steps = physics_steps(name, request.scene, request.compiled, request.grid)
-    return REFINERS[settings.method](engine, request, steps, strategy)
 
 
 @dataclass(frozen=True)

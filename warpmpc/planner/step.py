@@ -22,12 +22,12 @@ from ..kernels.engine.packing import REPORT, report_kernel, survey_kernel, unpac
 from ..kernels.planner.splines import command_kernel
 from ..physics.runtime.launch import CapturedLaunches, Launcher, step_lanes
 from ..scene.registry import STRATEGIES
-from ..scene.schema import Method
+from ..scene.schema import Method, Refinement
 from ..scene.task.observed import ObservedState
 from .ancillary import Ancillaries
 from .plan import Plan, PlanReport, refitted
-from .refine import control_hold, refiner_of
-from .splines import spline_table
+from .refine import control_hold, refined
+from .refiners import PlanSpline, SampledIlqg, refiner_of
 from .strategy import DerivativeStrategy, SamplingStrategy, Strategy, proposal
 from .weighting import CrossEntropy, Mppi, PredictiveSampling, Tsallis, block_dim
 
@@ -105,16 +105,19 @@ class PlanStep:
         layout = costs.layout
         make_strategy = STRATEGIES.find(str(scene.planner.method) if strategy == "auto" else strategy, "auto")
         self.costs, self.shape, self.device = costs, shape, costs.device
-        self.grid, self.kind = TimeGrid.of(scene), scene.planner.spline
-        self.knot_time = knot_times(self.grid, scene.planner.knot_count, control_hold(scene))
-        """Times of the knots after the first ``[P]`` [s]."""
-        spline = spline_table(self.kind, self.knot_time, float(self.grid.dt[0]), self.device)
+        self.grid, dt = TimeGrid.of(scene), scene.timing.control_dt
+        direct = refined(scene) is Refinement.ILQG and not scene.planner.finishes
+        hold = control_hold(dt, self.grid) if direct else 1
+        sampled = knot_times(self.grid, scene.planner.knot_count, hold)
+        self.sampled = PlanSpline(scene.planner.spline, sampled)
+        """Spline of the samples."""
+        spline = self.sampled.table(float(self.grid.dt[0]), self.device)
 
         def array(values: np.ndarray) -> wp.array:
             return wp.array(values, dtype=float, device=self.device)
 
         self.limits = (array(layout.control_lower), array(layout.control_upper))
-        self.ancillaries = Ancillaries(scene, layout, costs.task, self.knot_time, ancillaries)
+        self.ancillaries = Ancillaries(scene, layout, costs.task, sampled, ancillaries)
         """Proposers on the host."""
         proposed = self.ancillaries.columns
         self.state = ObservedState.allocate(layout, costs.task, self.device, proposed=proposed)
@@ -137,12 +140,19 @@ class PlanStep:
         if (most := max(self.strategy.population, default=0)) > shape.samples:
             kind = type(self.strategy).__name__
             raise ValueError(f"strategy {kind}: its population has {most} samples, planner.samples are {shape.samples}")
-        self.refiner = refiner_of(entry.name, request, self.engine, self.strategy)
+        self.refiner = refiner_of(entry.name, request, self.engine, self.strategy, physics=entry.physics)
         """Improves the samples' plan by derivatives, None without."""
         kernels_alone = entry.capturable and costs.capturable and on_gpu
         self.capturable = kernels_alone and self.refiner is None
         """True where a CUDA graph can hold a plan."""
-        self.spline, self._launch = spline, Launcher(self.device)
+        self.plan_spline = self.sampled
+        """Spline of the plans that are handed out, their knots ``[E, P, nu]``, and the time from the first of these to
+        the present ``[E]`` [s]."""
+        self.knots, self.offset, self.spline = self.strategy.mean, self.strategy.offset, spline
+        if isinstance(self.refiner, SampledIlqg):
+            self.plan_spline, self.spline = self.refiner.plan, self.refiner.spline
+            self.knots, self.offset = self.refiner.knots, self.refiner.offset
+        self._launch = Launcher(self.device)
         self._sequence = self.sequence()
         if kernels_alone and self.refiner:
             self._sequence = self._sampling_captured(self._sequence)
@@ -153,7 +163,7 @@ class PlanStep:
 
     def reset(self, plan: Plan | None = None) -> None:
         """Forget every earlier plan; the next one starts from ``plan`` if there is one."""
-        knots = [] if plan is None else [refitted(plan, self.kind, self.knot_time)]
+        knots = [] if plan is None else [refitted(plan, self.sampled.kind, self.sampled.times)]
         self.strategy.reset(*knots)
         for first in (k[..., 0, :] for k in knots):
             self.command.assign(np.broadcast_to(first, self.command.shape).astype(np.float32))
@@ -219,7 +229,7 @@ class PlanStep:
         self._launch(
             command_kernel,
             self.command.shape,
-            [self.strategy.mean, self.spline, *self.limits, self.strategy.offset],
+            [self.knots, self.spline, *self.limits, self.offset],
             [self.command],
         )
 
@@ -257,7 +267,7 @@ class PlanGraph:
         self._kept: list[wp.array] = []
         envs, terms = plan.shape.envs, len(plan.costs.labels)
         cuda = self.device.is_cuda
-        self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.strategy.mean.shape
+        self._nu, self._terms, self._knots = plan.command.shape[1], terms, plan.knots.shape
         state = plan.state
         widths = [3, state.joint_q.shape[1], state.joint_qd.shape[1], state.act.shape[1], 7 * state.mocap.shape[1]]
         self._observed_columns = slice(3, sum(widths))
@@ -359,7 +369,7 @@ class PlanGraph:
         self._launch(survey_kernel, envs, inputs, outputs, block_dim=block_dim(engine.cost.shape[1]))
         engine.explain(self._best)
         numbers = [plan.command, strategy.beta, strategy.eta, self._best, self._best_cost]
-        arrays = [self._failures, engine.term_cost, strategy.mean, strategy.offset]
+        arrays = [self._failures, engine.term_cost, plan.knots, plan.offset]
         self._launch(report_kernel, (envs, self._lanes), [*numbers, *arrays, self._lanes], [self._out])
 
 

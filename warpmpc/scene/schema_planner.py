@@ -131,6 +131,7 @@ Steps = Annotated[
 class Refinement(StrEnum):
     """Methods by which derivatives improve a plan."""
 
+    AUTO = "auto"
     GRADIENT = "gradient"
     ILQG = "ilqg"
 
@@ -141,9 +142,10 @@ class Refine(Section):
     They are finite differences of the engine's physics and of the residuals of the costs, along the plan's own rollout.
     """
 
-    method: Refinement
+    method: Refinement = Refinement.AUTO
     """``gradient``: steepest descent on the knots, or ``ilqg``: a quadratic model solved from the end to the start,
-    with a feedback gain for every control that plans are followed with."""
+    with a feedback gain for every control that plans are followed with. ``auto`` is ``ilqg`` where the engine has
+    physics, every term can be taken step by step and differences take at most half as many worlds as the samples."""
     iterations: Count = 1
     """Expansions, each followed by a line search."""
     candidates: TwoOrMore = 8
@@ -182,7 +184,7 @@ the cross-entropy method with what Pinneri et al. (CoRL 2020) add to it. The oth
 
 
 DERIVATIVES = {"iterations": 1, "knots": KnotCount.STEPS, "spline": "zero", "noise": {"shape": "bspline"}}
-"""Defaults of plans with ``refine``, whose steps are single controls: derivatives are taken along every one of them."""
+"""Defaults of plans whose derivatives are taken along every step of the samples, which is a single control."""
 
 
 class Planner(Section):
@@ -190,7 +192,8 @@ class Planner(Section):
 
     The defaults suit most tasks: smooth plans that look 1.2 s ahead, samples from fine to coarse, a temperature that
     suits every cost, and a second round about what the first one found: with one, a quadrotor held its place in 2 of 6
-    runs, with two in 6. With ``refine``, and with the methods that mean it, steps are single controls, and the defaults
+    runs, with two in 6. Behind ``mppi``, iLQG goes on from the samples in steps of single controls (``refine``). With
+    ``refine.method = "gradient"``, ``ilqg`` and ``ilqs`` the samples' steps are single controls, too, and the defaults
     ``iterations = 1``, ``knots = "steps"``, ``spline = "zero"`` and ``noise.shape = "bspline"``.
     """
 
@@ -206,7 +209,8 @@ class Planner(Section):
     is up to the task and not to the machine: as far as it takes to see that something gets better."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
-    about 0.08 s in whole controls; one control with ``refine``. Longer steps look as far at a lower price."""
+    about 0.08 s in whole controls; one control with the methods that take derivatives along it. Longer steps look as
+    far at a lower price."""
     domains: Count = 1
     """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
     randomize: Flag = True
@@ -249,9 +253,9 @@ class Planner(Section):
     """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
     ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
     """What proposes samples for the observed state, at every plan: functions of your own, stored motions, policies."""
-    refine: Refine | None = None
-    """What derivatives make of the samples' plan. ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs``
-    is ``predictive_sampling`` with ``ilqg``."""
+    refine: Refine | None = Refine()
+    """What derivatives make of the samples' plan; nothing with methods other than ``mppi`` that do not mean it.
+    ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs`` is ``predictive_sampling`` with ``ilqg``."""
     execute: Execute = Execute.MEAN
     """Controls that are carried out: the mean, the best of the last samples, or a sample of the distribution they lead
     to."""
@@ -274,13 +278,18 @@ class Planner(Section):
             return handler(data)
         method = data.get("method")
         preset = PRESETS.get(method, {}) if isinstance(method, str) else {}
-        base = DERIVATIVES if {**preset, **data}.get("refine") else {}
+        refine = data.get("refine", preset.get("refine"))
+        wanted = {**preset.get("refine", {}), **refine}.get("method") if isinstance(refine, dict) else None
+        direct = isinstance(method, str) and method in DIRECT
+        base = DERIVATIVES if refine and (direct or wanted == Refinement.GRADIENT) else {}
+        if method not in (None, Method.MPPI):
+            base = {"refine": None, **base}
         out = {**base, **preset, **data}
         for key in ("noise", "temperature", "covariance", "refine"):
-            tables = [part[key] for part in (base, preset, data) if key in part]
+            tables = [part[key] for part in (base, preset, data) if part.get(key) is not None]
             if all(isinstance(table, dict) for table in tables) and tables:
                 out[key] = {name: value for table in tables for name, value in table.items()}
-        if isinstance(method, str) and method in DIRECT:
+        if direct:
             smooth = out.get("spline") in (SplineKind.CUBIC, SplineKind.BSPLINE)
             out |= {"knots": KnotCount.STEPS} | ({"spline": SplineKind.ZERO} if smooth else {})
         planner = handler(out)
@@ -316,9 +325,10 @@ class Planner(Section):
             control_dt: Length of a control [s].
         """
         open_ended = self.horizon is StepCount.AUTO
-        if self.refine and not open_ended:
+        single = self.refine and not self.finishes
+        if single and not open_ended:
             return self
-        whole = 1 if self.refine else max(1, round(STEP / control_dt))
+        whole = 1 if single else max(1, round(STEP / control_dt))
         dt = self.dt or (whole * control_dt,)
         steps = self.horizon
         if open_ended:
@@ -330,6 +340,11 @@ class Planner(Section):
         said = self.model_fields_set - ({"horizon"} if open_ended else set())  # worked out is not said
         planner.__pydantic_fields_set__.intersection_update(said)
         return planner
+
+    @property
+    def finishes(self) -> bool:
+        """True where iLQG may go on from samples, which keep their own steps and knots."""
+        return self.refine is not None and self.refine.method is not Refinement.GRADIENT and self.method not in DIRECT
 
     @property
     def knot_count(self) -> int | None:

@@ -17,7 +17,7 @@ def test_a_plan_that_crossed_has_the_controls_that_it_had(kind):
     times = 3.0 + 0.04 * np.arange(6)
     knots = np.random.default_rng(0).uniform(-0.9, 0.9, (6, 3)).astype(np.float32)
     plan = Plan(knots, times, kind, layout.control_lower.copy(), layout.control_upper.copy())
-    codec = PlanCodec(layout, scene.planner.spline, 6)
+    codec = PlanCodec(layout, 6)
     found = codec.decode(codec.encode(TimedPlan(plan, 7, 2.97, 0.03, 12.0, True, 8.5)))
     assert (found.number, found.observed, found.latency, found.plan_ms, found.survived) == (7, 2.97, 0.03, 12.0, True)
     assert found.eta == 8.5

@@ -33,7 +33,10 @@ def test_the_best_rollout_is_the_one_the_plan_reports():
     lifted = best.frame("base/tip")[:, :2] - best.frame("base/centre")[:, :2]
     np.testing.assert_allclose(np.linalg.norm(lifted, axis=1), 0.2, atol=1e-6)
     knots = Plan(
-        best.knots, 2.0 + 0.06 * np.arange(3), controller.plan_step.kind, *[np.full(3, s) for s in (-1.0, 1.0)]
+        best.knots,
+        2.0 + 0.06 * np.arange(3),
+        controller.plan_step.plan_spline.kind,
+        *[np.full(3, s) for s in (-1.0, 1.0)],
     )
     np.testing.assert_allclose(best.control, [knots.at(t) for t in best.times[:-1]], atol=1e-5)
     others = [controller.rollout(s).cost for s in range(16)]

@@ -33,7 +33,7 @@ def test_norms_of_residuals_are_what_the_terms_cost():
     control = np.random.default_rng(0).uniform(-1.0, 1.0, (1, 5, 3)).astype(np.float32).astype(float)
     start, before = s.rollouts.worlds.observed(), s.request.state.last_control.numpy().astype(float)
     gain, nominal = np.zeros((1, 5, 3, s.tangent.size)), np.ones((1, 5, s.tangent.width))
-    outcome = s.rollouts(start, before, Policy(nominal, control, 0.0 * control, gain), np.zeros(3), 0.0)
+    outcome = s.rollouts(start, before, [Policy(nominal, control, 0.0 * control, gain)], np.zeros(3), 0.0)
     residual = s.differences(outcome.state[:, 0, :-1], control, before).residual[0]
     found = s.residuals.norms(residual)[0].sum(axis=0)
     strategy, engine = s.controller.plan_step.strategy, s.controller.engine

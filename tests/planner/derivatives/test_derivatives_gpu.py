@@ -35,7 +35,7 @@ def pair(request):
 def outcome_of(s, control):
     gain = np.zeros((1, STEPS, control.shape[2], s.tangent.size))
     policy = Policy(np.ones((1, STEPS, s.tangent.width)), control, 0.05 * np.ones_like(control), gain)
-    return s.rollouts(s.rollouts.worlds.observed(), control[:, 0], policy, np.linspace(0.0, 1.0, 5), 0.0)
+    return s.rollouts(s.rollouts.worlds.observed(), control[:, 0], [policy], np.linspace(0.0, 1.0, 5), 0.0)
 
 
 def test_policies_roll_out_as_on_the_cpu_and_stay_the_same_as_a_graph(pair):

@@ -42,7 +42,7 @@ def rolled(s, start, control):
     envs, steps, nu = control.shape
     gain = np.zeros((envs, steps, nu, s.tangent.size))
     states = np.ones((envs, steps, s.tangent.width))
-    out = s.rollouts(start, control[:, 0], Policy(states, control, np.zeros_like(control), gain), np.zeros(3))
+    out = s.rollouts(start, control[:, 0], [Policy(states, control, np.zeros_like(control), gain)], np.zeros(3))
     return out.state[:, 0, :-1]
 
 

@@ -18,14 +18,16 @@ from ...planner.controller.rollout_paths import FAN, RolloutPaths
 from ...planner.feedback import Feedback
 from ...planner.plan import Plan
 from ...scene.model.state import State
+from ...scene.schema import SplineKind
 
 if TYPE_CHECKING:
     from ...planner.feedback import StateSpace
     from ...scene.model.layout import Layout
-    from ...scene.schema import SplineKind
 
-HEAD = 7
+HEAD = 8
 """Numbers of a plan before its knots."""
+SPLINES = tuple(SplineKind)
+"""Kinds of splines, by the number that tells them."""
 TAIL_LINES = 12
 """Newest lines that are kept of what a process writes on standard error."""
 TAIL_BYTES = 65_536
@@ -130,20 +132,20 @@ class PlanCodec:
 
     Args:
         layout: State layout, whose limits plans have.
-        spline: Their spline.
         knots: Knots at most.
         space: How states are subtracted, where plans have feedback; they have as many gains as knots then.
     """
 
-    def __init__(self, layout: Layout, spline: SplineKind, knots: int, space: StateSpace | None = None):
-        self._layout, self._spline, self._space = layout, spline, space
+    def __init__(self, layout: Layout, knots: int, space: StateSpace | None = None):
+        self._layout, self._space = layout, space
         gains = 1 + space.tangent.width + layout.nu * space.tangent.size if space else 0
         self.capacity = HEAD + knots * (1 + layout.nu + gains)
 
     def encode(self, timed: TimedPlan) -> np.ndarray:
         """Numbers of a plan."""
         plan = timed.plan
-        head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, timed.eta, len(plan.times)]
+        head = [timed.number, timed.observed, timed.latency, timed.plan_ms, timed.survived, timed.eta]
+        head += [SPLINES.index(plan.spline), len(plan.times)]
         answer = plan.feedback if self._space else None
         gains = [a.ravel() for a in (answer.times, answer.state, answer.gain)] if answer else []
         return np.concatenate([head, plan.times, plan.knots.ravel(), *gains])
@@ -154,8 +156,8 @@ class PlanCodec:
         times, knots, rest = np.split(message[HEAD:], np.cumsum([count, count * layout.nu]))
         limits = layout.control_lower.copy(), layout.control_upper.copy()
         knots = knots.reshape(count, layout.nu).astype(np.float32)
-        plan = Plan(knots, times.copy(), self._spline, *limits, self._feedback(rest, count))
-        number, observed, latency, plan_ms, survived, eta, _ = message[:HEAD].tolist()
+        plan = Plan(knots, times.copy(), SPLINES[int(message[HEAD - 2])], *limits, self._feedback(rest, count))
+        number, observed, latency, plan_ms, survived, eta = message[: HEAD - 2].tolist()
         return TimedPlan(plan, int(number), observed, latency, plan_ms, bool(survived), eta)
 
     def _feedback(self, numbers: np.ndarray, count: int) -> Feedback | None:

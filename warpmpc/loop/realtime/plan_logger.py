@@ -56,7 +56,7 @@ def sizes(controller: Controller) -> dict[str, int]:
     found = {name: getattr(layout, name) for name in ("nq", "nv", "na", "nm", "nu")}
     terms, knots, task = (
         len(controller.costs.labels),
-        len(controller.plan_step.knot_time),
+        len(controller.plan_step.plan_spline.times),
         controller.task.block.shape[1],
     )
     return {**found, "terms": terms, "knots": knots, "task": task}

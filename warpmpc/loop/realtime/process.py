@@ -19,6 +19,8 @@ import warp as wp
 from ...physics.runtime.compiling import native_output
 from ...planner.controller.rollout_paths import RolloutPaths, acting_frames, see_rollouts
 from ...planner.feedback import StateSpace
+from ...planner.refine import refined
+from ...planner.refiners import most_knots
 from ...scene.errors import SceneError
 from ...scene.model.compiled import CompiledScene, compile_scene
 from ...scene.schema import Refinement
@@ -125,12 +127,12 @@ class PlannerProcess:
         self.scene, self.task = scene, task or Task(scene)
         self.compiled = compiled or compile_scene(scene)
         self.layout = task_layout(self.compiled.layout, scene)
-        knots = max(scene.planner.knot_count or 0, scene.planner.horizon)
+        knots = most_knots(scene)
         log = None if log is None else Path(log)
         self._order = _Order(scene, seed, engine, device, terms, speed, knots, log)
         self._context = multiprocessing.get_context("spawn")  # physics and its threads do not survive a fork
         self._observations = ObservationCodec(self.layout, self.task.block.shape[1])
-        self._plans = PlanCodec(self.layout, scene.planner.spline, knots, _space(scene, self.compiled))
+        self._plans = PlanCodec(self.layout, knots, _space(scene, self.compiled))
         self._observed = LatestValue(self._context, self._observations.capacity)
         self._planned = LatestValue(self._context, self._plans.capacity)
         self._beats = self._context.RawValue("L")  # heartbeats
@@ -311,7 +313,7 @@ def _plan(
         controller = Controller(scene, engine=order.engine, device=order.device, seed=order.seed, terms=terms)
         task = controller.task.block.shape[1]
         observations = ObservationCodec(controller.layout, task)
-        plans = PlanCodec(controller.layout, scene.planner.spline, order.knots, _space(scene, controller.compiled))
+        plans = PlanCodec(controller.layout, order.knots, _space(scene, controller.compiled))
         frames = acting_frames(scene, controller.layout)
         paths = PathsCodec(len(frames[0]), scene.planner.horizon)
         notes = None if order.log is None else PlanLogger(controller, order.log, order.life)
@@ -346,6 +348,5 @@ def _give_way() -> None:
 
 
 def _space(scene: Scene, compiled: CompiledScene) -> StateSpace | None:
-    """Subtraction of states where a scene's plans have feedback."""
-    refine = scene.planner.refine
-    return StateSpace.of(compiled) if refine and refine.method is Refinement.ILQG else None
+    """Subtraction of states where a scene's plans may have feedback."""
+    return StateSpace.of(compiled) if refined(scene) in (Refinement.AUTO, Refinement.ILQG) else None

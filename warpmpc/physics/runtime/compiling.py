@@ -24,6 +24,7 @@ PLANNING = {
     **{"engine.clone": 3.0, "planner.splines": 1.4, "planner.weights": 0.4, "planner.proposals": 0.4},
     **{"planner.moments": 0.4, "planner.costs": 0.4, "engine.launch": 0.4, "planner.sampling": 0.3},
     **{"engine.packing": 0.3, "engine.mujoco": 0.2, "engine.thread_pool": 0.1},
+    **{"planner.derivatives": 0.6, "planner.feedback": 0.6, "planner.riccati": 0.9},
 }
 """Modules of kernels that plans of every scene and its plant use on the CPU, and the time to compile each [s], on a
 busy core of an AMD EPYC; those that take longest first."""

@@ -287,12 +287,12 @@ class Controller:
             return None
         state, report = self._last[:2]
         many, gains = np.ndim(state.joint_q) == 2, self.plan_step.feedback
-        times = (self._observed.last - report.offset)[:, None] + self.plan_step.knot_time
+        times = (self._observed.last - report.offset)[:, None] + self.plan_step.plan_spline.times
         start = np.nan_to_num(self._observed.planned)
         return Plan(
             knots=report.knots.copy() if many else report.knots[0].copy(),
             times=times if many else times[0].copy(),
-            spline=self.plan_step.kind,
+            spline=self.plan_step.plan_spline.kind,
             lower=self._lower.copy(),
             upper=self._upper.copy(),
             feedback=gains and replace(gains, times=start[:, None] + gains.times),
@@ -345,7 +345,7 @@ class Controller:
 
     def _no_report(self) -> PlanReport:
         envs, nothing = self.envs, np.full(self.envs, np.nan)
-        mean = self.plan_step.strategy.mean.numpy()
+        mean = self.plan_step.knots.numpy()
         zero = np.zeros(envs)
         return PlanReport(
             command=np.zeros((envs, self.layout.nu)),
@@ -357,7 +357,7 @@ class Controller:
             overflow_halves=np.zeros((2, self.envs)),
             terms=np.full((envs, len(self.costs.labels)), np.nan),
             knots=mean,
-            offset=self.plan_step.strategy.offset.numpy(),
+            offset=self.plan_step.offset.numpy(),
         )
 
     def _warn_of_overflow(self, report: PlanReport) -> None:

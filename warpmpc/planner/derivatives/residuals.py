@@ -55,13 +55,14 @@ class Residuals:
     """
 
     def __init__(self, stack: CostStack):
+        if (refused := self.refusal(stack)) is not None:
+            raise refused
         self._stack, self._launch = stack, Launcher(stack.device)
         self.without: list[str] = []
         """Terms without a residual of their own."""
         names: dict[str, Any] = {"wp": wp, "StepView": StepView, "Params": stack.code.params}
         norms, counts, rows = [], [], []
         for i, (term, bound) in enumerate(stack.terms):
-            self._refuse(i)
             at = sum(counts)
             count = int(term.residual.dimension(bound)) if term.residual else 0
             if not count:
@@ -96,21 +97,18 @@ class Residuals:
         ]
         """First and number of each term's residuals, and kind, p and q of its norm, on the CPU ``[term]`` each."""
 
-    def _refuse(self, i: int) -> None:
-        """Refuse a term that has no meaning in a single step."""
-        (term, _), label = self._stack.terms[i], self._stack.labels[i]
-        if not isinstance(term, CostTerm):
-            what = "it is a function over whole arrays"
-        elif term.advance is not None:
+    @staticmethod
+    def refusal(stack: CostStack) -> SceneError | None:
+        """Error about the first term that has no meaning in a single step, None if all have."""
+        for (term, _), label in zip(stack.terms, stack.labels, strict=True):
+            if isinstance(term, CostTerm) and term.advance is None:
+                continue
             what = "it carries numbers along the rollout"
-        else:
-            return
-        raise SceneError(
-            f"planners with derivatives take steps one by one, and this term cannot: {what}",
-            key=f"cost.{label}",
-            file=self._stack.file,
-            found=term.name,
-        )
+            if not isinstance(term, CostTerm):
+                what = "it is a function over whole arrays"
+            message = f"planners with derivatives take steps one by one, and this term cannot: {what}"
+            return SceneError(message, key=f"cost.{label}", file=stack.file, found=term.name)
+        return None
 
     def launch(self, view: StepView, rollouts: int, first: int, count: int, out: wp.array) -> None:
         """Write the residuals ``[W, R]`` after the last control of some worlds; capture-safe.

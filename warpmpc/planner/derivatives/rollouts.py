@@ -18,6 +18,8 @@ from ...kernels.planner.feedback import TURN, TangentTable, add_cost_kernel, fol
 from ...physics.runtime.launch import Launcher
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ...engine.protocol import Engine, EngineRequest, PhysicsSteps
     from .residuals import Residuals
 
@@ -144,7 +146,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Outcome:
-    """States, controls and costs of the candidates."""
+    """States and controls of the candidates in the first of their worlds, and their mean costs."""
 
     state: np.ndarray
     """``[E, N, T+1, nx]``, the start first."""
@@ -155,7 +157,7 @@ class Outcome:
 
 
 class PolicyRollouts:
-    """Rolls a policy out with several α at once.
+    """Rolls policies out, each with several α, at once.
 
     Args:
         engine: Engine of the plans.
@@ -163,6 +165,9 @@ class PolicyRollouts:
         steps: Physics steps of the horizon.
         residuals: Residuals of the terms.
         candidates: N.
+        policies: P, the most policies of an environment.
+        draws: D, worlds with properties of their own that each candidate is tried in, as ``request.properties`` lists
+            them for all N·D worlds of an environment.
         hold: Steps that a control is held for; changes and gains of their first one count.
     """
 
@@ -173,11 +178,14 @@ class PolicyRollouts:
         steps: PhysicsSteps,
         residuals: Residuals,
         candidates: int,
+        *,
+        policies: int = 1,
+        draws: int = 1,
         hold: int = 1,
     ):
-        self._hold = hold
+        self._hold, self._policies, self._draws = hold, policies, draws
         device, layout = request.device, request.costs.layout
-        self.worlds = worlds = engine.step_worlds(request, steps, candidates, residuals)
+        self.worlds = worlds = engine.step_worlds(request, steps, candidates * draws, residuals)
         self.tangent = tangent = Tangent(worlds.model)
         self._launch, self._candidates = Launcher(device), candidates
         self._envs, self._horizon, self._residuals = request.shape.envs, request.shape.horizon, residuals
@@ -187,8 +195,11 @@ class PolicyRollouts:
         def zeros(*shape: int) -> wp.array:
             return wp.zeros(shape, dtype=wp.float64, device=device)
 
-        self._state, self._control, self._change = (zeros(envs, steps_, k) for k in (nx, nu, nu))
-        self._gain, self._share, self._feedback = zeros(envs, steps_, nu, n), zeros(candidates), zeros(candidates)
+        each = envs * policies
+        self._state, self._control, self._change = (zeros(each, steps_, k) for k in (nx, nu, nu))
+        tried = candidates * draws
+        self._gain, self._share, self._feedback = zeros(each, steps_, nu, n), zeros(tried), zeros(tried)
+        self._followed = wp.zeros(tried, dtype=int, device=device)
         self._states, self._controls, self._cost = zeros(steps_ + 1, count, nx), zeros(steps_, count, nu), zeros(count)
         self._difference = zeros(count, n)
         self._table = tangent.table(device)
@@ -208,45 +219,57 @@ class PolicyRollouts:
         self,
         start: np.ndarray,
         before: np.ndarray,
-        policy: Policy,
+        policies: Sequence[Policy],
         share: np.ndarray,
         feedback: np.ndarray | float = 1.0,
+        followed: np.ndarray | int = 0,
     ) -> Outcome:
-        """Roll the policy out.
+        """Roll policies out.
 
         Args:
             start: States at the start ``[E, nx]``.
             before: Controls that acted before ``[E, nu]``.
-            policy: The policy.
+            policies: The policies, at most P.
             share: α of each candidate ``[N]``.
             feedback: How much of K each candidate has ``[N]``.
+            followed: The policy that each candidate follows ``[N]``.
         """
-        worlds, shape = self.worlds, (self._envs, self._candidates)
+        worlds, shape = self.worlds, (self._envs, self._candidates, self._draws)
         worlds.follow()
-        begin = np.repeat(start, self._candidates, axis=0)
-        applied = np.stack([before, before]).repeat(self._candidates, axis=1)
-        given = policy.state, policy.control, policy.change, policy.gain
-        for array, values in zip((self._state, self._control, self._change, self._gain), given, strict=True):
-            array.assign(values)
-        self._share.assign(np.asarray(share, dtype=float))
-        self._feedback.assign(np.broadcast_to(np.asarray(feedback, dtype=float), share.shape).copy())
+        count = self._candidates * self._draws
+        begin = np.repeat(start, count, axis=0)
+        applied = np.stack([before, before]).repeat(count, axis=1)
+
+        def each(values: np.ndarray | float, kind: type) -> np.ndarray:
+            """A number of every candidate for all its worlds."""
+            return np.broadcast_to(np.asarray(values, dtype=kind), share.shape).repeat(self._draws)
+
+        rest = [policies[0]] * (self._policies - len(policies))
+        for name in ("state", "control", "change", "gain"):
+            values = np.stack([getattr(policy, name) for policy in (*policies, *rest)], axis=1)
+            getattr(self, f"_{name}").assign(values.reshape(-1, *values.shape[2:]))
+        self._share.assign(each(share, float))
+        self._feedback.assign(each(feedback, float))
+        self._followed.assign(each(followed, np.int32))
         worlds.starts.assign(np.hstack([np.zeros((len(begin), 1)), begin]))
         worlds.applied.assign(applied.astype(np.float32))
         worlds.run(self._replays)
         states = self._states.numpy().swapaxes(0, 1).reshape(*shape, self._horizon + 1, -1)
         controls = self._controls.numpy().swapaxes(0, 1).reshape(*shape, self._horizon, -1)
-        return Outcome(states.copy(), controls.copy(), self._cost.numpy().reshape(shape).copy())
+        cost = self._cost.numpy().reshape(shape).mean(axis=2)
+        return Outcome(states[:, :, 0].copy(), controls[:, :, 0].copy(), cost)
 
     def _roll(self, part: int) -> None:
         worlds, (first, count) = self.worlds, self.worlds.parts[part]
         policy = [self._state, self._control, self._change, self._gain, self._share, self._feedback]
         for t in range(self._horizon + 1):
-            inputs = [t, first, self._candidates, self._hold, self._table, worlds.ends, *policy, *self._limits]
+            which = [len(self._share), self._hold, self._policies, self._followed]
+            inputs = [t, first, *which, self._table, worlds.ends, *policy, *self._limits]
             outputs = [worlds.starts, self._difference, self._states, self._controls, worlds.applied]
             self._launch(follow_kernel, count, inputs, outputs)
             if t < self._horizon:
                 worlds.take(part)
-                inputs = [t, first, self._candidates, worlds.residuals, *self._costing, worlds.diverged]
+                inputs = [t, first, len(self._share), worlds.residuals, *self._costing, worlds.diverged]
                 self._launch(add_cost_kernel, count, inputs, [self._cost])
 
     def close(self) -> None:

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""iLQG that goes on from samples: when it does, what it is handed, and what it holds that samples let fall."""
+
+import numpy as np
+import pytest
+from small_scenes import DISC, make_scene
+
+from warpmpc import Controller, SceneError, State, load_scene, run_episode
+from warpmpc.engine.protocol import TimeGrid
+from warpmpc.planner.refine import some_draws
+from warpmpc.planner.refiners import fine_grid
+from warpmpc.scene.model.properties import Properties
+
+OTHERS = "tools/others"
+
+
+def controller(**planner) -> Controller:
+    return Controller(make_scene(planner=planner), engine="fused", device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("planner", "engine", "goes_on"),
+    [
+        ({}, "fused", True),
+        ({}, "mujoco", True),
+        ({}, "kinematic", False),  # nothing is unstable without physics
+        ({"samples": 32, "iterations": 1}, "fused", False),  # 19 worlds for differences
+        ({"samples": 38, "iterations": 1}, "fused", True),
+        ({"samples": 32, "iterations": 1, "refine": {"method": "ilqg"}}, "fused", True),
+        ({"refine": None}, "fused", False),
+        ({"execute": "best"}, "fused", False),
+        ({"method": "cem"}, "fused", False),
+        ({"method": "predictive_sampling"}, "fused", False),
+    ],
+    ids=str,
+)
+def test_it_goes_on_unasked_where_it_is_cheap_beside_samples_with_physics(planner, engine, goes_on):
+    mpc = Controller(make_scene(planner=planner), engine=engine, device="cpu")
+    plan = mpc.plan(State(np.zeros(3), np.zeros(3), 0.0))
+    assert (plan.feedback is not None) == goes_on
+
+
+def test_terms_that_are_not_taken_step_by_step_leave_it_out():
+    keys = ["engine.name=mujoco", "planner.dt=[0.02]", "planner.horizon=10", "planner.samples=128"]
+    mpc = Controller(load_scene("storm_balance", overrides=keys), device="cpu")
+    assert mpc.plan_step.refiner is None
+    with pytest.raises(SceneError, match="carries numbers along"):
+        Controller(load_scene("storm_balance", overrides=[*keys, "planner.refine.method=ilqg"]), device="cpu")
+
+
+def test_plans_have_a_control_for_every_step_and_samples_keep_their_knots():
+    mpc = controller(samples=64, lookahead=0.8, dt=0.08, knots=4, refine={"method": "ilqg"})
+    for time in (0.0, 0.04, 0.08):
+        plan = mpc.plan(State(np.zeros(3), np.zeros(3), time))
+        assert plan.knots.shape == (20, 3)
+        assert mpc.rollout().knots.shape == (4, 3)
+        np.testing.assert_allclose(plan.times, time + 0.04 * np.arange(20), atol=1e-6)
+        np.testing.assert_allclose(plan.at(time), mpc.command, atol=1e-6)
+
+
+def test_the_plan_costs_no_more_than_that_of_the_samples():
+    scenes = [make_scene(planner={"samples": 64, "refine": refine}) for refine in (None, {"method": "ilqg"})]
+    state = State(np.array([0.2, -0.3, 0.4]), np.zeros(3), 0.0)
+    ends = []
+    for scene in scenes:
+        mpc = Controller(scene, engine="fused", device="cpu", seed=3)
+        for n in range(8):
+            mpc.step(State(state.joint_q, state.joint_qd, 0.04 * n))
+        ends.append(mpc.info.cost)  # of the best sample: samples are drawn about the improved plan
+    assert ends[1] <= 1.001 * ends[0]
+
+
+def test_no_environment_changes_the_plan_of_another():
+    scene = make_scene(planner={"samples": 64, "refine": {"method": "ilqg"}})
+    knots = []
+    for second in ([0.0, 0.0, 0.0], [0.5, 1.0, 0.3]):
+        starts = np.array([[0.2, -0.3, 0.4], second], dtype=np.float32)
+        knots.append(
+            Controller(scene, engine="fused", device="cpu", envs=2).plan(State(starts, 0.0 * starts, 0.0)).knots
+        )
+    np.testing.assert_array_equal(knots[0][0], knots[1][0])
+    assert np.abs(knots[0][1] - knots[1][1]).max() > 0.1
+
+
+def test_the_last_step_counts_as_much_beside_the_others():
+    coarse = TimeGrid(np.full(10, 0.08), np.array([*0.9 ** np.arange(9), 20.0], dtype=np.float32))
+    fine = fine_grid(coarse, 0.02)
+    assert fine.steps == 40
+    assert fine.t[-1] == pytest.approx(coarse.t[-1])
+    assert fine.discount[-1] == 80.0
+    np.testing.assert_allclose(fine.discount[:36], coarse.discount[:9].repeat(4))
+    assert fine_grid(TimeGrid(np.full(8, 0.01), np.ones(8)), 0.02).steps == 8  # never longer than a step of samples
+
+
+def test_candidates_are_tried_in_the_nominal_world_first_and_in_the_same_draws():
+    drawn = Properties(("box",), np.array([[0.8], [1.3], [1.1]]), np.ones((3, 1)), np.full((3, 1, 3), 0.02))
+    tried = some_draws(drawn, 2, 3)
+    np.testing.assert_allclose(tried.mass[:, 0], [1.0, 0.8, 1.3] * 2)
+    np.testing.assert_allclose(tried.size[:, 0, 0], [0.0, 0.02, 0.02] * 2)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_it_holds_a_pole_that_samples_let_fall(seed):
+    def fell(**changes: object) -> bool:
+        overrides = [f"{key}={value}" for key, value in {"timing.timeout": 4.0, **changes}.items()]
+        return not run_episode(
+            load_scene(f"{OTHERS}/pole_arm.toml", overrides=overrides), device="cpu", seed=seed
+        ).success
+
+    assert not fell()
+    assert fell(**{"planner.refine": "false"})
+
+
+def test_no_derivatives_leave_the_plan_of_the_samples(caplog):
+    mpc = controller(samples=64, refine={"method": "ilqg"})
+    mpc.plan_step.refiner.differences._moves.state.fill_(np.nan)
+    plan = mpc.plan(State(np.zeros(3), np.zeros(3), 0.0))
+    assert plan.feedback is None
+    assert "no derivatives" in caplog.text
+    assert np.isfinite(plan.knots).all()
+    assert np.abs(plan.knots).max() > 0.1
+    assert DISC["drive"]["limit"][0] >= np.abs(plan.knots).max()
