@@ -24,8 +24,9 @@ MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmer
 def visited(name: str, integrator: str, seed: int = 0):
     """A model, and states that it visits under random controls."""
     model = compile_model(MODELS[name], integrator)
-    q, v = starts(model, 8, seed=seed)
-    return model, visit([model], q, v, controls(model, 60, 8, seed=seed), every=3)
+    worlds, steps = (16, 90) if name == "pairs" else (8, 60)  # few contacts without friction change sides in a step
+    q, v = starts(model, worlds, seed=seed)
+    return model, visit([model], q, v, controls(model, steps, worlds, seed=seed), every=3)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +37,7 @@ def visited(name: str, integrator: str, seed: int = 0):
         *(pytest.param(name, "Euler", marks=pytest.mark.slow) for name in MODELS if name != "swimmers"),
     ],
 )
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_single_steps_are_those_of_mujoco(name, integrator, seed):
     """Activations too: `step_differences` compares them."""
     model, states = visited(name, integrator, seed)

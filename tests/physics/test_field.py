@@ -43,8 +43,8 @@ def landscape(*kinds: str) -> mujoco.MjModel:
 
 def steps(model: mujoco.MjModel, seed: int = 0):
     """Single steps of a model; those from steady states, the largest difference of each."""
-    q, v = starts(model, 16, seed=seed)
-    states = visit([model], q, v, controls(model, 100, 16), every=4)
+    q, v = starts(model, 8, seed=seed)
+    states = visit([model], q, v, controls(model, 100, 8), every=4)
     assert (states.rows > 0).mean() > 0.4
     found = step_differences(model, states, lanes=4)
     print(f"\n{found}")
@@ -79,7 +79,7 @@ def test_boxes_and_stones_come_to_rest_on_hills():
     model = landscape("box", "mesh")
     worlds, count = 32, 200
     q, v = starts(model, worlds, speed=0.3)
-    engine = PlainRollout(model, worlds, count)
+    engine = PlainRollout(model, worlds, count, lanes=4)
     end = engine(q, v, np.zeros((count, worlds, 0)))[0][-1]
     assert not engine.work.overflow.numpy().any()
     data, expected = mujoco.MjData(model), []

@@ -66,7 +66,7 @@ def agree(a, b, atol=5e-4):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=20 * atol if name == "qvel" else atol)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_steps_and_outputs_are_those_of_mujoco(model, seed, caplog):
     batches, rng = pair(model, seed), np.random.default_rng(seed)
     start = batches[0].qpos.copy()
