@@ -48,6 +48,7 @@ between = ["base/centre", "goal"]
 samples = 32
 horizon = 6
 noise.sigma = [0.004, 0.004, 0.004]  # planted: far too small to move the robot
+refine = false
 
 [success]
 distance = 0.1

@@ -40,6 +40,15 @@ def test_it_goes_on_unasked_where_it_is_cheap_beside_samples_with_physics(planne
     assert (plan.feedback is not None) == goes_on
 
 
+def test_terms_that_watch_contacts_leave_it_out():
+    """A force is seen once there is contact: with samples alone the robot stops before the post."""
+    mpc = Controller(load_scene("omni_push_box"), device="cpu")
+    assert mpc.plan_step.refiner is None
+    assert Controller(
+        load_scene("omni_push_box", overrides=["planner.refine.method=ilqg"]), device="cpu"
+    ).plan_step.refiner
+
+
 def test_terms_that_are_not_taken_step_by_step_leave_it_out():
     keys = ["engine.name=mujoco", "planner.dt=[0.02]", "planner.horizon=10", "planner.samples=128"]
     mpc = Controller(load_scene("storm_balance", overrides=keys), device="cpu")

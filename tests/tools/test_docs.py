@@ -91,3 +91,11 @@ def test_every_picture_is_shown_and_every_file_of_figures_has_a_table():
     assert [name for name in pictures if name not in text] == []
     figures = [path.stem for path in files if path.parent.name == "data"]
     assert [name for name in figures if f"<!-- data: {name} -->" not in text] == []
+
+
+def test_the_pages_stay_small():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    by_tools = ("docs/reference/", "docs/gallery.md", "docs/robots.md")
+    by_hand = [page for page in named.pages() if not page.startswith(by_tools)]
+    words = {page: len((ROOT / page).read_text(encoding="utf-8").split()) for page in by_hand}
+    assert sum(words.values()) <= 14_100, words

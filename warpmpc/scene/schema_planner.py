@@ -144,8 +144,9 @@ class Refine(Section):
 
     method: Refinement = Refinement.AUTO
     """``gradient``: steepest descent on the knots, or ``ilqg``: a quadratic model solved from the end to the start,
-    with a feedback gain for every control that plans are followed with. ``auto`` is ``ilqg`` where the engine has
-    physics, every term can be taken step by step and differences take at most half as many worlds as the samples."""
+    with a feedback gain for every control that plans are followed with. ``auto`` is ``ilqg`` on a CPU where
+    the engine has physics, every term can be taken step by step, none watches contacts, and differences take at most
+    half as many worlds as the samples."""
     iterations: Count = 1
     """Expansions, each followed by a line search."""
     candidates: TwoOrMore = 8
