@@ -277,7 +277,6 @@ class IlqgRefiner(Refiner):
         rows = np.arange(len(start))
         if not np.isfinite(cost).all():
             raise FloatingPointError("the physics of the plan's own rollout failed")
-        improved = np.zeros(len(start), dtype=bool)
         for _ in range(self._settings.iterations):
             solved = self._solve(*held(*self._expand(state[:, :-1], control, before), hold), control[:, ::hold])
             change, gain = (x.repeat(hold, axis=1)[:, :steps] for x in (solved.change, solved.gain))
@@ -291,8 +290,8 @@ class IlqgRefiner(Refiner):
             state = np.where(helps, outcome.state[rows, best], state)
             control = np.where(helps, outcome.control[rows, best], control)
             gains = np.where(helps[..., None], solved.gain, gains)
-            cost, improved = np.minimum(found, cost), improved | helps[:, 0, 0]
-        self._take(control[:, ::hold], improved)
+            cost = np.minimum(found, cost)
+        self._take(control[:, ::hold])
         times = np.tile(self._request.grid.t[:-1:hold], (len(start), 1))
         self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
         self._control = control[:, ::hold]
@@ -302,8 +301,8 @@ class IlqgRefiner(Refiner):
         control = np.clip(self._strategy.mean.numpy().astype(float), self._lower, self._upper)
         return [control.repeat(self.hold, axis=1)[:, : self._request.grid.steps]]
 
-    def _take(self, control: np.ndarray, improved: np.ndarray) -> None:
-        """Let the plan be controls ``[E, T/hold, nu]``, better ones where they are improved ``[E]``."""
+    def _take(self, control: np.ndarray) -> None:
+        """Let the plan be controls ``[E, T/hold, nu]``."""
         self._strategy.mean.assign(control.astype(np.float32))
         self._strategy.offset.zero_()
 
@@ -328,7 +327,6 @@ class IlqgRefiner(Refiner):
         outcome = self.rollouts(start, before, policies, np.zeros(len(each)), feedback, followed)
         rows, best = np.arange(len(start)), np.argmin(outcome.cost, axis=1)
         gain = np.stack([policy.gain for policy in policies], axis=1)[rows, followed[best], :: self.hold]
-        self.winner = followed[best], feedback[best]
         gain = gain * feedback[best][:, None, None, None]
         return outcome.state[rows, best], outcome.control[rows, best], outcome.cost[rows, best], gain
 

@@ -123,7 +123,7 @@ class SampledIlqg(IlqgRefiner):
         knots = np.stack([strategy.knots[e, int(i)].numpy() for e, i in enumerate(best)])
         return [self._held_controls(x) for x in (strategy.mean.numpy(), knots)]
 
-    def _take(self, control: np.ndarray, improved: np.ndarray) -> None:
+    def _take(self, control: np.ndarray) -> None:
         self.knots.assign(control.astype(np.float32))
         control = control.repeat(self.hold, axis=1)[:, : self._request.grid.steps]
         mean = self._strategy.mean.numpy().astype(float)
