@@ -141,6 +141,19 @@ def test_the_table_has_one_row_per_episode_and_a_sum(command):
     assert "0 of 2 reached the goal\nwhy seed 0 did not succeed:\n  - not met: " in done.stdout
 
 
+@pytest.mark.parametrize("more", [[], ["--envs", "2"]])
+@pytest.mark.parametrize("wall", [False, True])
+def test_contact_is_told_where_a_pair_is_watched(tmp_path, command, wall, more):
+    obstacle = '[[obstacle]]\nname = "wall"\nshape = "box"\nsize = [0.1, 0.1, 0.1]\nposition = [5.0, 5.0, 0.05]\n'
+    (tmp_path / "mine.toml").write_text(SCENE + obstacle * wall)
+    done = command("run", "mine.toml", "--episodes", "2", "--engine", "fused", *more, *TINY)
+    assert ("contact" in done.stdout) == wall
+    if not more:
+        assert ("peak force" in done.stdout) == wall
+        told = results(command("run", "mine.toml", "--json", "--engine", "fused", *TINY))[0]["collisions"]
+        assert told == {"max_force_N": 0.0 if wall else None, "time_in_contact_s": 0.0 if wall else None}
+
+
 def test_many_episodes_at_once(tmp_path, command):
     (tmp_path / "mine.toml").write_text(SCENE)
     many = ("run", "mine.toml", "--json", "--seed", "3", "--episodes", "5", "--envs", "2", *TINY)

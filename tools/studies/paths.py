@@ -63,7 +63,7 @@ def read(cell: Cell, records: list[dict]) -> dict:
         "robot": ROBOTS[robot],
         "method": METHODS[method],
         "runs": len(records),
-        "touched": sum(record["result"]["collisions"]["max_force_N"] > 0.0 for record in records),
+        "touched": sum(bool(record["result"]["collisions"]["max_force_N"]) for record in records),
         "time_s": [record["result"]["time_to_goal_s"] for record in reached],
         "path_m": path,
         "detour": [p / s for p, s in zip(path, straight, strict=True)],

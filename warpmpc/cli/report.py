@@ -90,18 +90,14 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
         "mean cost": ["-" if r.success is not None else f"{r.mean_cost:.4g}" for r in results],
         _error_heading(results): [_metres(_position(r)) for r in results],
         "yaw\n[rad]": [_metres(r.yaw_error) for r in results],
-        "peak force\n[N]": [f"{r.max_force:.1f}" for r in results],
-        "contact\n[s]": [f"{r.time_in_contact:.2f}" for r in results],
+        "peak force\n[N]": ["-" if r.max_force is None else f"{r.max_force:.1f}" for r in results],
+        "contact\n[s]": [_contact([r]) for r in results],
         "plan p50\n[ms]": [_ms(r.plan_ms["p50"]) for r in results],
         "p99\n[ms]": [_ms(r.plan_ms["p99"]) for r in results],
         "safe\ncommands": [str(r.fallbacks or "-") for r in results],
     }
-    columns = {name: cells for name, cells in every.items() if any(str(cell) != "-" for cell in cells)}
-    table = make_table(*columns, right=[name for name in columns if name != "result"], title=_title(results[0]))
-    for row in zip(*columns.values(), strict=True):
-        table.add_row(*row)
     console = console_of(out)
-    show_table(console, table)
+    show_table(console, _table_of(every, left=["result"], title=_title(results[0])))
     console.print(summary(results))
     print_verdicts(results, console)
 
@@ -156,28 +152,20 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
     envs, plans = results[0].envs, [r.plan_ms for r in results if not math.isnan(r.plan_ms["p50"])]
     p50 = statistics.median(plan["p50"] for plan in plans) if plans else math.nan
     longest = max((plan["max"] for plan in plans), default=math.nan)
-    table = make_table(
-        "result",
-        "episodes",
-        "mean time\n[s]",
-        _error_heading(results),
-        "contact\n[s]",
-        "seeds",
-        right=["episodes", "mean time\n[s]", _error_heading(results), "contact\n[s]"],
-        title=_title(results[0]),
-    )
-    for reason in sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached"):
-        group = sorted((r for r in results if r.reason == reason), key=lambda r: r.seed)
-        table.add_row(
-            Text(reason, style="green" if group[0].passed else "red"),
-            str(len(group)),
-            f"{statistics.mean(r.sim_time for r in group):.2f}",
-            _metres(None if _position(group[0]) is None else statistics.mean(map(_position, group))),
-            f"{statistics.mean(r.time_in_contact for r in group):.2f}",
-            "" if group[0].passed else some([str(r.seed) for r in group], most=12),
-        )
+    reasons = sorted({r.reason for r in results}, key=lambda reason: reason != "goal reached")
+    groups = [sorted((r for r in results if r.reason == reason), key=lambda r: r.seed) for reason in reasons]
+    every = {
+        "result": [Text(group[0].reason, style="green" if group[0].passed else "red") for group in groups],
+        "episodes": [str(len(group)) for group in groups],
+        "mean time\n[s]": [f"{statistics.mean(r.sim_time for r in group):.2f}" for group in groups],
+        _error_heading(results): [
+            _metres(None if _position(group[0]) is None else statistics.mean(map(_position, group))) for group in groups
+        ],
+        "contact\n[s]": [_contact(group) for group in groups],
+        "seeds": ["" if group[0].passed else some([str(r.seed) for r in group], most=12) for group in groups],
+    }
     console = console_of(out)
-    show_table(console, table)
+    show_table(console, _table_of(every, left=["result", "seeds"], title=_title(results[0])))
     safe = sum(r.fallbacks for r in results)
     console.print(
         f"plan of {envs} environments: p50 {_ms(p50)} ms, {_ms(p50 / envs)} ms each; longest {_ms(longest)} ms"
@@ -186,6 +174,21 @@ def print_batch(results: Sequence[EpisodeResult], out: TextIO) -> None:
     share = f"{100.0 * sum(r.passed for r in results) / len(results):.1f} %: " if results[0].success is not None else ""
     console.print(share + summary(results))
     print_verdicts(results, console, outcomes=False)
+
+
+def _table_of(columns: dict[str, list], *, left: Sequence[str], title: str) -> Table:
+    """A table of columns by heading; those that have nothing but dashes are left out."""
+    columns = {name: cells for name, cells in columns.items() if any(str(cell) != "-" for cell in cells)}
+    table = make_table(*columns, right=[name for name in columns if name not in left], title=title)
+    for row in zip(*columns.values(), strict=True):
+        table.add_row(*row)
+    return table
+
+
+def _contact(results: Sequence[EpisodeResult]) -> str:
+    """Mean time in contact [s]; a dash where no pair is watched."""
+    times = [result.time_in_contact for result in results]
+    return "-" if None in times else f"{statistics.mean(times):.2f}"
 
 
 def _title(result: EpisodeResult) -> str:

@@ -53,7 +53,7 @@ def _cost(x: float | None, y: float | None, yaw: float | None) -> float | None:
 
 METRICS = {
     "success": Metric("reached", "%", lambda run: run["result"]["success"], 0, rate=True),
-    "free": Metric("no collision", "%", lambda run: run["result"]["collisions"]["max_force_N"] == 0.0, 0, rate=True),
+    "free": Metric("no collision", "%", lambda run: not run["result"]["collisions"]["max_force_N"], 0, rate=True),
     "time": Metric("time to goal", "s", lambda run: run["result"]["time_to_goal_s"]),
     "path": Metric("path length", "m", _when_reached(lambda run: run["measured"]["path_length_m"])),
     "jerk": Metric("squared jerk", "m²/s⁵", _when_reached(lambda run: run["measured"]["squared_jerk_m2_s5"]), 0),

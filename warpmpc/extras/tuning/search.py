@@ -96,10 +96,8 @@ class Score:
         return mean + FAILED_COST * failed if math.isfinite(mean) else 1e30
 
     def _seconds(self, result: EpisodeResult) -> float:
-        hard, timeout = (
-            result.max_force > GRAZE_FORCE and result.time_in_contact > GRAZE_TIME,
-            self.scene.timing.timeout,
-        )
+        timeout = self.scene.timing.timeout
+        hard = (result.max_force or 0.0) > GRAZE_FORCE and (result.time_in_contact or 0.0) > GRAZE_TIME
         price = min(self.contact_penalty, timeout) * hard
         if result.success:
             return result.time_to_goal + price

@@ -58,10 +58,10 @@ class EpisodeResult(Result):
     """Final heading error [rad], None for a goal without orientation."""
     cost: float
     """Cost of the last plan's best sample; NaN without a plan."""
-    max_force: float
-    """Largest net force between robots or objects and obstacles [N]."""
-    time_in_contact: float
-    """Time of contact between robots or objects and obstacles [s]."""
+    max_force: float | None
+    """Largest net force between robots or objects and obstacles [N]; None where the plant watches no such pair."""
+    time_in_contact: float | None
+    """Time of contact between robots or objects and obstacles [s]; None where the plant watches no such pair."""
     plan_ms: dict[str, float]
     """Wall time of a plan of all environments [ms]: ``p50``, ``p90``, ``p99``, ``max``; NaN without a plan."""
     stages_ms: dict[str, float]
