@@ -113,6 +113,10 @@ class SceneError(ValueError):
         return cls(**_explain(details[0], data, root), file=file, more=len(details) - 1)
 
 
+class UnknownName(SceneError, KeyError):
+    """A name that a plant, a task or a layout does not have; it lists the names there are."""
+
+
 def join_key(parts: Iterable[str | int]) -> str:
     """Write a dotted key; parts that have dots of their own stand in quotes."""
     return ".".join(text if re.fullmatch(r"[\w*-]+", text := str(part)) else f'"{text}"' for part in parts)

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from small_scenes import BOX, compiled, layout_of, make_scene
+from small_scenes import BOX, WALL, compiled, layout_of, make_scene
 
 from warpmpc import Controller, Plant, SceneError, State
 from warpmpc.scene.check import check_scene
@@ -85,12 +85,56 @@ def test_values_that_make_no_sense_are_refused_and_change_nothing(name, value):
 
 def test_names_that_are_not_there_are_told_with_those_that_are():
     task = make_task()
-    with pytest.raises(KeyError, match=r"no 'sped'.*speed"):
+    with pytest.raises(KeyError, match=r"no such value; found 'sped'; .*Did you mean 'speed'"):
         task["sped"] = 1.0
     with pytest.raises(KeyError, match="gaol"):
         task["gaol"]
     assert "speed" in task
     assert "sped" not in task
+
+
+@pytest.mark.parametrize(
+    ("look", "there"),
+    [
+        (lambda plant: plant.pose("red"), "base/tip, .*box, gate, goal, wall"),
+        (lambda plant: plant.move_mocap("red", POSE), "nothing, there is none"),
+        (lambda plant: plant.perturbation.grab("red", np.zeros(3)), "base/base_link, .*box"),
+        (lambda plant: plant.layout.entity("red"), "base, box, ground, wall"),
+        (lambda plant: plant.layout.group("red"), "base, box, ground, objects, obstacles, robots, wall"),
+        (
+            lambda plant: plant.layout.frame("red"),
+            "base/tip, .*box, gate, goal, wall",
+        ),
+        (lambda plant: plant.layout.joint("red"), "base/x"),
+        (lambda plant: plant.layout.sensor("red"), "nothing, there is none"),
+        (lambda plant: plant.task["red"], "distance, effort, gate, goal, height, speed, view"),
+        (lambda plant: plant.task.pose("red"), "gate, goal"),
+        (lambda plant: plant.task.pose("speed"), "gate, goal"),
+        (lambda plant: plant.task.move("red", np.zeros(3)), "gate, goal"),
+        (lambda plant: plant.task.points("red"), "view"),
+        (lambda plant: plant.task.see("red", np.zeros((1, 3))), "view"),
+    ],
+)
+def test_an_unknown_name_is_one_error_that_lists_the_names_there_are(plant, look, there):
+    with pytest.raises(SceneError, match=rf"no such .*; found '(red|speed)'; allowed: .*{there}") as caught:
+        look(plant)
+    assert isinstance(caught.value, KeyError)
+
+
+@pytest.fixture(scope="module")
+def plant() -> Plant:
+    scene = make_scene(
+        **SECTIONS, object=[BOX], obstacle=[WALL], cloud=[{"name": "view", "low": (0, 0, 0), "high": (1, 1, 1)}]
+    )
+    return Plant(scene, compiled=compiled(scene))
+
+
+def test_a_plant_has_the_pose_of_every_frame(plant):
+    np.testing.assert_allclose(plant.pose("gate"), plant.task["gate"])
+    np.testing.assert_allclose(plant.pose("wall"), [*WALL["position"], 0, 0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(plant.pose("box"), [*BOX["position"], 0, 0, 0, 1], atol=1e-6)
+    x, y, yaw = plant.state.joint_q[:3]
+    np.testing.assert_allclose(plant.pose("base/tip")[:2], [x + 0.2 * np.cos(yaw), y + 0.2 * np.sin(yaw)], atol=1e-5)
 
 
 def test_listeners_hear_what_changed():

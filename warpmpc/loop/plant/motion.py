@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ...scene.errors import SceneError
+from ...scene.errors import UnknownName
 
 if TYPE_CHECKING:
     from ...engine.mujoco import MujocoSimulator
@@ -143,10 +143,10 @@ class Perturbation:
         """Take hold of a body where it is at a point of the world ``[3]`` [m]; until it is moved, the hand is there.
 
         Raises:
-            SceneError: If there is no such body.
+            UnknownName: If there is no such body.
         """
         if body not in self._body:
-            raise SceneError("no such body", key="body", found=body, allowed=list(self._body))
+            raise UnknownName("no such body", found=body, allowed=list(self._body))
         self._take_state()
         model, data, grip, index = self._model, self._data, self._grip, self._body[body]
         turned = data.xmat[index].reshape(3, 3)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...physics.runtime.launch import capturing
-from ...scene.errors import SceneError
+from ...scene.errors import SceneError, UnknownName
 from ...scene.model.compiled import CompiledScene, compile_scene
+from ...scene.model.layout import WORLD
 from ...scene.model.state import Contact, State
-from ...scene.task.conditions import StateSnapshot
+from ...scene.task.conditions import StateSnapshot, chained
 from ...scene.task.goal import GOAL, GoalError
 from ...scene.task.task import Task
 from ..estimation.scene_estimator import SceneEstimator
@@ -237,11 +238,11 @@ class SimulatedPlant:
         """Put a mocap body, ``robot/body``, somewhere else: a pose (x, y, z, qx, qy, qz, qw) in the world.
 
         Raises:
-            SceneError: If there is no such mocap body.
+            UnknownName: If there is no such mocap body.
         """
         names = self.layout.mocap_name
         if name not in names:
-            raise SceneError("no such mocap body", key="mocap", found=name, allowed=names)
+            raise UnknownName("no such mocap body", found=name, allowed=names)
         self._engine.move_mocap(self._index, names.index(name), pose)
 
     def begin(self, control: np.ndarray) -> None:
@@ -330,7 +331,15 @@ class SimulatedPlant:
         return self.pose(GOAL)
 
     def pose(self, name: str) -> np.ndarray:
-        """True pose ``[7]`` of the goal, a target or a movable obstacle; the task has what is seen of it."""
+        """True pose ``[7]`` of a frame: the goal, a target, an object, an obstacle, ``robot/frame`` or ``robot/link``.
+
+        Raises:
+            UnknownName: If there is no such frame.
+        """
+        if name not in self.task.pose_name:
+            index = self.layout.frame(name)
+            body, local = int(self.layout.frame_body[index]), self.layout.frame_pose[index]
+            return local.copy() if body == WORLD else chained(self.body_q[body], local)
         pose = self.task.pose(name, self._index).copy()
         if name in self._moving:
             pose[:3] = self._moving[name]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import UnknownName
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -208,61 +208,61 @@ class Layout:
         """The robot, object, obstacle or ground of this name.
 
         Raises:
-            SceneError: If there is none.
+            UnknownName: If there is none.
         """
         for entity in self.entities:
             if entity.name == name:
                 return entity
-        raise SceneError("no such entity", key=key, found=name, allowed=[e.name for e in self.entities])
+        raise UnknownName("no such entity", key=key, found=name, allowed=[e.name for e in self.entities])
 
     def group(self, name: str, *, key: str = "") -> tuple[Entity, ...]:
         """The entity of this name, or all ``obstacles``, ``objects`` or ``robots``.
 
         Raises:
-            SceneError: If there is no such entity or group.
+            UnknownName: If there is no such entity or group.
         """
         groups = {"obstacles": "obstacle", "objects": "object", "robots": "robot"}
         if name in groups:
             return tuple(e for e in self.entities if e.kind == groups[name])
         try:
             return (self.entity(name),)
-        except SceneError:
+        except UnknownName:
             allowed = [e.name for e in self.entities] + list(groups)
-            raise SceneError("no such entity", key=key, found=name, allowed=allowed) from None
+            raise UnknownName("no such entity", key=key, found=name, allowed=allowed) from None
 
     def frame(self, name: str, *, key: str = "") -> int:
         """Index of a frame: ``robot/frame``, ``robot/link``, an object, an obstacle or ``goal``.
 
         Raises:
-            SceneError: If there is none.
+            UnknownName: If there is none.
         """
         if name in self.frame_name:
             return self.frame_name.index(name)
-        raise SceneError("no such frame", key=key, found=name, allowed=self.frame_name)
+        raise UnknownName("no such frame", key=key, found=name, allowed=self.frame_name)
 
     def joint(self, name: str, *, key: str = "") -> int:
         """Joint coordinate index of a joint axis, ``robot/joint`` or the joint's own name where unique.
 
         Raises:
-            SceneError: If there is none, or several.
+            UnknownName: If there is none, or several.
         """
         axes = [i for i, axis in enumerate(self.dof_name) if axis]
         found = [i for i in axes if name in (self.dof_name[i], self.dof_name[i].split("/")[-1])]
         if len(found) != 1:
             what = "several joints have this name" if found else "no such joint"
-            raise SceneError(what, key=key, found=name, allowed=[self.dof_name[i] for i in axes])
+            raise UnknownName(what, key=key, found=name, allowed=[self.dof_name[i] for i in axes])
         return int(self.dof_coord[found[0]])
 
     def sensor(self, name: str, *, key: str = "") -> int:
         """Index of the first number of a sensor, ``robot/sensor`` or the sensor's own name where unique.
 
         Raises:
-            SceneError: If there is none, or several.
+            UnknownName: If there is none, or several.
         """
         found = [i for i, full in enumerate(self.sensor_name) if name in (full, full.partition("/")[2])]
         if len(found) != 1:
             what = "several sensors have this name" if found else "no such sensor"
-            raise SceneError(what, key=key, found=name, allowed=self.sensor_name)
+            raise UnknownName(what, key=key, found=name, allowed=self.sensor_name)
         return int(self.sensor_start[found[0]])
 
     def save(self, path: Path) -> None:

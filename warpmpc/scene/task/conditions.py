@@ -117,10 +117,10 @@ class Conditions:
         origin = (
             snapshot.body_q[body] if body >= 0 else snapshot.pose(self._task.pose_name[-2 - body], self._task, self._e)
         )
-        return _chained(origin, local)
+        return chained(origin, local)
 
 
-def _chained(pose: np.ndarray, local: np.ndarray) -> np.ndarray:
+def chained(pose: np.ndarray, local: np.ndarray) -> np.ndarray:
     """World pose ``[7]`` of a pose relative to another; in plain numbers, which cost less than small arrays."""
     px, py, pz, x, y, z, w = pose.tolist()
     lx, ly, lz, a, b, c, d = local.tolist()

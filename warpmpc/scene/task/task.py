@@ -13,6 +13,7 @@ from weakref import WeakMethod
 
 import numpy as np
 
+from ..errors import UnknownName
 from ..model.layout import GOAL as GOAL_BODY
 from ..schema_bodies import Cloud
 from .goal import GOAL, goal_pose, target_pose
@@ -43,7 +44,7 @@ class Clouds:
 
     def points(self, name: str, e: int = 0) -> np.ndarray:
         """Points of an environment ``[n, 3]`` [m], an array that nobody changes."""
-        return self._points[name][e]
+        return self._rows(name)[e]
 
     def set(self, name: str, value: object, e: int | None = None) -> None:
         """Take a copy of points.
@@ -56,15 +57,21 @@ class Clouds:
         Raises:
             ValueError: If they have the wrong shape or are more than the cloud has capacity for.
         """
+        rows = self._rows(name)
         each = isinstance(value, list | tuple) and len(value) == self._envs and e is None and np.ndim(value[0]) == 2
         checked = [self._checked(name, v) for v in value] if each else [self._checked(name, value)] * self._envs
-        for row in range(self._envs) if e is None else (e,):
-            self._points[name][row] = checked[row]
+        for i in range(self._envs) if e is None else (e,):
+            rows[i] = checked[i]
 
     def reset(self, e: int) -> None:
         """Forget the points of an environment."""
         for rows in self._points.values():
             rows[e] = self._nothing
+
+    def _rows(self, name: str) -> list[np.ndarray]:
+        if name not in self._points:
+            raise UnknownName("the task has no such cloud", found=name, allowed=self._points)
+        return self._points[name]
 
     def _checked(self, name: str, value: object) -> np.ndarray:
         try:
@@ -190,7 +197,7 @@ class Task(Mapping[str, np.ndarray]):
                 ``[n, 3]`` of a cloud, or a list of E such arrays. Points that are not finite are dropped.
 
         Raises:
-            KeyError: If the task has nothing of this name.
+            UnknownName: If the task has nothing of this name; it is a ``KeyError``.
             ValueError: If the value is not finite or of the wrong shape, a quaternion is zero, or there are more points
                 than the cloud has capacity for.
         """
@@ -224,7 +231,13 @@ class Task(Mapping[str, np.ndarray]):
         return len(self._columns) + len(self._clouds.names)
 
     def pose(self, name: str, e: int = 0) -> np.ndarray:
-        """Pose ``[7]`` of one environment."""
+        """Pose ``[7]`` of one environment, not a copy.
+
+        Raises:
+            UnknownName: If the task has no pose of this name.
+        """
+        if name not in self.pose_name:
+            raise UnknownName("the task has no such pose", found=name, allowed=self.pose_name)
         return self.block[e, self._columns[name]]
 
     def values(self, e: int = 0) -> dict[str, np.ndarray | float]:
@@ -240,13 +253,18 @@ class Task(Mapping[str, np.ndarray]):
             self._tell({name})
 
     def points(self, name: str, e: int = 0) -> np.ndarray:
-        """Points ``[n, 3]`` of a cloud in one environment, not to be changed."""
+        """Points ``[n, 3]`` of a cloud in one environment, not to be changed.
+
+        Raises:
+            UnknownName: If the task has no cloud of this name.
+        """
         return self._clouds.points(name, e)
 
     def see(self, name: str, points: np.ndarray, e: int = 0) -> None:
         """Change the points ``[n, 3]`` of a cloud in one environment.
 
         Raises:
+            UnknownName: If the task has no cloud of this name.
             ValueError: If they have the wrong shape or are more than the cloud has capacity for.
         """
         self._clouds.set(name, points, e)
@@ -281,7 +299,7 @@ class Task(Mapping[str, np.ndarray]):
 
     def _column(self, name: str) -> slice:
         if name not in self._columns:
-            raise KeyError(f"the task has no '{name}'; it has: {', '.join(self)}")
+            raise UnknownName("the task has no such value", found=name, allowed=self)
         return self._columns[name]
 
     def _tell(self, names: set[str]) -> None:
