@@ -80,7 +80,10 @@ class Tree:
 
     def near(self, fault: Fault) -> list[str]:
         """Test files, from the one that most likely sees a fault at least cost."""
-        distance, edge = {fault.path: 0}, [fault.path]
+        # the module, and kernels that few but it launch
+        users = {k: v & set(self.product) for k, v in self.importers.items() if k.startswith("kernels")}
+        edge = [fault.path, *sorted(k for k, v in users.items() if fault.path in v and len(v) < 4 and k != fault.path)]
+        distance = dict.fromkeys(edge, 0)
         for path in edge:
             for importer in sorted(self.importers[path] - set(distance)) if path != "warpmpc/__init__.py" else []:
                 distance[importer] = distance[path] + 1
@@ -91,7 +94,9 @@ class Tree:
             steps = min(distance.get(test, 5), 5)
             if set(rooms) & set(Path(test).parts):
                 steps = min(steps, 3) - 1 - (rooms[-1] in Path(test).parts)
-            steps -= (stem in Path(test).stem) + bool(name and re.search(rf"\b_?{name}\b", self.tests[test]))
+            steps -= (stem.removesuffix("s") in Path(test).stem) + bool(
+                name and re.search(rf"\b_?{name}\b", self.tests[test])
+            )
             return (3.0 + self.seconds.get(Path(test).stem, len(self.tests[test]) / 1000)) * 3.0**steps
 
         return sorted(self.tests, key=cost)
@@ -238,6 +243,20 @@ def draw(tree: Tree, count: int, seed: int) -> list[Fault]:
     return [kinds[names[n % len(names)]].pop() for n in range(count)]
 
 
+def survivors(tree: Tree, results: Path) -> dict[int, Fault]:
+    """Faults that survived in a file of results, where their lines are today."""
+    found = {}
+    for r in map(json.loads, results.read_text(encoding="utf-8").splitlines()):
+        if (r["tree"], r["fate"]) == ("now", "survived"):
+            fault = Fault(**{key: r[key] for key in Fault.__dataclass_fields__})
+            there = slice(fault.column, fault.column + len(fault.old))
+            numbered = enumerate(tree.product[fault.path].splitlines(), 1)
+            lines = [n for n, x in numbered if x.strip() == fault.text and x[there] == fault.old]
+            if lines:
+                found[r["number"]] = replace(fault, line=min(lines, key=lambda n: abs(n - r["line"])))
+    return found
+
+
 def same(fault: Fault, new: Tree, old: Tree) -> Fault | None:
     """A fault in an older tree, where its line is found once in both."""
     if [x.strip() for x in new.product[fault.path].splitlines()].count(fault.text) != 1:
@@ -286,6 +305,7 @@ def main() -> None:
     parser.add_argument("--base", help="an older commit, or a folder with its files")
     parser.add_argument("--times", type=Path, help="pytest's --junitxml of a whole run: cheap tests come first")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of faults")
+    parser.add_argument("--again", type=Path, help="run what survived in a file of results, instead of a draw")
     parser.add_argument("--list", action="store_true", help="print the faults, run nothing")
     parser.add_argument(
         "--out", type=Path, default=Path("mutants.jsonl"), help="lines that are there are not run again"
@@ -298,8 +318,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         trees = {"now": Tree(ROOT, seconds)}
-        drawn = draw(trees["now"], arguments.count, arguments.seed)
-        work = [("now", fault, n) for n, fault in enumerate(drawn)]
+        if arguments.again:
+            drawn = survivors(trees["now"], arguments.again)
+        else:
+            drawn = dict(enumerate(draw(trees["now"], arguments.count, arguments.seed)))
+        work = [("now", fault, n) for n, fault in drawn.items()]
         if arguments.base:
             base = Path(arguments.base)
             if not base.is_dir():
@@ -310,7 +333,7 @@ def main() -> None:
                 )
                 subprocess.run(["tar", "x"], cwd=base, input=archive.stdout, check=True)
             trees["base"] = Tree(base, seconds)
-            older = [(same(fault, *trees.values()), n) for n, fault in enumerate(drawn)]
+            older = [(same(fault, *trees.values()), n) for n, fault in drawn.items()]
             work += [("base", fault, n) for fault, n in older if fault]
         lines = arguments.out.read_text(encoding="utf-8").splitlines() if arguments.out.exists() else []
         done = {(r["tree"], r["number"]) for r in map(json.loads, lines)}
