@@ -270,6 +270,36 @@ def test_a_mistake_in_an_override_names_the_override(tmp_path, override, key, sa
     assert says in str(error)
 
 
+SPEED = "[scalar]\nspeed = 1.0\n"
+
+
+@pytest.mark.parametrize(
+    ("override", "key", "says"),
+    [
+        ("scalar.sped=1", "scalar.sped", "nothing reads a new one; found 'sped'; allowed: speed. Did you"),
+        ("scalar={ sped = 1 }", "scalar.sped", "Did you mean 'speed'?"),
+        ('robot.base.frames.tp={ link = "base_link" }', "robot.base.frames.tp", "allowed: tip. Did you mean 'tip'?"),
+        ('robot.*.frames.tp.link="base_link"', "robot.base.frames.tp", "allowed: tip. Did you mean 'tip'?"),
+    ],
+)
+@pytest.mark.parametrize("variant", [False, True])
+def test_a_changed_name_in_a_free_table_is_one_that_is_there(tmp_path, override, key, says, variant):
+    changed = override.replace("*", "base")
+    path = write(tmp_path, f"{SPEED}{SMALL}\n[variants.other]\n{changed}\n")
+    with pytest.raises(SceneError) as caught:
+        load_scene(f"{path}:other") if variant else load_scene(path, overrides=[override])
+    assert caught.value.file == (f"{path} [variants.other]" if variant else f"--set {override}")
+    assert caught.value.key == key
+    assert says in str(caught.value)
+
+
+def test_a_change_may_add_what_another_one_reads(tmp_path):
+    changes = ['robot.base.frames.side={ link = "base_link" }', 'cost.distance.between=["base/side", "box"]']
+    changes += ["scalar.fast=2.0", 'cost.distance.gain="fast"', "scalar.speed=3.0"]
+    scene = load_scene(write(tmp_path, SPEED + SMALL), overrides=changes)
+    assert scene.scalar == {"speed": 3.0, "fast": 2.0}
+
+
 def test_an_ambiguous_cost_term_is_told_as_such(tmp_path):
     text = SMALL.replace('term = "distance"', 'name = "near"\nterm = "distance"')
     text = text.replace('term = "contact_force"', 'name = "far"\nterm = "distance"').partition("[variants")[0]

@@ -18,7 +18,7 @@ from .overrides import leaves, merge, nest, parse_override, split_key, validated
 from .schema import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from .overrides import Key
 
@@ -50,6 +50,7 @@ def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
     data = read_toml(path)
     patches = data.pop("variants", {})
     origins: list[tuple[Key, str]] = []
+    first = _free_names(data)
     for name in split_variant(variant) or (None,):
         patch, origin = _pick(patches, name, path), f"{path} [variants.{name}]"
         data = _apply(data, patch, file=origin)
@@ -63,10 +64,53 @@ def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
             raise SceneError("this key cannot be set", key=name, found=name, allowed=file_keys(Scene))
         scene = validated(data).model_copy(update={"path": path, "variant": variant})
         check_scene(scene)
+        _check_new_names(data, first)
     except SceneError as error:
         error.file = next((origin for key, origin in reversed(origins) if _touches(error.key, key)), path)
         raise
     return scene
+
+
+def _free_names(data: dict) -> dict[Key, list[str]]:
+    """Names in the tables whose entries may have any name, scalars and frames, by the tables' keys."""
+    robots = data.get("robot", [])
+    tables = {("scalar",): data.get("scalar", {})}
+    if isinstance(robots, list):
+        tables |= {("robot", str(r.get("name")), "frames"): r.get("frames", {}) for r in robots if isinstance(r, dict)}
+    return {key: list(table) if isinstance(table, dict) else [] for key, table in tables.items()}
+
+
+def _check_new_names(data: dict, first: Mapping[Key, list[str]]) -> None:
+    """Refuse scalars and frames that a change adds and nothing reads: their names are mistaken.
+
+    Args:
+        data: Data of the scene with all changes.
+        first: What :func:`_free_names` had found in the file.
+
+    Raises:
+        SceneError: If there are such.
+    """
+    said = set(_words(data, ()))
+    for key, names in _free_names(data).items():
+        there = first.get(key, [])
+        for name in names:
+            if name not in there and name not in said:
+                what = f"no such {'scalar' if key[0] == 'scalar' else 'frame'}, and nothing reads a new one"
+                raise SceneError(what, key=join_key((*key, name)), found=name, allowed=there)
+
+
+def _words(data: object, at: Key) -> Iterator[str]:
+    """Words in all values of a scene, and in all keys but those of its scalars and frames."""
+    if isinstance(data, dict):
+        for name, value in data.items():
+            if at[-1:] not in (("scalar",), ("frames",)) or at[0] == "phase":
+                yield from re.findall(r"[\w-]+", name)
+            yield from _words(value, (*at, name))
+    elif isinstance(data, list):
+        for value in data:
+            yield from _words(value, at)
+    elif isinstance(data, str):
+        yield from re.findall(r"[\w-]+", data)
 
 
 def shipped_folder() -> Path:
