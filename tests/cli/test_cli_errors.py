@@ -100,6 +100,15 @@ def test_a_mistake_in_the_command(folder, command, args, says):
         assert part in text
 
 
+def test_every_mistake_has_a_line(folder, command):
+    text = (folder / "mine.toml").read_text()
+    (folder / "mine.toml").write_text(text.replace("samples = 16", "sampels = 16\nhorzon = 3"))
+    done = command("check", "mine.toml")
+    assert (done.returncode, done.stdout) == (2, "")
+    keys = [line.partition("mine.toml: ")[2].partition(":")[0] for line in done.stderr.splitlines()]
+    assert sorted(keys) == ["planner.horzon", "planner.sampels"]
+
+
 def test_check_refuses_like_run(folder, command):
     done = command("check", "mine.toml", "--set", "cost.distance.between=['base/tup', 'box']")
     assert "Did you mean 'base/tip'?" in message(done)

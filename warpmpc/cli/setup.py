@@ -21,7 +21,7 @@ import typer
 
 from ..cost.user_files import load_terms
 from ..physics.runtime.files import Output, Unwritable, reason
-from ..scene.errors import SceneError
+from ..scene.errors import MOST, SceneError
 from ..scene.load import load_scene
 from ..scene.schema import EngineName, SampleCount
 from .terminal import say
@@ -45,7 +45,9 @@ WHILE_RUNNING = (SceneError, OSError)
 
 @contextmanager
 def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> Iterator[None]:
-    """Turn wrong input into one line on stderr and exit code 2, a file that cannot be written into exit code 1.
+    """Turn wrong input into exit code 2, a file that cannot be written into exit code 1, each with a line on stderr.
+
+    A scene has a line for each of its mistakes.
 
     Args:
         kinds: Exceptions that mean wrong input; a ``SceneError`` is a ``ValueError``.
@@ -53,10 +55,13 @@ def user_errors(kinds: tuple[type[Exception], ...] = (ValueError, OSError)) -> I
     try:
         yield
     except (Unwritable, *kinds) as error:
-        text = str(error)
+        each = [part.line for part in error.each] if isinstance(error, SceneError) else [str(error)]
         if isinstance(error, OSError) and error.errno and error.filename is not None:
-            text = f"{error.filename}: {reason(error)}"
-        say(f"error: {' '.join(text.split())}", out=sys.stderr)
+            each = [f"{error.filename}: {reason(error)}"]
+        for text in each[:MOST]:
+            say(f"error: {' '.join(text.split())}", out=sys.stderr)
+        if len(each) > MOST:
+            say(f"error: and {len(each) - MOST} more", out=sys.stderr)
         raise typer.Exit(FAILURE if isinstance(error, Unwritable) else BAD_INPUT) from None
 
 

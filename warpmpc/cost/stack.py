@@ -21,7 +21,7 @@ from ..kernels.cost.view import StepView
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
 from ..kernels.planner.costs import CostWeights, weigh_values_kernel
 from ..physics.runtime.launch import Launcher
-from ..scene.errors import SceneError
+from ..scene.errors import Mistakes, SceneError
 from ..scene.model.joints import joint_table
 from ..scene.registry import TERMS
 from ..scene.schema import When
@@ -100,20 +100,23 @@ class CostStack:
         self.terms: list[tuple[CostTerm | ArrayCost, Any]] = []
         """Each term with its parameters."""
         binding = Binding(scene, layout, device=device)
+        mistakes = Mistakes()
         for label, cost in zip(self.labels, costs, strict=True):
             binding.key = f"cost.{cost.label}"
             binding.label = label
-            if cost.term not in known:
-                raise SceneError(
-                    "no such cost term (your own ones come with --terms FILE.py)",
-                    key=f"{binding.key}.term",
-                    file=scene.path,
-                    found=cost.term,
-                    allowed={name: getattr(term, "summary", None) for name, term in known.items()},
-                )
-            term = known[cost.term]
-            bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
-            self.terms.append((term, bound))
+            with mistakes.of_part():
+                if cost.term not in known:
+                    raise SceneError(
+                        "no such cost term (your own ones come with --terms FILE.py)",
+                        key=f"{binding.key}.term",
+                        file=scene.path,
+                        found=cost.term,
+                        allowed={name: getattr(term, "summary", None) for name, term in known.items()},
+                    )
+                term = known[cost.term]
+                bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
+                self.terms.append((term, bound))
+        mistakes.raise_all()
         self.factors = term_factors(costs)
         """Factors on what each term costs before the last step and at it ``[term, 2]``."""
         self.pairs = tuple(binding.pairs)

@@ -14,7 +14,7 @@ from .overrides import expand, split_key, with_values
 from .schema import DriveMode, Method, SampleCount, Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from .overrides import Key
 
@@ -31,34 +31,30 @@ _USUAL = {"samples": 256, "horizon": 16, "iterations": 1, "domains": 1}
 """What the factors of a plan's work are without more ado, to tell which of them is out of bounds."""
 
 
-def check_sizes(scene: Scene) -> None:
-    """Refuse what would take hours or all memory.
-
-    Raises:
-        SceneError: If a size is out of all bounds; it names the key that is farthest from what is usual.
-    """
+def _check_sizes(scene: Scene) -> Iterator[SceneError]:
+    """Sizes that would take hours or all memory, each by the key that is farthest from what is usual."""
     planner, timing, engine = scene.planner, scene.timing, scene.engine
     controls = timing.timeout / timing.control_dt
     if controls > RUN_CONTROLS:
         key = "timing.control_dt" if timing.control_dt < 1e-4 else "timing.timeout"
         what = f"a run of {timing.timeout:g} s would have {controls:.0g} controls, more than {RUN_CONTROLS:.0g}"
-        raise SceneError(what, key=key, found=getattr(timing, key.partition(".")[2]))
+        yield SceneError(what, key=key, found=getattr(timing, key.partition(".")[2]))
     for key, substeps, length in (
         ("engine.substeps", engine.substeps, timing.control_dt if planner.dt is None else _shortest_step(scene)),
         ("plant.substeps", scene.plant.substeps, timing.control_dt),
     ):
         if substeps is not None and length / substeps < SHORTEST:
             what = f"physics steps of {length / substeps:.1g} s are too short: {SHORTEST:g} s at least"
-            raise SceneError(what, key=key, found=substeps, allowed=f"at most {max(1, math.floor(length / SHORTEST))}")
+            yield SceneError(what, key=key, found=substeps, allowed=f"at most {max(1, math.floor(length / SHORTEST))}")
     sizes = plan_sizes(scene)
     steps = math.prod(sizes.values()) * (engine.substeps or 1)
     if steps > PLAN_STEPS:
         name = farthest(sizes)
         what = f"a plan would take {steps:.1e} physics steps, more than {PLAN_STEPS:.0e}: lower this"
-        raise SceneError(what, key=f"planner.{name}", found=sizes[name])
+        yield SceneError(what, key=f"planner.{name}", found=sizes[name])
     if planner.iterations > PLAN_ROUNDS:
         what = f"more than {PLAN_ROUNDS} rounds of a plan take minutes however few their samples: lower this"
-        raise SceneError(what, key="planner.iterations", found=planner.iterations)
+        yield SceneError(what, key="planner.iterations", found=planner.iterations)
 
 
 def plan_sizes(scene: Scene) -> dict[str, int]:
@@ -86,7 +82,7 @@ def check_scene(scene: Scene) -> None:
     """Check what the types alone cannot: names, references between sections, drives and draws.
 
     Raises:
-        SceneError: If names clash, a reference leads nowhere or sections contradict each other.
+        SceneError: If names clash, a reference leads nowhere or sections contradict each other; it has all of these.
     """
     checks = (
         _check_names,
@@ -97,29 +93,28 @@ def check_scene(scene: Scene) -> None:
         _check_plant,
         _check_randomization,
         _check_draws,
-        check_sizes,
+        _check_sizes,
     )
-    for check in checks:
-        try:
-            check(scene)
-        except SceneError as error:
-            error.file = error.file or scene.path
-            raise
+    found = [error for check in checks for error in check(scene)]
+    for error in found:
+        error.file = error.file or scene.path
+    if found:
+        raise SceneError.of(found)
 
 
 def _names(entries: Iterable) -> list[str]:
     return [entry.name for entry in entries]
 
 
-def _check_names(scene: Scene) -> None:
+def _check_names(scene: Scene) -> Iterator[SceneError]:
     owner: dict[str, str] = {}
     for kind in ("robot", "object", "obstacle"):
         for name in _names(getattr(scene, kind)):
             key = f"{kind}.{name}.name"
             if name in RESERVED:
-                raise SceneError(f"this name is reserved, as are {', '.join(RESERVED)}", key=key, found=name)
+                yield SceneError(f"this name is reserved, as are {', '.join(RESERVED)}", key=key, found=name)
             if name in owner:
-                raise SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
+                yield SceneError(f"this name is taken by another {owner[name]}", key=key, found=name)
             owner[name] = kind
     # targets stand among the frames; targets, movable obstacles, scalars, clouds and weights among the task's values
     movable = [obstacle.name for obstacle in scene.obstacle if obstacle.movable]
@@ -136,131 +131,131 @@ def _check_names(scene: Scene) -> None:
             other = taken.get(name) or (owner.get(name) if kind == "target" else None)
             if other is not None or name in (RESERVED if kind != "cost" else ("goal",)):
                 what = f"taken by another {other}" if other else f"reserved, as are {', '.join(RESERVED)}"
-                raise SceneError(f"this name is {what}", key=join_key((kind, name)), found=name)
+                yield SceneError(f"this name is {what}", key=join_key((kind, name)), found=name)
             taken[name] = kind
     labels = [cost.label for cost in scene.cost]
-    for label in labels:
+    for label in dict.fromkeys(labels):
         if labels.count(label) > 1:
-            raise SceneError(
+            yield SceneError(
                 f'{labels.count(label)} cost entries are called this: give each another name, name = "..."',
                 key=f"cost.{label}",
                 found=label,
             )
 
 
-def _check_goal(scene: Scene) -> None:
+def _check_goal(scene: Scene) -> Iterator[SceneError]:
     goal, success = scene.goal, scene.success
     if goal is None:
         if success is not None and success.of_goal:
-            raise SceneError("there is no goal to compare with: give [goal], or conditions alone", key="success")
+            yield SceneError("there is no goal to compare with: give [goal], or conditions alone", key="success")
         return
     if goal.object is not None and goal.object not in _names(scene.object):
-        raise SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
+        yield SceneError("no such object", key="goal.object", found=goal.object, allowed=_names(scene.object))
     if goal.frame is not None:
-        _check_frame(scene, goal.frame, "goal.frame")
+        yield from _check_frame(scene, goal.frame, "goal.frame")
     if success is None:
         return
     if success.position is not None and len(success.position) not in (1, len(goal.position)):
-        raise SceneError(
+        yield SceneError(
             f"give one number, or one for each of the goal's {len(goal.position)} axes",
             key="success.position",
             found=list(success.position),
         )
     for name in ("yaw", "rotation"):
         if getattr(success, name) is not None and goal.yaw is None and goal.rotation is None:
-            raise SceneError("the goal has no orientation: give goal.yaw or goal.rotation", key=f"success.{name}")
+            yield SceneError("the goal has no orientation: give goal.yaw or goal.rotation", key=f"success.{name}")
 
 
-def _check_phases(scene: Scene) -> None:
+def _check_phases(scene: Scene) -> Iterator[SceneError]:
     known = {"target": _names(scene.target), "scalar": list(scene.scalar), "weight": scene.cost_labels}
     for i, phase in enumerate(scene.phase):
         key = f"phase.{phase.name}"
         if phase.name in _names(scene.phase[:i]):
-            raise SceneError("this name is taken by an earlier phase", key=f"{key}.name", found=phase.name)
+            yield SceneError("this name is taken by an earlier phase", key=f"{key}.name", found=phase.name)
         if phase.goal is not None and scene.goal is None:
-            raise SceneError("the scene has no goal that a phase could move: give [goal]", key=f"{key}.goal")
+            yield SceneError("the scene has no goal that a phase could move: give [goal]", key=f"{key}.goal")
         for kind, names in known.items():
             for name in getattr(phase, kind):
                 if name not in names:
                     what = "cost term" if kind == "weight" else kind
-                    raise SceneError(
+                    yield SceneError(
                         f"no such {what}", key=join_key(("phase", phase.name, kind, name)), found=name, allowed=names
                     )
         if i < len(scene.phase) - 1 and not phase.until and phase.after is None:
-            raise SceneError("this phase never ends: give until or after, or put it last", key=key)
+            yield SceneError("this phase never ends: give until or after, or put it last", key=key)
 
 
-def _check_motions(scene: Scene) -> None:
+def _check_motions(scene: Scene) -> Iterator[SceneError]:
     poses = [*(["goal"] if scene.goal else []), *_names(scene.target), *(o.name for o in scene.obstacle if o.movable)]
     for i, motion in enumerate(scene.motion):
         key = f"motion.{motion.name}.name"
         if motion.name not in poses:
             what = "nothing that can move has this name: the goal, targets and obstacles with movable = true can"
-            raise SceneError(what, key=key, found=motion.name, allowed=poses)
+            yield SceneError(what, key=key, found=motion.name, allowed=poses)
         if motion.name in _names(scene.motion[:i]):
-            raise SceneError("this moves already", key=key, found=motion.name)
+            yield SceneError("this moves already", key=key, found=motion.name)
 
 
-def _check_frame(scene: Scene, frame: str, key: str) -> None:
+def _check_frame(scene: Scene, frame: str, key: str) -> Iterator[SceneError]:
     robot, slash, place = frame.partition("/")
     known = [f"{r.name}/{name}" for r in scene.robot for name in r.frames]
     if not slash or not place:
         robots = " or ".join(f"{name}/LINK" for name in _names(scene.robot))
         allowed = ", ".join([*known, f"{robots} with a link of the robot's asset"])
-        raise SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=allowed)
+        yield SceneError("a robot frame reads robot/frame or robot/link", key=key, found=frame, allowed=allowed)
     if robot not in _names(scene.robot):
-        raise SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
+        yield SceneError("no such robot", key=key, found=robot, allowed=_names(scene.robot))
 
 
-def _check_drives(scene: Scene) -> None:
+def _check_drives(scene: Scene) -> Iterator[SceneError]:
     for robot in scene.robot:
         taken: set[str] = set()
         for i, drive in enumerate(robot.drive):
             key = f"robot.{robot.name}.drive" + f".{i}" * (len(robot.drive) > 1)
             if drive.joints is None:
                 if len(robot.drive) > 1 and drive.mode is not DriveMode.MOCAP:
-                    raise SceneError("of several drives each must name its joints", key=f"{key}.joints")
+                    yield SceneError("of several drives each must name its joints", key=f"{key}.joints")
                 continue
             for joint in drive.joints:
                 if joint in taken:
-                    raise SceneError("this joint is driven twice", key=f"{key}.joints", found=joint)
+                    yield SceneError("this joint is driven twice", key=f"{key}.joints", found=joint)
                 taken.add(joint)
 
 
-def _check_plant(scene: Scene) -> None:
+def _check_plant(scene: Scene) -> Iterator[SceneError]:
     samples = scene.planner.samples
     if (
         scene.planner.method in (Method.CEM, Method.TSALLIS)
         and samples is not SampleCount.AUTO
         and scene.planner.elites > samples
     ):
-        raise SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
+        yield SceneError("there are more elites than samples", key="planner.elites", found=scene.planner.elites)
     movable = _names(scene.robot) + _names(scene.object)
     for i, kick in enumerate(scene.plant.kicks):
         key = "plant.kicks" + f".{i}" * (len(scene.plant.kicks) > 1)
         if kick.target not in movable:
-            raise SceneError("no such robot or object", key=f"{key}.target", found=kick.target, allowed=movable)
+            yield SceneError("no such robot or object", key=f"{key}.target", found=kick.target, allowed=movable)
         if kick.target in _names(scene.object) and len(kick.velocity) != 3:
-            raise SceneError("an object's velocity is (x, y, z)", key=f"{key}.velocity", found=kick.velocity)
+            yield SceneError("an object's velocity is (x, y, z)", key=f"{key}.velocity", found=kick.velocity)
         if kick.time >= scene.timing.timeout:
             allowed = f"less than timing.timeout = {scene.timing.timeout:g}"
-            raise SceneError("comes after the end of the run", key=f"{key}.time", found=kick.time, allowed=allowed)
+            yield SceneError("comes after the end of the run", key=f"{key}.time", found=kick.time, allowed=allowed)
 
 
-def _check_randomization(scene: Scene) -> None:
+def _check_randomization(scene: Scene) -> Iterator[SceneError]:
     fixed, robots = _names(scene.obstacle), _names(scene.robot)
     known = robots + _names(scene.object) + fixed
     for name, random in scene.randomize.items():
         key = join_key(("randomize", name))
         if name not in known:
-            raise SceneError("no such robot, object or obstacle", key=key, found=name, allowed=known)
+            yield SceneError("no such robot, object or obstacle", key=key, found=name, allowed=known)
         if random.mass is not None and name in fixed:
-            raise SceneError("an obstacle has no mass", key=f"{key}.mass")
+            yield SceneError("an obstacle has no mass", key=f"{key}.mass")
         if random.size is not None and name in robots:
-            raise SceneError("a robot's size is fixed by its asset", key=f"{key}.size")
+            yield SceneError("a robot's size is fixed by its asset", key=f"{key}.size")
 
 
-def _check_draws(scene: Scene) -> None:
+def _check_draws(scene: Scene) -> Iterator[SceneError]:
     data = scene.model_dump(mode="json")
     drawn: set[Key] = set()
     for text, draw in scene.randomize_task.draw.items():
@@ -271,19 +266,20 @@ def _check_draws(scene: Scene) -> None:
                 with_values(scene, {text: end[0] if len(end) == 1 else end})
         except SceneError as error:
             message = f"cannot be drawn: {error.key}: {error.message}"
-            raise SceneError(message, key=key, found=error.found, allowed=error.allowed) from None
+            yield SceneError(message, key=key, found=error.found, allowed=error.allowed)
+            continue
         if not keys or drawn & set(keys):
-            raise SceneError("addresses nothing" if not keys else "addresses a value that is drawn already", key=key)
+            yield SceneError("addresses nothing" if not keys else "addresses a value that is drawn already", key=key)
         drawn.update(keys)
     objects, robots = _names(scene.object), _names(scene.robot)
     for i, rejection in enumerate(scene.randomize_task.reject):
         key = "randomize_task.reject" + f".{i}" * (len(scene.randomize_task.reject) > 1)
         place = rejection.place
         if place == "goal" and scene.goal is None:
-            raise SceneError("the scene has no goal", key=f"{key}.place", found=place)
+            yield SceneError("the scene has no goal", key=f"{key}.place", found=place)
         if "/" in place:
-            _check_frame(scene, place, f"{key}.place")
+            yield from _check_frame(scene, place, f"{key}.place")
             if rejection.at is None:
-                raise SceneError("say where this frame is at the start: at = [x, y, z]", key=f"{key}.at")
+                yield SceneError("say where this frame is at the start: at = [x, y, z]", key=f"{key}.at")
         elif place not in ("goal", *objects, *robots):
-            raise SceneError("no such place", key=f"{key}.place", found=place, allowed=["goal", *objects, *robots])
+            yield SceneError("no such place", key=f"{key}.place", found=place, allowed=["goal", *objects, *robots])

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import StrEnum
 from typing import TYPE_CHECKING, get_args, get_origin
 
@@ -37,11 +38,16 @@ _WANTED = {
 
 SHORT = 90
 """Longest meaning of a key that an error says beside its name [characters]."""
+MOST = 10
+"""Mistakes that an error lists."""
+MISSING = "this key is missing"
 _ALLOWED = {"bool_type": ("true", "false")}
 
 
 class SceneError(ValueError):
     """A mistake in a scene: which file, which key, what was found, what is allowed and how to correct it.
+
+    Where several were found, the text has a line for each.
 
     Args:
         message: What is wrong, in one sentence.
@@ -50,7 +56,7 @@ class SceneError(ValueError):
         found: The offending value.
         allowed: What may stand there instead, as a phrase or as the allowed names. With names, the nearest one to
             ``found`` is suggested, with what it means where ``allowed`` maps names to meanings.
-        more: Number of further mistakes that wait behind this one.
+        others: Further mistakes that were found.
     """
 
     def __init__(
@@ -61,9 +67,9 @@ class SceneError(ValueError):
         file: Path | str | None = None,
         found: object = None,
         allowed: str | Iterable[str] | Mapping[str, object] | None = None,
-        more: int = 0,
+        others: Sequence[SceneError] = (),
     ):
-        self.message, self.key, self.file, self.found, self.more = message, key, file, found, more
+        self.message, self.key, self.file, self.found, self.others = message, key, file, found, tuple(others)
         self.allowed = allowed if isinstance(allowed, str) or allowed is None else sorted(map(str, allowed))
         self.meanings = dict(allowed) if isinstance(allowed, Mapping) else {}
         super().__init__(str(self))
@@ -77,7 +83,19 @@ class SceneError(ValueError):
             return spelled[near[0]] if near else None
         return None
 
+    @property
+    def each(self) -> tuple[SceneError, ...]:
+        """All mistakes that were found, this one first."""
+        return (self, *self.others)
+
     def __str__(self) -> str:
+        lines = [error.line for error in self.each]
+        more = len(lines) - MOST
+        return "\n".join([*lines[:MOST], f"and {more} more mistake{'s' * (more > 1)}"] if more > 0 else lines)
+
+    @property
+    def line(self) -> str:
+        """The text of this mistake alone."""
         where = ": ".join(str(part) for part in (self.file, self.key) if part is not None)
         text = f"{where}: {self.message}" if where else self.message
         if self.found is not None:
@@ -88,8 +106,6 @@ class SceneError(ValueError):
             text += f"; allowed: {', '.join(self.allowed) if self.allowed else 'nothing, there is none'}"
         if self.suggestion:
             text += f". Did you mean {self.suggestion!r}?{_meaning(self.meanings.get(self.suggestion))}"
-        if self.more:
-            text += f" (and {self.more} more mistake{'s' * (self.more > 1)})"
         return text
 
     @classmethod
@@ -105,12 +121,47 @@ class SceneError(ValueError):
             file: Scene file.
 
         Returns:
-            The most telling of its mistakes; unknown keys come first, as they tend to cause the others.
+            All mistakes, the most telling first: unknown keys, as they tend to cause the others. A key that is missing
+            where an unknown one is nearly the same is none.
         """
         rank = {"extra_forbidden": 0, "missing": 2}
         details = [detail for detail in error.errors(include_url=False) if not _is_echo(detail)]
         details.sort(key=lambda detail: rank.get(detail["type"], 1))
-        return cls(**_explain(details[0], data, root), file=file, more=len(details) - 1)
+        found = [cls(**_explain(detail, data, root), file=file) for detail in details]
+        meant = {f"{(e.key or '').rpartition('.')[0]}.{e.suggestion}" for e in found if e.suggestion}
+        return cls.of([e for e in found if e.message != MISSING or e.key not in meant])
+
+    @classmethod
+    def of(cls, errors: Sequence[SceneError]) -> SceneError:
+        """The first of several mistakes, with the others behind it."""
+        first, *others = [each for error in errors for each in error.each]
+        first.others = tuple(others)
+        first.args = (str(first),)
+        return first
+
+
+class Mistakes:
+    """Mistakes of several parts, raised together."""
+
+    def __init__(self) -> None:
+        self.found: list[SceneError] = []
+
+    @contextmanager
+    def of_part(self) -> Iterator[None]:
+        """Keep the mistake of one part, and go on with the next."""
+        try:
+            yield
+        except SceneError as error:
+            self.found.append(error)
+
+    def raise_all(self) -> None:
+        """Raise what was found.
+
+        Raises:
+            SceneError: If there is any.
+        """
+        if self.found:
+            raise SceneError.of(self.found)
 
 
 class UnknownName(SceneError, KeyError):
@@ -160,7 +211,7 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
         }
         return {"message": "unknown key", "key": key, "found": str(loc[-1]), "allowed": allowed}
     if kind == "missing" and isinstance(loc[-1], str):
-        return {"message": "this key is missing", "key": key}
+        return {"message": MISSING, "key": key}
     if kind in ("missing", "too_short", "too_long"):
         return {"message": _length(annotation, context), "key": key, "found": found}
     if kind == "enum":

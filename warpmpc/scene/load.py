@@ -66,7 +66,8 @@ def _load(path: Path, variant: str | None, overrides: Sequence[str]) -> Scene:
         check_scene(scene)
         _check_new_names(data, first)
     except SceneError as error:
-        error.file = next((origin for key, origin in reversed(origins) if _touches(error.key, key)), path)
+        for each in error.each:
+            each.file = next((origin for key, origin in reversed(origins) if _touches(each.key, key)), path)
         raise
     return scene
 
@@ -90,13 +91,15 @@ def _check_new_names(data: dict, first: Mapping[Key, list[str]]) -> None:
     Raises:
         SceneError: If there are such.
     """
-    said = set(_words(data, ()))
+    said, found = set(_words(data, ())), []
     for key, names in _free_names(data).items():
         there = first.get(key, [])
         for name in names:
             if name not in there and name not in said:
                 what = f"no such {'scalar' if key[0] == 'scalar' else 'frame'}, and nothing reads a new one"
-                raise SceneError(what, key=join_key((*key, name)), found=name, allowed=there)
+                found.append(SceneError(what, key=join_key((*key, name)), found=name, allowed=there))
+    if found:
+        raise SceneError.of(found)
 
 
 def _words(data: object, at: Key) -> Iterator[str]:

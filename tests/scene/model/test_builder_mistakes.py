@@ -2,10 +2,13 @@
 """Mistakes in what scenes are built from: robots, their assets, meshes."""
 
 import pytest
-from small_scenes import DISC, make_scene
+from small_scenes import DISC, layout_of, make_scene
 
 from warpmpc import SceneError
+from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.builder import build_world
+from warpmpc.scene.model.compiled import compile_scene
+from warpmpc.scene.task.task import Task
 
 
 def scene_of(**keys):
@@ -53,3 +56,36 @@ def test_a_mesh_that_cannot_be_read_is_refused(tmp_path):
     item = {"name": "thing", "shape": "mesh", "mesh": str(tmp_path / "bad.stl"), "mass": 1.0}
     with pytest.raises(SceneError, match=r"object\.thing\.mesh"):
         build_world(make_scene(object=[item]))
+
+
+SEVERAL = {
+    "frames": {"tip": {"link": "base_lnk"}, "toe": {"link": "bas"}},
+    "spheres": {"bse_link": ()},
+    "joint_q": {"yow": 0.1, "x": 0.0, "why": 0.0},
+    "drive": {"joints": ["z", "w"], "damping": 1.0, "limit": 1.0},
+}
+
+
+@pytest.mark.parametrize("mjcf", [False, True])
+def test_all_mistakes_of_bodies_are_told_at_once(tmp_path, mjcf):
+    (tmp_path / "r.xml").write_text(
+        '<mujoco><worldbody><body name="base_link"><joint name="x"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    robots = [{**DISC, **SEVERAL, **({"asset": str(tmp_path / "r.xml")} if mjcf else {})}]
+    robots.append({**DISC, "name": "other", "asset": "no_such.urdf"})
+    walls = [{"name": n, "shape": "mesh", "mesh": f"{n}.stl", "position": (0.0, 0.0, 0.0)} for n in ("left", "right")]
+    with pytest.raises(SceneError) as caught:
+        compile_scene(make_scene(robot=robots, obstacle=walls), cache=True)
+    expected = ["robot.base.joint_q"] * 2 + ["robot.base.drive.joints"] * 2
+    expected += ["robot.base.frames.tip.link", "robot.base.frames.toe.link", "robot.base.spheres.bse_link"]
+    expected += ["robot.other.asset", "obstacle.left.mesh", "obstacle.right.mesh"]
+    assert [each.key for each in caught.value.each] == expected
+
+
+def test_all_mistakes_of_costs_are_told_at_once():
+    scene = make_scene(
+        cost=[{"term": "distance", "between": ["a", "goal"]}, {"term": "ywa"}, {"term": "yaw", "off": "b"}]
+    )
+    with pytest.raises(SceneError) as caught:
+        CostStack(scene, layout_of(scene), Task(scene))
+    assert [each.key for each in caught.value.each] == ["cost.distance.between", "cost.ywa.term", "cost.yaw.off"]

@@ -11,11 +11,11 @@ import numpy as np
 import warp as wp
 from newton import GeoType, JointType, ShapeFlags
 
-from ..errors import SceneError
+from ..errors import Mistakes, SceneError
 from ..schema import DriveMode, Object, Obstacle, Robot, Scene, ShapeKind
 from .assets import AssetKind, asset_kind, resolve_asset
 from .controls import Actuators, drive_robot
-from .importers import import_links, new_builder, transform
+from .importers import given_frames, import_links, new_builder, transform
 from .layout import GOAL, IDENTITY, WORLD, Entity, Layout, ShapeInfo, accelerator
 from .mjcf_robot import MjcfRobots, add_mjcf_robot
 
@@ -74,14 +74,20 @@ def _build(scene: Scene) -> World:
     actuators, mjcf_robots = Actuators(), MjcfRobots()
     repaired: list[str] = []
 
+    mistakes = Mistakes()
+
     for robot in scene.robot:
-        entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, mjcf_robots, repaired))
+        with mistakes.of_part():
+            entities.append(_add_robot(builder, robot, scene, frames, actuators, axes, mjcf_robots, repaired))
     for item in scene.object:
-        entities.append(_add_object(builder, item, scene))
-        frames[item.name] = (entities[-1].bodies[0], IDENTITY)
+        with mistakes.of_part():
+            entities.append(_add_object(builder, item, scene))
+            frames[item.name] = (entities[-1].bodies[0], IDENTITY)
     for item in scene.obstacle:
-        entities.append(_add_obstacle(builder, item, scene))
-        frames[item.name] = (WORLD, (*item.position, *item.rotation))
+        with mistakes.of_part():
+            entities.append(_add_obstacle(builder, item, scene))
+            frames[item.name] = (WORLD, (*item.position, *item.rotation))
+    mistakes.raise_all()
     frames["goal"] = (GOAL, IDENTITY)
     mjcf_robots.gravity = scene.engine.gravity or mjcf_robots.gravity
     if scene.ground is not None:
@@ -143,21 +149,20 @@ def _add_robot(
         part.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(range(part.body_count), 1.0)
     own = _axis_names(part, joints)
     axes += [f"{robot.name}/{name}" if name else "" for name in own]
-    drive_robot(
-        part, robot, own, scene, actuators, first_coord=builder.joint_coord_count, first_dof=builder.joint_dof_count
-    )
+    first = {"first_coord": builder.joint_coord_count, "first_dof": builder.joint_dof_count}
+    mistakes = Mistakes()
+    with mistakes.of_part():
+        drive_robot(part, robot, own, scene, actuators, **first)
+    with mistakes.of_part():
+        given = given_frames(robot, links, builder.body_count, scene)
+    mistakes.raise_all()
 
     first_body, first_shape, first_joint = builder.body_count, builder.shape_count, builder.joint_count
     builder.add_builder(part)
     for i, link in enumerate(links):
         frames[f"{robot.name}/{link}"] = (first_body + i, IDENTITY)
     frames[robot.name] = (first_body + _root(part), IDENTITY)
-    for name, frame in robot.frames.items():
-        if frame.link not in links:
-            raise SceneError(
-                "no such link", key=f"{key}.frames.{name}.link", file=scene.path, found=frame.link, allowed=links
-            )
-        frames[f"{robot.name}/{name}"] = (first_body + links.index(frame.link), (*frame.offset, *frame.rotation))
+    frames.update(given)
     return Entity(
         robot.name,
         "robot",

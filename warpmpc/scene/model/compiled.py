@@ -57,7 +57,10 @@ def compile_scene(scene: Scene, *, cache: bool = True) -> CompiledScene:
     Raises:
         SceneError: If an asset is missing or broken, or lacks a joint or link the scene names.
     """
-    compiled = _compiled(scene, _cache_key(scene) if cache else None)
+    key = None
+    with contextlib.suppress(SceneError):  # of a file that is missing: building tells it, and other mistakes
+        key = _cache_key(scene) if cache else None
+    compiled = _compiled(scene, key)
     if compiled.repaired:
         logger.warning("%s", _warning(compiled.repaired))
     return compiled

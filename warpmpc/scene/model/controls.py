@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from newton import JointTargetMode, JointType
 
-from ..errors import SceneError
+from ..errors import Mistakes, SceneError
 from ..schema import Drive, DriveMode, Robot, Scene
 from .control_values import asset_limits, own_limits
 from .mjcf_mocap import LAG
@@ -99,7 +99,9 @@ def drive_robot(
     own = {name: place for name, place in movable.items() if name not in held and name not in follows}
     for coord, dof in (movable[name] for name in held):
         part.joint_q[coord] = part.joint_qd[dof] = 0.0
-    _start(part, robot, own, follows, scene, key)
+    mistakes = Mistakes()
+    with mistakes.of_part():
+        _start(part, robot, own, follows, scene, key)
     for dof in range(part.joint_dof_count):
         part.joint_target_mode[dof] = int(JointTargetMode.NONE)
         part.joint_target_ke[dof] = part.joint_target_kd[dof] = 0.0
@@ -109,14 +111,18 @@ def drive_robot(
         if number in mocap:
             _add_drive(part, robot, drive, mocap[number], movable, scene, where, actuators, first_coord, first_dof)
             continue
-        names = list(own) if drive.joints is None else list(drive.joints)
+        names, known = list(own) if drive.joints is None else list(drive.joints), len(mistakes.found)
         for name in names:
-            if name not in own:
-                raise _unknown(name, "no such joint with one axis", follows, f"{where}.joints", scene, own)
-            if name in driven:
-                raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
-            driven[name] = None
-        _add_drive(part, robot, drive, names, movable, scene, where, actuators, first_coord, first_dof)
+            with mistakes.of_part():
+                if name not in own:
+                    raise _unknown(name, "no such joint with one axis", follows, f"{where}.joints", scene, own)
+                if name in driven:
+                    raise SceneError("this joint has two drives", key=f"{where}.joints", file=scene.path, found=name)
+                driven[name] = None
+        if len(mistakes.found) == known:
+            with mistakes.of_part():
+                _add_drive(part, robot, drive, names, movable, scene, where, actuators, first_coord, first_dof)
+    mistakes.raise_all()
     if robot.armature is not None:
         values = _spread(robot.armature, len(driven), f"{key}.armature", scene)
         for name, value in zip(driven, values, strict=True):
@@ -209,18 +215,23 @@ def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, follows: dict
         if kind == JointType.FREE
     }
     if isinstance(robot.joint_q, dict):
+        mistakes = Mistakes()
         for name, value in robot.joint_q.items():
-            if name not in movable and name not in free:
-                wanted = "no such joint with one axis, or free joint"
-                raise _unknown(name, wanted, follows, f"{key}.joint_q", scene, [*movable, *free])
             numbers = value if isinstance(value, tuple) else (value,)
-            if len(numbers) not in ((3, 7) if name in free else (1,)):
-                raise SceneError(
-                    "needs [x, y, z] or [x, y, z, qx, qy, qz, qw]" if name in free else "needs one number",
-                    key=f"{key}.joint_q.{name}",
-                    file=scene.path,
-                    found=value,
-                )
+            with mistakes.of_part():
+                if name not in movable and name not in free:
+                    wanted = "no such joint with one axis, or free joint"
+                    raise _unknown(name, wanted, follows, f"{key}.joint_q", scene, [*movable, *free])
+                if len(numbers) not in ((3, 7) if name in free else (1,)):
+                    raise SceneError(
+                        "needs [x, y, z] or [x, y, z, qx, qy, qz, qw]" if name in free else "needs one number",
+                        key=f"{key}.joint_q.{name}",
+                        file=scene.path,
+                        found=value,
+                    )
+        mistakes.raise_all()
+        for name, value in robot.joint_q.items():
+            numbers = value if isinstance(value, tuple) else (value,)
             first = free[name] if name in free else movable[name][0]
             rotation = np.array(numbers[3:])
             part.joint_q[first : first + len(numbers)] = [

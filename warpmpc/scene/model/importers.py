@@ -19,17 +19,17 @@ from xml.etree import ElementTree
 import newton
 import warp as wp
 
-from ..errors import SceneError, some
+from ..errors import Mistakes, SceneError, some
 from .assets import AssetKind, find_mesh
 from .layout import WORLD
 from .urdf_physics import Impossible, repair_inertias, repair_joints
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
     from xml.etree.ElementTree import Element
 
-    from ..schema import Robot
+    from ..schema import Robot, Scene
 
 _READ = {
     "robot": {"link", "joint", "material"},
@@ -287,6 +287,34 @@ def new_builder() -> newton.ModelBuilder:
 def transform(position: tuple[float, ...], rotation: tuple[float, ...]) -> wp.transform:
     """A pose of a position [m] and an orientation (x, y, z, w)."""
     return wp.transform(wp.vec3(*position), wp.quat(*rotation))
+
+
+def given_frames(robot: Robot, links: Sequence[str], first: int, scene: Scene) -> dict[str, tuple[int, tuple]]:
+    """Frames that the scene gives a robot: by name the body and the pose in it.
+
+    Args:
+        robot: The robot.
+        links: Its links.
+        first: Body of the first of them.
+        scene: The scene, for errors.
+
+    Raises:
+        SceneError: If the robot's frames or spheres name links that its asset lacks.
+    """
+    named = {f"frames.{name}.link": frame.link for name, frame in robot.frames.items()}
+    named |= {f"spheres.{link}": link.removeprefix(f"{robot.name}/") for link in robot.spheres}
+    mistakes = Mistakes()
+    for key, link in named.items():
+        with mistakes.of_part():
+            if link not in links:
+                raise SceneError(
+                    "no such link", key=f"robot.{robot.name}.{key}", file=scene.path, found=link, allowed=links
+                )
+    mistakes.raise_all()
+    return {
+        f"{robot.name}/{name}": (first + links.index(frame.link), (*frame.offset, *frame.rotation))
+        for name, frame in robot.frames.items()
+    }
 
 
 def import_links(

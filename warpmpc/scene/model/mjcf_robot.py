@@ -12,8 +12,9 @@ import numpy as np
 import warp as wp
 from newton import JointTargetMode, JointType
 
-from ..errors import SceneError
+from ..errors import Mistakes, SceneError
 from .controls import Actuators, add_own_controls, drive_robot
+from .importers import given_frames
 from .layout import IDENTITY, WORLD, Entity, Keyframe
 from .mjcf import Mjcf, MjcfRobot, Servo, compile_mjcf, gravity_of, origin_of, read_mjcf
 from .mjcf_elements import Key, keep_limits
@@ -167,16 +168,12 @@ def add_mjcf_robot(
         for a in range(model.nu):
             mjcf_robots.activations += [f"{name}/{model.actuator(a).name}"] * int(model.actuator_actnum[a])
     keep_limits(part, links.axes, mjcf.motors)
-    drive_robot(
-        part,
-        robot,
-        links.axes,
-        scene,
-        actuators,
-        first_coord=first["joint_q"],
-        first_dof=first["joint_qd"],
-        mocap=mjcf.mocap,
-    )
+    mistakes, firsts = Mistakes(), {"first_coord": first["joint_q"], "first_dof": first["joint_qd"]}
+    with mistakes.of_part():
+        drive_robot(part, robot, links.axes, scene, actuators, **firsts, mocap=mjcf.mocap)
+    with mistakes.of_part():
+        given = given_frames(robot, bodies, first_body, scene)
+    mistakes.raise_all()
     servos = _servos(part, robot, links.axes) if robot.drive else ()
     for b in links.mocap:
         at = wp.transform(*part.joint_X_p[part.joint_child.index(b)])
@@ -188,7 +185,7 @@ def add_mjcf_robot(
 
     first_shape, first_joint = builder.shape_count, builder.joint_count
     builder.add_builder(part)
-    clashes = _add_frames(frames, model, robot, place, scene, first_body, bodies)
+    clashes = _add_frames(frames, model, robot, place, given, first_body, bodies)
     mjcf_robots.repaired += [f"{name}: {line}" for line in mjcf.repaired]
     mjcf_robots.notes += _notes(model, mjcf, mjcf_robot, links.left_out, clashes)
     return Entity(
@@ -263,7 +260,7 @@ def _add_frames(
     model: mujoco.MjModel,
     robot: Robot,
     place: wp.transform,
-    scene: Scene,
+    given: dict,
     first: int,
     bodies: list[str],
 ) -> list[str]:
@@ -281,16 +278,7 @@ def _add_frames(
         at = pose(model.site_pos[s], model.site_quat[s])
         at = at if body >= 0 else place * at
         frames[f"{robot.name}/{name}"] = (first + body if body >= 0 else WORLD, (*at.p, *at.q))
-    for name, frame in robot.frames.items():
-        if frame.link not in bodies:
-            raise SceneError(
-                "no such link",
-                key=f"robot.{robot.name}.frames.{name}.link",
-                file=scene.path,
-                found=frame.link,
-                allowed=bodies,
-            )
-        frames[f"{robot.name}/{name}"] = (first + bodies.index(frame.link), (*frame.offset, *frame.rotation))
+    frames.update(given)
     return clashes
 
 
