@@ -80,23 +80,24 @@ class Tree:
 
     def near(self, fault: Fault) -> list[str]:
         """Test files, from the one that most likely sees a fault at least cost."""
-        # the module, and kernels that few but it launch
+        # the module, kernels that few but it launch, and who launches a kernel
         users = {k: v & set(self.product) for k, v in self.importers.items() if k.startswith("kernels")}
         edge = [fault.path, *sorted(k for k, v in users.items() if fault.path in v and len(v) < 4 and k != fault.path)]
+        edge += sorted(x for x in users.get(fault.path, ()) if len(users[fault.path]) < 4 and x not in edge)
+        rooms = {x for p in edge for x in Path(p).parts[:-1]} - {"warpmpc", "kernels"}
+        folders = {Path(p).parent.name for p in edge}
         distance = dict.fromkeys(edge, 0)
         for path in edge:
             for importer in sorted(self.importers[path] - set(distance)) if path != "warpmpc/__init__.py" else []:
                 distance[importer] = distance[path] + 1
                 edge.append(importer)
-        rooms, stem, name = Path(fault.path).parts[:-1], Path(fault.path).stem, fault.inside.strip("_")
+        stem, name = Path(fault.path).stem.removesuffix("s"), fault.inside.strip("_")
 
         def cost(test: str) -> float:
             steps = min(distance.get(test, 5), 5)
-            if set(rooms) & set(Path(test).parts):
-                steps = min(steps, 3) - 1 - (rooms[-1] in Path(test).parts)
-            steps -= (stem.removesuffix("s") in Path(test).stem) + bool(
-                name and re.search(rf"\b_?{name}\b", self.tests[test])
-            )
+            if rooms & set(Path(test).parts):
+                steps = min(steps, 3) - 1 - bool(folders & set(Path(test).parts))
+            steps -= (stem in test) + bool(name and re.search(rf"\b_?{name}\b", self.tests[test]))
             return (3.0 + self.seconds.get(Path(test).stem, len(self.tests[test]) / 1000)) * 3.0**steps
 
         return sorted(self.tests, key=cost)
