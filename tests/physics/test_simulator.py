@@ -27,7 +27,7 @@ TEXT = """
     </body>
     <body name="still" pos="1 1 0" euler="0 0 90"><geom size=".1" contype="0" conaffinity="0"/></body>
   </worldbody>
-  <actuator><position joint="x" kp="60" kv="5"/><motor joint="turn"/></actuator>
+  <actuator><position joint="x" kp="60" kv="5"/><general joint="turn" dyntype="filter" dynprm=".02"/></actuator>
   <sensor>
     <framepos objtype="geom" objname="box"/><framelinvel objtype="site" objname="end"/>
     <jointpos joint="x"/>
@@ -83,6 +83,7 @@ def test_worlds_are_those_of_mujoco(model, seed):
         sim.step(ctrl, 5)
         data, _ = of_mujoco([model] * WORLDS, qpos, qvel, ctrl, 5 * k)
         np.testing.assert_allclose(sim.qpos, [d.qpos for d in data], atol=2e-4)
+        np.testing.assert_allclose(sim.act, [d.act for d in data], atol=1e-5)
         np.testing.assert_allclose(sim.xpos, [d.xpos for d in data], atol=2e-4)
         np.testing.assert_allclose(sim.xquat, [d.xquat for d in data], atol=2e-4)
         np.testing.assert_allclose(sim.sensordata, [d.sensordata for d in data], atol=5e-3)

@@ -367,6 +367,7 @@ def test_absurd_nesting_is_an_error_like_any_other(tmp_path):
         (["engine.substeps=1_000_000"], "engine.substeps", "at most 80000"),
         (["plant.substeps=1_000_000"], "plant.substeps", "at most 40000"),
         (["engine.substeps=10_000", "planner.dt={ first = 0.001, last = 0.1 }"], "engine.substeps", "at most 1000"),
+        (["engine.substeps=10_000", "planner.dt=[0.1, 0.001]", "planner.horizon=2"], "engine.substeps", "at most 1000"),
         (["timing.control_dt=1e-12"], "timing.control_dt", "controls"),
         (["timing.timeout=1e12"], "timing.timeout", "controls"),
         (["engine.threads=100_000"], "engine.threads", "at most 1024"),
