@@ -267,10 +267,21 @@ name = "there"
     (tmp_path / "mine.toml").write_text(SCENE + phases)
     done = command("check", "mine.toml", *TINY, "--engine", "mujoco", "--set", "planner.noise.spread=[0.1, 2.0]")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "over: goal at [1.5, 0] m, until box below 0.5, for 0.2 s" in done.stdout
+    assert "over: goal at [1.5, 0] m, until box below 0.5, for 0.2 s\n" in re.sub(" +\n", "\n", done.stdout)
     table = done.stdout.partition("phase over waits for")[2].splitlines()[2:]
     assert table[0].split()[:6] == ["height", "of", "box", "0.15", "≤", "0.5"]
     assert " × 0.1 to 2, discount" in " ".join(done.stdout.split())
+
+
+def test_check_tells_the_weights_that_hold_in_each_phase(tmp_path, command):
+    ends = "after = 1.0"
+    phases = [("first", f"weight.distance = 0.0\n{ends}"), ("second", ends), ("third", "weight.near = 2.5")]
+    more = '[[cost]]\nterm = "distance"\nname = "near"\nbetween = ["base/tip", "box"]\n'
+    text = SCENE + more + "".join(f'[[phase]]\nname = "{name}"\n{keys}\n' for name, keys in phases)
+    (tmp_path / "mine.toml").write_text(text)
+    done = command("check", "mine.toml", *TINY, "--engine", "mujoco")
+    shown = [line.split("; ")[1].strip() for line in done.stdout.splitlines() if "; weights" in line]
+    assert shown == [f"weights distance 0, near {near}" for near in ("1", "1", "2.5")]
 
 
 @pytest.mark.parametrize(

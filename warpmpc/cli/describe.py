@@ -5,12 +5,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TextIO
 
+import mujoco
 import numpy as np
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from ..kernels.geometry.kinematics import BALL, FREE
 from ..scene.describe import written
+from ..scene.model.layout import rotate
 from ..scene.schema import Method, ShareOfRange
 from ..scene.schema_goal import runs_of
 from ..scene.schema_planner import PRESETS
@@ -93,9 +96,10 @@ def print_check(
         fact("target", f"{target.name} at {number_words(target.position)} m")
     if scene.scalar:
         fact("scalars", ", ".join(f"{name} = {number_words(value)}" for name, value in scene.scalar.items()))
+    weights = {phase.name: words for phase, words in zip(scene.phase, weight_words(scene), strict=True)}
     for name, last in runs_of(phase.name for phase in scene.phase):
         phase = next(phase for phase in scene.phase if phase.name == name)
-        fact("phase", (name if last == name else f"{name} to {last}") + phase_words(phase))
+        fact("phase", (name if last == name else f"{name} to {last}") + phase_words(phase) + weights[name])
     fact("planner", planner_words(scene))
     if scene.planner.method in PRESETS:
         means = preset_words(scene.planner.method)
@@ -120,13 +124,14 @@ def print_check(
         fact("is it meant?", sentence)
     console.print(facts)
     show_table(console, joint_table(layout))
-    show_table(console, _controls(layout))
+    show_table(console, _controls(episode))
     show_table(console, _costs(episode))
     if rollouts and (episode.scene.success is not None or episode.scene.phase):
         show_table(console, _conditions(episode, rollouts))
 
 
-def _controls(layout: Layout) -> Table:
+def _controls(episode: Episode) -> Table:
+    layout, plant = episode.controller.layout, episode.plant
     table = make_table(
         "control", "drive", "lower", "upper", "unit", "effort limit", right=["lower", "upper", "effort limit"]
     )
@@ -134,7 +139,8 @@ def _controls(layout: Layout) -> Table:
         rows = np.flatnonzero(layout.actuator_matrix[:, i])
         if not len(rows):  # an actuator of an MJCF file
             lower, upper = f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}"
-            table.add_row(name, "the file's own", lower, upper, "", "")
+            actuators = np.flatnonzero(plant.world.actuator_matrix[:, i])
+            table.add_row(name, ", ".join(actuator_words(plant.model, a) for a in actuators), lower, upper, "", "")
             continue
         mode, linear = layout.actuator_mode[rows[0]], _is_linear(layout, int(layout.actuator_dof[rows[0]]))
         effort = f"{layout.actuator_effort[rows[0]]:g} {_UNITS['effort'][not linear]}"
@@ -143,6 +149,32 @@ def _controls(layout: Layout) -> Table:
         unit = _UNITS["velocity" if mode == "diff_drive" else mode][not linear]
         table.add_row(name, mode, f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}", unit, effort)
     return table
+
+
+def actuator_words(model: mujoco.MjModel, a: int) -> str:
+    """Kind of an actuator, by MuJoCo's shortcuts, and what it acts on."""
+    kinds = mujoco.mjtTrn
+    names = {
+        kinds.mjTRN_JOINT: ("joint", model.joint),
+        kinds.mjTRN_JOINTINPARENT: ("joint", model.joint),
+        kinds.mjTRN_TENDON: ("tendon", model.tendon),
+        kinds.mjTRN_SITE: ("site", model.site),
+        kinds.mjTRN_SLIDERCRANK: ("slider-crank", model.site),
+        kinds.mjTRN_BODY: ("body", model.body),
+    }
+    kind, find = names[mujoco.mjtTrn(int(model.actuator_trntype[a]))]
+    gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
+    if kind == "body":
+        shortcut = "adhesion"
+    elif model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_MUSCLE:
+        shortcut = "muscle"
+    elif model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:
+        shortcut = "general"
+    elif model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
+        shortcut = "motor"
+    else:
+        shortcut = "position" if bias[1] == -gain else "velocity" if bias[2] == -gain else "general"
+    return f"{shortcut} at {kind} {find(int(model.actuator_trnid[a, 0])).name}"
 
 
 def _is_linear(layout: Layout, dof: int) -> bool:
@@ -201,7 +233,7 @@ def _conditions(episode: Episode, rollouts: list[Rollout]) -> Table:
 
 
 def joint_table(layout: Layout, joint_q: np.ndarray | None = None) -> Table:
-    """The table of all hinges and slides: range and start, of hinges in degrees besides.
+    """The table of all joints: range and start, of hinges in degrees besides; of free joints where the body is.
 
     Args:
         layout: State layout.
@@ -229,6 +261,16 @@ def joint_table(layout: Layout, joint_q: np.ndarray | None = None) -> Table:
             "rad" if hinge else "m",
             (" ".join(f"{np.degrees(number):.0f}" for number in numbers) if hinge else "") + " outside" * bool(outside),
         )
+    for joint in np.flatnonzero(np.isin(layout.joint_type, (FREE, BALL))):
+        values, free = coordinates[layout.joint_q_start[joint] :], layout.joint_type[joint] == FREE
+        position, quaternion = np.split(values[: 7 if free else 4], [3 if free else 0])
+        up = np.clip(rotate(quaternion, np.array([0.0, 0.0, 1.0]))[2], -1.0, 1.0)
+        turned = f"z axis {np.degrees(np.arccos(up)):.0f}° from up"
+        if not free:
+            turned = f"turned by {np.degrees(2.0 * np.arccos(np.clip(abs(quaternion[3]), 0.0, 1.0))):.0f}°"
+        where = ", ".join(f"{number:.4g}" for number in position)
+        told = f"{'free' if free else 'ball'} joint, {turned}"
+        table.add_row(layout.joint_name[joint], "", where, "", "m" if free else "", told)
     return table
 
 
@@ -287,6 +329,17 @@ def phase_words(phase: Phase) -> str:
         *([f"{phase.after:g} s at most"] if phase.after else []),
     ]
     return f": {', '.join(parts)}" if parts else ""
+
+
+def weight_words(scene: Scene) -> list[str]:
+    """Weights in each phase of the terms whose weight a phase changes: a later phase keeps what it does not name."""
+    held = {label: cost.weight for label, cost in zip(scene.cost_labels, scene.cost, strict=True)}
+    changed = [label for label in held if any(label in phase.weight for phase in scene.phase)]
+    found = []
+    for phase in scene.phase:
+        held |= phase.weight
+        found.append("; weights " + ", ".join(f"{label} {held[label]:g}" for label in changed) if changed else "")
+    return found
 
 
 def failure_words(failure: Failure) -> str:

@@ -17,10 +17,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from ..kernels.geometry.kinematics import FREE
 from ..loop.realtime.watchdog import Watchdog, received
 from ..loop.robots.sources import Heard
-from ..scene.model.layout import rotate
 from .describe import joint_table
 from .interrupts import Interrupts
 from .progress import Messages
@@ -28,7 +26,7 @@ from .setup import SUCCESS, RunArguments, begin, results_only, user_errors
 from .terminal import say, say_json, screen
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
     from ..loop.realtime.loop import Robot
@@ -181,7 +179,7 @@ class Listened:
         for why, count in self._faults.items():
             console.print(f"{count} × {why}")
         if np.shape(self._state.joint_q) == (self._layout.nq,):
-            console.print(joint_table(self._layout, self._state.joint_q), *self._floating(), sep="\n")
+            console.print(joint_table(self._layout, self._state.joint_q))
         console.print("nothing was sent")
 
     def _sources(self) -> Table:
@@ -196,12 +194,3 @@ class Listened:
             numbers = (rate, f"{1e3 * heard.age:.1f}", f"{heard.stamp:.3f}") if heard.count else ("", "", "")
             table.add_row(Text(heard.source), str(heard.count), *numbers, Text(heard.missing or refused))
         return table
-
-    def _floating(self) -> Iterator[str]:
-        """Lines about where floating bodies are."""
-        layout, q = self._layout, self._state.joint_q
-        for joint in np.flatnonzero(layout.joint_type == FREE):
-            position, quaternion = np.split(q[layout.joint_q_start[joint] :][:7], [3])
-            up = np.clip(rotate(quaternion, np.array([0.0, 0.0, 1.0]))[2], -1.0, 1.0)
-            where, tilt = ", ".join(f"{number:.3f}" for number in position), np.degrees(np.arccos(up))
-            yield f"{layout.joint_name[joint]}: at {where} m, its z axis {tilt:.0f}° from up"

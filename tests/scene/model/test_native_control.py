@@ -87,3 +87,43 @@ def test_check_prints_what_was_taken_over(tmp_path):
     print_check(episode, out)
     text = " ".join(out.getvalue().split())
     assert "2 bodies, 2 joints, 3 geoms, 2 sites, 3 actuators, 1 activation, 1 tendon, 2 sensors, 1 keyframe" in text
+
+
+FLOATING = """<mujoco>
+  <worldbody>
+    <body name="hull" pos="0 0 1"><freejoint name="root"/><geom size=".1"/><site name="prop"/>
+      <body name="eye" pos=".2 0 0"><joint name="gaze" type="ball"/><geom size=".05"/></body>
+      <body name="arm" pos="-.2 0 0"><joint name="a" range="-90 90" axis="0 1 0"/><geom size=".05"/></body>
+    </body>
+  </worldbody>
+  <tendon><fixed name="cord"><joint joint="a" coef="1"/></fixed></tendon>
+  <actuator>
+    <motor name="lift" site="prop" gear="0 0 1 0 0 0" ctrlrange="0 9"/>
+    <position name="hold" joint="a" ctrlrange="-1 1"/>
+    <velocity name="turn" joint="a" ctrlrange="-2 2"/>
+    <motor name="pull" tendon="cord" ctrlrange="-3 3"/>
+    <muscle name="flex" joint="a" ctrlrange="0 1"/>
+    <adhesion name="grip" body="arm" ctrlrange="0 1"/>
+  </actuator>
+</mujoco>"""
+
+
+def test_check_lists_joints_and_actuators_of_every_kind(tmp_path):
+    scene = scene_of(tmp_path, FLOATING, [{"term": "distance", "between": ["r/hull", "goal"]}])
+    episode = Episode(scene, seed=0, engine="mujoco")
+    episode.controller.step(episode.plant.observe())
+    out = io.StringIO()
+    print_check(episode, out)
+    rows = [" ".join(line.split()) for line in out.getvalue().splitlines()]
+    for row in (
+        "r/a -1.571 0 1.571 rad -90 0 90",
+        "r/root 0, 0, 1 m free joint, z axis 0° from up",
+        "r/gaze ball joint, turned by 0°",
+        "r/lift motor at site r/prop 0 9",
+        "r/hold position at joint r/a -1 1",
+        "r/turn velocity at joint r/a -2 2",
+        "r/pull motor at tendon r/cord -3 3",
+        "r/flex muscle at joint r/a 0 1",
+        "r/grip adhesion at body r/arm 0 1",
+    ):
+        assert row in rows
