@@ -48,10 +48,47 @@ def test_listing_scenes_loads_no_physics():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_terms_lists_every_term_and_key_with_type_default_and_meaning():
+def test_terms_lists_every_term_in_a_line():
     from warpmpc.cost.terms import TERMS
 
     done = warpmpc("terms")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()[: len(TERMS)]
+    assert [line.split()[0] for line in lines] == list(TERMS)
+    for line, term in zip(lines, TERMS.values(), strict=True):
+        told = line[len(term.name) :].strip().removesuffix(" ...")
+        assert told
+        assert term.summary.replace("``", "`").startswith(told)
+
+
+def test_terms_of_a_file_are_listed_and_described(command, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import warp as wp\nimport warpmpc\n\n@wp.struct\nclass LeanParams:\n    frame: int\n\n"
+        '@warpmpc.cost_term("lean")\ndef lean(s: warpmpc.StepView, p: LeanParams) -> float:\n'
+        '    """How far a frame leans."""\n    return float(0.0)\n\n'
+        '@warpmpc.array_cost("waste")\ndef waste(batch):\n    """What is wasted."""\n'
+    )
+    done = command("terms", "--terms", str(tmp_path / "mine.py"))
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
+    assert ["lean", "How far a frame leans."] in lines
+    assert ["waste", "What is wasted."] in lines
+    done = command("terms", "lean", "waste", "--terms", str(tmp_path / "mine.py"))
+    for part in (
+        "How far a frame leans.",
+        "frame = name or whole number; required",
+        'term = "lean"',
+        "What is wasted.",
+        'term = "waste"',
+    ):
+        assert part in done.stdout
+    assert "no such cost term" in command("terms", "lean").stderr
+
+
+def test_terms_that_are_named_have_every_key_with_type_default_and_meaning(command):
+    from warpmpc.cost.terms import TERMS
+
+    done = command("terms", *TERMS)
     assert (done.returncode, done.stderr) == (0, "")
     words = done.stdout.split()
     for name, term in TERMS.items():

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Annotated, get_origin
 import typer
 
 from ..physics.runtime.files import writing
-from .setup import SceneArgument
+from .setup import SceneArgument, TermsOption
 from .terminal import headline, say
 
 if TYPE_CHECKING:
     from pydantic import BaseModel as Section
     from pydantic.fields import FieldInfo
 
-    from ..cost.term import CostTerm
+    from ..cost.term import ArrayCost, CostTerm
 
 # what takes long to import is imported where it is used, as in main.py
 
@@ -55,21 +55,34 @@ def show(scene: SceneArgument) -> None:
 
 
 def terms(
-    names: Annotated[list[str], typer.Argument(metavar="[NAME...]", help="Terms; all when left out.")] = [],  # noqa: B006
+    names: Annotated[
+        list[str], typer.Argument(metavar="[NAME...]", help="Terms to describe; a line for each term when left out.")
+    ] = [],  # noqa: B006
+    terms: TermsOption = [],  # noqa: B006
 ) -> None:
-    """Describe cost terms: meaning and keys; for those that are named, an example too."""
+    """List cost terms, a line each; for those that are named, meaning, keys and an example."""
     from ..scene.errors import SceneError
+    from ..scene.registry import TERMS
     from .setup import start_warp, user_errors
 
     start_warp()
-    from ..cost.terms import TERMS
+    from ..cost.term import ArrayCost, CostTerm
+    from ..cost.user_files import load_terms
 
     with user_errors():
+        own = {term.name: term for term in load_terms(terms) if isinstance(term, CostTerm | ArrayCost)}
+        known = {**TERMS, **own}
         for name in names:
-            if name not in TERMS:
-                raise SceneError("no such cost term", found=name, allowed=TERMS)
-    for name in names or TERMS:
-        _print_term(TERMS[name], example=name in names)
+            if name not in known:
+                raise SceneError("no such cost term", found=name, allowed=known)
+    for name in names:
+        _print_term(known[name])
+    if not names:
+        wide = max(map(len, known)) + 2
+        for name, term in known.items():
+            summary = term.summary.replace("``", "`") or "..."
+            say(f"{name:{wide}}{textwrap.shorten(summary, WIDTH - wide, placeholder=' ...')}")
+        say("\nwarpmpc terms NAME describes one and its keys.")
     _echo("Every [[cost]] table has a weight besides (1.0 when left out), and a name where one term is used twice.", "")
     _echo("A frame is robot/frame, robot/link, an object, an obstacle or goal.", "")
 
@@ -136,15 +149,18 @@ def schema() -> None:
     say(schema_text(), end="")
 
 
-def _print_term(term: CostTerm, *, example: bool) -> None:
+def _print_term(term: CostTerm | ArrayCost) -> None:
     headline(term.name)
     _echo(term.summary, "  ")
-    for name, field in term.keys.model_fields.items():
+    for name, field in getattr(getattr(term, "keys", None), "model_fields", {}).items():
         _print_key(name, field, indent="  ")
-    if example:
-        say("")
-        for line in _example(term.name):
-            say(f"    {line}")
+    if getattr(term, "keys", None) is None:  # of a file: fields of its struct
+        for name, field in getattr(getattr(term, "params", None), "vars", {}).items():
+            kind = {"float32": "number", "int32": "name or whole number"}.get(field.type.__name__, field.type.__name__)
+            _echo(f"{name} = {kind}; required", "  ")
+    say("")
+    for line in _example(term.name):
+        say(f"    {line}")
     say("")
 
 

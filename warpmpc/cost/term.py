@@ -70,7 +70,7 @@ class CostTerm:
     @property
     def summary(self) -> str:
         """Summary of its cost: the first of the function's docstring."""
-        return (inspect.getdoc((self.written or self.function).func) or "").split("\n\n")[0].replace("\n", " ")
+        return _summary((self.written or self.function).func)
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,15 @@ class ArrayCost:
 
     name: str
     function: Callable[[dict[str, Any]], Any]
+
+    @property
+    def summary(self) -> str:
+        """Summary of its cost: the first of the function's docstring."""
+        return _summary(self.function)
+
+
+def _summary(function: Callable) -> str:
+    return (inspect.getdoc(function) or "").split("\n\n")[0].replace("\n", " ")
 
 
 UserTerm = CostTerm | ArrayCost | AncillaryController
