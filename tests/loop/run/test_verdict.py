@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict on a failed run names the planted mistake; a run that succeeds has none."""
 
+import re
+
 import pytest
 from planted import ARM
 from small_scenes import DISC, compiled, make_scene
 
 from warpmpc.loop.run.episode import run_episode
-from warpmpc.scene.load import load_scene
 
 COST = [{"term": "distance", "between": ["base/centre", "goal"], "weight": 5.0}]
 
@@ -83,10 +84,19 @@ def test_weights_that_are_no_help_are_told(planner, told):
     assert [s for s in result.verdict if told in s], result.verdict
 
 
-def test_controls_at_their_limits_are_told():
-    scene = load_scene("pendulum", overrides=["timing.timeout=1.0"])
-    result = run_episode(scene, seed=0, engine="mujoco", device="cpu")
-    assert [s for s in result.verdict if s.startswith("control pendulum/torque is at a limit")], result.verdict
+def test_controls_at_their_limits_are_told_before_advice_to_look_further_ahead():
+    result = run(
+        robot=[{**DISC, "drive": {"damping": 300.0, "effort_limit": 200.0, "limit": (0.3, 0.3, 1.0)}}],
+        goal={"frame": "base/centre", "position": (-1.0, 0.0)},
+        target=[{"name": "lure", "position": (9.0, 9.0)}],
+        cost=[{"term": "distance", "between": ["base/centre", "lure"], "weight": 5.0}],
+        success={"distance": 0.2},
+        timing={"control_dt": 0.04, "timeout": 4.0},
+    )
+    unmet, limit, *_, ahead = [s for s in result.verdict if re.match("not met|control base|.*look further ahead", s)]
+    assert unmet.startswith("not met: ")
+    assert limit.startswith("control base/x, base/y is at a limit"), result.verdict
+    assert "look further ahead" in ahead
 
 
 def run_file(tmp_path, asset, *, start=None, frames=None, **sections):

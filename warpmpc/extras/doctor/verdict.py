@@ -90,6 +90,7 @@ class Symptoms:
         phase = f" of phase {monitor.phases[-1][0]}" if monitor.phases else ""
         for item in unmet:
             yield Guess(f"not met{phase}: {_shortfall(item)}")
+        yield from self._saturated()
         if monitor.failure is not None:
             yield _failed_on(self.plant, self._of_plant.states, self._controls, changes.further())
         left = [item.last.name for item in unmet if item.best.holds]
@@ -173,6 +174,14 @@ class Symptoms:
             return np.inf
         return end + 2.0 * left / (rate + np.sqrt(rate**2 + 2.0 * gain * left))
 
+    def _saturated(self) -> Iterator[Guess]:
+        """Controls at a limit as a rule, before advice to look further ahead, which gives them no more."""
+        if stuck := self._at_limits():
+            yield Guess(
+                f"control {some(stuck)} is at a limit {self._at_limit.max() / len(self._controls):.0%} of the time",
+                "wider limits, another sign or unit of the drive, or a term on the control (control, control_rate)",
+            )
+
     def _at_limits(self) -> list[str]:
         """Controls that are at a limit as a rule."""
         often = self._at_limit > OFTEN * len(self._controls)
@@ -183,12 +192,6 @@ class Symptoms:
         yield from self._of_plant.signs(unmet=bool(unmet), cures=cures, larger=self._changes.sigma(2.0))
         if not cures:
             yield from self._of_samples.poor()
-        stuck = self._at_limits()
-        if stuck:
-            yield Guess(
-                f"control {some(stuck)} is at a limit {self._at_limit.max() / len(self._controls):.0%} of the time",
-                "wider limits, another sign or unit of the drive, or a term on the control (control, control_rate)",
-            )
         yield from self._of_samples.signs()
         for changes in (self._changes.samples(), self._changes.rounds(), self._changes.sigma(0.5)):
             yield Guess("", changes=changes)
