@@ -5,6 +5,8 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -199,6 +201,25 @@ def test_a_command_is_a_function_and_an_entry_point(tmp_path):
     assert number.returncode == 2
     assert "the command 'number' of greeting 1.0" in number.stderr
     assert "'check' of greeting 1.0 is left out: warpmpc has it" in number.stderr
+
+
+def test_the_entry_points_on_the_page_of_own_parts_are_found(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text()
+    block = tomllib.loads(page.partition("```toml\n")[2].partition("```")[0])
+    points = block["project"]["entry-points"]
+    assert list(points) == ["warpmpc.robots", "warpmpc.commands"]
+    (tmp_path / "my_package").mkdir()
+    (tmp_path / "my_package" / "robot.py").write_text(
+        'def make(scene, *, compiled, config=None, **_):\n    """Mine."""\n'
+    )
+    (tmp_path / "my_package" / "commands.py").write_text(COMMAND + "draw = greet\n")
+    folder = tmp_path / "my_package-1.0.dist-info"
+    folder.mkdir()
+    lines = [f"[{group}]\n" + "".join(f"{n} = {v}\n" for n, v in entries.items()) for group, entries in points.items()]
+    (folder / "entry_points.txt").write_text("".join(lines))
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    assert call("draw", "you", folder=tmp_path, path=tmp_path).stdout == "hello you\n"
+    assert "own (from my_package 1.0)\n  Mine." in call("robots", "own", folder=tmp_path, path=tmp_path).stdout
 
 
 def test_an_observer_that_cannot_be_loaded_is_left_out_with_a_warning(tmp_path):
