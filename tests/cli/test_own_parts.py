@@ -205,7 +205,7 @@ def test_a_command_is_a_function_and_an_entry_point(tmp_path):
 
 def test_the_entry_points_on_the_page_of_own_parts_are_found(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text()
-    block = tomllib.loads(page.partition("```toml\n")[2].partition("```")[0])
+    block = tomllib.loads(page.partition("```ini\n")[2].partition("```")[0])
     points = block["project"]["entry-points"]
     assert list(points) == ["warpmpc.robots", "warpmpc.commands"]
     (tmp_path / "my_package").mkdir()

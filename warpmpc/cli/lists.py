@@ -154,10 +154,10 @@ def _print_term(term: CostTerm | ArrayCost) -> None:
     _echo(term.summary, "  ")
     for name, field in getattr(getattr(term, "keys", None), "model_fields", {}).items():
         _print_key(name, field, indent="  ")
-    if getattr(term, "keys", None) is None:  # of a file: fields of its struct
-        for name, field in getattr(getattr(term, "params", None), "vars", {}).items():
-            kind = {"float32": "number", "int32": "name or whole number"}.get(field.type.__name__, field.type.__name__)
-            _echo(f"{name} = {kind}; required", "  ")
+    own = {} if getattr(term, "keys", None) else getattr(getattr(term, "params", None), "vars", {})
+    for name, field in own.items():  # of a struct
+        kind = {"float32": "number", "int32": "name or whole number"}.get(field.type.__name__, field.type.__name__)
+        _echo(f"{name} = {kind}; required", "  ")
     say("")
     for line in _example(term.name):
         say(f"    {line}")
