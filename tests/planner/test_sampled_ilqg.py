@@ -11,7 +11,7 @@ from warpmpc.planner.refine import some_draws
 from warpmpc.planner.refiners import fine_grid
 from warpmpc.scene.model.properties import Properties
 
-OTHERS = "tools/others"
+OTHERS = "tools/studies/others"
 
 
 def controller(**planner) -> Controller:

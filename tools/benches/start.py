@@ -33,7 +33,7 @@ from shared.machine import machine
 
 from warpmpc.scene.load import load_scene
 
-OTHERS = Path(__file__).parents[1] / "others"
+OTHERS = Path(__file__).parents[1] / "studies" / "others"
 SCENES = ("panda_reach", "quadruped_walk", str(OTHERS / "fetch_push.toml"))
 """A small scene, one of many contacts, and one whose files are another's."""
 ANOTHER = "point_reach"

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run tasks with the planner's defaults alone: shipped scenes without their [planner], and the scenes of tools/others.
+"""Run tasks with the planner's defaults alone: shipped scenes without their [planner], and the scenes in others.
 
     python tools/study.py defaults --jobs 2                          # all of them, tuning seeds 0 to 2
-    python tools/study.py defaults --tasks tools/others/*.toml --report "defaults, other tasks" --json out.json
+    python tools/study.py defaults --tasks tools/studies/others/*.toml --report "defaults, other tasks" --json out.json
     python tools/study.py defaults --tasks push_t walker --set planner.knots=8
 
-Scenes of tools/others are tasks that the defaults were not chosen on, with models of packages or written for them;
-metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). With ``--own-planner``
+Scenes in tools/studies/others are tasks that the defaults were not chosen on. Some have models of packages: metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). With ``--own-planner``
 scenes keep their planners, as ``FILE.toml:advised`` does: a task of others with what `check` and the verdict advised.
 A task counts as solved when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at
 (tools/seeds.toml).
@@ -35,7 +34,7 @@ from warpmpc.loop.run.workers import FORMS, check_jobs, open_workers
 from warpmpc.scene.origin import code_digest
 from warpmpc.scene.schema import Scene
 
-OTHERS = Path(__file__).parents[1] / "others"
+OTHERS = Path(__file__).with_name("others")
 SHIPPED = (
     *("pendulum", "cartpole_swingup", "acrobot", "quadrotor", "point_reach", "panda_reach", "storm_reach"),
     *("cylinder_push", "push_t", "omni_push_box", "diff_push_box", "panda_push", "mobile_pick", "box_carry"),
