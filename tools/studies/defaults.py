@@ -5,8 +5,9 @@
     python tools/study.py defaults --tasks tools/studies/others/*.toml --report "defaults, other tasks" --json out.json
     python tools/study.py defaults --tasks push_t walker --set planner.knots=8
 
-Scenes in tools/studies/others are tasks that the defaults were not chosen on. Some have models of packages: metaworld, gymnasium-robotics and others must be installed for some (pip install --no-deps). With ``--own-planner``
-scenes keep their planners, as ``FILE.toml:advised`` does: a task of others with what `check` and the verdict advised.
+Scenes in tools/studies/others are tasks that the defaults were not chosen on, some with models of packages: install
+metaworld, gymnasium-robotics and others for these (pip install --no-deps). With ``--own-planner`` scenes keep their
+planners, as ``FILE.toml:advised`` does: a task of others with what `check` and the verdict advised.
 A task counts as solved when two thirds of its seeds reach the goal. --report draws seeds that nobody has looked at
 (tools/seeds.toml).
 """
