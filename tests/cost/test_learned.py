@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from arms import arm_scene
 from evaluating import Evaluating
-from learned.self_distance import SelfDistance
 from learned_weights import elbow_scene, network_output, random_network
 from small_scenes import layout_of
-from train_self_collision import Errors
+from studies.arms.learned.self_distance import SelfDistance
+from studies.arms.train_self_collision import Errors
 
 from warpmpc import Controller, SceneError, State, load_scene
 from warpmpc.cost.stack import CostStack

@@ -7,8 +7,8 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-from learned.self_distance import SelfDistance
 from small_scenes import make_scene
+from studies.arms.learned.self_distance import SelfDistance
 
 from warpmpc import Scene
 

@@ -7,7 +7,7 @@ Slow ones by hand: pytest -m slow tests/scenes/test_learned_self_collision.py
 import numpy as np
 import pytest
 import warp as wp
-from learned.self_distance import SelfDistance
+from studies.arms.learned.self_distance import SelfDistance
 
 from warpmpc import Controller, Plant, load_scene
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel

@@ -8,7 +8,7 @@ from argparse import Namespace
 
 import numpy as np
 import pytest
-from studies.balance import balance
+from studies.arms.balance import balance
 
 SEEN = Namespace(time=7.0, rate=30.0, noise=0.005)
 

@@ -6,7 +6,7 @@ Slow ones by hand: pytest -m slow tests/scenes/test_storm_cloud.py
 
 import numpy as np
 import pytest
-from studies.clutter import run
+from studies.arms.clutter import run
 
 import warpmpc
 from warpmpc import Controller, Plant

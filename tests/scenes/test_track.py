@@ -5,7 +5,7 @@ Slow ones by hand: pytest -m slow tests/scenes/test_track.py
 """
 
 import pytest
-from studies.track import run
+from studies.arms.track import run
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 from shared import bad_samples as shared
-from studies import bad_samples
+from studies.plants import bad_samples
 
 
 @pytest.fixture(autouse=True)

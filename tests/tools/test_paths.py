@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from studies.experiments.tables import TABLES
-from studies.fabrics.episodes import Server, drive, task_of
-from studies.paths import METHODS, OTHERS, ROBOTS, figures, picture, read
+from studies.paper.fabrics.episodes import Server, drive, task_of
+from studies.paper.paths import METHODS, OTHERS, ROBOTS, figures, picture, read
+from studies.paper.tables import TABLES
 
 from warpmpc import Plant, load_scene
 

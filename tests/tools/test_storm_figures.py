@@ -10,9 +10,9 @@ from argparse import Namespace
 import numpy as np
 import pytest
 from pages import ROOT
-from studies import balance, track
-from studies.reach.report import FIGURES, figures
-from studies.reach.runs import run_pose
+from studies.arms import balance, track
+from studies.arms.report import FIGURES, figures
+from studies.arms.runs import run_pose
 
 
 def ball(*away: float) -> balance.Run:

@@ -12,11 +12,11 @@ from shared import commands
 TOOLS = Path(__file__).parents[2] / "tools"
 MODULES = sorted(
     ".".join(file.relative_to(TOOLS).with_suffix("").parts)
-    for folder in ("", "benches", "studies", "shared", "learned")
-    for file in (TOOLS / folder).glob("*.py")
+    for pattern in ("*.py", "benches/*.py", "studies/*/*.py", "studies/*/*/*.py", "shared/*.py")
+    for file in TOOLS.glob(pattern)
     if file.stem != "__init__"
 )
-OPTIONAL = {"dm_control", "matplotlib", "torch", "ray"}
+OPTIONAL = {"dm_control", "matplotlib", "torch", "ray", "casadi"}
 """Packages of extras; without them a tool says so."""
 
 
@@ -29,7 +29,7 @@ def test_a_tool_loads(name):
             raise
         pytest.skip(reason(error.name.partition(".")[0]))
     assert module.__doc__
-    if name.partition(".")[0] in ("benches", "studies"):
+    if name.startswith("benches."):
         assert callable(module.main)
 
 
@@ -40,6 +40,19 @@ def test_the_help_lists_every_subcommand_in_a_line(capsys, monkeypatch):
         lines = capsys.readouterr().out.splitlines()[3:]
         assert [line.split()[0] for line in lines] == sorted(commands.subcommands(package))
         assert all(len(line.split()) > 5 for line in lines)
+
+
+def test_every_study_is_a_subcommand_and_says_how_it_is_used(monkeypatch, capsys):
+    studies = commands.modules("studies")
+    assert {module.split(".")[1] for module in studies.values()} == {
+        folder.name for folder in (TOOLS / "studies").iterdir() if (folder / "__init__.py").exists()
+    }
+    for name in studies:
+        monkeypatch.setattr(sys, "argv", ["study.py"])
+        with pytest.raises(SystemExit) as end:
+            commands.run("studies", "Some.", [name, "--help"])
+        assert end.value.code == 0
+        assert capsys.readouterr().out.startswith(f"usage: study.py {name} ")
 
 
 def test_a_subcommand_gets_the_arguments_behind_it(capsys, monkeypatch):

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from learned.clutter import Clutter
-from train_cloud_checker import Link, errors, gathered, trained
+from studies.arms.learned.clutter import Clutter
+from studies.arms.train_cloud_checker import Link, errors, gathered, trained
 
 from warpmpc import SceneError, load_scene
 from warpmpc.scene.draw import signed_distance

@@ -6,10 +6,10 @@ import pytest
 import warp as wp
 from arms import arm_scene
 from evaluating import Evaluating
-from learned.network import Network
-from learned.self_distance import SelfDistance
 from learned_weights import elbow_scene
-from train_self_collision import Errors, trained
+from studies.arms.learned.network import Network
+from studies.arms.learned.self_distance import SelfDistance
+from studies.arms.train_self_collision import Errors, trained
 
 from warpmpc.kernels.geometry.kinematics import forward_kinematics_kernel
 from warpmpc.scene.model.joints import joint_table

@@ -158,8 +158,8 @@ def _sources(groups: list[Group]) -> list[str]:
 def _suite() -> str:
     """The Control Suite's table, computed from its episodes."""
     sys.path.insert(0, str(ROOT / "tools"))
-    from dm_tasks.table import read as episodes
-    from dm_tasks.table import table as suite
+    from studies.suite.table import read as episodes
+    from studies.suite.table import table as suite
 
     return re.sub(r" ?\| ?", "|", suite(episodes([DATA / f"{EPISODES}.json"]))) + "\n"
 

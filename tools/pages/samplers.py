@@ -19,7 +19,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from studies.experiments.tables import TABLES, Cell  # noqa: E402
+from studies.paper.tables import TABLES, Cell  # noqa: E402
 
 import warpmpc  # noqa: E402
 from warpmpc.loop.run.episode import Episode  # noqa: E402

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A command whose subcommands are the modules of a package, each with ``main(arguments)``."""
+"""A command whose subcommands are the modules of a package that have ``main(arguments)``, in its folders, too."""
 
 from __future__ import annotations
 
@@ -13,10 +13,21 @@ from pathlib import Path
 FOLDER = Path(__file__).parents[1]
 
 
+def modules(package: str) -> dict[str, str]:
+    """Modules of a package's subcommands, by name."""
+    files = {file.stem: file for pattern in ("*.py", "*/*.py") for file in (FOLDER / package).glob(pattern)}
+    found = {name: file for name, file in sorted(files.items()) if _has_main(ast.parse(file.read_text("utf-8")))}
+    return {name: ".".join(file.relative_to(FOLDER).with_suffix("").parts) for name, file in found.items()}
+
+
+def _has_main(tree: ast.Module) -> bool:
+    return any(isinstance(node, ast.FunctionDef) and node.name == "main" and node.args.args for node in tree.body)
+
+
 def subcommands(package: str) -> dict[str, str]:
     """Names of a package's subcommands, with the first sentence of what each says of itself."""
-    files = sorted(file for file in (FOLDER / package).glob("*.py") if file.stem != "__init__")
-    texts = {file.stem: ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) for file in files}
+    files = {name: FOLDER.joinpath(*module.split(".")).with_suffix(".py") for name, module in modules(package).items()}
+    texts = {name: ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) for name, file in files.items()}
     return {name: text.split("\n\n")[0].replace("\n", " ") for name, text in texts.items()}
 
 
@@ -40,7 +51,7 @@ def run(package: str, about: str, arguments: list[str]) -> int:
         return 2
     sys.argv[0] = f"{program} {name}"
     try:
-        return importlib.import_module(f"{package}.{name}").main(arguments[1:]) or 0
+        return importlib.import_module(modules(package)[name]).main(arguments[1:]) or 0
     except KeyboardInterrupt:
         return 130
     except Exception as error:

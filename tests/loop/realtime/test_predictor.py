@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_scenes import compiled, layout_of, make_scene
-from studies.latency import delayed_episode
+from studies.plants.latency import delayed_episode
 
 from warpmpc import Controller, load_scene, simulated_robot
 from warpmpc.loop.realtime.messages import TimedObservation

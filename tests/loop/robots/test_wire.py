@@ -10,7 +10,7 @@ import signal
 import pytest
 from needs import needs
 from shared.wire import Drill
-from studies.wire import SPOILT, run_pair
+from studies.plants.wire import SPOILT, run_pair
 
 from warpmpc.loop.robots.safety import COMMANDS_TIMEOUT
 

@@ -26,7 +26,7 @@ from program import SCENE, TINY
 from program import untimed as without_times
 from ray.cluster_utils import Cluster
 from shared.jobs import Job, run_job
-from studies import reproduce
+from studies.paper import reproduce
 
 from warpmpc.cli.main import app
 from warpmpc.loop.run import ray_workers

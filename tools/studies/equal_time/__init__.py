@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strategies compared at equal wall-clock."""
+"""Strategies, and proposals of a cloned policy, at equal wall-clock or equal samples."""

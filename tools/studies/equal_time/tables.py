@@ -10,7 +10,7 @@ import numpy as np
 from shared.intervals import mean, rate
 from shared.machine import machine
 
-from studies.experiments.metrics import METRICS, shown
+from studies.paper.metrics import METRICS, shown
 from warpmpc.loop.run.workers import FinishedJobs
 
 from .cells import Cell

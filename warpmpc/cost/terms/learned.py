@@ -86,7 +86,7 @@ class LearnedSelfCollision(TermKeys):
     of: str | None = None
     """Robot; may be left out where it is the only one."""
     weights: str
-    """File of ``tools/train_self_collision.py`` (.npz), beside the scene or in its assets."""
+    """File of ``tools/study.py train_self_collision`` (.npz), beside the scene or in its assets."""
     margin: NonNegative = 0.0
     """Links closer than this cost something [m]."""
 
@@ -112,7 +112,7 @@ class LearnedSelfCollision(TermKeys):
         if self_fingerprint(b.layout, robot, dofs, given) != weights.trained_for:
             raise b.error(
                 "were trained for other links, shapes or limits, or with joints held elsewhere: train new ones with "
-                "tools/train_self_collision.py",
+                "tools/study.py train_self_collision",
                 "weights",
                 found=self.weights,
             )

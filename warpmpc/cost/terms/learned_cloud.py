@@ -30,7 +30,7 @@ Probes = wp.types.vector(length=PROBES, dtype=float)
 
 @dataclass(frozen=True)
 class CheckerWeights:
-    """Content of a file of ``tools/train_cloud_checker.py``: one network N → H → U → 1 for each of L links."""
+    """Content of a file of ``tools/study.py train_cloud_checker``: one network N → H → U → 1 for each of L links."""
 
     links: tuple[str, ...]
     trained_for: tuple[str, ...]
@@ -84,7 +84,7 @@ class LearnedCloudCollision(TermKeys):
     cloud: str | None = None
     """Cloud of the scene; may be left out where there is but one."""
     weights: str
-    """File of ``tools/train_cloud_checker.py`` (.npz), beside the scene or in its assets."""
+    """File of ``tools/study.py train_cloud_checker`` (.npz), beside the scene or in its assets."""
     probability: Annotated[float, Field(strict=True, gt=0.0, lt=1.0)] = 0.5
     """Probability of contact from which on a pose costs 1: less keeps further away."""
 
@@ -105,7 +105,7 @@ class LearnedCloudCollision(TermKeys):
         """Read the networks, and find their links and the cloud's volume."""
         robot, weights = b.only_robot(self.of), b.weights(self.weights, CheckerWeights.load)
         bodies = [link_body(name, robot.bodies, b, f"{b.key}.weights") for name in weights.links]
-        again = "train new ones with tools/train_cloud_checker.py"
+        again = "train new ones with tools/study.py train_cloud_checker"
         other = [
             name
             for name, body, known in zip(weights.links, bodies, weights.trained_for, strict=True)

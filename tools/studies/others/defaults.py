@@ -35,7 +35,7 @@ from warpmpc.loop.run.workers import FORMS, check_jobs, open_workers
 from warpmpc.scene.origin import code_digest
 from warpmpc.scene.schema import Scene
 
-OTHERS = Path(__file__).with_name("others")
+OTHERS = Path(__file__).parent
 SHIPPED = (
     *("pendulum", "cartpole_swingup", "acrobot", "quadrotor", "point_reach", "panda_reach", "storm_reach"),
     *("cylinder_push", "push_t", "omni_push_box", "diff_push_box", "panda_push", "mobile_pick", "box_carry"),

@@ -8,7 +8,7 @@
 
 An environment comes from the PyPI package dm-control (pip install "warpmpc[bench]") and draws its start from the seed.
 warpmpc sees positions, velocities and activations, and where a target is; it plans in the environment's own model
-(dm_tasks/*.toml) for costs of its own (dm_tasks/terms.py), and sends actions. The return is the sum of the suite's
+(*.toml beside this file) for costs of its own (terms.py), and sends actions. The return is the sum of the suite's
 rewards, 1000 at most.
 
 Seeds 0 to 999 are for tuning. --report draws ten that nobody has looked at and notes them in seeds.toml first; the same
@@ -33,7 +33,7 @@ from shared.seeds import draw, worn
 from warpmpc.loop.run.workers import check_jobs, open_workers
 
 if TYPE_CHECKING:
-    from dm_tasks.play import Episode
+    from studies.suite.play import Episode
 
 STEPS = 1000
 """Control steps of the suite's episodes."""
@@ -78,8 +78,9 @@ def episodes(args: argparse.Namespace) -> list[Episode]:
         ValueError: If there is no such task or engine, a scene does not take an override, or the report was made with
             other settings.
     """
-    from dm_tasks.play import Episode, names, scene_of, settings_of, work
     from shared.jobs import check_engine
+
+    from studies.suite.play import Episode, names, scene_of, settings_of, work
 
     check_jobs(args.jobs)
     check_engine(args.engine)
@@ -116,10 +117,10 @@ def run(args: argparse.Namespace) -> None:
         ValueError: As :func:`episodes`, or if a file of episodes is none.
         BrokenProcessPool: If a process died; what was played before is kept.
     """
-    from dm_tasks.play import play
-    from dm_tasks.table import read, table
     from shared.progress import Bar
 
+    from studies.suite.play import play
+    from studies.suite.table import read, table
     from warpmpc.cli.setup import start_warp
 
     if args.table:

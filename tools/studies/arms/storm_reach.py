@@ -20,8 +20,8 @@ from pathlib import Path
 
 from shared.files import put_rows
 
-from studies.reach.poses import CLEARANCE
-from studies.reach.report import FIGURES, figures, line, summary
+from studies.arms.poses import CLEARANCE
+from studies.arms.report import FIGURES, figures, line, summary
 from warpmpc.loop.run.workers import FORMS, open_workers
 
 METHODS = {
@@ -91,7 +91,7 @@ def measure(args: argparse.Namespace, arguments: list[str]) -> None:
     Raises:
         ValueError: If a scene or a cell does not exist, or a method's packages are missing.
     """
-    from studies.reach.runs import run_pose
+    from studies.arms.runs import run_pose
     from warpmpc.cli.setup import start_warp
 
     cells = [Cell(METHODS[name].format(args.scene), method=name) for name in args.method]

@@ -35,7 +35,7 @@ from shared.machine import machine
 
 import warpmpc
 from studies.equal_time import cells
-from studies.planners import DAY, gather
+from studies.equal_time.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
 from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 
@@ -43,7 +43,7 @@ SCENE = "quadrotor"
 SAMPLES = (8, 16, 32, 64, 128, 256)
 FIRST_DEMO = 100
 OBSERVED = ("joint_q", "joint_qd", "goal")
-PROGRAM = Path(__file__).parents[2] / "examples" / "imitate.py"
+PROGRAM = Path(__file__).parents[3] / "examples" / "imitate.py"
 COLUMNS = ["samples", "reached", "time [s]", "cost", "reached with the policy", "time [s]", "cost", "plan [ms]"]
 
 

@@ -1,9 +1,8 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """Train the network of the cost term ``learned_self_collision`` on the geometric distance.
 
-    python tools/train_self_collision.py storm_reach --out panda_self_collision.npz
-    python tools/train_self_collision.py my_scene.toml --robot arm --hidden 64 64 --steps 5000 --out arm.npz
+    python tools/study.py train_self_collision storm_reach --out panda_self_collision.npz
+    python tools/study.py train_self_collision my_scene.toml --robot arm --hidden 64 64 --steps 5000 --out arm.npz
 
 The network is that of Bhardwaj et al., STORM, CoRL 2021: sin q and cos q of every joint → 256 → 64 → 1 with ReLU6.
 Configurations are drawn within the joints' limits; what it learns is how deep the spheres of two links are in each
@@ -20,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from learned.network import Network, train
-from learned.self_distance import SelfDistance
 
+from studies.arms.learned.network import Network, train
+from studies.arms.learned.self_distance import SelfDistance
 from warpmpc import SceneError, load_scene
 
 if TYPE_CHECKING:
@@ -155,7 +154,7 @@ def trained(
     return Trained(distance, network, Errors.of(network(distance.inputs(q)), distance(q)))
 
 
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """Train a network and write it down."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene")
@@ -167,7 +166,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--single", action="store_true", help="write single precision in place of half")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     start = time.process_time()
     try:
         distance = SelfDistance(load_scene(options.scene), options.robot, options.joints)
@@ -186,7 +185,3 @@ def main() -> None:
     size = options.out.stat().st_size / 1024
     print(f"{options.out}: {size:.0f} KB, {', '.join(distance.names)}; {time.process_time() - start:.0f} s of CPU time")
     print(found.errors)
-
-
-if __name__ == "__main__":
-    main()

@@ -59,7 +59,7 @@ def table(played: list[dict]) -> str:
     """Markdown: a row for each task, and a line that counts them.
 
     Args:
-        played: Episodes, the fields of :class:`~dm_tasks.play.Played`.
+        played: Episodes, the fields of :class:`~studies.suite.play.Played`.
 
     Raises:
         ValueError: If a task was played with different settings, or a seed of it twice.

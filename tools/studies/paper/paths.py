@@ -31,9 +31,9 @@ from shared.machine import machine
 from shared.progress import Bar
 
 import warpmpc
-from studies.experiments.runs import make_runs, plan_runs
-from studies.experiments.tables import TABLES, Cell
-from studies.fabrics.episodes import episode
+from studies.paper.fabrics.episodes import episode
+from studies.paper.runs import make_runs, plan_runs
+from studies.paper.tables import TABLES, Cell
 from warpmpc.cli.setup import start_warp
 from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 from warpmpc.scene.origin import code_digest

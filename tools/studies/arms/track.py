@@ -30,8 +30,8 @@ from shared.files import put_rows
 from shared.measure import Clearance
 
 import warpmpc
-from studies.reach.arm import Arm
-from studies.reach.osc import follow, with_torques
+from studies.arms.arm import Arm
+from studies.arms.osc import follow, with_torques
 from warpmpc.loop.run.episode import Episode
 from warpmpc.scene.model.compiled import compile_scene
 

@@ -1,8 +1,7 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """Train the networks of the cost term ``learned_cloud_collision``: whether a link at a pose touches what a cloud shows.
 
-    python tools/train_cloud_checker.py storm_cloud --out panda_cloud_checker.npz
+    python tools/study.py train_cloud_checker storm_cloud --out panda_cloud_checker.npz
 
 The binary checker of Bhardwaj et al., STORM, CoRL 2021, for a scene with a cloud and a camera. The scene's obstacles
 are drawn anew for every picture. A network for each link looks at the volume's distances at points that move with the
@@ -20,10 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from learned.clutter import Clutter
-from learned.network import Network, train
 from scipy.spatial.transform import Rotation
 
+from studies.arms.learned.clutter import Clutter
+from studies.arms.learned.network import Network, train
 from warpmpc import SceneError, load_scene
 from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.model.hulls import SPACING, shape_hull, thinned
@@ -32,8 +31,7 @@ from warpmpc.scene.model.spheres import fit_spheres, link_fingerprint
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from learned.clutter import SeenVolume
-
+    from studies.arms.learned.clutter import SeenVolume
     from warpmpc import Scene
     from warpmpc.scene.model.layout import Layout
 
@@ -161,7 +159,7 @@ def errors(said: np.ndarray, hit: np.ndarray) -> tuple[float, float]:
     return float((~said[hit]).mean()), float(said[~hit].mean())
 
 
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """Train networks, print their errors and write them down."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene")
@@ -172,7 +170,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=160, help="of each link in each clutter (default 160)")
     parser.add_argument("--steps", type=int, default=4000, help="of the training (default 4000)")
     parser.add_argument("--seed", type=int, default=100_000, help="first clutter; runs of a scene count from 0")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     start = time.process_time()
     first, views = options.seed, {}
     seeds = (
@@ -225,7 +223,3 @@ def _line(name: str, said: np.ndarray, spheres: np.ndarray, hit: np.ndarray) -> 
     (missed, wrong), (near, far) = errors(said, hit), errors(spheres, hit)
     learned = f"learned {missed:6.2%} missed, {wrong:6.2%} false"
     return f"{name:18s} {hit.mean():5.1%} collide; {learned}; spheres {near:6.2%} missed, {far:6.2%} false"
-
-
-if __name__ == "__main__":
-    main()

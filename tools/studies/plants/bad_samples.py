@@ -26,8 +26,8 @@ from shared.files import put_group
 from shared.machine import machine
 from shared.seeds import draw
 
-from studies.defaults import code_digest
-from studies.estimated import seed_range
+from studies.others.defaults import code_digest
+from studies.plants.estimated import seed_range
 
 FILTERS = {
     "base, unit": (trot, "unit"),

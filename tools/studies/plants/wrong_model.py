@@ -29,7 +29,7 @@ from shared.machine import machine
 
 import warpmpc
 from studies.equal_time.cells import drive
-from studies.planners import DAY, gather
+from studies.equal_time.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
 from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest
 

@@ -24,11 +24,11 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.experiments.tables import GROUPS, TABLES, Cell
+from studies.paper.tables import GROUPS, TABLES, Cell
 from warpmpc.loop.run.workers import FORMS, check_jobs
 
 if TYPE_CHECKING:
-    from studies.experiments.report import Report
+    from studies.paper.report import Report
 
 
 def chosen(names: list[str]) -> dict[str, list[Cell]]:
@@ -97,8 +97,8 @@ def reproduce(args: argparse.Namespace, arguments: list[str]) -> None:
     from shared.machine import machine
     from shared.progress import Bar
 
-    from studies.experiments.report import Report, Row
-    from studies.experiments.runs import Run, make_runs, plan_runs
+    from studies.paper.report import Report, Row
+    from studies.paper.runs import Run, make_runs, plan_runs
     from warpmpc.loop.run.workers import FinishedJobs
     from warpmpc.scene.origin import code_digest
 

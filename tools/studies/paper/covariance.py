@@ -28,8 +28,8 @@ from shared.machine import machine
 from shared.progress import Bar
 
 import warpmpc
-from studies.experiments.runs import make_runs, plan_runs
-from studies.experiments.tables import Cell
+from studies.paper.runs import make_runs, plan_runs
+from studies.paper.tables import Cell
 from warpmpc.loop.run.workers import FORMS, FinishedJobs
 from warpmpc.scene.origin import code_digest
 from warpmpc.scene.schema import CovarianceForm

@@ -37,7 +37,7 @@ from shared.files import put_group
 from shared.machine import machine
 
 import warpmpc
-from studies.planners import DAY, gather
+from studies.equal_time.planners import DAY, gather
 from warpmpc.cli.setup import start_warp
 from warpmpc.loop.estimation.free_joints import FreeJoint
 from warpmpc.loop.run.workers import FORMS, FinishedJobs, open_workers, scene_digest

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.constrained import task as constrained
+from studies.paper.constrained import task as constrained
 
 if TYPE_CHECKING:
     from warpmpc import Plant, Scene
