@@ -116,7 +116,7 @@ def main() -> None:
                   f"return {mean:.1f}, length {length:.0f}; a step: {terms}", flush=True)  # fmt: skip
     observation, _ = env.reset(seed=args.seed + 1)
     up = np.ones(args.worlds, dtype=bool)
-    for _ in range(499):  # the mean of the policy, in episodes of their own
+    for _ in range(499):  # the mean of the policy, in their own episodes
         observation, _, terminated, *_ = env.step(agent(torch.from_numpy(observation))[0].mean.detach().numpy())
         up &= ~terminated
     ends = np.array(env.unwrapped.simulator.qpos)[:, 0]

@@ -40,7 +40,7 @@ def device(request) -> str:
 
 @pytest.fixture
 def command(tmp_path, capfd, monkeypatch):
-    """Runs ``warpmpc ARGS`` in a folder of its own, but in this process: imports take longer than the rest.
+    """Runs ``warpmpc ARGS`` in a separate folder, but in this process: imports take longer than the rest.
 
     What native code prints is seen, too. What a fresh process prints or leaves out is not.
     """

@@ -74,7 +74,7 @@ class Shot:
     follow: bool = False
     """Whether the camera goes along with the robot."""
     plain: bool = False
-    """Whether the robot has one colour, for assets whose shapes have none of their own."""
+    """Whether the robot has one colour, for assets whose shapes have none."""
     longest: float = 20.0
     """What is shown of a run at most [s]."""
 

@@ -92,7 +92,7 @@ class GuideTable:
     """Parts of path lengths: waypoints on the borders of grown obstacles, what they see, and how far apart.
 
     A shortest path that is not straight follows a border for a while, so it passes (nearly) through waypoints. There
-    are R requests (a target and a mover's size), each with waypoints of its own.
+    are R requests (a target and a mover's size), each with its own waypoints.
     """
 
     clearance: wp.array3d[float]  # [1, rows, columns] distance from the obstacles [m]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From stage costs to sample costs: sums over terms and steps, risk over domains, what each term adds.
 
-A module of its own, without kernels that work in blocks: several threads launch these at once on the CPU, and Warp's
+A separate module, without kernels that work in blocks: several threads launch these at once on the CPU, and Warp's
 storage for blocks is one per module there.
 """
 

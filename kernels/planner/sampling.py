@@ -79,7 +79,7 @@ def started_normal_kernel(
     # outputs
     z: wp.array3d[float],  # [E, S, P·nu] standard normals
 ):
-    """One thread: some columns of one sample, each read from a start of its own on (Wang and Hickernell 2000)."""
+    """One thread: some columns of one sample, each read from its own start on (Wang and Hickernell 2000)."""
     row, lane = wp.tid()
     samples = normal.shape[0]
     e = (first + row) // samples

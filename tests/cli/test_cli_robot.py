@@ -18,7 +18,7 @@ ENDS = 0.3  # [s] on the robot's clock
 
 
 class Drifting:
-    """A robot that goes where it is sent, on a clock of its own."""
+    """A robot that goes where it is sent, on its own clock."""
 
     simulated = True
 

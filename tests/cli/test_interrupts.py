@@ -37,7 +37,7 @@ def test_a_swallowed_ctrl_c_is_raised_again():
 
 
 def test_signals_that_come_together_are_one_and_sigterm_is_like_ctrl_c():
-    before = signal.getsignal(signal.SIGTERM)  # Ray may have left one of its own
+    before = signal.getsignal(signal.SIGTERM)  # Ray may have left one
     with Interrupts() as interrupts:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)

@@ -228,7 +228,7 @@ CASES = {
         {"term": "distance", "between": ["box", "base/tip"], "lead": 0.7},
         lambda r: leading_distance(r, 0.7),
     ),
-    # wide: the ends of a lying capsule have corners of their own, some millimetres off
+    # wide: the ends of a lying capsule have their own corners, some millimetres off
     "outline_clearance": (
         {"of": "base/tip", "within": 8.0},
         lambda r: outline_clearance(r, "base/tip", 0.2 * RING[:, :2] - [0.2, 0.0], 8.0),

@@ -101,7 +101,7 @@ USERS = (PUSHED, low, still)
 
 
 def push_scene(cost=NATIVE, **planner):
-    """The disc touches the box already; every domain has a box of its own."""
+    """The disc touches the box already; every domain has its own box."""
     random = {"box": {"mass": {"uniform": 0.9}, "friction": {"uniform": 0.9}}}
     return make_scene(
         object=[{**BOX, "position": (0.36, 0.0, 0.1)}],

@@ -258,7 +258,7 @@ LACKS = {
         "joint": '<joint name="j" type="ball" stiffness="1 2 0"/>'
     },
     'noslip iterations (noslip_iterations="0" mends it)': {"option": 'noslip_iterations="3"'},
-    "solvers that are none of MuJoCo's": {},
+    "solvers that MuJoCo does not have": {},
     "solver PGS for elliptic cones (Newton mends it)": {"option": 'solver="PGS" cone="elliptic"'},
     "models of more than 128 degrees of freedom": {
         "world": "".join(f'<body><freejoint/><geom type="sphere" size=".1" pos="{i} 0 1"/></body>' for i in range(21))
@@ -289,7 +289,7 @@ def lacking(what: str) -> mujoco.MjModel:
     if "springyield" in what and VERSION < (4, 0):
         pytest.skip("MuJoCo 4.0 has it")
     model = mujoco.MjModel.from_xml_string(mjcf(**LACKS[what]))
-    if what == "solvers that are none of MuJoCo's":
+    if what == "solvers that MuJoCo does not have":
         model.opt.solver = 99
     if "armatures of tendons" in what:  # MuJoCo's compiler refuses it
         model.tendon_armature[:] = 1.0

@@ -211,7 +211,7 @@ def test_meshes_cost_what_the_plain_kernels_say(tmp_path, swept):
         mpc, expected = planned(scene, envs=2, seed=seed)
         assert not mpc.engine.records
         assert (expected[0] > 0.05).any()
-        if swept:  # a sphere is moved on by steps of its own in each of the two
+        if swept:  # a sphere is moved on by separate steps in each of the two
             differ = np.abs(mpc.engine.total.numpy()[0] - expected[0]) / mpc.plan_step.grid.discount.sum()
             assert differ.max() < 0.125 * 0.12
             assert differ.mean() < 1e-3

@@ -35,7 +35,7 @@ def controls(steps: int, worlds: int, *, seed: int = 0, scale: float = 1.0) -> n
 
 
 def starts(layout, envs: int) -> tuple[np.ndarray, np.ndarray]:
-    """A start of its own for every environment, ``[E, nq]`` and ``[E, nv]``."""
+    """A start for every environment, ``[E, nq]`` and ``[E, nv]``."""
     q, qd = (np.tile(a, (envs, 1)) for a in (layout.joint_q, layout.joint_qd))
     q[:, 1] += 0.05 * np.arange(envs)
     qd[:, 0] += 0.1 * np.arange(envs)

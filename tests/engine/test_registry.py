@@ -20,7 +20,7 @@ UNEVEN = (0.04, 0.05, 0.06)
 
 @pytest.fixture
 def enter():
-    """Registers variations of a shipped engine under names of their own; tells what physics steps they were given."""
+    """Registers variations of a shipped engine under their own names; tells what physics steps they were given."""
     given: list[PhysicsSteps] = []
     names = []
 

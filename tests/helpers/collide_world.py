@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collision functions of the engine `fused` in a kernel of their own, and MuJoCo C's contacts of the same poses."""
+"""Collision functions of the engine `fused` in a separate kernel, and MuJoCo C's contacts of the same poses."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Comparison:
     Args:
         name: Scene and variant.
         states: Number of states E, visited by rollouts of the engine ``mujoco`` in closed loop.
-        samples: Worlds S per state, each with a draw of its own.
+        samples: Worlds S per state, each with its own draw.
         seconds: Length of the closed-loop run [s].
         horizon: Steps rolled out.
         substeps: Physics steps in each.

@@ -93,7 +93,7 @@ def outcome(case: Mutant) -> Outcome:
 
 
 def outcomes(seeds: Sequence[int]) -> Iterator[Outcome]:
-    """Outcomes of many mutants in a process of their own, and in another one whenever that crashes or hangs."""
+    """Outcomes of many mutants in a separate process, and in another one whenever that crashes or hangs."""
     left = list(seeds)
     while left:
         worker = subprocess.Popen(

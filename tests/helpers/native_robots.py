@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF files as their authors wrote them, in a scene of their own and alone in plain MuJoCo."""
+"""MJCF files as their authors wrote them, in a separate scene and alone in plain MuJoCo."""
 
 from __future__ import annotations
 

@@ -127,4 +127,4 @@ dt = 0.02
 [planner.noise]
 sigma = { range = 0.2 }
 """
-"""Two arms 3 m from each other, each with a place of its own."""
+"""Two arms 3 m from each other, each with its own place."""

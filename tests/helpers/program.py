@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the command line as a user does: as a program of its own."""
+"""Runs the command line as a user does: as a separate program."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code of the CPU under AddressSanitizer with UBSan, or ThreadSanitizer: a script, in a process of its own.
+"""Compiled code of the CPU under AddressSanitizer with UBSan, or ThreadSanitizer: a script, in a separate process.
 
     python tests/helpers/sanitized.py random SEED COUNT      # that many random models
     python tests/helpers/sanitized.py limits                 # more contacts, corners and sides than there is room for
@@ -77,7 +77,7 @@ def _preloaded(sanitizer: str, folder: Path) -> str:
 
 
 def run(*arguments: str, timeout: float, sanitizer: str = "address") -> subprocess.CompletedProcess[str]:
-    """Run the script with a cache of kernels of its own."""
+    """Run the script with its own cache of kernels."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(__file__).parent
         paths = [str(here), str(here.parents[1] / "tools"), *filter(None, [os.environ.get("PYTHONPATH")])]

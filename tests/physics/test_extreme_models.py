@@ -36,7 +36,7 @@ CASES = {
 
 
 def scene(bodies: str) -> mujoco.MjModel:
-    """A model of bodies on a floor without friction of its own."""
+    """A model of bodies on a floor that has no friction set."""
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep=".004"/><worldbody><geom type="plane" size="3 3 .1" friction="0 0 0"/>{bodies}'
         "</worldbody></mujoco>"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``BatchSimulator`` against MuJoCo, world by world: states, poses, readings, forces, numbers of their own."""
+"""``BatchSimulator`` against MuJoCo, world by world: states, poses, readings, forces, their own numbers."""
 
 import copy
 

@@ -153,7 +153,7 @@ def test_spread_scales_samples_geometrically(device):
 
 @TABLES
 def test_columns_read_from_other_starts_keep_their_values(source, device):
-    """As many samples of every range as before, in an order of their own by column, draw and environment."""
+    """As many samples of every range as before, in their own order by column, draw and environment."""
     noise = make(source, device, redraw=True, starts=True)
     table = values(noise)
     draws = []

@@ -248,7 +248,7 @@ def test_a_diverged_world_costs_infinity_and_the_next_plan_is_clean():
 def test_one_bad_sample_carries_no_weight():
     planning = Planning(
         object=[{**BOX, "position": (-1.0, 0.0, 0.1)}],
-        randomize={"box": {"mass": {"uniform": 0.5}}},  # every sample has a model of its own
+        randomize={"box": {"mass": {"uniform": 0.5}}},  # every sample has its own model
         planner={"temperature": {"initial": 10.0, "eta": None}},
     )
     planning.engine.simulator.models[5].opt.gravity[0] = 1e30

@@ -153,7 +153,7 @@ def test_every_environment_has_its_own_memory():
 
 @pytest.mark.parametrize("envs", [1, 2])
 def test_a_state_that_is_not_finite_is_left_out(envs):
-    """What was sent before it is held until there is a state again, whoever else is observed."""
+    """What was sent before it is held until there is a state again, whatever other robots are observed."""
     controller, sent = controller_with(envs=envs, joints=["base/y", "base/yaw"]), []
     for i in range(LAP + 3):
         q, v = (np.tile(part, (envs, 1)) for part in place(i))

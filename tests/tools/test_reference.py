@@ -24,7 +24,7 @@ def examples():
 
 
 def plain_keys(section: type[BaseModel], visited: set) -> set[tuple[type[BaseModel], str]]:
-    """Every key of a section and below that takes values, and no table with keys of its own."""
+    """Every key of a section and below that takes values, and no table that has keys."""
     visited.add(section)
     found = set()
     for key, field in keys(section).items():

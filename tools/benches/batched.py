@@ -8,7 +8,7 @@
 One thread: ``rollout.Rollout`` of both, processor time. Several: ``BatchSimulator.step`` against ``mjbatch.Batch.step``
 or MuJoCo Warp's CUDA graph on the same model and states, wall time. EnvPool takes no model and no states: it steps its
 nearest task under random actions, which includes observations, rewards and resets. PYTHON is the interpreter of an
-environment that has the package; mjbatch and EnvPool bring a MuJoCo of their own. The models have no sensors.
+environment that has the package; mjbatch and EnvPool bring their own MuJoCo. The models have no sensors.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class Other(Protocol):
 
 
 class Elsewhere:
-    """A simulator in a process of its own.
+    """A simulator in a separate process.
 
     Args:
         python: Its interpreter.

@@ -89,7 +89,7 @@ def crossover(cpu: dict[int, float], gpu: dict[int, float]) -> float | str | Non
 
 
 def prepare(scene: str, device: str, samples: int) -> None:
-    """Compile what plans of a scene need, in a process of its own."""
+    """Compile what plans of a scene need, in a separate process."""
     import warpmpc
 
     one = warpmpc.load_scene(scene, overrides=[f"planner.samples={samples}"])

@@ -144,7 +144,7 @@ def _plain(error: str) -> str:
 
 
 def in_process(name: str) -> dict[str, Any]:
-    """:func:`compare` in a process of its own, which may die or take too long."""
+    """:func:`compare` in a separate process, which may die or take too long."""
     command = [sys.executable, str(Path(__file__).parents[1] / "bench.py"), "packages", "--one", name]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)

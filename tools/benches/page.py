@@ -7,7 +7,7 @@
 
 Who looks: nobody; a bare WebSocket client in another process, which reads and draws nothing; Chromium without a window
 (needs Playwright). A browser without a GPU draws on the processor that plans, so it takes what a user's own machine
-would not; the bare client tells what sending costs, and so does a browser that has processors of its own (``--apart``,
+would not; the bare client tells what sending costs, and so does a browser that has its own processors (``--apart``,
 Linux alone), as on another machine. Every measurement makes the same plans, from the start of the
 episode, one after the other as fast as they can be made.
 """
@@ -87,7 +87,7 @@ def watch_chromium(url: str, executable: str) -> None:
 
 @contextmanager
 def watcher(kind: str, url: str, chromium: str | None, apart: set[int]) -> Iterator[subprocess.Popen | None]:
-    """A process that looks at the page, on processors of its own if any are given; None for nobody."""
+    """A process that looks at the page, on its own processors if any are given; None for nobody."""
     if kind == "nobody":
         yield None
         return
@@ -129,7 +129,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--chromium", help="path of Chromium; not measured without")
     parser.add_argument(
-        "--apart", type=int, default=0, metavar="N", help="processors for who looks, none of the planner's"
+        "--apart", type=int, default=0, metavar="N", help="processors for the browser, apart from the planner's"
     )
     parser.add_argument("--watch", choices=["bare", "chromium"], help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)

@@ -3,7 +3,7 @@ r"""Control a robot over ROS 2 for long: no fault, and memory stays as it is.
 
     python tools/bench.py soak_wire cartpole_swingup --seconds 3600 --json docs/data/soak.json
 
-The robot is `warpmpc robot SCENE --ros2` in a process of its own, the planner another, agent and driver are here, as in
+The robot is `warpmpc robot SCENE --ros2` in a separate process, the planner another, agent and driver are here, as in
 `warpmpc run --real-time --robot ros2`; but the run goes on after its goal. Prints a line every tenth of the way:
 resident memory of the three processes, ticks, plans, faults. Exit code 1 if there was a fault, the robot refused a
 command or had an unsafe one, or a process grew by more than --growth after that.

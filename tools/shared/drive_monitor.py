@@ -28,7 +28,7 @@ class DriveMonitor:
     """Counts ticks at which the drives were given what they never should, whatever :class:`Safety` made of it.
 
     Good is a control that is finite, inside the limits, and either that of a command which is not too old until the
-    next tick, from the sender that commands, or the drives' safe command. It keeps commands of its own.
+    next tick, from the sender that commands, or the drives' safe command. It keeps its own commands.
 
     Args:
         scene: The scene.

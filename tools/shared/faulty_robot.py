@@ -168,7 +168,7 @@ class DrilledRobot(MonitoredProcess):
         }
 
     def _is_safe(self) -> bool:
-        """Return whether the drives have the command that is safe for them, whoever sent it."""
+        """Return whether the drives have the command that is safe for them, from any sender."""
         if self.control is None:
             return True
         state, layout = self.plant.state, self.plant.layout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds that another simulator steps, in a process with a Python of its own: a script without this project.
+"""Worlds that another simulator steps, in a process with its own Python: a script without this project.
 
 python stepping.py mjbatch|envpool    # reads what to load, then a line for each run; answers each in a line of JSON
 """

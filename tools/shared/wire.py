@@ -84,7 +84,7 @@ def free_port() -> int:
 
 
 def _ros2(keys: str) -> Ends:
-    """Topics in a namespace of their own; the simulated robot has the driver's file, too."""
+    """Topics in a separate namespace; the simulated robot has the driver's file, too."""
 
     def settings(place: int) -> str:
         return f'namespace = "wire_{place}"\nconnect_timeout = 60.0\nuse_sim_time = true\n{keys}'
@@ -117,7 +117,7 @@ def start_robot(scene: str, options: Sequence[str], **pipes: Any) -> subprocess.
 
 
 class Planner:
-    """``warpmpc run --real-time`` in a process of its own.
+    """``warpmpc run --real-time`` in a separate process.
 
     Args:
         scene: The scene.

@@ -81,9 +81,9 @@ def diagnose(
     path: RunPathArgument,
     terms: TermsOption = [],  # noqa: B006
 ) -> None:
-    """Find why states that the planner foresaw are not those that came.
+    """Find why the planner's predictions were wrong.
 
-    Rolls the controls that were sent out again as the planner foresaw them, with one thing changed at a time: physics
+    Rolls the controls that were sent out again as the planner predicted them, with one thing changed at a time: physics
     step, solver, properties, delay, noise, engine. Prints the error of the states with and without each change, the
     cause and its cure.
     """

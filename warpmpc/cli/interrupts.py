@@ -71,7 +71,7 @@ class Interrupts:
         raise KeyboardInterrupt
 
     def _watch(self, wakeup: socket.socket) -> None:
-        """Wait for a signal, and for the main thread to take note of it; in a thread of its own."""
+        """Wait for a signal, and for the main thread to take note of it; in a separate thread."""
         with suppress(OSError):  # closed when it is over
             while numbers := wakeup.recv(64):
                 found = [number for number in numbers if number in SIGNALS]

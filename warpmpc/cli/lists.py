@@ -227,7 +227,7 @@ def _tables(section: type[Section], path: str, seen: tuple[type, ...] = ()) -> I
 
 
 def _below(path: str, name: str, field: FieldInfo) -> str:
-    """Path of the table of a key; tables by name have one of their own."""
+    """Path of the table of a key; tables by name have their own."""
     return f"{path}.{name}".strip(".") + (".NAME" if get_origin(field.annotation) is dict else "")
 
 

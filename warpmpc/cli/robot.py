@@ -109,7 +109,7 @@ def transport_of(scene: Scene, *, zmq: int | None, ros2: bool, topics: Path | No
     """The transport that was asked for.
 
     Args:
-        scene: The scene, parts of which whoever commands the robot estimates.
+        scene: The scene; the program that commands the robot may estimate parts of it.
         zmq: Port of ZeroMQ, None for none.
         ros2: True where topics were asked for.
         topics: The driver's file.

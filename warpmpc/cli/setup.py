@@ -208,7 +208,7 @@ class Setup:
         """Sentences on what in the scene is probably a mistake, or too slow for its controls.
 
         Args:
-            compiled: The scene compiled; None where every episode has bodies of its own.
+            compiled: The scene compiled; None where every episode has its own bodies.
             plan_ms: Wall time of a plan [ms] where it matters; what ``samples = "auto"`` chose is never too slow.
         """
         from ..loop.realtime.pace import slow_plans

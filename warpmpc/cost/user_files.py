@@ -165,7 +165,7 @@ def raised(error: Exception, label: str, term: ArrayCost, *, file: Path | None) 
 def refused(
     error: Exception, labels: Sequence[str], terms: Sequence[CostTerm | ArrayCost], *, file: Path | None
 ) -> SceneError | None:
-    """The error for what Warp said while it compiled terms; None when it is about none of the users' functions.
+    """The error for what Warp said while it compiled terms; None when it is not about a user's function.
 
     Args:
         error: What Warp raised.

@@ -47,7 +47,7 @@ class RolloutEngine(ABC):
     """Takes knots to costs: write the knots of a part of the samples, roll them out, evaluate, sum.
 
     Where a term is evaluated is data (:meth:`_place_terms`): the launch that rolls out sums it, or it is
-    evaluated on what rollouts record, in the same launch or in one of its own.
+    evaluated on what rollouts record, in the same launch or in its own.
 
     Args:
         request: What the engine is built for.
@@ -101,7 +101,7 @@ class RolloutEngine(ABC):
             on_record: Their numbers.
             out: The record.
             shape: Its sizes.
-            apart: Whether a launch of its own evaluates them.
+            apart: Whether a separate launch evaluates them.
         """
         self.recorded, self.records, self._apart = out, bool(on_record), apart
         self.evaluator = CostEvaluator(self.costs, out, out.control, self.state, shape, self.request.grid.t)

@@ -168,7 +168,7 @@ class FusedPhysics:
         sensors: Sensors that are read and recorded, by name.
         properties: Draws of physical properties; ``None`` leaves every world nominal.
         device: Warp device.
-        own_start: Whether every world starts in a state of its own, in ``initial`` of :attr:`work`.
+        own_start: Whether every world starts in its own state, in ``initial`` of :attr:`work`.
 
     Raises:
         SceneError: If the scene's model has what this engine lacks.

@@ -44,7 +44,7 @@ class PhysicsState(StateCode):
         """Joint coordinate i [m or rad]."""
         at = self.numbers.coordinates.get(i)
         if at is None:
-            # of free joints without anchors of their own the model has the same numbers in another order
+            # of free joints without their own anchors the model has the same numbers in another order
             for turn in self.numbers.turns:
                 if 0 <= i - turn.q < turn.width[0]:
                     if not _plain(turn):
@@ -197,7 +197,7 @@ def _not_asked(index: int) -> str:
 
 
 def _plain(turn: Turn) -> bool:
-    """Tell if a joint is free and without anchors of its own."""
+    """Tell if a joint is free and without its own anchors."""
     return not turn.ball and bool((np.stack([turn.parent, turn.child]) == IDENTITY).all())
 
 

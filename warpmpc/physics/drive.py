@@ -339,7 +339,7 @@ class ForceSource:
         return lines.sum(target, (-reach.period, turns))
 
     def _activation(self, lines: Lines, a: int, control: Operand, reach: Reach) -> Operand:
-        """Input of an actuator with a state of its own, whose next value is kept for the end of the step."""
+        """Input of an actuator with its own state, whose next value is kept for the end of the step."""
         m, i = self.mj, int(self.mj.actuator_actadr[a])
         kind, tau, step = int(m.actuator_dyntype[a]), max(float(m.actuator_dynprm[a, 0]), 1e-15), float(m.opt.timestep)
         before, share, plain = f"w.act[{i}]", step / tau, 1.0

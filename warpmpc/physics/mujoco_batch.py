@@ -150,7 +150,7 @@ class _Native:
         if own < 1:
             return self._mujoco.step(ids, nstep, stage)
         chosen, before = self._chosen(ids), self._rows.all.copy() if own < nstep else None
-        # outputs are those before the last substep, which is a control of its own
+        # outputs are those before the last substep, which is a separate control
         batch = self._batch(min(own, 2), self._outputs if own == nstep else (), held=True)
         put(batch.work.substeps, np.array([own - 1, 1] if own > 1 else [1]))
         bad = self._advance(batch, chosen, self._rows.controls(chosen, None, 0))

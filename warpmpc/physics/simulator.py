@@ -37,7 +37,7 @@ _DERIVED = ("body_invweight0", "dof_invweight0", "tendon_invweight0", "geom_rbou
 
 
 class BatchSimulator:
-    """W worlds of a model, each in a state of its own, in single precision.
+    """W worlds of a model, each in its own state, in single precision.
 
     Arrays are views of the simulator's memory: NumPy arrays on a CPU, on a GPU ``wp.array`` with DLPack and
     ``__cuda_array_interface__`` (``torch.from_dlpack(sim.qpos)``). They stay the same ones; writing into ``qpos``,
@@ -265,7 +265,7 @@ class BatchSimulator:
 
     @one_thread
     def set_numbers(self, mask: np.ndarray | None = None, **numbers: np.ndarray) -> None:
-        """Give worlds numbers of their own; nothing is compiled.
+        """Give worlds their own numbers; nothing is compiled.
 
         What MuJoCo derives from them (inverse inertias, bounding spheres) follows for each world.
 

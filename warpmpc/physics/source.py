@@ -50,7 +50,7 @@ class RolloutSource:
         model: The model.
         state_map: Where the model keeps what is observed, driven, watched and recorded.
         lanes: Worlds in a vector on a CPU.
-        shared: Whether on a GPU the lanes of a warp share a world; else every thread has one of its own.
+        shared: Whether on a GPU the lanes of a warp share a world; else every thread has its own.
         added: Statements that evaluate a rollout on the way, if there are any.
         knots: Most knots that a control depends on.
     """

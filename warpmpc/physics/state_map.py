@@ -59,7 +59,7 @@ class StateMap:
         matrix: From controls to the model's ``ctrl`` ``[model.nu, nu]``.
         offset: Of the same ``[model.nu]``.
         plain: Whether the numbers outside are the model's own coordinates and velocities; the rest is left out then.
-        own_start: Whether every world starts in a state of its own, not in the one observed.
+        own_start: Whether every world starts in its own state, not in the one observed.
         coordinates: Coordinate of the model behind each one outside, but for those of :attr:`turns`.
         speeds: The same of velocities.
         turns: Free and ball joints.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of one tree of bodies: where they are, their axes, mass matrix and bias forces.
 
-Spatial vectors are taken about a point of their own for every tree (where its first moving body is), which keeps
+Spatial vectors are taken about their own point for every tree (where its first moving body is), which keeps
 single precision good far from the origin: composite rigid bodies and Newton-Euler as in Featherstone, "Rigid Body
 Dynamics Algorithms" (2008), chapters 5 and 6.
 """

@@ -164,7 +164,7 @@ _CHECKS: dict[str, Callable[[PhysicsModel], object]] = {
     "stiffness of ball and free joints that grows with the angle": lambda p: p.mj.jnt_stiffnesspoly[
         np.isin(p.mj.jnt_type, (FREE, BALL))
     ].any(),
-    "solvers that are none of MuJoCo's": lambda p: p.mj.opt.solver not in _SOLVERS,
+    "solvers that MuJoCo does not have": lambda p: p.mj.opt.solver not in _SOLVERS,
     "solver PGS for elliptic cones (Newton mends it)": lambda p: (
         p.mj.opt.solver == int(mujoco.mjtSolver.mjSOL_PGS) and p.elliptic
     ),

@@ -88,7 +88,7 @@ class RecedingPlan:
         self._launch(age_plan_kernel, (envs,), [observed], [self._fresh])
 
     def _move(self, knots: wp.array, kind: int, shifted: wp.array | None = None) -> None:
-        """Move knots ``[E, P, nu]`` of a kind of spline; those of another width need an array of their own for it."""
+        """Move knots ``[E, P, nu]`` of a kind of spline; those of another width need their own array for it."""
         shifted = self._shifted if shifted is None else shifted
         self._launch(shift_knots_kernel, knots.shape, [knots, self._spline, kind, self._shift], [shifted])
         wp.copy(knots, shifted)
@@ -148,7 +148,7 @@ class Gaussian(RecedingPlan):
 
         Args:
             noise: Shaped noise B z ``[E, S, P, nu]``.
-            undrawn: Knots ``[F, E, P, nu]`` of samples that are not drawn, and F, which may be none of them.
+            undrawn: Knots ``[F, E, P, nu]`` of samples that are not drawn, and F, which may be 0.
             iteration: Row of the schedule of σ.
             mean: Whether the mean is among the samples.
             knots: Samples as drawn and within the limits ``[E, S, P, nu]``.

@@ -52,7 +52,7 @@ class NoiseSource:
 
     Drawn once, noise is shaped once, too; the same Halton or Sobol table serves every environment and the plan step is
     deterministic; pseudo-random numbers differ between environments. Redrawn, the columns of a table are rotated at
-    random per environment and draw (Cranley and Patterson 1976), or read from starts of their own (Wang and Hickernell
+    random per environment and draw (Cranley and Patterson 1976), or read from their own starts (Wang and Hickernell
     2000), which needs no new normals; both keep its low discrepancy. Counters on the device make a replayed CUDA graph
     draw anew.
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plan:
-    """Controls over time; immutable, valid for whoever holds it while the planner makes the next one.
+    """Controls over time; immutable, and valid while the planner makes the next one.
 
     With several environments ``knots`` and ``times`` have a leading axis ``[E]``.
     """

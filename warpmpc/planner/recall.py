@@ -159,7 +159,7 @@ class Recall(Proposer):
     all that were sent until the next plan.
 
     Args:
-        envs: Number of environments E, each with a memory of its own.
+        envs: Number of environments E, each with its own memory.
     """
 
     def __init__(self, scene: Scene, layout: Layout, key: str, wanted: Ancillary, horizon: Horizon, envs: int):

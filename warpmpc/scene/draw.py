@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A task of its own for every episode: goals, starts and obstacles drawn from a seed."""
+"""The task of an episode: goals, starts and obstacles drawn from a seed."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ class UnknownName(SceneError, KeyError):
 
 
 def join_key(parts: Iterable[str | int]) -> str:
-    """Write a dotted key; parts that have dots of their own stand in quotes."""
+    """Write a dotted key; parts that have their own dots stand in quotes."""
     return ".".join(text if re.fullmatch(r"[\w*-]+", text := str(part)) else f'"{text}"' for part in parts)
 
 

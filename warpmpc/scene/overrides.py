@@ -56,7 +56,7 @@ def parse_override(text: str) -> tuple[Key, object]:
 
 
 def split_key(text: str, *, file: object = None) -> Key:
-    """Split a dotted key; parts in quotes may have dots of their own.
+    """Split a dotted key; parts in quotes may have their own dots.
 
     Raises:
         SceneError: If a part is empty.

@@ -187,7 +187,7 @@ class Robot(Section):
     frames: dict[Name, Frame] = Field(default_factory=dict)
     """Named places on its links: ``robot/frame`` for cost terms, goals and conditions."""
     drive: Annotated[tuple[Drive, ...], OneOrMore] = ()
-    """One drive or several, each with joints of its own; controls are stacked in this order. Without any, the actuators
+    """One drive or several, each with its own joints; controls are stacked in this order. Without any, the actuators
     of an MJCF file are the controls; with one they are replaced, beside ``mocap`` alone they stay."""
     self_collision: Flag | None = None
     """Whether links of this robot collide with each other. When left out, as an MJCF file says (contype, conaffinity,

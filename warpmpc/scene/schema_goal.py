@@ -148,7 +148,7 @@ class Goal(Pose):
 
 
 class Phase(Section):
-    """A part of a task with targets, scalars and weights of its own; it ends when what it waits for has come."""
+    """A part of a task with its own targets, scalars and weights; it ends when what it waits for has come."""
 
     name: Name
     """What ``--json`` and ``Monitor.phases`` call it."""

@@ -253,7 +253,7 @@ class Planner(Section):
     postures: Postures | None = None
     """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
     ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
-    """What proposes samples for the observed state, at every plan: functions of your own, stored motions, policies."""
+    """What proposes samples for the observed state, at every plan: your own functions, stored motions, policies."""
     refine: Refine | None = Refine()
     """What derivatives make of the samples' plan; nothing with methods other than ``mppi`` that do not mean it.
     ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs`` is ``predictive_sampling`` with ``ilqg``."""

@@ -58,7 +58,7 @@ class PlantSettings(Section):
     """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks
     for, else 8."""
     randomize: Flag = True
-    """Whether the plant has randomized properties of its own, drawn like the rollouts'."""
+    """Whether the plant has its own randomized properties, drawn like the rollouts'."""
     factor: dict[str, PlantFactors] = Field(default_factory=dict)
     """Robot, object or obstacle → factors on its properties in the plant alone, besides what is drawn: what the
     planner has wrong."""
@@ -68,7 +68,7 @@ class PlantSettings(Section):
     """Age of observations [s], rounded to whole controls; episodes of a scene that estimates something predict them to
     the present."""
     sensor: Sensors = Sensors()
-    """Sensors that measure at rates of their own."""
+    """Sensors that measure at their own rates."""
     kicks: tuple[Kick, ...] = ()
     """Shoves during the run."""
 

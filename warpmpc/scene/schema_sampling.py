@@ -204,7 +204,7 @@ class Ancillary(Section):
     """Samples that something else proposes for the observed state: a function, stored motions, the past, a policy."""
 
     function: str | None = None
-    """Name of an ancillary controller of your own (``@warpmpc.ancillary``), from a file of ``--terms`` or given to the
+    """Name of your own ancillary controller (``@warpmpc.ancillary``), from a file of ``--terms`` or given to the
     ``Controller``."""
     motions: str | None = None
     """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]``, ``time [K]`` after

@@ -92,11 +92,11 @@ def test_observations_know_which_state_they_are_of():
 def test_a_verdict_tells_of_predictions_that_are_wrong():
     _, result = run("cartpole_swingup", "plant.delay=0.08")
     assert not result.success
-    assert [s for s in result.verdict if "foresaw" in s and "warpmpc diagnose" in s]
+    assert [s for s in result.verdict if "predictions are wrong" in s and "warpmpc diagnose" in s]
     assert result.to_json()["foresight"]["cost"] == result.foresight["cost"]
     _, sound = run("cartpole_swingup", "timing.timeout=0.4")
     assert not sound.success
-    assert not [s for s in sound.verdict if "foresaw" in s]
+    assert not [s for s in sound.verdict if "predictions are wrong" in s]
 
 
 def test_without_physics_nothing_is_foreseen():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the planner foresaw beside what came, while a run goes on: as after it, and wrong models show."""
+"""What the planner predicted beside what came, while a run goes on: as after it, and wrong models show."""
 
 import numpy as np
 import pytest

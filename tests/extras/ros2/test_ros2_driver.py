@@ -199,7 +199,7 @@ def test_goals_come_on_topics_and_weights_as_parameters(wire):
     values = {"weight.distance": 7.0, "scalar.speed": 0.25}
     results = ros.set_parameters([Parameter(name, value=value) for name, value in values.items()])
     assert all(result.successful for result in results)
-    for value in (float("nan"), float("-inf"), 1e39):  # the last is none of single precision
+    for value in (float("nan"), float("-inf"), 1e39):  # the last does not fit into single precision
         (refused,) = ros.set_parameters([Parameter("weight.distance", value=value)])
         assert not refused.successful
     driver.observe()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Failures: what ends a run without success, of simulated plants, batches and robots of one's own."""
+"""Failures: what ends a run without success, of simulated plants, batches and other robots."""
 
 import numpy as np
 import pytest

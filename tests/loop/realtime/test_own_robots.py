@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program of the page about real time: a driver of one's own."""
+"""The program of the page about real time: your own driver."""
 
 import os
 import subprocess

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planner in a process of its own: it steers, dies, and comes back."""
+"""A planner in a separate process: it steers, dies, and comes back."""
 
 import os
 import signal

@@ -77,7 +77,7 @@ def test_a_record_of_a_run_whose_planner_was_killed_is_whole(tmp_path):
     assert not ticks.following[gap].any()
     tick = 1.0 / scene.agent.rate
     told = [(f.start - tick, (np.inf if f.end is None else f.end) + 2.0 * tick) for f in report.faults]
-    for moment in reached[~ticks.following]:  # a busy machine may bring faults of its own
+    for moment in reached[~ticks.following]:  # a busy machine may bring its own faults
         assert moment < 0.4 or any(start <= moment <= end for start, end in told)
     assert Fault.of(log) == report.faults
 

@@ -16,7 +16,7 @@ from warpmpc.physics.runtime.compiling import compile_kernel, compile_time
 
 
 def make(number: float):
-    """A kernel in a module of its own; another number is another module."""
+    """A kernel in a separate module; another number is another module."""
     constant = wp.constant(number)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -112,7 +112,7 @@ print(json.dumps([sorted(PLANNING), sorted(n.removeprefix(kept) for n in loaded 
 
 
 def ran(code: str, folder) -> list:
-    """JSON that a program prints, with a cache of kernels of its own."""
+    """JSON that a program prints, with its own cache of kernels."""
     environment = os.environ | ({"WARP_CACHE_PATH": str(folder)} if folder else {})
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr

@@ -160,7 +160,7 @@ def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_da
 
 @pytest.fixture
 def other(tmp_path):
-    """A folder with a Warp of its own."""
+    """A folder with its own Warp."""
     folder, warp = tmp_path / "other", Path(wp.__file__).parent
     shutil.copytree(warp, folder / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples", "__pycache__"))
     (folder / "warp" / "bin").symlink_to(warp / "bin")

@@ -74,7 +74,7 @@ def test_the_same_layout_gives_the_same_spheres_soon(name):
     _known.clear()
     start = time.process_time()
     again = fit_spheres(layout, range(layout.nb))
-    assert time.process_time() - start < 4.0  # half a second on a core of its own
+    assert time.process_time() - start < 4.0  # half a second on an idle core
     np.testing.assert_array_equal(first.centre, again.centre)
     np.testing.assert_array_equal(first.radius, again.radius)
     assert first.groups == again.groups

@@ -14,7 +14,7 @@ _CONTEXT = multiprocessing.get_context("spawn")
 
 
 class Worker:
-    """Measures rows in a process of its own, another for each number of cores: threads keep to those of their start."""
+    """Measures rows in a separate process, another for each number of cores: threads keep to those of their start."""
 
     def __init__(self):
         self._process, self._pipe, self._cores = None, None, None

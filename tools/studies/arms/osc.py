@@ -30,7 +30,7 @@ LEAST = 0.01
 
 
 def with_torques(name: str, overrides: tuple[str, ...]) -> Scene:
-    """A scene whose arm takes torques within its drive's limits, at a period of their own."""
+    """A scene whose arm takes torques within its drive's limits, at its own period."""
     drive = warpmpc.load_scene(name, overrides=overrides).robot[0].drive[0]
     torques = f"robot.*.drive.limit={list(drive.effort_limit)}"
     changes = (f"timing.control_dt={PERIOD}", "plant.substeps=1", "robot.*.drive.mode=effort", torques)

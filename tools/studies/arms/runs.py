@@ -24,7 +24,7 @@ HOLD = 0.5
 
 
 class Pilot(Protocol):
-    """Whoever drives the arm."""
+    """What drives the arm."""
 
     def begin(self, target: Reachable, *, seed: int) -> None:
         """Take a new pose; the arm is at its start."""

@@ -69,7 +69,7 @@ def _pushes() -> tuple[Cell, ...]:
 
 
 PER_STEP = ("planner.knots=steps", "planner.spline=linear", "planner.noise.shape=identity")
-"""A noise of its own for every step of the horizon."""
+"""A separate noise for every step of the horizon."""
 
 
 def _paper_terms(metric: str) -> str:

@@ -96,7 +96,7 @@ def run_pair(
     options: Sequence[str] = (),
     changes: Sequence[str] = (),
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Run an episode with the robot in a process of its own; returns the planner's result and the robot's report.
+    """Run an episode with the robot in a separate process; returns the planner's result and the robot's report.
 
     Args:
         scene: Scene and variant.

@@ -8,7 +8,7 @@
 
 An environment comes from the PyPI package dm-control (pip install "warpmpc[bench]") and draws its start from the seed.
 warpmpc sees positions, velocities and activations, and where a target is; it plans in the environment's own model
-(*.toml beside this file) for costs of its own (terms.py), and sends actions. The return is the sum of the suite's
+(*.toml beside this file) for its own costs (terms.py), and sends actions. The return is the sum of the suite's
 rewards, 1000 at most.
 
 Seeds 0 to 999 are for tuning. --report draws ten that nobody has looked at and notes them in seeds.toml first; the same

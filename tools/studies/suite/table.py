@@ -43,7 +43,7 @@ def read(paths: Sequence[Path]) -> list[dict]:
     """Episodes of files that the tool wrote; those that several files share count once.
 
     Raises:
-        ValueError: If a file is none of them.
+        ValueError: If a file is not one of these.
     """
     played = []
     for path in paths:

@@ -271,7 +271,7 @@ class PaceParams:
 def pace(s: warpmpc.StepView, p: PaceParams) -> float:
     """How much speed ahead is lacking, as a share of what is wanted; only what is up has any.
 
-    A product: where height and speed are terms of their own, a fall forwards is fast, and where speed is not asked of
+    A product: where height and speed are separate terms, a fall forwards is fast, and where speed is not asked of
     who is down, a fall saves it.
     """
     share = wp.min(wp.dot(warpmpc.centre_of_mass_velocity(s, p.robot), ahead_of(s, p.ahead)) / p.speed, 1.0)

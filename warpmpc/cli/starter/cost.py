@@ -1,4 +1,4 @@
-"""A cost term of your own: one function of one step of one rollout, compiled into the planner's kernel."""
+"""Your own cost term: one function of one step of one rollout, compiled into the planner's kernel."""
 
 import warp as wp
 

@@ -55,7 +55,7 @@ class Grid:
         self.clearance = self._clearance(self.points)
 
     def turned(self, point: np.ndarray, yaw: float) -> tuple[Grid, tuple[int, int]]:
-        """A square grid over the same area in a frame of its own, and the column and row of the frame's origin.
+        """A square grid over the same area in its own frame, and the column and row of the frame's origin.
 
         Args:
             point: Origin (x, y) of the frame [m]; it is on a cell of the new grid, which moves to hold it if it must.

@@ -28,7 +28,7 @@ class Joints(TermKeys):
     """Joints, ``robot/joint`` or the joint's own name, in place of ``of``."""
 
     def axes(self, b: Binding) -> np.ndarray:
-        """Degrees of freedom that slide or turn about axes of their own, the only ones with a coordinate each."""
+        """Degrees of freedom that slide or turn about their own axes, the only ones with a coordinate each."""
         dofs = np.array(b.dofs(self.of, self.joints), dtype=int)
         return dofs[b.layout.dof_coord[dofs] >= 0]
 

@@ -25,7 +25,7 @@ from ..keys import Frame, Object, TermKeys, term
 
 
 class RollingBall(TermKeys):
-    """Squared distance of a rolling ball from the origin of a frame, by a motion of its own."""
+    """Squared distance of a rolling ball from the origin of a frame, by its own motion."""
 
     ball: Object
     """Object that rolls; it starts where it is observed."""

@@ -86,7 +86,7 @@ def _untouchable(subject: Subject) -> Iterator[Finding]:
         if not any(collides(model, g, h) or frozenset((g, h)) in explicit for g in own for h in robots):
             yield Finding(
                 f"object.{entity.name}",
-                f"no robot can touch {entity.name}: none of the robots' shapes collides with it",
+                f"no robot can touch {entity.name}: no shape of a robot collides with it",
                 "give the robot's links collision shapes (contype and conaffinity in MJCF)",
             )
 

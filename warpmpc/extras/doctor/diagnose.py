@@ -48,7 +48,7 @@ class Diagnosis:
     """Changes tried on one run."""
 
     error: float
-    """Error of what the planner foresaw."""
+    """Error of what the planner predicted."""
     cost: float
     """Its error in costs."""
     trials: tuple[Trial, ...]
@@ -70,7 +70,7 @@ class Diagnosis:
             helped = f"{cause.cause}: this takes the error from {cause.before:.0%} to {cause.after:.0%}{besides}"
             return f"{helped}; {cause.cure}"
         return (
-            "none of these explains the error: kicks, pulls, things that move by themselves, or controls that were "
+            "nothing tried explains the error: kicks, pulls, things that move by themselves, or controls that were "
             "changed on the way"
         )
 
@@ -78,7 +78,7 @@ class Diagnosis:
 def diagnose(
     log: RunLog, scene: Scene, compiled: CompiledScene, *, terms: Sequence[UserTerm] = ()
 ) -> tuple[Diagnosis, list[str]]:
-    """Roll a run's controls out as its planner foresaw them, with one thing changed at a time.
+    """Roll a run's controls out as its planner predicted them, with one thing changed at a time.
 
     Args:
         log: The run.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Record of an episode's controls and states, and what its planner foresaw of them."""
+"""Record of an episode's controls and states, and of what its planner predicted."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class StepRecorder:
 
 
 class Verdict:
-    """Observer of an episode: what its planner foresaw of the states, and why an episode fails.
+    """Observer of an episode: what its planner predicted, and why an episode fails.
 
     Args:
         scene: The scene, drawn for the episode.
@@ -104,6 +104,6 @@ def foresight_signs(foresight: Foresight | None) -> Iterator[str]:
     """Yield a sentence where predictions are bad."""
     if foresight is not None and foresight.ahead > BAD:
         yield (
-            f"the planner foresaw other states than those that came: after 0.2 s they are {foresight.ahead:.0%} of the "
-            f"way off, their cost {foresight.cost:.0%}: run with --out DIR, and warpmpc diagnose DIR names the cause"
+            f"the planner's predictions are wrong: after 0.2 s states are off by {foresight.ahead:.0%} of their "
+            f"movement, costs by {foresight.cost:.0%}: run with --out DIR, and warpmpc diagnose DIR names the cause"
         )

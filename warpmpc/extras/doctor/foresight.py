@@ -287,7 +287,7 @@ class Rolled:
 
 @dataclass(frozen=True, kw_only=True)
 class Foresight:
-    """Error of what a run's planner foresaw; shares of how far the state moved and of what was paid."""
+    """Error of what a run's planner predicted; shares of how far the state moved and of what was paid."""
 
     state: float
     """Error of the state after one control."""
@@ -322,7 +322,7 @@ def foresee(
     device: str = "cpu",
     terms: Sequence[UserTerm] = (),
 ) -> Foresight | None:
-    """Compare what a run's planner foresaw for the controls sent with what came; None for a run without any.
+    """Compare what a run's planner predicted for the controls sent with what came; None for a run without any.
 
     Args:
         scene: The scene, drawn for the run.

@@ -175,7 +175,7 @@ def demonstration(log: RunLog, *, success: bool | None = None, reason: str | Non
         reason: Its end in words, None where that is not known.
 
     Raises:
-        SceneError: If the scene is none of this warpmpc.
+        SceneError: If this version of warpmpc cannot read the scene.
         ValueError: If the log lacks what its plans were made from, or nothing was sent.
     """
     require_plans(log)

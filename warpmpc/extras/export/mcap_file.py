@@ -48,7 +48,7 @@ def write_mcap(log: RunLog, path: Path) -> None:
         path: The file; replaced when the new one is whole.
 
     Raises:
-        SceneError: If the scene is none of this warpmpc, or its files are not here.
+        SceneError: If this version of warpmpc cannot read the scene, or its files are not here.
         ValueError: If the log lacks what its plans were made from.
         OSError: If the file cannot be written.
     """

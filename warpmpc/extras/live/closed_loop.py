@@ -63,7 +63,7 @@ def norm_values(scene: Scene) -> dict[str, float]:
 class ClosedLoop:
     """Applies one control after the other, and publishes what is seen; for one thread.
 
-    Plans are made beside it, in a thread of their own (Alg. 1 of 2212.00541), and the newest one is followed: kernels
+    Plans are made beside it, in a separate thread (Alg. 1 of 2212.00541), and the newest one is followed: kernels
     and MuJoCo leave Python's lock to others. In lock step, and while paused or recording, every control waits for its
     own plan.
 
@@ -86,7 +86,7 @@ class ClosedLoop:
     ):
         self.source, self.overrides, self.seed = source, tuple(overrides), seed
         self.lock_step = False
-        """True where every control waits for a plan of its own."""
+        """True where every control waits for its own plan."""
         self.speed = 1.0
         """Simulated seconds in a second of wall time that the plant is held to."""
         self.watched = True
@@ -145,7 +145,7 @@ class ClosedLoop:
                     raise TimeoutError(f"no plan after {FIRST_PLAN:g} s")
                 time.sleep(1e-3)
         except Exception:
-            self._end_planner()  # whoever goes on begins another
+            self._end_planner()  # the next session begins another
             raise
         return timed
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of what the planner foresaw for the controls sent with what came, while a run goes on.
+"""Comparison of what the planner predicted for the controls sent with what came, while a run goes on.
 
 Cost of the last plan's cheapest rollout at every step, term by term.
 

@@ -115,7 +115,7 @@ class Access:
 def open_server(access: Access, label: str) -> viser.ViserServer:
     """Viser's server, with every request checked.
 
-    Viser has no place for a check of its own. It serves by ``websockets.asyncio.server.serve``, which does have one, so
+    Viser has no place for its own check. It serves by ``websockets.asyncio.server.serve``, which does have one, so
     that function is another one for as long as viser starts.
 
     Args:

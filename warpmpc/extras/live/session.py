@@ -32,7 +32,7 @@ class Session(ClosedLoop, threading.Thread):
 
     Args:
         pace: Simulated seconds per second of wall time at most, as :attr:`pace`.
-        lock_step: Whether every control waits for a plan of its own, instead of following the newest one.
+        lock_step: Whether every control waits for its own plan, instead of following the newest one.
         options: As for :class:`~.closed_loop.ClosedLoop`.
 
     Raises:
@@ -106,7 +106,7 @@ class Session(ClosedLoop, threading.Thread):
         self.do(lambda: setattr(self, "controlling", controlling))
 
     def step_or_follow(self, lock_step: bool) -> None:
-        """Let every control wait for a plan of its own, or follow the newest plan."""
+        """Let every control wait for its own plan, or follow the newest plan."""
         self.do(lambda: setattr(self, "lock_step", lock_step))
 
     def single_step(self) -> None:

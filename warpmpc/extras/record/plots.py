@@ -163,14 +163,14 @@ def draw_plan_times(axes: Axes, log: RunLog, scene: Scene | None) -> None:
 
 
 def draw_foresight(axes: Axes, log: RunLog, foreseen: Foresight) -> None:
-    """Draw how far the states that the planner foresaw are from those that came, as a share of their movement."""
+    """Draw how far predicted states are from those that came, as a share of their movement."""
     axes.plot(foreseen.time, 100.0 * foreseen.errors, color="tab:blue", lw=1.0, label="state after 0.2 s")
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("error of the prediction [% of the movement]")
 
 
 def _foresight(log: RunLog, scene: Scene, terms: Sequence[UserTerm]) -> Foresight | None:
-    """Return what a run's planner foresaw; None where log or engine do not tell, or a term is not here."""
+    """Return what a run's planner predicted; None where log or engine do not tell, or a term is not here."""
     planned = log.origin is not None and "joint_q" in (log.plans.dtype.names or ()) and len(log.controls)
     if log.real_time or not planned or not takes_mujoco_steps(log.origin["engine"], scene):
         return None
@@ -193,7 +193,7 @@ def _curves(log: RunLog, draw, *arguments: object) -> Figure:
 
 
 def _rows(log: RunLog, names: Sequence[str], values: np.ndarray) -> Figure:
-    """A figure with a row of its own for every number over time."""
+    """A figure with its own row for every number over time."""
     figure = Figure(figsize=(8, 1.0 + 1.2 * len(names)), dpi=DPI)
     rows = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
     for axes, name, column in zip(rows, names, values.T, strict=True):

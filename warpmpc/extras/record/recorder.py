@@ -133,7 +133,7 @@ class RerunRecorder:
     Entities: ``/scene/...`` bodies with their shapes, ``/goal``, ``/rollouts/{best,samples}`` the ways of the goal's
     target and of the robots' frames, ``/contact`` forces on the robots, ``/cloud/NAME`` the points of a cloud, when
     they are new and one of each voxel, ``/prediction`` the controls of the best rollout over the horizon, each between
-    its limits in a lane of its own, and the curves ``/cost``, ``/temperature``, ``/control``, ``/plan_ms`` (``budget``
+    its limits in its own lane, and the curves ``/cost``, ``/temperature``, ``/control``, ``/plan_ms`` (``budget``
     is one control), ``/goal_error``, ``/contact_force`` (at the last physics step of a control) and
     ``/diverged_worlds``.
 

@@ -108,7 +108,7 @@ def replay(log: RunLog, *, terms: Sequence[UserTerm] = ()) -> Replay:
         terms: Users' own cost terms and ancillary controllers that the scene names.
 
     Raises:
-        SceneError: If the scene is none of this warpmpc, or its files are not here.
+        SceneError: If this version of warpmpc cannot read the scene, or its files are not here.
         ValueError: If the log has no plans or does not begin with the first, or the engine or device is not to be had
             here.
     """
@@ -222,7 +222,7 @@ def logged_scene(log: RunLog) -> Scene:
     """The scene that a log's plans were made for.
 
     Raises:
-        SceneError: If it is none of this warpmpc.
+        SceneError: If this version of warpmpc cannot read it.
     """
     about = log.origin
     path = about["file"] and Path(about["file"])

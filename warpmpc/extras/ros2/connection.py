@@ -124,7 +124,7 @@ class Inbox:
 
 
 class Connection:
-    """A node with a context of its own, so that others in this process do not mind.
+    """A node with its own context, so that others in this process do not mind.
 
     Args:
         node: Its name.

@@ -242,7 +242,7 @@ class Ros2Robot:
 
     Args:
         scene: The scene.
-        task: The task, whose poses are heard on topics and whose weights and scalars are parameters; one of its own if
+        task: The task, whose poses are heard on topics and whose weights and scalars are parameters; a new one if
             None.
         compiled: The scene, compiled.
         settings: Topics.

@@ -32,7 +32,7 @@ class Newest:
     """Times of the parts of a state, each of which may be older than the newest by its own measure.
 
     The state's time is that of the newest part; where a part is older than it may be, the state's time waits for it,
-    so that whoever looks at the age of states sees it.
+    so that the age of states shows it.
 
     Args:
         holds: Age that is allowed of each part ``[n]`` [s].
@@ -137,7 +137,7 @@ class Observer:
                 heard.refuse(str(error))
                 continue
             if not len(here):
-                heard.refuse(self._lacking() or "a message has none of the scene's joints")
+                heard.refuse(self._lacking() or "a message has no joint of the scene")
                 continue
             believed = self._stamps.believes(stamp)
             if believed and newest.overtaken(here, stamp):

@@ -37,7 +37,7 @@ class Topics:
     """Topics of a robot, for one scene.
 
     Raises:
-        SceneError: If a name in the file is none of the scene.
+        SceneError: If the scene does not have a name in the file.
     """
 
     settings: Ros2Settings
@@ -70,7 +70,7 @@ class Topics:
         Args:
             layout: State layout.
             settings: What the file says.
-            task: The task, whose poses may be heard; none of them if None.
+            task: The task, whose poses may be heard; no poses if None.
             file: The file, for errors.
             estimated: Bodies that are estimated from measured poses.
             bases: Robots whose base is estimated from an inertial measurement unit.

@@ -131,7 +131,7 @@ class Progress:
 class Monitor:
     """Looks at every state of one plant: success, failures, and what the task goes on to its next phase on.
 
-    A simulated :class:`~warpmpc.Plant` has one. For a robot of your own, hand it what you observe, before the plan:
+    A simulated :class:`~warpmpc.Plant` has one. For your own robot, hand it what you observe, before the plan:
 
         >>> monitor = warpmpc.Monitor(scene, task=mpc.task)
         >>> while not monitor.update(state := robot.observe()) and monitor.failure is None:

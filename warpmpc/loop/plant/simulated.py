@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant: a simulated world of its own that is observed and commanded like a robot."""
+"""The plant: a simulated world that is observed and commanded like a robot."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class SimulatedPlant:
     Args:
         scene: The scene; its ``plant`` table says how the plant differs from the planner's worlds.
         seed: Seed of the plant's properties and noise.
-        task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); one of its own if None.
+        task: What the run wants, shared with its controller (``Plant(scene, task=mpc.task)``); a new one if None.
         terms: Users' own cost terms that success, failures, phases or ``watch`` name.
         watch: Cost terms whose values :attr:`terms` shall have, such as all of ``scene.cost_labels``.
         compiled: The scene compiled earlier, to save doing it again.
-        world: Worlds of a batch that this plant lives in, and which of them; a world of its own if None.
+        world: Worlds of a batch that this plant lives in, and which of them; its own world if None.
 
     Raises:
         SceneError: If things stand deep inside each other at the start, a kick has the wrong number of values, or
@@ -164,7 +164,7 @@ class SimulatedPlant:
         return self.estimator.fill(self._observed())
 
     def measurements(self) -> list[Measurement]:
-        """Measurements of sensors that became known since this was asked last, for an estimator of your own."""
+        """Measurements of sensors that became known since this was asked last, for your own estimator."""
         return self._sensors.known(self.time)
 
     def measure(self, time: float) -> list[Measurement]:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planner and robot at rates of their own: planning loop, agent, watchdog."""
+"""Planner and robot at their own rates: planning loop, agent, watchdog."""

@@ -47,7 +47,7 @@ def percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
 
 
 class Pace:
-    """Waits for ticks on a schedule of its own, so that a late one does not delay those after it.
+    """Waits for ticks on its own schedule, so that a late one does not delay those after it.
 
     Args:
         period: Time between ticks on the robot's clock [s].

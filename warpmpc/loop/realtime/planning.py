@@ -288,7 +288,7 @@ class Planning:
 
 
 class PlannerThread:
-    """The planning loop in a thread of this process, for whoever shares a controller with it.
+    """The planning loop in a thread of this process, for code that shares a controller with it.
 
     Robots want :class:`~warpmpc.loop.realtime.process.PlannerProcess`: threads of one process wait for each other.
 

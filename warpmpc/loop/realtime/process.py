@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planning loop in a process of its own, which is started again whenever it dies or hangs."""
+"""The planning loop in a separate process, which is started again whenever it dies or hangs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class _Order:
 
 @dataclass(frozen=True)
 class ShownPaths:
-    """Paths of rollouts on their way to whoever asked for them."""
+    """Paths of rollouts on their way to what asked for them."""
 
     value: LatestValue
     """The newest."""
@@ -97,7 +97,7 @@ class PlannerProcess:
         engine: Engine of the roll-outs, as for :class:`~warpmpc.Controller`.
         device: Device of the roll-outs, as for :class:`~warpmpc.Controller`.
         terms: Makes users' cost terms in that process.
-        task: What the run wants: what is changed there takes effect at the next plan; one of its own if None.
+        task: What the run wants: what is changed there takes effect at the next plan; a new one if None.
         compiled: The scene compiled earlier, to save doing it again.
         speed: The robot's seconds in a second of wall time.
         log: Run log beside which each planner notes what its plans are made from, in a file ``LOG.0``, ``LOG.1`` and so

@@ -163,7 +163,7 @@ class Watchdog:
         return self._controls_fault(control[None], "plan's command")
 
     def _controls_fault(self, controls: np.ndarray, what: str) -> Finding | None:
-        """Return why controls ``[N, nu]`` are none of this robot."""
+        """Return why controls ``[N, nu]`` are not valid for this robot."""
         if not np.isfinite(controls).all():
             return FaultKind.PLAN_INVALID, f"the {what} is not finite"
         outside = (controls < self._lower) | (controls > self._upper)

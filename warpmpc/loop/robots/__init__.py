@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots: drivers by their names, and the simulated robot as a process of its own."""
+"""Robots: drivers by their names, and the simulated robot as a separate process."""

@@ -70,7 +70,7 @@ STILL = 0.05
 
 
 class Transport(Protocol):
-    """Carries states and commands between a robot and whoever commands it; every call returns at once."""
+    """Carries states and commands between a robot and the program that commands it; every call returns at once."""
 
     measures: tuple[type, ...]
     """Kinds of measurements that it sends."""
@@ -79,7 +79,7 @@ class Transport(Protocol):
         """Send what the robot measures; the stamp is ``state.time``."""
 
     def tell(self, measurements: Sequence[Measurement]) -> None:
-        """Send measurements of sensors with rates of their own, of times on the clock of states."""
+        """Send measurements of sensors with their own rates, of times on the clock of states."""
 
     def receive(self, now: float) -> Iterable[Command]:
         """Commands that came since the last call, in their order; ``now`` [s] is the robot's clock."""
@@ -162,7 +162,7 @@ class RobotProcess:
         self.transport = connect(layout)
         kinds = {"estimate": PoseMeasured, "estimate_base": ImuMeasured}
         elsewhere = {key: {} for key, kind in kinds.items() if kind in self.transport.measures}
-        scene = scene.model_copy(update=elsewhere)  # whoever commands it estimates
+        scene = scene.model_copy(update=elsewhere)  # the program that commands it estimates
         try:
             self.plant = simulated_robot(scene, seed=seed, task=Task(scene), terms=terms, compiled=compiled)
         except BaseException:

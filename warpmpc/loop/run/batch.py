@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many closed-loop episodes at once: one controller plans for several environments, each with a plant of its own."""
+"""Many closed-loop episodes at once: one controller plans for several environments, each with its own plant."""
 
 from __future__ import annotations
 

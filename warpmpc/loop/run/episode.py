@@ -336,7 +336,7 @@ def is_of_bodies(key: str) -> bool:
 
 
 def compile_shared(scene: Scene) -> CompiledScene | None:
-    """The compiled scene that all episodes of a scene can share; None when each has bodies of its own.
+    """The compiled scene that all episodes of a scene can share; None when each has its own bodies.
 
     Raises:
         SceneError: If an asset is missing or broken, or lacks a joint or link the scene names.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One episode in real time: the planner in a process of its own, the robot here, neither waits."""
+"""One episode in real time: the planner in a separate process, the robot here, neither waits."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def run_real_time(
     recorder: Callable[[Plant | MonitoredRobot], TickLogger] | None = None,
     log: Path | None = None,
 ) -> RealTimeResult:
-    """Run one episode of a scene in real time, with the planner in a process of its own.
+    """Run one episode of a scene in real time, with the planner in a separate process.
 
     Args:
         scene: The scene; what its ``randomize_task`` names is drawn from the seed.

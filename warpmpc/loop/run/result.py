@@ -84,8 +84,8 @@ class EpisodeResult(Result):
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
     foresight: dict[str, float] = field(default_factory=dict)
-    """Error of what the planner foresaw for the controls sent, as a share of how far the state moved (``state``: after
-    one control, ``state_ahead``: after 0.2 s) and of what was paid (``cost``); empty where it is not known, and in
+    """Error of predictions for the controls sent, as a share of how far the state moved (``state``: after
+    one control, ``state_ahead``: after 0.2 s) and of the cost paid (``cost``); empty where it is not known, and in
     batches of several environments."""
 
     verdict: tuple[str, ...] = ()

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Contacts become rows of constraints (MuJoCo, "Computation: Constraint model").
 
-// First tangent of a contact where its kind has none of its own
+// First tangent of a contact whose kind does not set one
 INLINE V3 tangent(V3 n) {
     const I up = VABS(n.y) >= 0.5f;
     const V3 along = choose(up, {zero(), zero(), splat(1.0f)}, {zero(), splat(1.0f), zero()});

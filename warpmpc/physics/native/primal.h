@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The constraint solver where it may end before the minimum, since its iterations are few: then results depend on the way,
 // and this is MuJoCo's. It begins at the cheaper of the last accelerations and those without constraints, and every
-// island (trees that constraints connect) has a line search and an end of its own.
+// island (trees that constraints connect) has its own line search and its own end.
 // Along the search direction: a length, the cost beyond that at the beginning, and the cost's derivatives
 struct Point { T at, cost, d1, d2; };
 INLINE Point either(I m, Point a, Point b) {

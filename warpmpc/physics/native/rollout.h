@@ -181,7 +181,7 @@ for (int l = 0; l < count; ++l) {
     k.overflow.data[row + l] = (w.overflow >> l) & 1;
 }
 #if OWN_STATE
-for (int l = 0; l < (k.reached.shape[1] ? count : 0); ++l) {  // where worlds that have a start of their own end
+for (int l = 0; l < (k.reached.shape[1] ? count : 0); ++l) {  // where worlds that have their own start end
     double* reached = (double*)k.reached.data + (size_t)(row + l) * k.reached.shape[1] + 1;
     EACH(i, NQ) reached[i] = LANE(w.q[i], l);
     EACH(i, NV) reached[NQ + i] = LANE(w.v[i], l);

@@ -161,7 +161,7 @@ FN void newton(World& w, I done) {
             next = ((next <= low) | (next >= high)) ? 0.5f * (low + VMIN(high, 2.0f * low + 1.0f)) : next;
             step = active ? next : step;
         }
-        step = active ? low : step;  // whoever has not come to an end keeps what lies downhill for sure
+        step = active ? low : step;  // lanes that have not finished keep the end that is surely downhill
         EACH(i, NV) {
             w.x[i] = done ? w.x[i] : w.x[i] + step * w.search[i];
             w.ma[i] = done ? w.ma[i] : w.ma[i] + step * w.mv[i];

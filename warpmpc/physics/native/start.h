@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The state that worlds start in: what was observed of their environment, as the model keeps it, or a state of its own.
+// The state that worlds start in: what was observed of their environment, as the model keeps it, or its own state.
 #if OWN_STATE
-for (int l = 0; l < lanes; ++l) {  // each world has a start of its own: time, coordinates, velocities
+for (int l = 0; l < lanes; ++l) {  // each world has its own start: time, coordinates, velocities
     const double* initial = (const double*)k.initial.data + (size_t)world[l] * k.initial.shape[1] + 1;
     EACH(i, NQ) LANE(w.q[i], l) = (float)initial[i];
     EACH(i, NV) LANE(w.v[i], l) = (float)initial[NQ + i];

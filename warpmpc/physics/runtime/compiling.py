@@ -110,7 +110,7 @@ class Later:
 
     def _compile(self) -> None:
         for module in self.modules:
-            with suppress(Exception):  # whoever uses it hears of it
+            with suppress(Exception):  # the caller that uses it gets the error
                 wp.load_module(module, device="cpu", block_dim=1)
 
 
@@ -202,7 +202,7 @@ def compile_beside() -> float:
                 name = next(waiting, None)
             if name is None:
                 return
-            with suppress(Exception):  # whoever launches it hears of it
+            with suppress(Exception):  # the launch gets the error
                 wp.load_module(name, device=cpu, block_dim=1)
 
     for _ in range(threads):
@@ -228,7 +228,7 @@ def prepare_headers(options: Mapping[str, object]) -> None:
         return
 
     def work() -> None:
-        with suppress(Exception):  # whoever compiles hears of it
+        with suppress(Exception):  # compiling gets the error
             wp.load_module(module, device=cpu, block_dim=1)
 
     _headers = threading.Thread(target=work, name="warpmpc compiling")

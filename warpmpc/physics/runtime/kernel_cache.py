@@ -69,7 +69,7 @@ _load = wp.Module.load
 _own_headers = Runtime.get_clang_pch_dir
 """Warp's own."""
 _loading: dict[str, threading.RLock] = {}
-"""Held by module while it is loaded: whoever wants it meanwhile waits, and does not compile it a second time."""
+"""Held by module while it is loaded: other threads wait for it in place of compiling it again."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _headers(runtime: Runtime) -> str | None:
 
     Warp makes them anew in every thread of every process. It writes them under another name first, and makes those
     that are damaged again. They are read with the headers themselves, which are gone with an environment that is
-    deleted, and of another time in one that is made anew: every installation of Warp has a folder of its own.
+    deleted, and of another time in one that is made anew: every installation of Warp has a separate folder.
     """
     if runtime.llvm is None or not wp.config.cache_kernels:
         return _own_headers(runtime)
@@ -167,7 +167,7 @@ def _headers(runtime: Runtime) -> str | None:
             for former in all_headers.glob(f"{place}-*"):
                 shutil.rmtree(former, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # whoever compiles hears of it
+    except OSError:  # compiling gets the error
         return _own_headers(runtime)
     return str(folder)
 

@@ -155,5 +155,5 @@ class CapturedLaunches:
                 with wp.ScopedCapture(device=self._device) as capture:
                     self.sequence()
                 self._graph = capture.graph
-                self.sequence = None  # it may hold whoever holds this
+                self.sequence = None  # it may refer to the owner of this object
             return True

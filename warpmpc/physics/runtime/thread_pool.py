@@ -93,7 +93,7 @@ class ThreadPool:
         Raises:
             RuntimeError: If one of them could not be replayed.
         """
-        if self.threads > 1 and self._process != os.getpid():  # a fork has none of them
+        if self.threads > 1 and self._process != os.getpid():  # a fork does not have them
             self._end.detach()
             self._start()
         if replays is not self._known and not self._hand_over(replays):

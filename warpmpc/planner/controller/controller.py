@@ -55,7 +55,7 @@ class Controller:
             ``"auto"``: the scene's ``planner.method``.
         seed: Seed of noise and randomized worlds; on the CPU the same seed gives the same commands on the same machine.
         envs: Number of environments E.
-        task: What the run wants, shared with its plant; one of its own if None.
+        task: What the run wants, shared with its plant; a new one if None.
         terms: Users' own cost terms and ancillary controllers that the scene names.
         compiled: The scene compiled earlier, to save doing it again.
 

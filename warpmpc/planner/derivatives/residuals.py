@@ -59,7 +59,7 @@ class Residuals:
             raise refused
         self._stack, self._launch = stack, Launcher(stack.device)
         self.without: list[str] = []
-        """Terms without a residual of their own."""
+        """Terms without a residual."""
         names: dict[str, Any] = {"wp": wp, "StepView": StepView, "Params": stack.code.params}
         norms, counts, rows = [], [], []
         for i, (term, bound) in enumerate(stack.terms):

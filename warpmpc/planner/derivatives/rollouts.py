@@ -166,7 +166,7 @@ class PolicyRollouts:
         residuals: Residuals of the terms.
         candidates: N.
         policies: P, the most policies of an environment.
-        draws: D, worlds with properties of their own that each candidate is tried in, as ``request.properties`` lists
+        draws: D, worlds with their own properties that each candidate is tried in, as ``request.properties`` lists
             them for all N·D worlds of an environment.
         hold: Steps that a control is held for; changes and gains of their first one count.
     """

@@ -59,7 +59,7 @@ def build_world(scene: Scene) -> World:
     world = _build(scene)
     if not world.layout.nu:
         raise SceneError(
-            "there is nothing to control: the assets have no actuators of their own; give a robot with joints a drive",
+            "there is nothing to control: the assets have no actuators; give a robot with joints a drive",
             key="robot.drive",
             file=scene.path,
         )
@@ -173,7 +173,7 @@ def _add_robot(
 
 
 def _refuse_mjcf_keys(robot: Robot, kind: AssetKind, scene: Scene) -> None:
-    """Only MJCF files bring actuators, mocap bodies and keyframes of their own."""
+    """Only MJCF files bring actuators, mocap bodies and keyframes."""
     for number, drive in enumerate(robot.drive):
         if drive.mode is DriveMode.MOCAP:
             raise SceneError(

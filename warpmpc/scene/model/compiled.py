@@ -223,7 +223,7 @@ def _without_helper(mjcf: str) -> str:
 
 
 def _compile_mjcf(scene: Scene, world: World) -> CompiledScene:
-    """A scene with MJCF robots: what else stands in it is derived from a Newton world of its own."""
+    """A scene with MJCF robots: what else stands in it is derived from its own Newton world."""
     from .builder import build_rest
     from .compiled_scene import differences, needs_implicit, options_that_differ
     from .mjcf import compile_mjcf, read_mjcf

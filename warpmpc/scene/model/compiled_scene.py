@@ -164,7 +164,7 @@ def _attributes(record: object) -> list[str]:
 def _copy(source: object, target: object) -> None:
     for name in _attributes(source):
         value = getattr(source, name)
-        if type(value).__module__.startswith("mujoco"):  # settings in groups of their own
+        if type(value).__module__.startswith("mujoco"):  # settings in their own groups
             _copy(value, getattr(target, name))
         else:
             setattr(target, name, value)
@@ -176,7 +176,7 @@ def _share_bits(
     """Set collision bits so that the scene's geoms meet the files' and every file keeps its own rule.
 
     The scene's own bits move to where no file has one. Its solids and its planes get a bit each, which the files'
-    geoms answer to; a robot without self-collision shows a bit of its own to the others instead of its file's.
+    geoms answer to; a robot without self-collision shows its own bit to the others instead of its file's.
     """
     authored = _bits(geom.contype | geom.conaffinity for child in children for geom in child.geoms)
     free = [bit for bit in _BITS if not authored >> bit & 1]

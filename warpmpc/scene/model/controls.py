@@ -27,7 +27,7 @@ _TARGET = {
     DriveMode.DIFF_DRIVE: JointTargetMode.VELOCITY,
     DriveMode.POSITION: JointTargetMode.POSITION,
     DriveMode.EFFORT: JointTargetMode.EFFORT,
-    DriveMode.ACCELERATION: JointTargetMode.EFFORT,  # Newton has none: MuJoCo's models get an actuator of their own
+    DriveMode.ACCELERATION: JointTargetMode.EFFORT,  # Newton has none: MuJoCo's models get their own actuator
 }
 
 

@@ -31,7 +31,7 @@ def joint_table(
     Args:
         layout: State layout.
         device: Warp device.
-        worlds: Number of worlds, each with mocap bodies of its own.
+        worlds: Number of worlds, each with its own mocap bodies.
         mujoco_q: First qpos of each joint [nj], -1 where MuJoCo has none.
         mujoco_qd: First qvel of each joint [nj].
     """
@@ -73,7 +73,7 @@ def chain_axes(layout: Layout, body: int) -> list[int]:
     """Joint velocities that move a body, tip first; those of a free root, which nothing drives, are left out.
 
     Raises:
-        ValueError: If there is a ball joint among the joints: its velocities are no turns about axes of its own.
+        ValueError: If there is a ball joint among the joints: its velocities are no turns about its own axes.
     """
     joint_of = {int(child): joint for joint, child in enumerate(layout.joint_child)}
     dofs: list[int] = []

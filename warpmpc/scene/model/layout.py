@@ -180,7 +180,7 @@ class Layout:
 
     @property
     def na(self) -> int:
-        """Number of activations: the states of actuators that have dynamics of their own."""
+        """Number of activations: the states of actuators that have their own dynamics."""
         return len(self.act)
 
     @property
@@ -191,7 +191,7 @@ class Layout:
 
     @property
     def nm(self) -> int:
-        """Number of mocap bodies: moved by whoever observes, not by the physics."""
+        """Number of mocap bodies: moved by observations, not by the physics."""
         return len(self.mocap_name)
 
     @property

@@ -65,7 +65,7 @@ class Network:
 
 
 class Adam:
-    """Steps along gradients, each parameter at a pace of its own (Kingma and Ba 2015).
+    """Steps along gradients, each parameter at its own pace (Kingma and Ba 2015).
 
     Args:
         parameters: Arrays that are changed in place.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fabric in a process of its own: a robot and spheres on the first line, then a state a line, each answered.
+"""A fabric in a separate process: a robot and spheres on the first line, then a state a line, each answered.
 
 Runs by a Python that has the package ``fabrics``, which needs NumPy below 2; it imports nothing else of this checkout.
 All lines are JSON. A state is ``q`` and ``qd``; the answer is the control ``u`` [m/s or rad/s] and the time ``ms``.
