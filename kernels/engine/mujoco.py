@@ -51,7 +51,7 @@ _ROLL_OUT = """
             for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = ((const double*)measured)[i];
             continue;
         }
-        // the world blew up, be it in its last step: the last good state stays, whose time tells of it
+        // the world blew up, be it in its last step: the last good state stays, as its time shows
         const double* before = n > 0 ? states + (n - 1) * nstate : (const double*)initial;
         for (int i = 0; i < nstate; ++i) states[n * nstate + i] = before[i];
         for (int i = 0; i < nsensor; ++i) sensors[n * nsensor + i] = n > 0 ? sensors[(n - 1) * nsensor + i] : 0.0;

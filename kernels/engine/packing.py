@@ -28,7 +28,7 @@ def unpack_kernel(
 ):
     """One thread: one number of the observed state and the task of one environment.
 
-    It is read once and by nobody else: on a GPU it comes from the host's memory, and all threads wait at once.
+    It is read once: on a GPU it comes from the host's memory, and all threads wait at once.
     """
     e, i = wp.tid()
     value = packed[e, i]

@@ -190,11 +190,11 @@ def test_a_run_says_what_is_judged_and_what_is_hardly_meant(tmp_path, command):
     done = command("run", "mine.toml", *TINY, *odd)
     assert (done.returncode, done.stderr) == (1, "")
     assert "worst axis" in done.stdout  # of the goal, whose tolerance is one along each axis
-    asked = [line for line in done.stdout.splitlines() if line.startswith("Is it meant? ")]
-    assert [line.split()[3] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
+    asked = [line for line in done.stdout.splitlines() if line.startswith("Advice: ")]
+    assert [line.split()[1] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
     done = command("check", "mine.toml", *TINY, *odd)
-    asked = [line for line in done.stdout.splitlines() if line.startswith("is it meant?")]
-    assert [line.split()[3] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
+    asked = [line for line in done.stdout.splitlines() if line.startswith("advice")]
+    assert [line.split()[1] for line in asked][:2] == ["success.hold", "planner.noise.sigma"]
 
 
 def test_plans_too_slow_for_real_time_are_told_by_check_and_not_after_a_run_in_lock_step(tmp_path, command):

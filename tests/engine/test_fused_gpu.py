@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 from needs import CUDA, need
+from shared.plain_rollout import PlainRollout
 
 import warpmpc
-from warpmpc.physics.plain_rollout import PlainRollout
 
 pytestmark = pytest.mark.gpu
 

@@ -4,10 +4,10 @@
 import mujoco
 import numpy as np
 import pytest
+from shared.plain_rollout import PlainRollout
 from small_scenes import BOX, DISC, make_scene
 
 from warpmpc import Controller, SceneError
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.runtime.bake import OutOfRange, literal
 
 LIMITS = """

@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 from fused_models import CONTACTS, compile_model, controls, starts
 from native_robots import native_scene
+from shared.plain_rollout import PlainRollout
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 
 import warpmpc
@@ -18,7 +19,6 @@ from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.physics import source
 from warpmpc.physics import unsupported as fused_missing
 from warpmpc.physics.model import FIELD, PhysicsModel
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.version import VERSION
 from warpmpc.scene.model.pairs import Pair
 from warpmpc.scene.model.properties import draw_properties

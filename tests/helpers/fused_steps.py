@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from shared.plain_rollout import PlainRollout
 
 from warpmpc.engine.mujoco import silence_mujoco
 from warpmpc.physics import rollout
-from warpmpc.physics.plain_rollout import PlainRollout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

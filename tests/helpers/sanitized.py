@@ -117,9 +117,9 @@ def roll(text: str | mujoco.MjModel, lanes: int | None) -> None:
         lanes: Worlds in a number; those of the public rollouts if None.
     """
     from fused_models import controls, starts
+    from shared.plain_rollout import PlainRollout
 
     from warpmpc.physics import rollout
-    from warpmpc.physics.plain_rollout import PlainRollout
 
     model = mujoco.MjModel.from_xml_string(text) if isinstance(text, str) else text
     control = controls(model, STEPS, WORLDS)

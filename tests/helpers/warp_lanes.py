@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
+from shared.plain_rollout import PlainRollout
 
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.source_parts import RolloutWork
 
 COMPILER = shutil.which("g++")

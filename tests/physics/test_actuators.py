@@ -12,10 +12,10 @@ from actuator_models import ARM, DEGENERATE, TRANSMISSIONS, shapes
 from fused_models import compile_model, controls, starts
 from fused_steps import public_differences, step_differences, visit
 from needs import needs
+from shared.plain_rollout import PlainRollout
 from warp_lanes import LaneRollout
 
 from warpmpc.physics import rollout
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.unsupported import KINDS, lacking_kinds, missing
 
 

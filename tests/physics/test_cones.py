@@ -7,8 +7,7 @@ import pytest
 from cones import ELLIPSE, PYRAMID, rubbing
 from fused_models import CONTACTS, compile_model, controls, starts
 from fused_steps import step_differences, visit
-
-from warpmpc.physics.plain_rollout import PlainRollout
+from shared.plain_rollout import PlainRollout
 
 STEADY = 1e-4
 """States where MuJoCo C's own step changes more by rounding are left out [m/s, rad/s]."""

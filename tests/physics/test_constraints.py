@@ -11,10 +11,10 @@ from fused_models import compile_model, controls, starts
 from fused_steps import step_differences, visit
 from needs import need, needs
 from shared.models import hand_with_block, spread
+from shared.plain_rollout import PlainRollout
 from warp_lanes import LaneRollout
 
 from warpmpc.physics.model import PhysicsModel
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.unsupported import missing
 
 MODELS = {"equalities": EQUALITIES, "tendons": TENDONS, "pairs": PAIRS, "swimmers": SWIMMERS}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from fused_models import controls, starts
 from fused_steps import step_differences, visit
+from shared.plain_rollout import PlainRollout
 
 from warpmpc.physics import unsupported as fused_missing
-from warpmpc.physics.plain_rollout import PlainRollout
 
 HEIGHTS = np.random.default_rng(0).uniform(0.0, 1.0, (9, 10))
 STONE = np.random.default_rng(1).normal(size=(14, 3))

@@ -10,10 +10,10 @@ from bricks import BRICK, STACK
 from collide_pairs import MESH, draw
 from collide_world import compare, make_kernel, mesh_tables, model, ours, theirs
 from fused_steps import turned
+from shared.plain_rollout import PlainRollout
 
 from warpmpc.physics.meshes import MOST_CORNERS, RIM, faces, ring_size, ring_tables
 from warpmpc.physics.model import PhysicsModel
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.runtime.bake import native_lanes
 from warpmpc.physics.version import VERSION
 

@@ -16,8 +16,7 @@ from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from fused_scenes import Comparison
 from fused_steps import step_differences, visit
 from shared.models import OWN, spread
-
-from warpmpc.physics.plain_rollout import PlainRollout
+from shared.plain_rollout import PlainRollout
 
 JUMPS = 1e-4
 """States where MuJoCo C's own step changes so much by rounding are left out [m/s, rad/s]."""

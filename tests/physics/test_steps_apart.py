@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 from fused_models import CONTACTS, compile_model, controls, starts
+from shared.plain_rollout import PlainRollout
 from small_scenes import compiled, make_scene
 
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.source_parts import make_kernel
 from warpmpc.planner.controller.controller import Controller
 

@@ -15,11 +15,11 @@ from cones import ELLIPSE, PYRAMID, rubbing
 from fused_models import CONTACTS, DYNAMICS, compile_model, controls, starts
 from needs import needs
 from sensed_models import BUSY, drawn
+from shared.plain_rollout import PlainRollout
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene, observed
 from warp_lanes import LaneRollout, Lanes
 
 from warpmpc.engine.fused_physics import FusedPhysics
-from warpmpc.physics.plain_rollout import PlainRollout
 from warpmpc.physics.sensing import within_step
 from warpmpc.physics.source import RolloutSource
 from warpmpc.physics.source_parts import AddedCode

@@ -27,11 +27,11 @@ from rich.table import Table
 from shared.files import write_json
 from shared.machine import machine
 from shared.models import FULL, OTHERS, OWN, SCENES, load_model, spread
+from shared.plain_rollout import PlainRollout
 
 from warpmpc.cli.setup import start_warp
 from warpmpc.engine.fused_physics import shares
 from warpmpc.engine.mujoco import silence_mujoco
-from warpmpc.physics.plain_rollout import PlainRollout
 
 STATES = 512
 """States that the worlds of a GPU start from, each in as many worlds as it takes."""

@@ -47,13 +47,13 @@ def print_check(
     plan_ms: float | None = None,
     advice: Sequence[str] = (),
 ) -> None:
-    """Print what an episode is built of, and what is hardly meant; its controller has made a plan.
+    """Print what an episode is built of, and likely mistakes; its controller has made a plan.
 
     Args:
         episode: The episode.
         out: Where to.
         plan_ms: Wall time of a plan, the median of several [ms]; that of the last if None.
-        advice: Sentences on what is hardly meant.
+        advice: Sentences about likely mistakes.
     """
     # slow to import, and lists need no physics
     from ..engine.registry import physics_steps
@@ -121,7 +121,7 @@ def print_check(
     took += ", the median of several along a run" * (plan_ms is not None)
     fact("one plan took", f"{took} on this machine")
     for sentence in advice:
-        fact("is it meant?", sentence)
+        fact("advice", sentence)
     console.print(facts)
     show_table(console, joint_table(layout))
     show_table(console, _controls(episode))

@@ -165,7 +165,7 @@ def run(
             if len(results) > 1 and not (results[0].drawn or properties_drawn(setup.scene)):
                 say(f"seeds {ALIKE}", out=out)
             for sentence in setup.advice(setup.compiled):
-                say(f"Is it meant? {sentence}", out=out)
+                say(f"Advice: {sentence}", out=out)
             if exported is not None:
                 say(exported, out=out)
     if interrupted:

@@ -42,7 +42,7 @@ def run_seeds(arguments: RunArguments, seeds: Sequence[int], logs: bool) -> list
 
     Raises:
         SceneError: If the scene is wrong.
-        ValueError: If engine or device is unknown or not to be had here, or a file of terms cannot be used.
+        ValueError: If engine or device is unknown or not available here, or a file of terms cannot be used.
     """
     setup = shared_setup(arguments)
     if len(seeds) > 1:

@@ -103,7 +103,7 @@ def run_trial(arguments: RunArguments, changes: tuple[str, ...], seed: int, cont
 
     Raises:
         SceneError: If the values make no scene.
-        ValueError: If the engine or device is not to be had here.
+        ValueError: If the engine or device is not available here.
     """
     from ..extras.tuning.search import Score
 

@@ -194,7 +194,7 @@ def resolve(scene: Scene, engine: str, device: str) -> tuple[str, str]:
         device: ``auto``, ``cpu`` or a CUDA device.
 
     Raises:
-        ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
+        ValueError: If engine or device is unknown, not available here, or the two do not go together.
     """
     engine = str(scene.engine.name) if engine == "auto" else engine
     entry = None if engine == "auto" else ENGINES.find(engine, "auto")

@@ -84,7 +84,7 @@ class _Native:
 
     Args:
         mujoco_batch: MuJoCo's own.
-        model: The model, which nobody else changes.
+        model: The model; it must not change.
         device: Warp device.
         fall_back: Whether MuJoCo takes the steps that this physics lacks something for.
     """

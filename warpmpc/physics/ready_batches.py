@@ -69,7 +69,7 @@ class Ready:
         Args:
             worlds: Number of worlds W.
             steps: Number of controls.
-            arrays: Arrays that differ between worlds ``[W, ...]``, which nobody changes.
+            arrays: Arrays that differ between worlds ``[W, ...]``, which must not change.
             **options: Others of :class:`BatchRollout`.
         """
         key = worlds, steps, tuple(sorted(arrays)), *sorted(options.items())

@@ -280,7 +280,7 @@ class _Pool:
 
     @contextmanager
     def one(self, nthread: int) -> Iterator[Rollout]:
-        """Hand out a rollout that nobody else has meanwhile."""
+        """Hand out a rollout that is not in use."""
         with self._free:
             self._free.wait_for(lambda: self._busy < self._most)
             self._busy += 1

@@ -39,7 +39,7 @@ class RolloutWork:
     upper: wp.array[float]  # [nu]
     domains: int  # worlds of a sample
     initial: wp.array2d[wp.float64]  # [W, 1+nq+nv+na] MuJoCo's state with its time, where worlds have their own start
-    reached: wp.array2d[wp.float64]  # [W, 1+nq+nv+na] where these worlds end; empty if nobody asks
+    reached: wp.array2d[wp.float64]  # [W, 1+nq+nv+na] where these worlds end; empty if not asked for
     joint_q: wp.array2d[float]  # [E, nq] observed
     joint_qd: wp.array2d[float]  # [E, nv] observed
     act: wp.array2d[float]  # [E, na] observed

@@ -166,7 +166,7 @@ def refiner_of(
         physics: Whether the engine's worlds have physics.
 
     Raises:
-        SceneError: If no derivatives of the engine are to be had, or the scene does not allow them.
+        SceneError: If the engine has no derivatives, or the scene does not allow them.
     """
     scene = request.scene
     method = refined(scene)

@@ -28,7 +28,7 @@ SHORTEST = 1e-6
 """Shortest physics step [s]; a run's time in single precision tells no shorter ones apart."""
 
 _USUAL = {"samples": 256, "horizon": 16, "iterations": 1, "domains": 1}
-"""What the factors of a plan's work are without more ado, to tell which of them is out of bounds."""
+"""Usual factors of a plan's work, to tell which one is out of bounds."""
 
 
 def _check_sizes(scene: Scene) -> Iterator[SceneError]:

@@ -171,7 +171,7 @@ def _file(text: str) -> Path | None:
             kind = "a folder" if path.is_dir() else "no regular file"
             raise SceneError(f"is {kind}: give a scene file (.toml) or the name of a shipped scene", file=text)
     except (OSError, RuntimeError):
-        pass  # a name too long for a file, or a home folder of nobody
+        pass  # a name too long for a file, or the home folder of no user
     return shipped_scenes().get(text)
 
 

@@ -195,7 +195,7 @@ def with_values(scene: Scene, values: Mapping[str, object]) -> Scene:
     Raises:
         SceneError: If a key does not exist or a value does not fit.
     """
-    # what nobody has set is free to follow from what is set now, such as the presets of a method
+    # keys that are not set follow from those that are, such as the presets of a method
     data = scene.model_dump(mode="json", exclude_unset=True)
     for key, value in values.items():
         data = merge(data, nest(split_key(key), value))

@@ -119,7 +119,7 @@ class CloudVolume:
         return self.work.volume.distance.numpy().reshape(self.envs, *volume_size(self.cloud)[::-1]).copy()
 
     def show(self, points: list[np.ndarray]) -> None:
-        """Take note of points ``[n, 3]`` for each environment, which nobody changes any more."""
+        """Take note of points ``[n, 3]`` for each environment, which do not change any more."""
         new = {e: rows for e, rows in enumerate(points) if rows is not self._shown[e]}
         self._shown, self._waiting = list(points), {**self._waiting, **new}
 

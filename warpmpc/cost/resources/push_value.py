@@ -317,7 +317,7 @@ def _serve() -> None:
         try:
             sys.stdout.buffer.write(found)
             sys.stdout.buffer.flush()
-        except BrokenPipeError:  # nobody waits for it any more
+        except BrokenPipeError:  # the reader is gone
             os._exit(0)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ...scene.schema import Scene
 
 WIDE, NARROW = 1.0, 2e-3
-"""Standard deviations of the noise beyond these shares of a control's range are hardly meant."""
+"""Standard deviations of the noise beyond these shares of a control's range are likely mistakes."""
 LONG = 0.5
 """Longest control that is not asked about [s]."""
 LARGE, SMALL = 100.0, 1e-4

@@ -38,7 +38,7 @@ def contact_findings(subject: Subject) -> Iterator[Finding]:
 
 
 def _hasty(subject: Subject) -> Iterator[Finding]:
-    """Few solver iterations that nobody asked for in the scene."""
+    """Few solver iterations that the scene does not set."""
     count, robots = int(subject.world.model.opt.iterations), subject.compiled.mjcf_robots
     if subject.scene.engine.iterations is None and robots and count < FEW_ITERATIONS:
         yield Finding(

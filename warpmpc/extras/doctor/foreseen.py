@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...scene.schema import Scene
 
 BAD = 0.35
-"""Error of the state after 0.2 s, as a share of its movement, from which a verdict tells of it."""
+"""Error of the state after 0.2 s, as a share of its movement, from which a verdict mentions it."""
 
 
 class StepRecorder:

@@ -141,7 +141,7 @@ def open_server(access: Access, label: str) -> viser.ViserServer:
         websockets_server.serve = serve
     if not checked:
         server.stop()
-        raise ValueError(f"nobody can check who uses a page of viser {viser.__version__}: pip install 'viser==1.1.1'")
+        raise ValueError(f"the token cannot be checked with viser {viser.__version__}: pip install 'viser==1.1.1'")
     if server.get_port() != access.port:
         server.stop()
         raise OSError(f"cannot listen at {access.host}:{access.port} (taken meanwhile); choose another with --port")

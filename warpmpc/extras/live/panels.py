@@ -92,7 +92,7 @@ class Settings:
         on_change(made, change)
 
     def update(self) -> None:
-        """Show what the session has, where nobody is typing."""
+        """Show the values of the session, except in a field that is being edited."""
         session, now = self._session, perf_counter()
         stale = set(self._typed)
         if session.scene is not self._scene:

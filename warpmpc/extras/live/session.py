@@ -51,7 +51,7 @@ class Session(ClosedLoop, threading.Thread):
         ClosedLoop.__init__(self, source, **options)
         self.pace, self.lock_step = pace, lock_step
         self.awaiting = False
-        """True while the plant stands until somebody looks: what happens before is not missed."""
+        """True while the plant waits for the first viewer."""
 
     # ---- for other threads
 

@@ -272,7 +272,7 @@ class RerunRecorder:
         """The clouds whose points are new."""
         for cloud in self._plant.scene.cloud:
             points, drawn = self._controller.task.points(cloud.name), self._clouds.get(cloud.name)
-            if points is drawn or (drawn is None and not len(points)):  # nobody changes them in place
+            if points is drawn or (drawn is None and not len(points)):  # arrays are replaced, not changed in place
                 continue
             self._clouds[cloud.name] = points
             shown = thinned(points, cloud)

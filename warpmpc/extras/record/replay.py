@@ -109,7 +109,7 @@ def replay(log: RunLog, *, terms: Sequence[UserTerm] = ()) -> Replay:
 
     Raises:
         SceneError: If this version of warpmpc cannot read the scene, or its files are not here.
-        ValueError: If the log has no plans or does not begin with the first, or the engine or device is not to be had
+        ValueError: If the log has no plans or does not begin with the first, or the engine or device is not available
             here.
     """
     require_plans(log)

@@ -192,7 +192,7 @@ def _names(name: str) -> Iterator[None]:
 
 
 def sender(info: dict[str, Any]) -> str:
-    """The sender of a message by what rclpy tells of it; the same for all where an older one does not tell."""
+    """The sender of a message as rclpy identifies it; the same for all in versions that do not."""
     return info["publisher_gid"]["data"].hex() if info.get("publisher_gid") else ""
 
 

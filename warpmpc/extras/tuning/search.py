@@ -288,7 +288,7 @@ def search(
 
     Raises:
         SceneError: If the scenes' present values make no scene.
-        ValueError: If the engine or device is unknown or not to be had here.
+        ValueError: If the engine or device is unknown or not available here.
         BrokenProcessPool: If a process of the jobs died.
     """
     running: dict[Future, _Running] = {}

@@ -41,7 +41,7 @@ class Worlds:
         seeds: Seeds of the plants' properties.
         task: What the plants' runs want, one environment for each of them.
         terms: Users' own cost terms that conditions name or ``watch`` names.
-        watch: Cost terms whose values somebody wants besides.
+        watch: Further cost terms to evaluate.
 
     Raises:
         ValueError: If the task has more or fewer environments than there are plants.
@@ -101,7 +101,7 @@ class Worlds:
         parts = range(len(self.engine.parts))
         self._replays = [CapturedLaunches(partial(self.engine.rollout_part, self.control, part)) for part in parts]
         self.terms: list[dict[str, float]] = [{} for _ in seeds]
-        """Values of the cost terms that conditions name or somebody watches, by world."""
+        """Values of the cost terms that conditions name or ``watch`` lists, by world."""
 
     def step(self, times: Sequence[float]) -> None:
         """Hold the controls for one control step in every world.

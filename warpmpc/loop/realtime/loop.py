@@ -41,7 +41,7 @@ STOPS = ("SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
 class Signals:
-    """While a block runs, signals of :data:`NAMES` raise ``SystemExit`` where nobody handles them, not ending all.
+    """While a block runs, signals of :data:`NAMES` raise ``SystemExit`` unless something handles them.
 
     The first signal whose handler raises is the last one heard, so that nothing interrupts the ``finally`` clauses;
     :meth:`hold` does that for an end without a signal. What came too late then is heard after the block. Ignored

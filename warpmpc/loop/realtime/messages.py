@@ -174,7 +174,7 @@ class PlanCodec:
 class LatestValue:
     """Holds the newest message, an array of numbers; one process writes, others read.
 
-    There is no lock, so that a process that is killed while it writes blocks nobody. Two places take turns, and a
+    There is no lock, so that a process that is killed while it writes blocks no other. Two places take turns, and a
     checksum tells a message that was overwritten while it was read.
 
     Args:
@@ -202,7 +202,7 @@ class LatestValue:
             raise ValueError(f"a message of {len(message)} numbers does not fit into a buffer of {self.capacity}")
         self._sent = self.sent + 1
         place = np.frombuffer(self._places[self._sent % 2])
-        place[0] = 0.0  # nobody may take the older message for whole
+        place[0] = 0.0  # no reader may take the older message for whole
         place[3 : 3 + len(message)] = message
         place[1], place[2] = _checksum(message, self._sent), len(message)
         place[0] = self._sent

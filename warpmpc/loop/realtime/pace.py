@@ -52,7 +52,7 @@ class Pace:
     Args:
         period: Time between ticks on the robot's clock [s].
         speed: The robot's seconds in a second of wall time; below 1 a simulated robot is slowed down.
-        skip: Whether ticks that nobody can keep any more are left out, as the clock of a real robot does not wait.
+        skip: Whether missed ticks are left out, as the clock of a real robot does not wait.
             Without, the clock waits: all ticks are made, and slip when they are too far behind.
     """
 

@@ -115,7 +115,7 @@ class Predictor:
 REMEMBERED = 9
 """Latest latencies whose median is the one expected next."""
 LONGEST_PAUSE = 0.01
-"""So long nobody asks whether to stop [s]."""
+"""Time between checks whether to stop [s]."""
 PAUSE = 2e-4
 """Wall time between looks for a new observation [s]."""
 

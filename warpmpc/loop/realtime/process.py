@@ -77,7 +77,7 @@ class ShownPaths:
     value: LatestValue
     """The newest."""
     wanted: c_byte
-    """True while somebody asks."""
+    """True while paths are asked for."""
 
 
 class PlannerProcess:
@@ -150,7 +150,7 @@ class PlannerProcess:
 
         Raises:
             SceneError: If the scene is wrong.
-            ValueError: If the engine or device is unknown or not to be had here.
+            ValueError: If the engine or device is unknown or not available here.
             RuntimeError: If the process died.
         """
         begin = time.monotonic()

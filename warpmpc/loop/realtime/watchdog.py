@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of observations and plans, and limits of what the robot is sent.
 
-Safe commands of a robot's drives, while nobody else commands it.
+Safe commands of a robot's drives, while nothing else commands it.
 """
 
 from __future__ import annotations

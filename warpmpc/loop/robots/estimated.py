@@ -67,7 +67,7 @@ class EstimatedRobot:
     refused; of too many at once some are left out. A state that goes back by more than :data:`KEPT` shows that a clock
     was set: everything is forgotten; where a base is estimated, what was measured has to go back, too. An inertial
     measurement unit that was silent for as long carries no estimate forward, nor does one whose clock was set: before
-    the first command the robot is where the scene begins, as while the planner starts; after it nobody knows where it
+    the first command the robot is where the scene begins, as while the planner starts; after it, it is unknown where it
     is, the state stays old, and the run is over.
 
     Args:
@@ -153,7 +153,7 @@ class EstimatedRobot:
 
     @property
     def done(self) -> bool:
-        """Return whether the run is over: where nobody knows where the robot is, or by the driver's own word."""
+        """Return whether the run is over: when the pose of the robot is lost, or by the driver's own word."""
         return self._lost or bool(getattr(self._robot, "done", False))
 
     def apply(self, control: np.ndarray) -> None:

@@ -221,7 +221,7 @@ class ZmqTransport:
     Args:
         layout: State layout.
         port: The first port.
-        host: Address to bind to; nobody else's machine can command it by default.
+        host: Address to bind to; by default only this machine can command it.
 
     Raises:
         ValueError: If a port is taken.

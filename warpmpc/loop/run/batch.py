@@ -46,7 +46,7 @@ class Batch:
 
     Raises:
         SceneError: If the scene draws more than goals, names anything that does not exist, or no task can be drawn.
-        ValueError: If there are no episodes or environments, or engine or device is unknown or not to be had here.
+        ValueError: If there are no episodes or environments, or engine or device is unknown or not available here.
     """
 
     def __init__(

@@ -215,7 +215,7 @@ class Episode:
 
     Raises:
         SceneError: If the scene names anything that does not exist, or no task can be drawn.
-        ValueError: If the engine or device is unknown or not to be had here.
+        ValueError: If the engine or device is unknown or not available here.
     """
 
     def __init__(

@@ -69,7 +69,7 @@ def choose_engine(
 
     Raises:
         SceneError: If no engine can simulate the scene.
-        ValueError: If engine or device is unknown, not to be had here, or the two do not go together.
+        ValueError: If engine or device is unknown, not available here, or the two do not go together.
     """
     fixed = device != "auto"
     engine, where = resolve(scene, engine, device)
@@ -163,7 +163,7 @@ def fit_to_machine(
 
     Raises:
         SceneError: If the engine cannot simulate the scene.
-        ValueError: If engine or device is unknown or not to be had here.
+        ValueError: If engine or device is unknown or not available here.
     """
     shared = {"envs": envs, "terms": terms, "compiled": compiled, "measure": measure}
     engine, device = choose_engine(scene, engine=engine, device=device, **shared)

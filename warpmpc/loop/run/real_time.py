@@ -99,7 +99,7 @@ def run_real_time(
 
     Raises:
         SceneError: If the scene names anything that does not exist, or has point clouds.
-        ValueError: If the speed is no positive number, the engine or device is not to be had here, there is no such
+        ValueError: If the speed is no positive number, the engine or device is not available here, there is no such
             robot, it shows no state, or its clock does not go slower.
     """
     if not 0.0 < speed < float("inf"):

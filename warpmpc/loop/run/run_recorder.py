@@ -181,7 +181,7 @@ class RunRecorder:
         """Keep the clouds that the newest plan was the first to see."""
         for index, cloud in enumerate(self._controller.scene.cloud):
             points = self._controller.task.points(cloud.name)
-            if points is self._clouds.get(cloud.name):  # nobody changes them in place
+            if points is self._clouds.get(cloud.name):  # arrays are replaced, not changed in place
                 continue
             self._clouds[cloud.name] = points
             rows = np.zeros(1 + len(points), row_type("clouds", {}))

@@ -194,7 +194,7 @@ FN T ray_field(const World& w, int g, V3 p, V3 d, V3& normal) {
     return out;
 }
 #endif
-// Distances along the z axes of sites to the nearest geom of another body, and what else a sensor tells of such a ray
+// Distances along the z axes of sites to the nearest geom of another body, and the other data of a sensor of such a ray
 FN void look(World& w) {
     EACH(r, RAYS) {
         const int site = ray_site[r];

@@ -27,7 +27,7 @@ Method = TypeVar("Method", bound=Callable)
 
 
 def one_thread(method: Method) -> Method:
-    """Refuse a call of a method while another thread is in a method of the same object's; nobody waits.
+    """Refuse a call of a method while another thread is in a method of the same object's; no thread waits.
 
     The object has a ``threading.RLock`` in ``_in_use``.
     """

@@ -61,7 +61,7 @@ class Controller:
 
     Raises:
         SceneError: If the scene names anything that does not exist.
-        ValueError: If the engine, device or strategy is unknown or not to be had here.
+        ValueError: If the engine, device or strategy is unknown or not available here.
     """
 
     def __init__(

@@ -160,7 +160,7 @@ _TRANSLATION = "newton._src.solvers.mujoco.kernels"
 def _load_translation() -> None:
     import warp as wp
 
-    with contextlib.suppress(Exception):  # the solver hears of it
+    with contextlib.suppress(Exception):  # the solver gets the error
         wp.load_module(_TRANSLATION, device="cpu", block_dim=1)
 
 

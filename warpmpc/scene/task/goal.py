@@ -22,7 +22,7 @@ def goal_pose(scene: Scene, pose: Pose | None = None) -> np.ndarray:
     """Pose ``[7]`` of a scene's goal; without a height it lies at its target's start height.
 
     Args:
-        scene: The scene; without a goal the pose is the origin, which nobody looks at.
+        scene: The scene; without a goal the pose is the origin, which is not used.
         pose: Where the goal is instead, in a later phase.
     """
     if scene.goal is None:

@@ -43,7 +43,7 @@ class Clouds:
         return tuple(self._capacity)
 
     def points(self, name: str, e: int = 0) -> np.ndarray:
-        """Points of an environment ``[n, 3]`` [m], an array that nobody changes."""
+        """Points of an environment ``[n, 3]`` [m], an array that is not changed."""
         return self._rows(name)[e]
 
     def set(self, name: str, value: object, e: int | None = None) -> None:

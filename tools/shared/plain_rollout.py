@@ -10,18 +10,18 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from ..kernels.engine.launch import TAPS
-from .batch import shares
-from .model import PhysicsModel
-from .runtime.bake import native_lanes
-from .runtime.launch import Launcher
-from .source import RolloutSource
-from .source_parts import WARP, RolloutWork, Steps, make_kernel
-from .state_map import StateMap
-from .unsupported import missing
+from warpmpc.kernels.engine.launch import TAPS
+from warpmpc.physics.batch import shares
+from warpmpc.physics.model import PhysicsModel
+from warpmpc.physics.runtime.bake import native_lanes
+from warpmpc.physics.runtime.launch import Launcher
+from warpmpc.physics.source import RolloutSource
+from warpmpc.physics.source_parts import WARP, RolloutWork, Steps, make_kernel
+from warpmpc.physics.state_map import StateMap
+from warpmpc.physics.unsupported import missing
 
 if TYPE_CHECKING:
-    from .source_parts import Parts
+    from warpmpc.physics.source_parts import Parts
 
 
 class PlainRollout:
