@@ -7,14 +7,14 @@ from subprocess import CompletedProcess
 
 import hypothesis
 import pytest
+import quick_kernels
 import warp as wp
-from foreign_kernels import compile_soonest
 from needs import CUDA, Lacking, need
 
 # a fixed search: a failure seen once is seen again; launches are too uneven for deadlines
 hypothesis.settings.register_profile("warpmpc", deadline=None, derandomize=True, max_examples=40)
 hypothesis.settings.load_profile("warpmpc")
-compile_soonest()
+quick_kernels.compile_soonest()
 
 
 os.environ.pop("COLUMNS", None)  # readline sets it in the environment that workers of pytest-xdist begin with
@@ -22,12 +22,20 @@ os.environ.pop("COLUMNS", None)  # readline sets it in the environment that work
 
 def pytest_addoption(parser):
     parser.addoption("--lacking", metavar="FILE", help="note the tests skipped for want of what a command installs")
+    parser.addoption("--as-users", action="store_true", help="compile kernels of models as users do, optimized")
 
 
 def pytest_configure(config):
     file = config.getoption("--lacking")
     if file and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Lacking(Path(file).absolute()))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kernels(request):
+    """Kernels of models, optimized or not."""
+    file = request.path.relative_to(request.config.rootpath).as_posix()
+    quick_kernels.quick = not (request.config.getoption("--as-users") or file.startswith(quick_kernels.ROLLING))
 
 
 @pytest.fixture(scope="module", params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])

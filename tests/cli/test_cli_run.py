@@ -38,6 +38,9 @@ KEYS = [
     "envs",
 ]
 
+PLAIN = ["--engine", "mujoco"]
+"""An engine that compiles nothing for a scene, for programs that are started."""
+
 TERMS = """
 import numpy as np
 import warp as wp
@@ -61,14 +64,10 @@ def effort(batch):
 """
 
 
-@pytest.fixture(scope="module")
-def two_episodes():
-    return warpmpc("run", "omni_push_box:B", "--json", "--seed", "3", "--episodes", "2", *TINY)
-
-
-def test_json_is_all_there_is_on_stdout(two_episodes):
-    assert (two_episodes.returncode, two_episodes.stderr) == (1, "")  # the runs fail
-    first, second = results(two_episodes)
+def test_json_is_all_there_is_on_stdout_and_the_same_seed_gives_the_same_result(command):
+    done = command("run", "omni_push_box:B", "--json", "--seed", "3", "--episodes", "2", *TINY)
+    assert (done.returncode, done.stderr) == (1, "")  # the runs fail
+    first, second = results(done)
     for result in (first, second):
         assert list(result) == [*KEYS, "foresight", "verdict"]
         assert list(result["final"]) == ["position_error_m", "yaw_error_rad", "cost", "axis_error_m"]
@@ -83,11 +82,8 @@ def test_json_is_all_there_is_on_stdout(two_episodes):
         assert 0.0 < result["plan_ms"]["p50"] <= result["plan_ms"]["p99"] <= result["plan_ms"]["max"]
     assert [first["seed"], second["seed"]] == [3, 4]
     assert first["final"]["cost"] != second["final"]["cost"]
-
-
-def test_the_same_seed_gives_the_same_result(two_episodes, command):
     again = command("run", "omni_push_box:B", "--json", "--seed", "4", *TINY)
-    assert [untimed(result) for result in results(again)] == [untimed(results(two_episodes)[1])]
+    assert [untimed(result) for result in results(again)] == [untimed(second)]
 
 
 def test_success_ends_in_exit_code_0(command):
@@ -157,13 +153,13 @@ def test_contact_is_told_where_a_pair_is_watched(tmp_path, command, wall, more):
 def test_many_episodes_at_once(tmp_path, command):
     (tmp_path / "mine.toml").write_text(SCENE)
     many = ("run", "mine.toml", "--json", "--seed", "3", "--episodes", "5", "--envs", "2", *TINY)
-    done = warpmpc(*many, folder=tmp_path)
+    done = command(*many)
     assert (done.returncode, done.stderr) == (1, "")
     found = results(done)
     assert [result["seed"] for result in found] == [3, 4, 5, 6, 7]
     assert [list(result) for result in found] == [[*KEYS, "verdict"]] * 5
     assert {(result["envs"], result["steps"], result["reason"]) for result in found} == {(2, 10, "timeout")}
-    alone = results(command("run", "mine.toml", "--json", "--seed", "3", "--engine", "fused", *TINY))[0]
+    alone = results(command("run", "mine.toml", "--json", "--seed", "3", *TINY))[0]
     assert alone["envs"] == 1
     assert alone.pop("foresight")  # which batches do not look at: a verdict may rest on it
     assert found[0].pop("verdict")[0] == alone.pop("verdict")[0]
@@ -326,7 +322,7 @@ def test_notices_are_shown_once_and_warnings_once_per_episode(capsys):
 
 
 def test_quiet_says_nothing():
-    done = warpmpc("run", "omni_push_box", "--quiet", *TINY)
+    done = warpmpc("run", "omni_push_box", "--quiet", *PLAIN, *TINY)
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
 
 
@@ -349,7 +345,7 @@ def test_recordings_of_several_episodes_carry_their_seeds(tmp_path, command):
 
 def test_ctrl_c_prints_what_there_is(tmp_path):
     # samples and horizon of TINY, but an episode long enough to be interrupted
-    command = ["run", "omni_push_box", "--json", "--episodes", "100", "--record", "a.rrd", *TINY[:4]]
+    command = ["run", "omni_push_box", *PLAIN, "--json", "--episodes", "100", "--record", "a.rrd", *TINY[:4]]
     with subprocess.Popen(
         [*PROGRAM, *command, "--set", "timing.timeout=4.0"],
         cwd=tmp_path,
@@ -375,7 +371,7 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
 
 @pytest.mark.parametrize(("real_time", "number", "code"), [(False, signal.SIGINT, 130), (True, signal.SIGTERM, 143)])
 def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path, real_time, number, code):
-    command = [*PROGRAM, "run", "omni_push_box", "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:4]]
+    command = [*PROGRAM, "run", "omni_push_box", *PLAIN, "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:4]]
     endless = ["--set", "timing.timeout=1e4", "--set", "success={ position = 1e-9 }"]  # its goal takes 2 s else
     command += [*endless, *(["--real-time"] if real_time else [])]
     with subprocess.Popen(

@@ -111,15 +111,6 @@ INSTALLED = "import sys; del sys.path[0]; from warpmpc.cli.main import main; mai
 """The program as a package manager installs it: the working directory is not on its path."""
 
 
-def test_processes_execute_nothing_of_the_working_directory(tmp_path):
-    for name in ("socket", "pickle", "numpy"):
-        (tmp_path / f"{name}.py").write_text("open('executed', 'w')")
-    command = [sys.executable, "-c", INSTALLED, *RUN, "--json", "--jobs", "1"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
-    assert (done.returncode, len(done.stdout.splitlines())) == (1, 1), done.stderr
-    assert not (tmp_path / "executed").exists()
-
-
 def children(process: int) -> list[int]:
     """Workers of a process."""
     found = [stat for stat in Path("/proc").glob("[0-9]*/stat") if stat.exists()]
@@ -129,6 +120,8 @@ def children(process: int) -> list[int]:
 
 @pytest.mark.parametrize(("killed", "number", "code"), [("worker", 9, 1), ("program", 9, -9), ("program", 2, 130)])
 def test_a_series_that_ended_goes_on_and_nothing_is_left_over(killed, number, code, in_seeds, tmp_path):
+    for name in ("socket", "pickle", "numpy"):  # nothing of the working directory is executed
+        (tmp_path / f"{name}.py").write_text("open('executed', 'w')")
     args = ["--episodes", "300", "--jobs", "2", "--results", "r.jsonl"]
     command = [sys.executable, "-c", INSTALLED, *RUN, "--json", *args]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
@@ -137,6 +130,7 @@ def test_a_series_that_ended_goes_on_and_nothing_is_left_over(killed, number, co
         os.kill(workers[0] if killed == "worker" else program.pid, number)
         rest, errors = program.communicate(timeout=60.0)
     assert (program.returncode, len(workers)) == (code, 2), errors
+    assert not (tmp_path / "executed").exists()
     assert ("error: a process of --jobs died" in errors) == (killed == "worker")
     end = time.monotonic() + 20.0
     while not all(map(calls.gone, workers)):

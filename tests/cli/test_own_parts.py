@@ -15,6 +15,7 @@ from warpmpc.engine.registry import ENGINES
 from warpmpc.planner.step import STRATEGIES
 
 SCENE = """
+engine.name = "mujoco"
 [timing]
 control_dt = 0.04
 timeout = 4.0

@@ -16,6 +16,8 @@ TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "t
 """Ten controls from few samples: nothing is reached."""
 
 SCENE = """
+engine.name = "mujoco"
+
 [[robot]]
 name = "base"
 asset = "omni_base.urdf"
@@ -77,9 +79,11 @@ def small_disk(size: int):
     """Files hold no more than some bytes, as on a disk that is full."""
     import resource  # not on Windows
 
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limits, writes_none = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # Python takes no notice where it cannot write all of it
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        sys.dont_write_bytecode = writes_none

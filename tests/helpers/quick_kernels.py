@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that tests compile without optimization, in a third to two thirds of the time.
+
+Those of Newton and MuJoCo Warp always. Those that are written for one model and have compiler flags of their own, which
+take longest, where rollouts are few: other programs have others on disk, and their last bits differ.
+"""
+
+import importlib
+
+import warp as wp
+
+LIBRARIES = ("newton.", "mujoco_warp.")
+SOONEST = {"enable_backward": False, "optimization_level": 0}
+ROLLING = ("tests/scenes/",)
+"""Tests whose rollouts take longer than the compiler saves."""
+
+quick = True
+"""Whether kernels of models that are made now are compiled soonest, too."""
+
+
+def compile_soonest() -> None:
+    """Let modules of kernels be compiled like that from now on."""
+    importlib.import_module("warpmpc.physics.runtime.launch")  # wraps the loading itself, inside of what is done here
+    load, resolve = wp.Module.load, wp.Module.resolve_options
+
+    def soonest(module: wp.Module, *args: object, **options: object) -> object:
+        foreign = any((kernel.func.__module__ or "").startswith(LIBRARIES) for kernel in module.kernels.values())
+        if foreign and not module.execs and any(module.options[name] != value for name, value in SOONEST.items()):
+            wp.set_module_options(SOONEST, module=module)
+        return load(module, *args, **options)
+
+    def resolved(module: wp.Module, *args: object, **keys: object) -> dict[str, object]:
+        options = resolve(module, *args, **keys)
+        if quick and module.options["cpu_compiler_flags"] and options["optimization_level"] is None:
+            options["optimization_level"] = 0
+        return options
+
+    wp.Module.load, wp.Module.resolve_options = soonest, resolved
