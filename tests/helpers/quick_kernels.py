@@ -11,7 +11,7 @@ import warp as wp
 
 LIBRARIES = ("newton.", "mujoco_warp.")
 SOONEST = {"enable_backward": False, "optimization_level": 0}
-ROLLING = ("tests/scenes/",)
+ROLLING = ("tests/scenes/", "tests/planner/test_sampled_ilqg.py")
 """Tests whose rollouts take longer than the compiler saves."""
 
 quick = True

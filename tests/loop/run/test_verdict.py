@@ -75,8 +75,8 @@ def test_a_goal_that_is_passed_or_not_come_nearer_to_is_told(goal, pull, told):
 @pytest.mark.parametrize(
     ("planner", "told"),
     [
-        ({"temperature": {"initial": 1e9, "eta": None, "ess": None}}, "all samples count alike"),
-        ({"temperature": {"initial": 1e-9, "eta": None, "ess": None}}, "one sample alone decides"),
+        ({"samples": 32, "temperature": {"initial": 1e9, "eta": None, "ess": None}}, "all samples count alike"),
+        ({"samples": 32, "temperature": {"initial": 1e-9, "eta": None, "ess": None}}, "one sample alone decides"),
     ],
 )
 def test_weights_that_are_no_help_are_told(planner, told):
