@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that something else proposes: functions of a user's own, stored motions, policies as ONNX."""
+"""Samples that something else proposes: functions of a user's own, stored motions, policies as ONNX.
+
+Slow ones by hand: pytest -m slow tests/planner/test_ancillary.py
+"""
 
 from pathlib import Path
 
@@ -300,7 +303,7 @@ def around(state, task, times):
     return controls
 
 
-@pytest.mark.parametrize("method", ["predictive_sampling", "mppi"])
+@pytest.mark.parametrize("method", ["predictive_sampling", pytest.param("mppi", marks=pytest.mark.slow)])
 def test_a_way_out_of_a_niche_is_found_with_a_proposal_and_not_without(method):
     """The goal is behind the wall: what is drawn about a plan that leads into the niche leads into it, too."""
     reached = {}

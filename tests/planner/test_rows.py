@@ -92,7 +92,7 @@ def test_a_sample_of_the_new_distribution_is_carried_out(form):
         "temperature": {"initial": 0.05, "eta": None},
     }
     planner["noise"] = {"sigma": 0.05, "shape": "identity"}
-    planning, again, other = (Planning(envs=300, seed=seed, planner=planner) for seed in (0, 0, 1))
+    planning, again, other = (Planning(envs=150, seed=seed, planner=planner) for seed in (0, 0, 1))
     commands = planning(2)
     np.testing.assert_array_equal(commands, again(2))
     assert not np.array_equal(commands, other(2))

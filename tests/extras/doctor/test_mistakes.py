@@ -307,29 +307,10 @@ TABLE = [
         where=VERDICT,
     ),
     Mistake(
-        "delay of 80 ms",
-        {"plant.delay": "0.08", "planner.samples": "64", "timing.timeout": "1.2"},
-        ("without delay", "plant.delay"),
-        base="cartpole_swingup",
-        where=DIAGNOSE,
-    ),
-    Mistake(
         "robot twice as heavy as its model",
         {"plant.factor.quadrotor.mass": "2", "planner.samples": "64", "timing.timeout": "1.2"},
         ("masses, friction and sizes", "plant.factor"),
         base="quadrotor",
-        where=DIAGNOSE,
-    ),
-    Mistake(
-        "sensors that are noisy",
-        {
-            "plant.noise.position": "0.03",
-            "plant.noise.velocity": "0.5",
-            "planner.samples": "64",
-            "timing.timeout": "1.2",
-        },
-        ("without noise", "plant.noise"),
-        base="cartpole_swingup",
         where=DIAGNOSE,
     ),
 ]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One bad measurement of any kind moves no estimate for long: at most twice the error before it half a second later."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ BAD, END = 1.0, 2.0
 
 @pytest.fixture(scope="module")
 def trotted():
-    """Measurements and true states of a trot, and the errors without a bad measurement."""
+    """Measurements and true states of a trot, the errors without a bad measurement, and what came before it."""
     scene = dog()
     plant = Plant(scene, seed=3)
     measured, states = [], []
@@ -31,13 +32,15 @@ def trotted():
         states.append(plant.state)
         plant.apply(trot(plant))
     entries = [(m.time, m) for m in measured]
-    return scene, entries, states, errors(scene, entries, states)
+    new = BaseEstimator("dog", scene.estimate_base["dog"], compile_scene(scene)), 0, []
+    begun = estimated(new, entries, [state for state in states if state.time < BAD - 0.01])
+    return begun, entries, states, errors(begun, entries, states)
 
 
-def errors(scene, measured, states) -> np.ndarray:
-    """Errors of velocity [m/s], position [m] and tilt [rad] of the estimated base ``[n, 3]``, NaN where untrusted."""
-    estimator, out, taken = BaseEstimator("dog", scene.estimate_base["dog"], compile_scene(scene)), [], 0
-    for state in states:
+def estimated(begun, measured, states):
+    """Go on with a copy of an estimator, the measurements that it took, and its errors so far."""
+    estimator, taken, out = deepcopy(begun)
+    for state in states[len(out) :]:
         while taken < len(measured) and measured[taken][0] <= state.time + 1e-9:
             estimator.update(measured[taken][1])
             taken += 1
@@ -45,7 +48,12 @@ def errors(scene, measured, states) -> np.ndarray:
         off = found.joint_qd[:3] - state.joint_qd[:3], found.joint_q[:3] - state.joint_q[:3], up(found) - up(state)
         trusted = estimator.trusted(float(state.time))
         out.append([np.linalg.norm(part) if trusted else np.nan for part in off])
-    return np.array(out)
+    return estimator, taken, out
+
+
+def errors(begun, measured, states) -> np.ndarray:
+    """Errors of velocity [m/s], position [m] and tilt [rad] of the estimated base ``[n, 3]``, NaN where untrusted."""
+    return np.array(estimated(begun, measured, states)[2])
 
 
 def up(state) -> np.ndarray:
@@ -84,11 +92,11 @@ JOINTS = {
     ids=[*UNIT, *JOINTS],
 )
 def test_a_base_is_moved_by_no_bad_measurement(trotted, kind, spoil):
-    scene, entries, states, good = trotted
+    begun, entries, states, good = trotted
     at = next(n for n, (time, m) in enumerate(entries) if isinstance(m, kind) and time >= BAD)
     spoilt = [*entries[:at], (entries[at][0], spoil(entries[at][1])), *entries[at + 1 :]]
     times = np.array([state.time for state in states])
-    found = errors(scene, spoilt, states)
+    found = errors(begun, spoilt, states)
     before = good[times < BAD].max(axis=0)
     assert np.isfinite(found).all()  # a single one is left out: nothing is untrusted
     assert (found[times > BAD + 0.5] <= np.maximum(2.0 * before, 2.0 * good[times > BAD + 0.5])).all()
@@ -96,40 +104,41 @@ def test_a_base_is_moved_by_no_bad_measurement(trotted, kind, spoil):
 
 
 def test_a_unit_that_lies_is_made_up_for_by_feet(trotted):
-    scene, entries, states, _ = trotted
+    begun, entries, states, _ = trotted
     entries = list(entries)
     units = [n for n, (time, m) in enumerate(entries) if isinstance(m, ImuMeasured) and time >= BAD][:8]
     for n in units:
         entries[n] = entries[n][0], replace(entries[n][1], accel=entries[n][1].accel + 200.0 * X)
-    found = errors(scene, entries, states)
+    found = errors(begun, entries, states)
     assert np.nanmax(found[:, 0]) < 0.25
     assert found[-1, 0] < 0.2
 
 
 @pytest.mark.parametrize("frozen", [True, False])
 def test_a_unit_that_is_frozen_or_silent_is_not_trusted_until_it_is_back(trotted, frozen):
-    scene, entries, states, good = trotted
+    begun, entries, states, good = trotted
     (_, first), *_ = bad = [(t, m) for t, m in entries if isinstance(m, ImuMeasured) and BAD < t < BAD + 0.2]
     spoilt = [(t, m) for t, m in entries if not (isinstance(m, ImuMeasured) and BAD < t < BAD + 0.2)]
     if frozen:
         spoilt = sorted([*spoilt, *((t, replace(first, time=t)) for t, _ in bad)], key=lambda entry: entry[0])
+    scene = dog()
     estimator = BaseEstimator("dog", scene.estimate_base["dog"], compile_scene(scene))
     refused = sum(not estimator.update(measured) for _, measured in spoilt)
     assert refused == (len(bad) - 4 if frozen else 0)  # all but the first ones, so that the state grows old
     times = np.array([state.time for state in states])
-    late = errors(scene, spoilt, states)[times > BAD + 0.5]
+    late = errors(begun, spoilt, states)[times > BAD + 0.5]
     assert (late[:, [0, 2]] <= 2.0 * good[times < BAD].max(axis=0)[[0, 2]]).all()
 
 
 @pytest.mark.parametrize(("kind", "count"), [("20 rad/s", 2), ("20 rad/s", 5), ("-5 rad/s", 5), ("200 m/s²", 5)])
 def test_some_bad_measurements_in_a_row_leave_no_error(trotted, kind, count):
-    scene, entries, states, good = trotted
+    begun, entries, states, good = trotted
     spoil = (UNIT | {"-5 rad/s": lambda m: replace(m, gyro=m.gyro - 5.0 * X)})[kind]
     entries = list(entries)
     for n in [n for n, (time, m) in enumerate(entries) if isinstance(m, ImuMeasured) and time >= BAD][:count]:
         entries[n] = entries[n][0], spoil(entries[n][1])
     times = np.array([state.time for state in states])
-    found = errors(scene, entries, states)
+    found = errors(begun, entries, states)
     before, late = good[times < BAD].max(axis=0), found[times > BAD + 0.5]
     assert np.isfinite(late).all()
     assert (late <= 2.0 * np.maximum(before, good[times > BAD + 0.5])).all()
