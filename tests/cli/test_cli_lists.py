@@ -131,7 +131,7 @@ def test_a_named_term_has_an_example_that_is_a_table_of_a_scene(command):
     [
         ("planner.noise", ["[planner.noise]", "spread = [number > 0, number > 0]; default [", "Factors (low, high)"]),
         ("robot.panda.drive", ["[[robot.drive]]", "effort_limit = "]),
-        ("robot.drive.mode", ["mode = velocity | position", "What a control means to the joints."]),
+        ("robot.drive.mode", ["mode = velocity | position", "What a control sets at the joints."]),
         ("randomize.box", None),
         ("randomize", ["[randomize.NAME]", "friction"]),
         ("planner.noise.sigma", ["sigma = number > 0 or", "Share of the range"]),

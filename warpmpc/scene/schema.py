@@ -183,14 +183,14 @@ class Cost(Section):
     term: str
     """Which term: a built-in one, or one of yours from ``--terms``."""
     name: Name | None = None
-    """What printouts and overrides call it; the term's name when left out."""
+    """Name in tables and overrides; the term's name when left out."""
     weight: Finite = 1.0
     """Factor on its value; 0 switches it off."""
     terminal: NonNegative = 1.0
-    """Factor on what it costs at the last step of the horizon, besides ``planner.terminal``."""
+    """Factor on its cost at the last step of the horizon, in addition to ``planner.terminal``."""
     when: When = When.STAGE
-    """Steps at which it counts: where a term with a weight is ``terminal``, such terms alone make the last step's cost
-    [S2], and ``terminal`` of the others does nothing."""
+    """Steps at which it counts. If any term with a weight is ``terminal``, these terms alone make the cost of the last
+    step [S2], and the key ``terminal`` of the others has no effect."""
 
     @property
     def label(self) -> str:

@@ -86,34 +86,33 @@ class Drive(Section):
     """Drive that turns controls into motion of a group of joints."""
 
     mode: DriveMode = DriveMode.VELOCITY
-    """What a control means to the joints."""
+    """What a control sets at the joints."""
     joints: tuple[str, ...] | None = None
-    """Driven joints in control order; every joint that can move when left out. ``diff_drive``: (left, right) wheel."""
+    """Driven joints in the order of controls; all movable joints when left out. ``diff_drive``: (left, right) wheel."""
     stiffness: NonNegatives = (0.0,)
     """Position gain [N/m or N·m/rad], one value or one per joint. Used by ``position``."""
     damping: NonNegatives = (0.0,)
     """Velocity gain [N·s/m or N·m·s/rad], one value or one per joint. Used by all modes but ``effort``."""
     effort_limit: Positives | None = None
-    """Largest force or torque [N or N·m]; the asset's own limits when left out."""
+    """Largest force or torque [N or N·m]; as in the asset when left out."""
     limit: Positives | None = None
-    """Controls stay within ± this, one value or one per control, in the unit of the ``mode``. When left out, within
-    what the asset says of its joints: greatest speeds (``velocity``, ``diff_drive``), ranges (``position``) or efforts
-    (``effort``)."""
+    """Controls stay within ± this, one value or one per control, in the unit of the ``mode``. When left out, limits of
+    the asset's joints: speeds (``velocity``, ``diff_drive``), ranges (``position``) or efforts (``effort``)."""
     lower: Floats | None = None
     """Lower bound of the controls where it is not ``-limit``."""
     upper: Floats | None = None
     """Upper bound of the controls where it is not ``limit``."""
     speed_limit: Positives | None = None
-    """``acceleration``: largest speed that the servo is asked for [m/s or rad/s]; the asset's own when left out."""
+    """``acceleration``: largest speed of the set point [m/s or rad/s]; as in the asset when left out."""
     wheel_radius: Positive | None = None
     """``diff_drive``: radius of the wheels [m]."""
     track: Positive | None = None
     """``diff_drive``: distance between the wheels [m]."""
     body: str | None = None
-    """``mocap``: the mocap body; the only one when left out. It starts where its weld is at rest."""
+    """``mocap``: the mocap body; the only one when left out. It starts where its weld is not stretched."""
     within: tuple[Vec3, Vec3] | None = None
-    """``mocap``: lowest and highest corner of the box that it stays in, in the file's coordinates [m]. Without it, it
-    goes on where the hand is held up, and pulls the harder."""
+    """``mocap``: lowest and highest corner of the box that it stays in, in the file's coordinates [m]. Without a box it
+    may move away from a hand that is blocked, which pulls harder."""
     rotation: Turns = Turns.NONE
     """``mocap``: rotations that are controls, after the three of the position."""
 
@@ -166,43 +165,42 @@ class Robot(Section):
     """
 
     name: Name
-    """What the rest of the scene calls it; its links, frames and joints are ``name/link`` and so on."""
+    """Name of the robot; its links, frames and joints are ``name/link`` and so on."""
     asset: str
     """File relative to the scene file, absolute path, ``package://`` URI, or asset shipped with warpmpc."""
     position: Vec3 | None = None
-    """Start position of the root [m], in place of the asset's own; that one when left out. MJCF: the root is the first
-    body that moves, as its ``keyframe`` has it; all else in the file moves with it, but floors (planes and height
-    fields that are fixed to the world) stay where they are written."""
+    """Start position of the root [m]; as in the asset when left out. MJCF: the root is the first body that moves, with
+    its pose in ``keyframe``. Everything else in the file moves along, except planes and height fields that are fixed to
+    the world."""
     rotation: Quat | None = None
-    """Start orientation of the root (x, y, z, w), in place of the asset's own; that one when left out."""
+    """Start orientation of the root (x, y, z, w); as in the asset when left out."""
     floating: Flag | None = None
-    """Whether the root moves freely (legged robots, drones) or is fixed to the world. When left out, as an MJCF file
-    says; the roots of URDF and USD files are then fixed."""
+    """Whether the root moves freely (legged robots, drones) or is fixed to the world. When left out, as in the MJCF
+    file; URDF and USD roots are fixed."""
     keyframe: str | None = None
-    """MJCF: keyframe of the file to start in, with its velocities, activations and controls; ``joint_q`` comes on top
-    of it."""
+    """MJCF: keyframe to start in, with velocities, activations and controls; ``joint_q`` overrides its coordinates."""
     joint_q: FloatsByName | None = None
-    """Start joint coordinates in the asset's order, or by joint name [m or rad]; the asset's own when left out. By
-    name, a free joint takes a place in the scene, ``[x, y, z]`` or ``[x, y, z, qx, qy, qz, qw]``."""
+    """Start joint coordinates in the asset's order, or by joint name [m or rad]; as in the asset when left out. By
+    name, a free joint takes a pose in the world, ``[x, y, z]`` or ``[x, y, z, qx, qy, qz, qw]``."""
     frames: dict[Name, Frame] = Field(default_factory=dict)
-    """Named places on its links: ``robot/frame`` for cost terms, goals and conditions."""
+    """Named frames on its links: ``robot/frame`` in cost terms, goals and conditions."""
     drive: Annotated[tuple[Drive, ...], OneOrMore] = ()
     """One drive or several, each with its own joints; controls are stacked in this order. Without any, the actuators
     of an MJCF file are the controls; with one they are replaced, beside ``mocap`` alone they stay."""
     self_collision: Flag | None = None
-    """Whether links of this robot collide with each other. When left out, as an MJCF file says (contype, conaffinity,
-    exclude, pair), and not for URDF and USD files."""
+    """Whether links of this robot collide with each other. When left out, as in the MJCF file (contype, conaffinity,
+    exclude, pair); URDF and USD robots do not."""
     friction: NonNegative | None = None
-    """Friction of all its shapes; the asset's own when left out."""
+    """Friction of all its shapes; as in the asset when left out."""
     ground_contact: Flag = True
-    """Whether its shapes touch planes; switch off for bases that glide on their joints."""
+    """Whether its shapes collide with planes; false for bases that slide on joints."""
     armature: NonNegatives | None = None
-    """Rotor inertia added to each driven joint [kg or kg·m²]; the asset's own when left out."""
+    """Rotor inertia of each driven joint [kg or kg·m²]; as in the asset when left out."""
     spheres: dict[str, tuple[tuple[Finite, Finite, Finite, Positive], ...]] = Field(default_factory=dict)
-    """Spheres (x, y, z, radius) [m] in a link's frame that collision terms take in place of fitted ones, by link; an
-    empty list leaves the link out."""
+    """Link → spheres (x, y, z, radius) [m] in its frame for collision terms, in place of fitted ones; an empty list
+    leaves the link out."""
     gravity_compensation: Flag = False
-    """Whether gravity on its links is cancelled, as the controllers of most arms do."""
+    """Whether gravity on its links is compensated, as controllers of most arms do."""
 
     @property
     def keeps_actuators(self) -> bool:
@@ -218,9 +216,9 @@ class Robot(Section):
 
 class _Shape(Section):
     name: Name
-    """What the rest of the scene calls it."""
+    """Name in the rest of the scene."""
     shape: ShapeKind
-    """What it looks like."""
+    """Geometry for contacts and drawing."""
     size: Positives | None = None
     """Box: full extents (x, y, z) [m]. Sphere: (radius). Cylinder: (radius, length along z).
     Capsule: (radius, length along z between the centres of its caps)."""
@@ -251,18 +249,17 @@ class _Shape(Section):
 
 
 class Object(_Shape):
-    """A thing that moves freely: pushed, rolled, picked."""
+    """An object that moves freely: pushed, rolled, picked."""
 
     mass: Positive
     """Mass [kg]."""
     inertia: tuple[Positive, Positive, Positive] | None = None
     """Moments of inertia about the shape's axes through its centre [kg·m²]; those of a solid body when left out."""
     linear_damping: NonNegative = 0.0
-    """Rate c at which its velocity decays [1/s]: a force of -c times mass and velocity, integrated implicitly, so that
-    e^(-ct) of it is left where nothing else acts. PhysX scales velocities by 1 - c dt in every step instead, which is
-    the same to first order. Draws of mass and size keep the rate."""
+    """Rate c at which its velocity decays [1/s]: a force of -c times mass and velocity, integrated implicitly. PhysX
+    scales velocities by 1 - c dt in every step, which is the same to first order. Draws of mass and size keep c."""
     angular_damping: NonNegative = 0.0
-    """Rate at which its angular velocity decays [1/s], likewise, by a torque along its axes of inertia."""
+    """Rate at which its angular velocity decays [1/s], by a torque along its axes of inertia."""
 
     @field_validator("shape")
     @classmethod
@@ -279,11 +276,11 @@ class Object(_Shape):
 
 
 class Obstacle(_Shape):
-    """A thing that stays where it is, or where the task puts it."""
+    """An object that does not move, or that the task moves."""
 
     support: Flag = False
-    """Whether what moves is on top of it, as on a table: paths seen from above and objects' clearance leave it out.
-    Not for one that a mobile base has to go around."""
+    """Whether objects lie on it, as on a table: geodesic paths and clearance terms of objects ignore it. False for what
+    a mobile base has to drive around."""
     movable: Flag = False
     """Whether its pose is one of the task's, which may change between plans: ``task["name"] = pose``."""
 
@@ -300,7 +297,7 @@ class Ground(Section):
     friction: NonNegative = 1.0
     """Coefficient of sliding friction."""
     height: Finite = 0.0
-    """Where it is [m]."""
+    """Position [m]."""
 
 
 LONGEST = 1024
@@ -310,22 +307,22 @@ DEEPEST = 100
 
 
 class Camera(Section):
-    """A depth camera that stands still and looks at the plant's world."""
+    """A fixed depth camera in the plant's world."""
 
     position: Vec3
-    """Where it is [m]."""
+    """Position [m]."""
     look_at: Vec3
-    """A point in the middle of the picture [m]."""
+    """Point in the centre of the picture [m]."""
     width: TwoOrMore = 250
     """Pixels."""
     height: TwoOrMore = 200
     """Pixels."""
     fov: Annotated[float, Field(strict=True, gt=0.0, lt=170.0)] = 60.0
-    """Height of the picture as an angle [degrees]."""
+    """Vertical field of view [degrees]."""
     far: Positive = 3.0
-    """Nothing farther is seen [m]."""
+    """Largest depth [m]."""
     rate: Positive = 30.0
-    """Pictures per second [1/s]."""
+    """Pictures per second [Hz]."""
     noise: NonNegative = 0.0
     """Standard deviation of the depth [m]."""
 
@@ -337,10 +334,10 @@ class Camera(Section):
 
 
 class Cloud(Section):
-    """Points [n, 3] that something sees and that may change at every plan: ``task["name"] = points``."""
+    """A point cloud [n, 3] that may change at every plan: ``task["name"] = points``."""
 
     name: Name
-    """What cost terms and ``task[...]`` call it."""
+    """Name in cost terms and ``task[...]``."""
     low: Vec3
     """Lowest corner of the region in which points count [m]."""
     high: Vec3
@@ -348,13 +345,13 @@ class Cloud(Section):
     voxel: Positive = 0.025
     """Edge of the voxels [m]."""
     reach: Positive = 0.15
-    """Distances are known up to this [m]: no less than a link's radius and a term's margin."""
+    """Largest distance that is computed [m], at least a link's radius plus a term's margin."""
     capacity: Annotated[Count, Field(le=10_000_000)] = 50000
-    """Points at most."""
+    """Largest number of points."""
     eye: Vec3 | None = None
     """Where the points are seen from [m]; the camera's position when left out."""
     behind: NonNegative = 0.0
-    """So far behind a point, as the eye sees it, counts as filled [m]: a picture shows front sides alone."""
+    """Depth behind a point, seen from the eye, that counts as occupied [m]: a picture shows front sides alone."""
     camera: Camera | None = None
     """Camera with which simulated plants fill the cloud; without it the controller does."""
 

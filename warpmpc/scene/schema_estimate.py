@@ -84,26 +84,26 @@ class StartNoise(Section):
 
 
 class EstimateBase(Section):
-    """Estimation of a free root, and of joints, from an inertial measurement unit, joints and feet that stand."""
+    """Estimation of a free root, and of joints, from an inertial measurement unit, joints and standing feet."""
 
     feet: Annotated[tuple[str, ...], Field(min_length=1)]
     """Frames of the feet, ``robot/frame``."""
     frame: str | None = None
     """Frame ``robot/frame`` of the inertial measurement unit, fixed to the root; the root itself when left out."""
     imu: ImuNoise = ImuNoise()
-    """Errors that the unit is taken to have."""
+    """Assumed errors of the unit."""
     joints: JointNoise = JointNoise()
-    """Noise that joints are taken to have."""
+    """Assumed noise of the joints."""
     start: StartNoise = StartNoise()
-    """How well the start is known."""
+    """Uncertainty of the start."""
     kinematics: Positive = 0.002
-    """Standard deviation of a foot's position that the model of the legs is off by [m]."""
+    """Standard deviation of a foot's position by leg kinematics [m]."""
     load: Positive = 40.0
-    """Upward force on a foot above which it may stand [N], by the efforts of its leg's joints."""
+    """Least upward force on a standing foot [N], from the efforts of its leg's joints."""
     slip: Positive = 0.05
-    """Standard deviation of the velocity of feet that stand [m/s]; those that are faster by far slip and do not."""
+    """Standard deviation of the velocity of standing feet [m/s]; much faster ones count as slipping."""
     ground: Positive = 0.01
-    """Standard deviation of the height at which feet stand about that of the scene's ground [m]."""
+    """Standard deviation of the height of standing feet about the ground [m]."""
 
 
 class PoseError(Section):
@@ -172,10 +172,10 @@ class Estimate(Section):
     """Estimation of a pose and its velocity from measured poses."""
 
     model: PoseModel = PoseModel.CONSTANT_VELOCITY
-    """Motion between measurements."""
+    """Model of the motion between measurements."""
     process: ProcessNoise = ProcessNoise()
-    """Changes of the motion."""
+    """Noise of the motion."""
     noise: MeasurementNoise = MeasurementNoise()
-    """Errors that measurements are taken to have."""
+    """Assumed errors of measurements."""
     gate: Fraction | None = 0.999
-    """Share of good measurements that are believed: those farther off are left out, ``false`` for none."""
+    """Share of good measurements that pass the gate; those farther off are left out. ``false``: no gate."""

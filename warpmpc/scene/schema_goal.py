@@ -54,7 +54,7 @@ class Condition(Section):
 
 
 class Success(Section):
-    """Conditions on which the run has reached its goal."""
+    """When a run counts as successful."""
 
     position: Positives | None = None
     """Largest error along each axis of the world [m]: one number, or one for every axis of the goal."""
@@ -65,9 +65,9 @@ class Success(Section):
     rotation: Positive | None = None
     """Largest rotation angle to the goal orientation [rad]."""
     conditions: Annotated[tuple[Condition, ...], OneOrMore] = ()
-    """What must hold besides, of frames, joints or cost terms; a scene without a goal has these alone."""
+    """Further conditions on frames, joints or cost terms; the only ones in a scene without a goal."""
     hold: NonNegative = 0.0
-    """Time for which all of it must hold [s]."""
+    """Time for which all of them must hold [s]."""
 
     @property
     def of_goal(self) -> bool:
@@ -82,19 +82,18 @@ class Success(Section):
 
 
 class Failure(Section):
-    """Something that ends the run without success: what must not come, what takes too long."""
+    """A condition or a time that ends the run without success."""
 
     name: Name
-    """What the result calls it."""
+    """Name in the result."""
     conditions: Annotated[tuple[Condition, ...], OneOrMore] = ()
     """The run fails when all of these hold; without any, when the time ``after`` has passed."""
     hold: NonNegative = 0.0
-    """... for this time [s]."""
+    """Time for which they must hold [s]."""
     phase: str | None = None
-    """The phase in which it counts, of several goals each, or one by its number (``NAME_1``); the whole run when left
-    out."""
+    """Phase in which it counts (with several goals all of them, or one as ``NAME_1``); the whole run when left out."""
     after: NonNegative = 0.0
-    """It counts from this time after the beginning of the phase, or of the run, on [s]."""
+    """It counts from this time on, since the beginning of the phase or of the run [s]."""
 
     @model_validator(mode="after")
     def _something(self) -> Failure:
@@ -107,7 +106,7 @@ class Pose(Section):
     """A place, with or without an orientation."""
 
     position: Vec2or3 = (0.0, 0.0, 0.0)
-    """(x, y) or (x, y, z) [m]; with two values the height does not matter."""
+    """(x, y) or (x, y, z) [m]; with two values any height is right."""
     yaw: Finite | None = None
     """Heading about z [rad]."""
     rotation: Quat | None = None
@@ -124,16 +123,16 @@ class Target(Pose):
     """A named pose that may change between plans, a frame for cost terms: a waypoint, what a camera sees."""
 
     name: Name
-    """What cost terms, conditions and ``task[...]`` call it."""
+    """Name in cost terms, conditions and ``task[...]``."""
 
 
 class Goal(Pose):
-    """Pose that an object or a frame shall have."""
+    """Pose that an object or a frame has to reach."""
 
     object: str | None = None
-    """Object that shall reach the goal."""
+    """Object that has to reach the goal."""
     frame: str | None = None
-    """Robot frame (``robot/frame``) that shall reach the goal, instead of an object."""
+    """Robot frame (``robot/frame``) that has to reach the goal, in place of an object."""
 
     @model_validator(mode="after")
     def _one_target(self) -> Goal:
@@ -148,30 +147,30 @@ class Goal(Pose):
 
 
 class Phase(Section):
-    """A part of a task with its own targets, scalars and weights; it ends when what it waits for has come."""
+    """A part of a task. What it changes stays changed in later phases."""
 
     name: Name
-    """What ``--json`` and ``Monitor.phases`` call it."""
+    """Name in ``--json`` and ``Monitor.phases``."""
     goal: Pose | None = None
-    """Where the goal is in this phase; where it was when left out."""
+    """Goal from this phase on; unchanged when left out."""
     through: Annotated[tuple[Pose, ...], OneOrMore] = ()
-    """Goals one after the other in place of one; ``until``, ``hold`` and ``after`` hold for each, a phase NAME_1 ..."""
+    """Successive goals, each a phase NAME_1, NAME_2, ... with the same ``until``, ``hold`` and ``after``."""
     count: Count | None = None
-    """So many goals one after the other, as with ``through``, at one place: turned anew with ``draw_rotation``."""
+    """Number of successive goals at one position, as with ``through``; ``draw_rotation`` draws their orientations."""
     draw_rotation: Flag = False
-    """Whether every episode draws the goal's orientation, of all there are, those of ``through`` and ``count`` too."""
+    """Whether every episode draws the orientation of each goal, uniformly among all rotations."""
     target: dict[Name, Pose] = Field(default_factory=dict)
-    """Targets that are elsewhere in this phase."""
+    """Poses of targets from this phase on."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
-    """Scalars that have another value in this phase."""
+    """Values of scalars from this phase on."""
     weight: dict[str, Finite] = Field(default_factory=dict)
-    """Weights of cost terms in this phase; 0 switches a term off."""
+    """Weights of cost terms from this phase on; 0 switches a term off."""
     until: Annotated[tuple[Condition, ...], OneOrMore] = ()
     """The phase ends when all of these hold; the last phase has none and ends with the run."""
     hold: NonNegative = 0.0
-    """... for this time [s]."""
+    """Time for which ``until`` must hold [s]."""
     after: Positive | None = None
-    """The phase ends after this time [s], whatever holds."""
+    """The phase ends after this time [s] in any case."""
 
     @model_validator(mode="after")
     def _one_kind_of_goal(self) -> Phase:

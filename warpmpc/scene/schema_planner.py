@@ -47,7 +47,7 @@ class Method(Name):
 
 
 class SplineKind(StrEnum):
-    """Splines by which knots become controls."""
+    """Spline through the knots."""
 
     ZERO = "zero"
     LINEAR = "linear"
@@ -56,7 +56,7 @@ class SplineKind(StrEnum):
 
 
 class Risk(StrEnum):
-    """Risk measures by which the costs of one sample in several domains become one cost."""
+    """Risk measure that combines the costs of a sample in several domains."""
 
     MEAN = "mean"
     WORST = "worst"
@@ -137,20 +137,16 @@ class Refinement(StrEnum):
 
 
 class Refine(Section):
-    """Improvement of the samples' plan by derivatives.
-
-    They are finite differences of the engine's physics and of the residuals of the costs, along the plan's own rollout.
-    """
+    """Refinement of the plan by derivatives: finite differences of physics and cost residuals along its rollout."""
 
     method: Refinement = Refinement.AUTO
-    """``gradient``: steepest descent on the knots, or ``ilqg``: a quadratic model solved from the end to the start,
-    with a feedback gain for every control that plans are followed with. ``auto`` is ``ilqg`` on a CPU where
-    the engine has physics, every term can be taken step by step, none watches contacts, and differences take at most
-    half as many worlds as the samples."""
+    """``gradient``: steepest descent on the knots. ``ilqg``: box-DDP, with a feedback gain for every control. ``auto``
+    is ``ilqg`` on a CPU if the engine has physics, every term can be evaluated step by step, none watches contacts, and
+    finite differences need at most half as many worlds as the samples."""
     iterations: Count = 1
     """Expansions, each followed by a line search."""
     candidates: TwoOrMore = 8
-    """Step sizes of a line search, tried at once: none, and from one down to a thousandth."""
+    """Step sizes of a line search, tried in parallel: zero, and from one down to a thousandth."""
 
 
 DIRECT = frozenset({Method.ILQG, Method.ILQS})
@@ -191,79 +187,77 @@ DERIVATIVES = {"iterations": 1, "knots": KnotCount.STEPS, "spline": "zero", "noi
 class Planner(Section):
     """The sampling-based planner.
 
-    The defaults suit most tasks: smooth plans that look 1.2 s ahead, samples from fine to coarse, a temperature that
-    suits every cost, and a second round about what the first one found: with one, a quadrotor held its place in 2 of 6
-    runs, with two in 6. Behind ``mppi``, iLQG goes on from the samples in steps of single controls (``refine``). With
-    ``refine.method = "gradient"``, ``ilqg`` and ``ilqs`` the samples' steps are single controls, too, and the defaults
-    ``iterations = 1``, ``knots = "steps"``, ``spline = "zero"`` and ``noise.shape = "bspline"``.
+    The defaults suit most tasks: smooth plans 1.2 s ahead, fine and coarse samples, a temperature that adapts to the
+    cost, and two rounds of samples (with one, a quadrotor hovered in 2 of 6 runs, with two in 6). After ``mppi``, iLQG
+    improves the plan in steps of one control (``refine``). With ``refine.method = "gradient"``, ``ilqg`` and ``ilqs``
+    samples have steps of one control, too, and the defaults ``iterations = 1``, ``knots = "steps"``,
+    ``spline = "zero"`` and ``noise.shape = "bspline"``.
     """
 
     method: Method = Method.MPPI
-    """Strategy of the plans, a registered one among them."""
+    """Strategy, also a registered one."""
     samples: Samples = 256
     """Candidate control sequences S, or ``auto``: as many as fit into a control on this machine, measured by
     ``warpmpc run`` and ``warpmpc.fit_samples``."""
     horizon: Horizon = StepCount.AUTO
-    """Steps T of a rollout, or ``auto``: as many as look ``lookahead`` ahead, or as ``dt`` lists."""
+    """Steps T of a rollout, or ``auto``: from ``lookahead``, or as many as ``dt`` lists."""
     lookahead: Positive | None = None
-    """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. How far to look
-    is up to the task and not to the machine: as far as it takes to see that something gets better."""
+    """How far plans look ahead [s], in place of ``horizon``; 1.2 without either. It depends on the task, not on the
+    machine: long enough for the cost to improve."""
     dt: Steps | None = None
     """Length of the steps of a rollout [s]: one number, one for each step, or a table (see ``Growing``). When left out,
-    about 0.08 s in whole controls; one control with the methods that take derivatives along it. Longer steps look as
-    far at a lower price."""
+    about 0.08 s in whole controls; one control with methods that use derivatives. Longer steps are cheaper."""
     domains: Count = 1
-    """Draws D of physical properties each sample is tried in; S·D rollouts. With 1, every sample has its own draw."""
+    """Draws D of physical properties in which each sample is rolled out; S·D rollouts. With 1, every sample has its own
+    draw."""
     randomize: Flag = True
     """Whether the rollouts' worlds have the randomized properties of ``[randomize]``; when false all are nominal."""
     risk: Risk = Risk.MEAN
-    """Risk measures by which the costs of one sample in several domains become one cost."""
+    """Risk measure that combines the costs of a sample in several domains."""
     cvar: Share = 0.25
-    """Share of worst domains that ``risk = "cvar"`` averages and of which ``risk = "var"`` takes the mildest."""
+    """Share of the worst domains: ``risk = "cvar"`` is their mean cost, ``risk = "var"`` their least."""
     aversion: Finite = 1.0
     """R of ``risk = "exponential"``, log(mean e^{R S})/R, per unit of cost; zero is the mean."""
     stage_risk: Finite = 0.0
     """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
     [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
     knots: Knots = 5
-    """Spline control points P, at most one per step when left out; or ``steps``, one per step, as always for ``ilqg``
-    and ``ilqs``."""
+    """Spline control points P, by default at most one per step; or ``steps``, one per step, as always for ``ilqg`` and
+    ``ilqs``."""
     spline: SplineKind = SplineKind.CUBIC
-    """Splines by which knots become controls."""
+    """Spline through the knots."""
     discount: Share = 1.0
     """Factor γ per step of a rollout [P5]."""
     terminal: NonNegative = 1.0
-    """Factor on the last step's cost, besides its discount."""
+    """Factor on the cost of the last step, in addition to the discount."""
     noise: Noise = Noise()
-    """What samples differ from the mean by."""
+    """Noise that is added to the mean."""
     temperature: Temperature = Temperature()
     """How strongly cheap samples are preferred."""
     step_size: Share = 1.0
     """Step α of the mean towards the weighted samples [S4]."""
     covariance: Covariance = Covariance()
-    """What becomes of the covariance of the samples."""
+    """Adaptation of the covariance of the samples."""
     keep_best: Kept = 0
-    """How many of the best samples so far, moved on by the time that has passed, are tried again among the samples;
-    ``true`` is one."""
+    """Number of the best samples so far that are tried again, shifted by the time passed; ``true`` is one."""
     try_mean: TryMean = TryMean.ALWAYS
     """In which iterations the mean itself is one of the samples."""
     sequences: str | None = None
-    """File of control sequences that are tried at every plan, one sample each: ``.npy`` or ``.npz`` with
-    ``[n, T or P, nu]``, or ``.csv`` with a sequence on each line, step by step."""
+    """File of control sequences that are samples of every plan: ``.npy`` or ``.npz`` with ``[n, T or P, nu]``, or
+    ``.csv`` with one sequence per line, step by step."""
     postures: Postures | None = None
-    """Ways of the joints to postures that bring a frame to a pose, tried at every plan, too."""
+    """Joint motions to postures that bring a frame to a pose, as samples of every plan."""
     ancillary: Annotated[tuple[Ancillary, ...], OneOrMore] = ()
-    """What proposes samples for the observed state, at every plan: your own functions, stored motions, policies."""
+    """Proposals of samples for the observed state: your own functions, stored motions, policies."""
     refine: Refine | None = Refine()
-    """What derivatives make of the samples' plan; nothing with methods other than ``mppi`` that do not mean it.
-    ``gradient_descent`` and ``ilqg`` are this without samples, ``ilqs`` is ``predictive_sampling`` with ``ilqg``."""
+    """Refinement of the plan by derivatives, by default for ``mppi`` alone. ``gradient_descent`` and ``ilqg`` refine
+    without samples, ``ilqs`` is ``predictive_sampling`` refined by ``ilqg``."""
     execute: Execute = Execute.MEAN
-    """Controls that are carried out: the mean, the best of the last samples, or a sample of the distribution they lead
-    to."""
+    """Controls that are sent: the mean, the best of the last samples, or a sample of the updated distribution."""
     iterations: Count = 2
-    """Sample-roll-out-update rounds per plan."""
+    """Rounds of samples per plan."""
     decay: Annotated[Positive, Field(ge=1.0)] = 1.0
-    """γ of a population that decays: iteration i tries S/γ^i samples, but no fewer than twice the ``elites``."""
+    """γ of a shrinking population: iteration i has S/γ^i samples, at least twice the ``elites``."""
     elites: Count = 8
     """``cem``, ``icem`` and ``tsallis``: best samples that carry weight."""
     entropic_index: Annotated[Positive, Field(gt=1.0)] = 2.0
@@ -374,24 +368,23 @@ class Plans(StrEnum):
 
 
 class AgentSettings(Section):
-    """The agent follows the newest plan in real time and sends the safe command where it cannot be trusted."""
+    """The agent follows the newest plan in real time, or sends the safe command."""
 
     rate: Positive = 500.0
-    """How often it observes and commands the robot [Hz]."""
+    """Rate of observations and commands [Hz]."""
     plan_timeout: Positive = 0.09
-    """Age of the observation beyond which a plan made from it is not followed any more [s]; a plan that replaces it is
-    made from one observed a latency later and comes after two, so it is more than that."""
+    """Largest age of the observation that a plan was made from [s]. The next plan comes after two latencies, so it must
+    be more than that."""
     observation_timeout: Positive = 0.05
-    """Age beyond which an observation is not believed any more, or time for which a moving robot may show the same
-    joint positions [s]."""
+    """Largest age of an observation, and longest time in which a moving robot may send equal joint positions [s]."""
     plans: Plans = Plans.ONE
-    """Plans for every control where plant and planner go on at once: ``one``, or as many as ``fit``. Then a clock that
-    is slowed down buys plans [Alg. 1 of 2212.00541]."""
+    """Plans per control if plant and planner run in parallel: ``one``, or as many as ``fit``: then a slower clock gives
+    more plans [Alg. 1 of 2212.00541]."""
     slew: Positives | None = None
-    """Largest change of the controls per second, one value or one per control [control unit/s]; any when left out.
-    Holds whatever the planner says, for the safe command, too."""
+    """Largest change of the controls per second, one value or one per control [control unit/s], also of the safe
+    command; no limit when left out."""
     safe: SafeCommand = SafeCommand.REST
-    """Safe command of drives by effort: what held the start, none where nothing did (``rest``), or what
-    holds the model against gravity where it was last seen (``gravity``)."""
+    """Safe command of effort drives: the efforts that held the start, else zero (``rest``), or gravity compensation at
+    the last observation (``gravity``)."""
     compensate: Flag = True
-    """Whether observations are predicted forward by the time that a plan takes."""
+    """Whether observations are predicted forward by the latency of plans."""

@@ -20,10 +20,10 @@ from .types import Count, Finite, Flag, Floats, Fraction, Natural, NonNegative, 
 
 
 class Kick(Section):
-    """A shove: a sudden change of velocity of an object or of a robot's joints."""
+    """A kick: a sudden change of velocity of an object or of a robot's joints."""
 
     time: NonNegative
-    """When [s]."""
+    """Time of the kick [s]."""
     target: str
     """Object or robot."""
     velocity: Floats
@@ -41,7 +41,7 @@ class PlantNoise(Section):
 
 
 class PlantFactors(Section):
-    """Factors by which a thing in the plant differs from what the planner takes it to be."""
+    """Factors by which a body of the plant differs from the planner's model."""
 
     mass: Positive = 1.0
     """Factor on every mass."""
@@ -55,22 +55,19 @@ class PlantSettings(Section):
     """Differences of the simulated plant from the planner's worlds."""
 
     substeps: Count | None = None
-    """Physics steps per control: finer than the planner's. When left out, as many as the timestep of an MJCF file asks
-    for, else 8."""
+    """Physics steps per control. When left out, from the timestep of the MJCF file, else 8."""
     randomize: Flag = True
-    """Whether the plant has its own randomized properties, drawn like the rollouts'."""
+    """Whether properties of the plant are drawn from ``[randomize]``, independently of the rollouts."""
     factor: dict[str, PlantFactors] = Field(default_factory=dict)
-    """Robot, object or obstacle → factors on its properties in the plant alone, besides what is drawn: what the
-    planner has wrong."""
+    """Robot, object or obstacle → factors on its properties in the plant alone: errors of the planner's model."""
     noise: PlantNoise = PlantNoise()
-    """Noise of what is observed."""
+    """Noise of observations."""
     delay: NonNegative = 0.0
-    """Age of observations [s], rounded to whole controls; episodes of a scene that estimates something predict them to
-    the present."""
+    """Age of observations [s], rounded to whole controls. Scenes with an estimator predict them to the present."""
     sensor: Sensors = Sensors()
     """Sensors that measure at their own rates."""
     kicks: tuple[Kick, ...] = ()
-    """Shoves during the run."""
+    """Sudden changes of velocity during the run."""
 
 
 class Seen(Section):
@@ -88,20 +85,20 @@ class Seen(Section):
 
 
 class Motion(Section):
-    """The way of a pose of the task in a simulated plant: the goal, a target or a movable obstacle."""
+    """Motion of a pose of the task in a simulated plant: the goal, a target or a movable obstacle."""
 
     name: str
     """``goal``, or the target or movable obstacle."""
     through: Annotated[tuple[Vec3, ...], Field(min_length=2)]
-    """Points that it passes through, smoothly and without overshooting [m]; equal ones make it wait."""
+    """Points of a smooth path without overshoot [m]; it waits between equal points."""
     times: tuple[NonNegative, ...] | None = None
-    """When it is at each of them [s], from 0 on; at even distances over the period when left out."""
+    """Times of the points [s], from 0 on; evenly over the period when left out."""
     period: Positive | None = None
-    """Time after which it is back at the first point and goes round again [s]; else it stays at the last."""
+    """Period of a closed path [s]; without one it stays at the last point."""
     start: Finite = 0.0
-    """When it sets out [s]; below zero it is on its way from the beginning."""
+    """Time at which it starts to move [s]; may be negative."""
     seen: Seen = Seen()
-    """How the planner comes to know where it is."""
+    """How the planner observes it."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Motion:
@@ -145,7 +142,7 @@ class Randomization(Section):
     size: Normal | None = None
     """Added to each dimension [m]."""
     redraw: Flag = False
-    """Whether rollouts draw it anew in every plan."""
+    """Whether rollouts draw new values in every plan."""
 
 
 class Draw(Section):
@@ -178,9 +175,9 @@ class RandomizeTask(Section):
     """Goals, starts and obstacles drawn anew for every episode, from its seed."""
 
     draw: dict[str, Draw] = Field(default_factory=dict)
-    """Scene key (as in ``--set``, ``*`` for every name) → range; in a variant, false leaves one out."""
+    """Scene key (as in ``--set``, ``*`` for every name) → range; false in a variant removes one."""
     reject: tuple[Rejection, ...] = ()
-    """Which draws are drawn again."""
+    """Draws that are rejected and drawn again."""
 
     @field_validator("draw", mode="before")
     @classmethod
@@ -232,16 +229,13 @@ class FrictionCombine(StrEnum):
 
 
 class EngineSettings(Section):
-    """The physics of the rollouts.
-
-    What is left out is as the ``<option>`` of the scene's first MJCF file says, or as said here where there is none.
-    """
+    """Physics of the rollouts. Keys that are left out come from ``<option>`` of the first MJCF file, else from here."""
 
     name: EngineName = EngineName.AUTO
-    """Engine of the rollouts, a registered one among them; ``auto``: the first that can do what the scene asks for."""
+    """Engine of the rollouts, also a registered one; ``auto``: the first that supports the scene."""
     substeps: Count | None = None
-    """Physics steps in a step of a rollout; else as the MJCF file's timestep asks for, a half or a quarter as many
-    where that hardly changes rollouts, or 2, none longer than 0.02 s."""
+    """Physics steps per step of a rollout. When left out, from the timestep of the MJCF file, or a half or a quarter of
+    them if rollouts hardly change; else 2, at most 0.02 s long."""
     threads: Annotated[Natural, Field(le=1024)] = 0
     """CPU threads; 0 means one per core."""
     iterations: Count | None = None
@@ -257,10 +251,9 @@ class EngineSettings(Section):
     impratio: Positive | None = None
     """Ratio of friction to normal impedance of contacts, of rollouts and plant; else the MJCF file's, or 1."""
     friction_combine: FrictionCombine | None = None
-    """Friction where two things touch, in rollouts and plant: ``average`` of both (PhysX), or ``priority``, an
-    object's own, else the larger (MuJoCo). Left out it is ``priority``, but ``average`` where ``randomize`` draws the
-    friction of anything but the only object: every draw counts. Newton's solver ``mujoco`` has
-    priorities alone, ``xpbd`` averages alone."""
+    """Friction of a contact, in rollouts and plant: ``average`` of both (PhysX), or ``priority``: the object's, else
+    the larger (MuJoCo). When left out ``priority``, but ``average`` if ``randomize`` draws friction of more than a
+    single object. Newton's solver ``mujoco`` has ``priority`` alone, ``xpbd`` ``average`` alone."""
     solver: Solver = Solver.MUJOCO
     """``newton``: its solver ``SolverMuJoCo`` (``mujoco``) or ``SolverXPBD`` (``xpbd``)."""
     options: dict[str, Param] = Field(default_factory=dict)

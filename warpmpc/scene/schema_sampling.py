@@ -72,46 +72,44 @@ Sigma = Annotated[
 
 
 class Noise(Section):
-    """Perturbation of the knots, ε = σ ⊙ (B z)."""
+    """Noise of the knots, ε = σ ⊙ (B z)."""
 
     source: NoiseSource = NoiseSource.HALTON
-    """Where standard normals z come from."""
+    """Source of the standard normal numbers z."""
     shape: NoiseShape = NoiseShape.IDENTITY
     """How they are correlated along the horizon, B."""
     sigma: Sigma = ShareOfRange(range=(0.25,))
-    """Standard deviation in control units, one value or one per control; or ``{ range = 0.25 }``, by each control's
-    range, as when left out."""
+    """Standard deviation in control units, one value or one per control; or a share of each control's range, by default
+    ``{ range = 0.25 }``."""
     spread: tuple[Positive, Positive] = (0.02, 1.0)
-    """Factors (low, high) on sigma: samples run from one to the other, so that one batch searches near and far."""
+    """Factors (low, high) on sigma, increasing over the samples: one batch searches near and far."""
     constant: Channel = 0.1
-    """Share of the samples whose noise is the same at every knot: gentle, steady motions, which independent knots of
-    several controls hardly ever draw."""
+    """Share of the samples with the same noise at every knot: steady motions, which independent knots rarely draw."""
     redraw: Flag = True
-    """Fresh noise in every round; when false it is drawn once, as in the papers."""
+    """Draw noise in every round; false draws it once, as in the papers."""
     renewal: Renewal = Renewal.ROTATE
-    """How a Halton or Sobol table is drawn anew: ``rotate`` every column by a random shift modulo one, or ``start``
-    every column somewhere else, which takes a tenth of the time."""
+    """How to redraw a Halton or Sobol table: ``rotate`` adds a random number modulo one to every column, ``start``
+    begins every column at a random row, in a tenth of the time."""
     comb: Vec3 = (0.3, 0.0, 0.7)
     """Coefficients of the comb filter (STORM)."""
     exponent: NonNegative = 1.0
     """Exponent α of coloured noise, power ∝ 1/f^α."""
     knots: Count | None = None
-    """Noise knots of the shape ``bspline``, fewer of them smoother; half of the knots of a plan when left out."""
+    """Noise knots of the shape ``bspline``, fewer are smoother; half of the plan's knots when left out."""
     null_sample: Flag = True
-    """One sample asks for nothing: the observed position, or what holds the start; zero where nothing does."""
+    """One sample holds still: the observed position, or the control that holds the start; else zero."""
     null_share: Fraction = 0.0
-    """Share of the samples that ask for nothing, where that is more than the one: an arm that is nearly there coasts
-    and stops (STORM)."""
+    """Share of the samples that hold still, if more than one: an arm near its goal stops (STORM)."""
     anneal: tuple[Positive, Positive] | None = None
-    """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) towards the
-    present, h from 1/P at the first of P knots to 1 at the last."""
+    """β1 and β2 of DIAL-MPC: σ shrinks by exp(-i/(β1 n)) over the iterations i < n and by exp(-(1 - h)/β2) along the
+    plan, h from 1/P at the first of P knots to 1 at the last."""
 
 
 class Temperature(Section):
-    """The inverse-exponential temperature β of MPPI."""
+    """Temperature β of MPPI's weights exp(-ΔS/β)."""
 
     initial: Positive = 1.0
-    """β of the first plan with ``eta``, of every plan with neither, in units of cost; ``ess`` finds its own."""
+    """β in units of cost: of the first plan with ``eta``, of every plan without ``eta`` and ``ess``."""
     eta: tuple[Positive, Positive] | None = None
     """Bounds of the effective number of samples η, instead of ``ess``; β follows them between plans [P6]. When
     false, β stays."""
@@ -151,26 +149,26 @@ class Covariance(Section):
     """Adaptation of the samples' covariance."""
 
     form: CovarianceForm | None = None
-    """What follows the samples that carry weight; ``knots`` for ``cem`` and ``icem``, ``fixed`` else, when left out."""
+    """What adapts to the weighted samples; by default ``knots`` for ``cem`` and ``icem``, else ``fixed``."""
     step_size: Share | None = None
     """Step α_σ of the covariance towards the spread of the weighted samples [S5]; ``planner.step_size`` if left out."""
     kappa: NonNegatives = (0.0,)
-    """Variance κ that is added whenever the plan moves on, in control units squared, one value or one per control."""
+    """Variance κ that is added at every plan, in control units squared, one value or one per control."""
     restart: Flag = False
-    """Whether every plan begins with ``noise.sigma`` anew, so that what is adapted lasts for its iterations alone."""
+    """Whether every plan begins with ``noise.sigma`` again."""
 
 
 class Postures(Section):
-    """Samples that bring a frame to a pose: straight ways of the joints to postures in which it is there."""
+    """Samples that bring a frame to a pose: straight joint motions to postures found by inverse kinematics."""
 
     of: str
     """Frame of a robot."""
     to: str = "goal"
     """The goal or a target."""
     count: Count = 8
-    """Postures that are searched for at a time; the worst makes room for others, again and again."""
+    """Number of postures that are searched for; the worst is replaced in every plan."""
     durations: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.5, 0.8, 1.2, 1.8)
-    """How long the ways take [s]: one sample for each of these to every posture."""
+    """Durations of the motions [s]: one sample for each, to every posture."""
 
 
 class Execute(StrEnum):
@@ -201,32 +199,31 @@ KINDS = {
 
 
 class Ancillary(Section):
-    """Samples that something else proposes for the observed state: a function, stored motions, the past, a policy."""
+    """Samples proposed for the observed state by a function, stored motions, past controls or a policy."""
 
     function: str | None = None
     """Name of your own ancillary controller (``@warpmpc.ancillary``), from a file of ``--terms`` or given to the
     ``Controller``."""
     motions: str | None = None
-    """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]``, ``time [K]`` after
-    each of these states [s]; or a run that ``--npz`` wrote, from any of its states on."""
+    """``.npz`` file of motions: ``joint_q [N, nq]``, ``joint_qd [N, nv]``, ``control [N, K, nu]`` at ``time [K]`` after
+    each state [s]; or a run of ``--npz``, from any of its states on."""
     recall: Positive | None = None
-    """How long a run remembers what it was sent and in which states, with a plan for every control [s]: what followed
-    the states most like the observed one is tried again. A walking robot was in a similar state one stride ago."""
+    """How long states and controls are remembered [s], in runs with a plan for every control. Controls that followed
+    the most similar states are tried again: a walking robot was in a similar state one stride ago."""
     nearest: Count = 1
-    """``motions`` and ``recall``: how many are tried, those whose states are nearest to the observed one; recalled ones
-    a tenth of the horizon apart at least."""
+    """``motions`` and ``recall``: number of nearest states that are tried; recalled ones at least a tenth of the
+    horizon apart."""
     joints: Names | None = None
-    """``motions`` and ``recall``: joints whose positions and velocities say what is near; all when left out, without
-    the places of floating bodies and of joints that slide without end for ``recall``. Each number counts by its
-    spread over what is stored."""
+    """``motions`` and ``recall``: joints whose positions and velocities are compared, scaled by their spread; all when
+    left out (for ``recall`` without positions of free bodies and unlimited slides)."""
     splice: Fractions = (0.0, 0.3, 0.6)
-    """``recall``: shares of the horizon for which the plan goes on as it was before the recalled controls take over;
-    each is a separate sample for every one of the ``nearest``."""
+    """``recall``: shares of the horizon that keep the current plan before the recalled controls; one sample for each
+    share and each of the ``nearest``."""
     policy: str | None = None
     """``.onnx`` file of a policy, run by onnxruntime (``pip install "warpmpc[onnx]"``)."""
     observation: Names = ("joint_q", "joint_qd")
-    """``policy``: what it reads, side by side: ``joint_q``, ``joint_qd``, ``act``, poses of the task (x, y, z, qx, qy,
-    qz, qw) and its scalars, by name. It returns one control ``[nu]``, or controls ``[T, nu]`` or ``[n, T, nu]``."""
+    """``policy``: its input, concatenated: ``joint_q``, ``joint_qd``, ``act``, poses (x, y, z, qx, qy, qz, qw) and
+    scalars of the task by name. It returns one control ``[nu]``, or controls ``[T, nu]`` or ``[n, T, nu]``."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Ancillary:
