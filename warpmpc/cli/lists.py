@@ -83,7 +83,7 @@ def terms(
             summary = term.summary.replace("``", "`") or "..."
             say(f"{name:{wide}}{textwrap.shorten(summary, WIDTH - wide, placeholder=' ...')}")
         say("\nwarpmpc terms NAME describes one and its keys.")
-    _echo("Every [[cost]] table has a weight besides (1.0 when left out), and a name where one term is used twice.", "")
+    _echo("Every [[cost]] table also has a weight (default 1.0), and a name if a term is used twice.", "")
     _echo("A frame is robot/frame, robot/link, an object, an obstacle or goal.", "")
 
 

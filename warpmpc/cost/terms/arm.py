@@ -125,7 +125,7 @@ class Speed(TermKeys):
 
 @term("speed", Speed)
 def speed(s: StepView, p: Speed.Params) -> float:
-    """max(0, ‖v‖ - v_max)² + max(0, ‖ω‖ - ω_max)² of a frame's velocity [m²/s², rad²/s²]."""
+    """Speed of a frame above a limit, max(0, ‖v‖ - v_max)² + max(0, ‖ω‖ - ω_max)² [m²/s², rad²/s²]."""
     linear = outside(wp.length(frame_velocity(s, p.of)), p.linear)
     return linear + outside(wp.length(frame_angular_velocity(s, p.of)), p.angular)
 
@@ -193,7 +193,7 @@ class Manipulability(FrameChain):
 
 @term("manipulability", Manipulability, source=source.manipulability)
 def manipulability(s: StepView, p: Manipulability.Params) -> float:
-    """max(0, (k_m - m)/k_m) for the manipulability m = √det(J Jᵀ) of a frame (STORM's code), or 1 - m where m < k_m.
+    """Lack of manipulability m = √det(J Jᵀ), max(0, (k_m - m)/k_m) (STORM's code), or 1 - m where m < k_m.
 
     The latter is the paper's form (Eq. 10). Chains of fewer than six joint axes have √det(Jᵀ J).
     """
@@ -226,7 +226,7 @@ class NullPosture(FrameChain):
 
 @term("null_posture", NullPosture)
 def null_posture(s: StepView, p: NullPosture.Params) -> float:
-    """‖(I - J⁺J)(q - q₀)‖²: how far a posture is from q₀ that the frame's pose does not ask for [rad² or m²].
+    """Distance from the posture q₀ in the null space of a frame's pose, ‖(I - J⁺J)(q - q₀)‖² [rad² or m²].
 
     STORM's null-space term, which its code leaves unprojected as ``posture`` does. J⁺ = Jᵀ(J Jᵀ + λ²I)⁻¹, damped, so
     that near a singular posture the direction that is lost goes over to the null space gradually.

@@ -42,7 +42,7 @@ class ObstacleClearance(TermKeys):
 
 @term("obstacle_clearance", ObstacleClearance)
 def obstacle_clearance(s: StepView, p: ObstacleClearance.Params) -> float:
-    """Σ 1/d over the obstacles [1/m]."""
+    """Nearness to obstacles, Σ 1/d [1/m]."""
     position = frame_position(s, p.of)
     total = wp.float32(0.0)
     for i in range(p.pose.shape[0]):
@@ -121,7 +121,7 @@ def apart_of(
 
 @term("outline_clearance", OutlineClearance)
 def outline_clearance(s: StepView, p: OutlineClearance.Params) -> float:
-    """Σ max(0, 1 - d/within) over the obstacles, with d between their outlines and a body's, seen from above.
+    """Nearness to obstacles seen from above, Σ max(0, 1 - d/within), d between the outlines of a body and each.
 
     The distance between two convex outlines that do not overlap is one from a corner of either to the other; of those
     that do it is the depth, negative.

@@ -73,7 +73,7 @@ def cloud_distance(p: CloudCollision.Params, e: int, at: wp.vec3) -> float:
 
 @term("cloud_collision", CloudCollision, source=source.cloud_collision)
 def cloud_collision(s: StepView, p: CloudCollision.Params) -> float:
-    """max(0, margin - d), d the least distance of a link's spheres from the cloud [m]; or 1 if d < margin, else 0.
+    """Nearness of links to a point cloud, max(0, margin - d), d least of their spheres [m]; or 1 if d < margin.
 
     The second is the binary cost of Bhardwaj et al. 2021, Eq. 11, with distances in place of its learned checker.
     """

@@ -63,7 +63,7 @@ class SelfCollision(TermKeys):
 
 @term("self_collision", SelfCollision, source=source.self_collision)
 def self_collision(s: StepView, p: SelfCollision.Params) -> float:
-    """max(0, margin + d) with d the deepest penetration of two links' spheres, negative when all are apart [m].
+    """Penetration of links into each other, max(0, margin + d), d deepest of their spheres, negative if apart [m].
 
     The self-collision cost of Bhardwaj et al. 2021, with d from geometry instead of a network.
     """
@@ -204,7 +204,7 @@ def least_on_way(p: WorldCollision.Params, k: int, a: wp.vec3, b: wp.vec3, radiu
 
 @term("world_collision", WorldCollision, source=source.world_collision)
 def world_collision(s: StepView, p: WorldCollision.Params) -> float:
-    """max(0, margin - d), d the least distance of a link's spheres from an obstacle [m]; or 1 if d < margin, else 0.
+    """Nearness of links to obstacles, max(0, margin - d), d least of their spheres [m]; or 1 if d < margin, else 0.
 
     The second is the binary cost of Bhardwaj et al. 2021, Eq. 11, without its learned checker.
     """

@@ -181,7 +181,7 @@ def height_error(s: StepView, p: Height.Params, i: int) -> float:
 
 @term("height", Height, residual=Residual(height_error, lambda p: 1, rounded_length))
 def height(s: StepView, p: Height.Params) -> float:
-    """|z - target| of a frame (Pezzato et al. 2025, C_ee) [m], or what it exceeds ``slack`` by."""
+    """Height error of a frame, max(0, |z - target| - slack) (Pezzato et al. 2025, C_ee) [m]."""
     return wp.abs(height_error(s, p, 0))
 
 
@@ -283,7 +283,7 @@ class ContactForce(TermKeys):
 
 @term("contact_force", ContactForce)
 def contact_cost(s: StepView, p: ContactForce.Params) -> float:
-    """Σ ‖F‖ over watched pairs (Eq. 7) [N]."""
+    """Contact forces, Σ ‖F‖ over pairs of bodies (Eq. 7) [N]."""
     total = wp.float32(0.0)
     for i in range(p.count):
         total += wp.length(contact_force(s, p.first + i))
@@ -306,14 +306,14 @@ class Controls(TermKeys):
 
 @residual("control_effort", Controls)
 def control_effort(s: StepView, p: Controls.Params, i: int) -> float:
-    """Σ (u_i / half range)²."""
+    """Squared controls, Σ (u_i / half range)²."""
     u = p.first + i
     return control(s, u) / s.control_scale[u]
 
 
 @residual("control_rate", Controls)
 def control_rate(s: StepView, p: Controls.Params, i: int) -> float:
-    """Σ ((u_i - previous u_i) / half range)²; before the first step stands the control that acts now."""
+    """Squared changes of the controls, Σ ((u_i - previous u_i) / half range)², from the control that acts now."""
     u = p.first + i
     before = s.last_control[s.e, u]
     if s.t > 1:

@@ -57,7 +57,7 @@ class FingerAlignment(TermKeys):
 
 @term("finger_alignment", FingerAlignment)
 def finger_alignment(s: StepView, p: FingerAlignment.Params) -> float:
-    """2 (1 - Σ aᵢ⁴) with a the hand's y axis in a box's frame: zero if fingers meet faces, whichever side is up.
+    """Misalignment of fingers and the faces of a box, 2 (1 - Σ aᵢ⁴), a the hand's y axis in the box's frame.
 
     For an upright box and a level axis at an angle ψ to its face that is (1 - cos 4ψ)/2.
     """
@@ -90,7 +90,7 @@ class Gripper(TermKeys):
 
 @term("gripper", Gripper)
 def gripper(s: StepView, p: Gripper.Params) -> float:
-    """(1 + ū)/2 within a distance of the object, else 1 + (1 - ū)/2, with ū the fingers' mean control, -1 to 1.
+    """Fingers that are open near the object, (1 + ū)/2, or closed elsewhere, 1 + (1 - ū)/2, ū the mean control.
 
     It wants the fingers to close with all they have at the object and to open away from it. Away never costs less:
     were it not so, a hand with open fingers would stop short of the object.

@@ -46,7 +46,7 @@ class JointVelocity(Joints):
 
 @residual("joint_velocity", JointVelocity)
 def joint_velocity_cost(s: StepView, p: JointVelocity.Params, i: int) -> float:
-    """Σ q̇²."""
+    """Squared joint velocities, Σ q̇²."""
     return joint_velocity(s, p.joint[i])
 
 
@@ -64,7 +64,7 @@ class Posture(Joints):
 
 @residual("posture", Posture)
 def posture(s: StepView, p: Posture.Params, i: int) -> float:
-    """Σ (q - q₀)² with the scene's starting posture q₀ (STORM's null-space cost)."""
+    """Squared distance from the start posture q₀, Σ (q - q₀)² (STORM's null-space cost)."""
     return joint_position(s, p.coord[i]) - p.target[i]
 
 
@@ -133,7 +133,7 @@ class Stop(Joints):
 
 @term("stop", Stop)
 def stop(s: StepView, p: Stop.Params) -> float:
-    """Σ max(0, |q̇| - v_h)² with v_h = a_max Σ_{k≥h} dt_k, from which a joint still stops within the horizon (STORM).
+    """Joint speeds too high to stop within the horizon, Σ max(0, |q̇| - v_h)², v_h = a_max Σ_{k≥h} dt_k (STORM).
 
     That is STORM's Eq. 9, in [m²/s² or rad²/s²]. Step h, which led here, counts among those that are left, so that
     the end of the horizon allows what one last step could stop.
@@ -221,7 +221,7 @@ class Smoothness(Joints):
 
 @term("smoothness", Smoothness)
 def smoothness(s: StepView, p: Smoothness.Params) -> float:
-    """Σ α q̈² + ζ q⃛² over joints, with accelerations and jerks as in ``joint_bounds``."""
+    """Joint accelerations and jerks, Σ α q̈² + ζ q⃛², computed as in ``joint_bounds``."""
     total = wp.float32(0.0)
     for i in range(p.joint.shape[0]):
         a = joint_acceleration(s, p.joint[i], p.driven[i])

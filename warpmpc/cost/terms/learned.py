@@ -150,7 +150,7 @@ def network_distance(s: StepView, p: LearnedSelfCollision.Params) -> float:
 
 @term("learned_self_collision", LearnedSelfCollision, source=source.learned_self_collision)
 def learned_self_collision(s: StepView, p: LearnedSelfCollision.Params) -> float:
-    """max(0, margin + d) with d a network's guess of how deep two links are in each other [m].
+    """Penetration of links into each other by a network, max(0, margin + d), d the depth it predicts [m].
 
     The self-collision cost of Bhardwaj et al. 2021: positional encoding, two hidden rows, ReLU6.
     """

@@ -160,7 +160,7 @@ def link_logit(s: StepView, p: LearnedCloudCollision.Params, link: int, pose: wp
 
 @term("learned_cloud_collision", LearnedCloudCollision, source=source.learned_cloud_collision)
 def learned_cloud_collision(s: StepView, p: LearnedCloudCollision.Params) -> float:
-    """1 if a network says that its link touches what the cloud shows, else 0; far from the cloud none is asked.
+    """Collision of links with a point cloud by a network, 1 or 0; it is not evaluated far from the cloud.
 
     The binary environment collision of Bhardwaj et al. 2021, Eq. 11, with a learned checker as theirs.
     """

@@ -57,7 +57,7 @@ class PushAlignment(TermKeys):
 
 @term("push_alignment", PushAlignment)
 def push_alignment(s: StepView, p: PushAlignment.Params) -> float:
-    """Cos α + 1 with α between object → pusher and object → goal (Eq. 10): zero when pushing straight at the goal.
+    """Alignment of a push, cos α + 1 with α between object → pusher and object → goal (Eq. 10); zero if straight.
 
     With a distance field the direction to the goal is the field's downhill direction at the object. With ``slack`` the
     term is max(cos α + 1 - slack, 0), zero over a range of directions.
@@ -139,7 +139,7 @@ class PushPath(TermKeys):
 
 @term("push_path", PushPath)
 def push_path(s: StepView, p: PushPath.Params) -> float:
-    """Work left to push an object to the goal around the obstacles, the pusher's own way included [m].
+    """Cost to go of pushing an object to the goal around the obstacles, with the path of the pusher [m].
 
     min over sides d of V(o, d) + turn · walk(r → d), with V from dynamic programming
     (``warpmpc.cost.resources.push_path``). The

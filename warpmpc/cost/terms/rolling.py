@@ -87,7 +87,7 @@ def roll(s: StepView, p: RollingBall.Params):
 
 @term("rolling_ball", RollingBall, advance=roll)
 def rolling_ball(s: StepView, p: RollingBall.Params) -> float:
-    """‖p‖² + (time · ‖v‖)² [m²]."""
+    """Distance and speed of a ball that rolls on a tray, ‖p‖² + (time · ‖v‖)² [m²]."""
     i = p.memory
     near = memory(s, i) * memory(s, i) + memory(s, i + 1) * memory(s, i + 1)
     fast = memory(s, i + 2) * memory(s, i + 2) + memory(s, i + 3) * memory(s, i + 3)
