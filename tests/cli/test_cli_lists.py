@@ -204,7 +204,7 @@ def test_check_shows_what_was_built(tmp_path):
         "base/tip",
         "box at [1.2, 0] m; reached within position 0.05",
         "16 worlds × 4 controls × 2 substeps = 128 physics steps",
-        "fused on cpu",
+        "mujoco on cpu",
         "rad/s",
         "100 N·m",
         "between = [base/tip, box]",
