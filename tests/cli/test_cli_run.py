@@ -142,11 +142,11 @@ def test_the_table_has_one_row_per_episode_and_a_sum(command):
 def test_contact_is_told_where_a_pair_is_watched(tmp_path, command, wall, more):
     obstacle = '[[obstacle]]\nname = "wall"\nshape = "box"\nsize = [0.1, 0.1, 0.1]\nposition = [5.0, 5.0, 0.05]\n'
     (tmp_path / "mine.toml").write_text(SCENE + obstacle * wall)
-    done = command("run", "mine.toml", "--episodes", "2", "--engine", "fused", *more, *TINY)
+    done = command("run", "mine.toml", "--episodes", "2", *more, *TINY)
     assert ("contact" in done.stdout) == wall
     if not more:
         assert ("peak force" in done.stdout) == wall
-        told = results(command("run", "mine.toml", "--json", "--engine", "fused", *TINY))[0]["collisions"]
+        told = results(command("run", "mine.toml", "--json", *TINY))[0]["collisions"]
         assert told == {"max_force_N": 0.0 if wall else None, "time_in_contact_s": 0.0 if wall else None}
 
 
