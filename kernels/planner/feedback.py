@@ -50,6 +50,7 @@ def follow_kernel(
     hold: int,  # steps that a control is held for
     policies: int,  # policies of an environment, P
     policy: wp.array[int],  # [N] which of them each world of an environment follows
+    noise: wp.array3d[wp.float64],  # [W, T, nu] ε
     table: TangentTable,
     end: wp.array3d[wp.float64],  # [W, N, 1+nx] the last slice is the state after the step before
     nominal: wp.array3d[wp.float64],  # [E·P, T, nx]
@@ -68,7 +69,7 @@ def follow_kernel(
     controls: wp.array3d[wp.float64],  # [T, W, nu] controls that were taken
     applied: wp.array3d[float],  # [2, W, nu] the control before and this one
 ):
-    """One thread: one world's control u = ū + αk + K (x ⊖ x̄) at a step, within its limits, and its start."""
+    """One thread: one world's control u = ū + αk + K (x ⊖ x̄) + ε at a step, within its limits, and its start."""
     w = first + wp.tid()
     i = w % rollouts
     e = policies * (w // rollouts) + policy[i]
@@ -100,7 +101,7 @@ def follow_kernel(
         correction = wp.float64(0.0)
         for j in range(difference.shape[1]):
             correction += gain[e, t, u, j] * difference[w, j]
-        x = control[e, t, u] + share[i] * change[e, t, u] + feedback[i] * correction
+        x = control[e, t, u] + share[i] * change[e, t, u] + feedback[i] * correction + noise[w, t, u]
         # engines take controls in single precision
         single = float(wp.clamp(x, lower[u], upper[u]))
         controls[t, w, u] = wp.float64(single)

@@ -89,15 +89,20 @@ def test_a_plan_answers_a_state_that_is_not_the_planned_one():
         plan = controller.plan(state)
     later = 0.06
     wanted, _ = plan.feedback.at(np.array([[later]]))
-    on_plan = replace(state, joint_q=wanted[0, 0, :3].astype(np.float32), joint_qd=wanted[0, 0, 3:6].astype(np.float32))
+    found = wanted[0, 0].astype(np.float32)
+    on_plan = replace(state, joint_q=found[:3], joint_qd=found[3:6], time=later)
     np.testing.assert_allclose(plan.at(later, on_plan), plan.at(later), atol=1e-4)
     pushed = replace(on_plan, joint_q=on_plan.joint_q + np.float32([0.0, 0.05, 0.0]))
     answer = plan.at(later, pushed) - plan.at(later)
     assert answer[1] < -0.01  # it was pushed to the left, and goes back
     np.testing.assert_array_equal(plan.at(later, pushed), plan.at(later, pushed))
     assert np.abs(plan.at(later, replace(pushed, joint_q=pushed.joint_q + 100.0))).max() <= 1.0
-    end = float(plan.times[-1]) + 10.0
-    np.testing.assert_array_equal(plan.at(end, pushed), plan.at(end))
+    # what is seen late is compared with what was planned for then
+    np.testing.assert_allclose(plan.at(later + 0.04, on_plan), plan.at(later + 0.04), atol=1e-4)
+    for outside in (-1.0, float(plan.times[-1]) + 10.0):
+        np.testing.assert_array_equal(plan.at(outside, pushed), plan.at(outside))
+        apart = replace(pushed, time=outside)
+        np.testing.assert_array_equal(plan.at(later, apart), plan.at(later))
 
 
 def test_every_environment_has_its_own_plan():

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from ..scene.errors import some
 from ..scene.load import load_scene, shipped_scenes, variants
+from ..scene.model.state import PROPOSERS
 from .terminal import screen
 
 if TYPE_CHECKING:
@@ -99,7 +100,19 @@ def print_results(results: Sequence[EpisodeResult], out: TextIO) -> None:
     console = console_of(out)
     show_table(console, _table_of(every, left=["result"], title=_title(results[0])))
     console.print(summary(results))
+    if proposed := proposers(results):
+        console.print(proposed)
     print_verdicts(results, console)
+
+
+def proposers(results: Sequence[EpisodeResult]) -> str:
+    """Where the plans of episodes came from; empty without derivatives."""
+    told = [result.proposers for result in results if result.proposers]
+    if not told:
+        return ""
+    share = {name: statistics.mean(own.get(name, 0.0) for own in told) for name in (*PROPOSERS, "lowered")}
+    words = ", ".join(f"{name} {share[name]:.0%}" for name in PROPOSERS if share[name])
+    return f"plans from: {words}; derivatives lowered the cost of {share['lowered']:.0%}"
 
 
 def print_verdicts(results: Sequence[EpisodeResult], console: Console, *, outcomes: bool = True) -> None:

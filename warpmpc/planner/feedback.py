@@ -48,28 +48,32 @@ class Feedback:
     """Subtracts states."""
 
     def correction(self, times: np.ndarray, state: State) -> np.ndarray:
-        """K (x ⊖ x̄), what the controls answer to states at some times ``[E, nu]``.
+        """K (x ⊖ x̄), what the controls answer to states ``[E, nu]``.
+
+        A state is compared with the planned one of its own time, which may be earlier than that of the control.
 
         Args:
-            times: One for each environment ``[E]`` [s].
+            times: One for each environment ``[E]`` [s]; a state that has a time is taken at its own.
             state: States of all environments, ``joint_q`` ``[E, nq]``.
         """
-        wanted, gain = self.at(times[:, None])
+        seen = times if state.time is None else np.broadcast_to(np.asarray(state.time, dtype=float), times.shape)
+        wanted, gain = self.at(seen[:, None])
         found = self.space.rows(state.joint_q, state.joint_qd, state.act)
-        return np.einsum("eun,en->eu", gain[:, 0], self.space.tangent.subtract(found, wanted[:, 0]))
+        answer = np.einsum("eun,en->eu", gain[:, 0], self.space.tangent.subtract(found, wanted[:, 0]))
+        return np.where(self._planned(self._place(times[:, None])), answer, 0.0)
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x̄ ``[E, N, nx]`` and K ``[E, N, nu, n]`` at some times ``[E, N]``.
 
         Between two states lies their geodesic; a gain holds from its state to the next one, the last one as long as
-        that before it, and after that there is none.
+        that before it. Before the first state and after that there is none.
         """
         last, rows, place = self.times.shape[1] - 1, np.arange(len(times))[:, None], self._place(times)
         i = np.clip(np.floor(place).astype(int), 0, last)
         state, after = self.state[rows, i], self.state[rows, np.minimum(i + 1, last)]
         part = np.clip(place - i, 0.0, 1.0)[..., None]
         state = self.space.tangent.add(state, part * self.space.tangent.subtract(after, state))
-        return state, np.where((place < last + 1.0)[..., None, None], self.gain[rows, i], 0.0)
+        return state, np.where(self._planned(place)[..., None, None], self.gain[rows, i], 0.0)
 
     def planned(self, times: np.ndarray, control: np.ndarray) -> np.ndarray:
         """Controls ``[E, T, nu]`` of its times at others ``[E, N]``, the last for good: ``[E, N, nu]``."""
@@ -80,6 +84,9 @@ class Feedback:
         step = self.times[:, -1:] - self.times[:, -2:-1] if self.times.shape[1] > 1 else np.ones((len(times), 1))
         # a time that was rounded down, to single precision, is no step too early
         return (times - self.times[:, :1]) / step + float(KNOT_TOLERANCE)
+
+    def _planned(self, place: np.ndarray) -> np.ndarray:
+        return (place >= 0.0) & (place < self.times.shape[1])
 
     def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:
         """The gains at other times ``[E, T]``, about controls ``[E, T, nu]``."""

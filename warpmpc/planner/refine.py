@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from ..engine.protocol import Proposal, TimeGrid
-from ..kernels.planner.riccati import backward_kernel, scratch_size
 from ..kernels.planner.weights import forget_cost_kernel
 from ..physics.runtime.launch import Launcher
 from ..scene.errors import SceneError
 from ..scene.model.properties import Properties
+from ..scene.model.state import PROPOSERS
 from ..scene.schema import Method, Refinement
+from .derivatives.backward import backward
 from .derivatives.expansion import Differences, Quadratic, gauss_newton, held
 from .derivatives.residuals import Residuals
 from .derivatives.rollouts import Policy, PolicyRollouts
@@ -25,8 +25,11 @@ from .feedback import Feedback, StateSpace
 from .splines import spline_value
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from ..engine.protocol import Engine, EngineRequest, PhysicsSteps
     from ..scene.schema import Scene
+    from .derivatives.backward import Backward
     from .derivatives.expansion import Linear
     from .strategy import SamplingStrategy
 
@@ -37,8 +40,9 @@ LEAST_SHARE = 1e-3
 DAMPING = (1e-6, 1e-3, 1e6)
 """Least, first and largest damping μ of ∂²Q/∂u², per squared half range of the controls."""
 DRAWS = 4
-"""Worlds that a candidate is tried in where properties are drawn: the nominal one and the first draws. With the nominal
-one alone, pushes of what weighs or slides otherwise took up to a fifth longer than with the samples' plan."""
+"""Worlds that a candidate is tried in where properties are drawn or there is noise: the nominal one, without noise, and
+the first draws. With the nominal one alone, pushes of what weighs or slides otherwise took up to a fifth longer than
+with the samples' plan."""
 FACTOR = 10.0
 """By which the damping grows when a step does not help, and shrinks when it does."""
 
@@ -48,7 +52,8 @@ def some_draws(properties: Properties, candidates: int, draws: int) -> Propertie
 
     def of_worlds(values: np.ndarray, nominal: float) -> np.ndarray:
         first = np.full_like(values[:1], nominal)
-        return np.tile(np.concatenate([first, values[: draws - 1]]), (candidates, *[1] * (values.ndim - 1)))
+        drawn = values[np.arange(draws - 1) % len(values)]
+        return np.tile(np.concatenate([first, drawn]), (candidates, *[1] * (values.ndim - 1)))
 
     mass, friction = (of_worlds(x, 1.0) for x in (properties.mass, properties.friction))
     return Properties(properties.names, mass, friction, of_worlds(properties.size, 0.0))
@@ -68,6 +73,8 @@ class Refiner(ABC):
     """Gains of the last plan, if there are any, over the time since its start."""
     policies = 1
     """Policies that are rolled out at once, at most."""
+    noisy = False
+    """Whether candidates are tried under noise."""
 
     def __init__(self, engine: Engine, request: EngineRequest, steps: PhysicsSteps, strategy: SamplingStrategy):
         scene, layout = request.scene, request.costs.layout
@@ -86,8 +93,8 @@ class Refiner(ABC):
         )
         count, drawn = self._settings.candidates, request.properties
         nominal = tried = replace(request, properties=None)
-        draws = min(DRAWS, 1 + drawn.draws) if drawn is not None and drawn.names else 1
-        if draws > 1:
+        draws = DRAWS if self.noisy or (drawn is not None and drawn.names) else 1
+        if drawn is not None and drawn.names:
             tried = replace(request, properties=some_draws(drawn, count, draws))
         sizes = {"policies": self.policies, "draws": draws, "hold": self.hold}
         self.rollouts = PolicyRollouts(engine, tried, steps, self.residuals, count, **sizes)
@@ -96,11 +103,16 @@ class Refiner(ABC):
         self._lower, self._upper = layout.control_lower.astype(float), layout.control_upper.astype(float)
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
+        self._failed = False
         self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), self._held(1)
 
     def _held(self, samples: int) -> Proposal:
         """Proposal of the first samples, whose knots are there already."""
         return Proposal(self._strategy.knots, self._strategy.offset, samples)
+
+    def told(self, e: int) -> dict[str, Any]:
+        """Proposer of an environment's plan, and the share by which derivatives lowered its predicted cost."""
+        return {"proposer": self._proposers[e], "lowered": float(self._lowered[e])}
 
     def __call__(self) -> None:
         """Improve the plan for the observed state; where that fails it stays as it was, and why is logged."""
@@ -109,11 +121,17 @@ class Refiner(ABC):
         for user in (rollouts, self.differences):
             user.set_limits(self._lower, self._upper)
         start, before = rollouts.worlds.observed(), state.last_control.numpy().astype(float)
+        self._proposers, self._lowered = [PROPOSERS[0]] * len(start), np.zeros(len(start))
         try:
             self._improve(start, before)
         except FloatingPointError as error:
-            self.feedback = None
-            logger.warning("t = %.2f s: no derivatives: %s; the plan stays as it was", state.start.numpy()[0], error)
+            self.reset()
+            if not self._failed:  # once until they work again
+                what = "t = %.2f s: no derivatives: %s; the plan stays as it was"
+                logger.warning(what, state.start.numpy()[0], error)
+            self._failed = True
+        else:
+            self._failed = False
         self._conclude()
 
     @property
@@ -225,6 +243,7 @@ class GradientRefiner(Refiner):
             self._engine.evaluate(self._candidates)
             cost = self._engine.cost.numpy()[:, : len(self._shares)]
             best = np.argmin(np.where(np.isfinite(cost), cost, np.inf), axis=1)
+            self._lowered = 1.0 - (1.0 - self._lowered) * cost[rows, best] / cost[:, 0]
             strategy.mean.assign(self._knots[rows, best])
 
     def _blend(self) -> np.ndarray:
@@ -252,7 +271,7 @@ class IlqgRefiner(Refiner):
     def __init__(self, *args: object):
         super().__init__(*args)
         self._check_knots()
-        self._shares = shares(self._settings.candidates)
+        self._shares, self._noise = shares(self._settings.candidates), 0.0
         self._damping = np.full(self._request.shape.envs, DAMPING[1])
         self._space = StateSpace(self.tangent, self.rollouts.worlds.rows)
         self._control = None
@@ -273,15 +292,18 @@ class IlqgRefiner(Refiner):
 
     def _improve(self, start: np.ndarray, before: np.ndarray) -> None:
         hold, steps = self.hold, self._request.grid.steps
-        state, control, cost, gains = self._follow(start, before, self._starts())
-        rows = np.arange(len(start))
-        if not np.isfinite(cost).all():
+        starts = self._starts()
+        state, control, cost, gains = self._follow(start, before, starts)
+        rows, first, lost = np.arange(len(start)), cost, ~np.isfinite(cost)
+        if lost.all():
             raise FloatingPointError("the physics of the plan's own rollout failed")
+        for array in (state, control, gains):  # about these an environment that is lost is solved for, in vain
+            array[lost] = array[np.argmin(lost)]
         for _ in range(self._settings.iterations):
             solved = self._solve(*held(*self._expand(state[:, :-1], control, before), hold), control[:, ::hold])
             change, gain = (x.repeat(hold, axis=1)[:, :steps] for x in (solved.change, solved.gain))
             policy = Policy(state[:, :-1], control, change, gain)
-            outcome = self.rollouts(start, before, [policy], self._shares)
+            outcome = self.rollouts(start, before, [policy], self._shares, noise=self._noise)
             best = np.argmin(outcome.cost, axis=1)
             found = outcome.cost[rows, best]
             up = np.where(found < cost, 1.0 / FACTOR, FACTOR)
@@ -291,6 +313,8 @@ class IlqgRefiner(Refiner):
             control = np.where(helps, outcome.control[rows, best], control)
             gains = np.where(helps[..., None], solved.gain, gains)
             cost = np.minimum(found, cost)
+        self._lowered = np.where(lost, 0.0, 1.0 - cost / np.where(lost | (first <= 0.0), 1.0, first))
+        control[lost], gains[lost] = starts[0][lost], 0.0
         self._take(control[:, ::hold])
         times = np.tile(self._request.grid.t[:-1:hold], (len(start), 1))
         self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
@@ -316,18 +340,21 @@ class IlqgRefiner(Refiner):
             cheapest.
         """
         policies = [self._nominal(control) for control in controls]
+        names = PROPOSERS[:2] if self._planner.method is not Method.ILQG else PROPOSERS[2:]
         if self.feedback is not None:
             times = self._request.state.elapsed.numpy().astype(float)[:, None] + self._request.grid.t[:-1]
             policies = [self.feedback.policy(times, control) for control in controls]
             if self._planner.method is not Method.ILQG:
                 policies.append(self.feedback.policy(times, self.feedback.planned(times, self._control)))
+                names = (*names[: len(controls)], PROPOSERS[2])
         each = np.arange(self._settings.candidates) // 2
         followed = np.where(each < len(policies), each, 0)
         feedback = np.arange(len(each)) % 2.0
-        outcome = self.rollouts(start, before, policies, np.zeros(len(each)), feedback, followed)
+        outcome = self.rollouts(start, before, policies, np.zeros(len(each)), feedback, followed, self._noise)
         rows, best = np.arange(len(start)), np.argmin(outcome.cost, axis=1)
         gain = np.stack([policy.gain for policy in policies], axis=1)[rows, followed[best], :: self.hold]
         gain = gain * feedback[best][:, None, None, None]
+        self._proposers = [names[i] for i in followed[best]]
         return outcome.state[rows, best], outcome.control[rows, best], outcome.cost[rows, best], gain
 
     def _solve(self, linear: Linear, cost: Quadratic, control: np.ndarray) -> Backward:
@@ -339,47 +366,3 @@ class IlqgRefiner(Refiner):
             more = np.minimum(self._damping * FACTOR, DAMPING[2])
             self._damping = np.where(solved.failed, more, self._damping)
         return solved
-
-
-@dataclass(frozen=True)
-class Backward:
-    """Result of the backward pass."""
-
-    change: np.ndarray
-    """k ``[E, T, nu]``."""
-    gain: np.ndarray
-    """K ``[E, T, nu, n]``; zero for controls at their limits."""
-    failed: np.ndarray
-    """True where ∂²Q/∂u² is not positive definite with the damping ``[E]``."""
-
-
-def backward(
-    model: Linear, cost: Quadratic, room: tuple[np.ndarray, np.ndarray], scale: np.ndarray, damping: np.ndarray
-) -> Backward:
-    """Solve the quadratic models of all environments from their ends to their starts.
-
-    Tassa, Erez and Todorov 2012, Eq. 6 to 11, and with limits Tassa, Mansard and Todorov 2014. Controls are taken in
-    units of ``scale``, so that one damping suits all of them.
-
-    Args:
-        model: Derivatives of the steps.
-        cost: Expansion of what they cost.
-        room: How far each control may go down and up ``[E, T, nu]`` each.
-        scale: Unit of each control ``[nu]``.
-        damping: μ of each environment, added to the diagonal of ∂²Q/∂u² ``[E]``.
-    """
-    given = [model.a, model.b * scale, cost.x, cost.u * scale, cost.xx, cost.ux * scale[:, None]]
-    given += [cost.uu * np.outer(scale, scale), *(limit / scale for limit in room), damping]
-    envs, steps, n, nu = given[1].shape
-    scratch = np.empty((envs, scratch_size(n, nu)))
-    out = [np.empty(shape) for shape in ((envs, steps, nu), (envs, steps, nu, n))]
-    failed = np.zeros(envs, dtype=np.int32)
-
-    def seen(array: np.ndarray) -> wp.array:
-        kind = int if array.dtype == np.int32 else wp.float64
-        return wp.array(np.ascontiguousarray(array), dtype=kind, device="cpu", copy=False)
-
-    outputs = [seen(array) for array in (scratch, *out, failed)]
-    wp.launch(backward_kernel, envs, [seen(array) for array in given], outputs, device="cpu")
-    change, gain = out
-    return Backward(change * scale, gain * scale[:, None], failed != 0)

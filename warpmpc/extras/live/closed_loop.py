@@ -344,6 +344,7 @@ class ClosedLoop:
             control=np.array(self._control),
             cost=nothing if info is None else info.cost,
             eta=nothing if info is None else info.eta,
+            proposer="" if info is None else info.proposer,
             beta=nothing if info is None else info.beta,
             plan_ms=nothing if info is None else info.plan_ms,
             plans=float(np.mean(self._counts)) if self._counts and self.planning else nothing,

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...engine.registry import ENGINES, physics_steps
 from ...physics.runtime.thread_pool import thread_count
+from ...scene.model.state import PROPOSERS
 from ...scene.schema import EngineName
 from ..doctor.foresight import AHEAD
 
@@ -182,6 +183,8 @@ CURVES = 8
 COLORS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#17a2b8", "#b8860b", "#f032e6")
 TICKS, PADDING, NO_MARKS = 72, (10, 24, 0, 0), {"show": False}
 """Room for the numbers of a vertical axis, seven digits, and around a plot [pixels]: the highest number is whole."""
+RECENT = 25.0
+"""Plans over which the shares of their proposers are means."""
 AHEAD_COLOR = "rgba(0, 0, 0, 0.07)"
 FORESIGHT = f"cost of the last {AHEAD:g} s: foreseen, came"
 WIDTH = 330.0
@@ -197,7 +200,8 @@ class Plots:
         self._rows: deque[list[float]] = deque(maxlen=KEPT)
         self._episode, self._steps, self._drawn = -1, -1, 0.0
         terms, nu = len(self._labels), len(controls)
-        self._widths = (terms, nu, 1, 1, 2, 2)
+        self._widths = (terms, nu, 1, 1, 2, 2, len(PROPOSERS))
+        self._shares = np.zeros(len(PROPOSERS))
         self.panel = server.gui.add_panel()
         """The panel, for further tabs."""
         self.panel.dock_left()
@@ -212,6 +216,8 @@ class Plots:
             ]
             if session.foresight.known:
                 self._plots += self._split(server, FORESIGHT, ("foreseen", "came"), terms + nu + 4)
+            if session.controller.plan_step.refiner:
+                self._plots += self._split(server, "share of the plans from", PROPOSERS, terms + nu + 6)
 
     def _split(
         self, server: viser.ViserServer, title: str, names: Sequence[str], first: int, *, ahead: bool = False
@@ -258,7 +264,8 @@ class Plots:
             seen = snapshot.foreseen
             numbers = [snapshot.eta, snapshot.beta, snapshot.plan_ms, self._budget]
             numbers += [np.nan, np.nan] if seen is None else [seen.cost, seen.came]
-            self._rows.append([snapshot.time, *ahead.cost[:, 0], *snapshot.control, *numbers])
+            self._shares += (np.array([name == snapshot.proposer for name in PROPOSERS]) - self._shares) / RECENT
+            self._rows.append([snapshot.time, *ahead.cost[:, 0], *snapshot.control, *numbers, *self._shares])
         if perf_counter() - self._drawn < PLOTS_PERIOD or not self._rows:
             return
         self._drawn = perf_counter()

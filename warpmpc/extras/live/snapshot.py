@@ -53,6 +53,8 @@ class Snapshot:
     cost: float
     """Cost of the best rollout; NaN without a plan."""
     eta: float
+    proposer: str
+    """Where the plan comes from, one of ``PROPOSERS``; empty without a plan."""
     beta: float
     plan_ms: float
     plans: float

@@ -99,7 +99,7 @@ class RunLog:
 
         Names are ``time``, ``joint_q/NAME``, ``joint_qd/NAME``, ``body_q/NAME/x`` to ``/qw``,
         ``contact_force/NAME/x`` to ``/z``, ``control/NAME``, ``cost``, ``cost/NAME`` of each term, ``plan_ms``,
-        ``beta``, ``eta``, ``goal_error/NAME``.
+        ``beta``, ``eta``, ``proposer``, ``lowered``, ``goal_error/NAME``.
         """
         states, controls, names = self.states, self.controls, self.names
         parts: list[tuple[list[str], np.ndarray]] = [
@@ -112,8 +112,7 @@ class RunLog:
             (["cost"], self.of_plans("cost")),
             ([f"cost/{name}" for name in names["terms"]], self.of_plans("terms")),
             (["plan_ms"], controls.plan_ms),
-            (["beta"], self.of_plans("beta")),
-            (["eta"], self.of_plans("eta")),
+            *(([name], self.of_plans(name)) for name in ("beta", "eta", "proposer", "lowered")),
             ([f"goal_error/{name}" for name in names["errors"]], states.goal_error),
         ]
         rows, found = len(states), {}

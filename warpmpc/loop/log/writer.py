@@ -79,6 +79,8 @@ TABLES: dict[str, dict[str, Column]] = {
         "terms": Column("share of each term in it, weighted and discounted", "", ("terms",)),
         "beta": Column("temperature β that weighed the samples next time"),
         "eta": Column("effective number of samples η"),
+        "proposer": Column("where the plan comes from, its number among PROPOSERS of Info", dtype="i1"),
+        "lowered": Column("share by which derivatives lowered its predicted cost"),
         "command": Column("command that the controller returned", U, ("nu",), "f4"),
         "knot_time": Column("times of the knots", "s", ("knots",)),
         "knots": Column("the plan", U, ("knots", "nu"), "f4"),

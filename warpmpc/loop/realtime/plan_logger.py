@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...scene.load import dump_scene
+from ...scene.model.state import PROPOSERS
 from ...scene.origin import origin
 from ..log.writer import RunLogWriter, row_type
 
@@ -39,7 +40,7 @@ def provenance(controller: Controller) -> dict[str, Any]:
 
 
 INPUTS = ("number", "time", "joint_q", "joint_qd", "act", "mocap", "task", "lower", "upper")
-OUTCOME = ("cost", "terms", "beta", "eta")
+OUTCOME = ("cost", "terms", "beta", "eta", "proposer", "lowered")
 CLOSED_LOOP = (*INPUTS, *OUTCOME, "command", "knot_time", "knots")
 """Columns of plans that a closed loop makes."""
 REAL_TIME = (
@@ -84,6 +85,8 @@ def plan_columns(controller: Controller, state: State) -> dict[str, Any]:
         "terms": list(info.terms.values()),
         "beta": info.beta,
         "eta": info.eta,
+        "proposer": PROPOSERS.index(info.proposer),
+        "lowered": info.lowered,
     }
 
 

@@ -75,33 +75,32 @@ class Predictor:
         seen = self._observed
         self._seen = [array.numpy()[0] for array in (seen.joint_q, seen.joint_qd, seen.act, seen.mocap, seen.pose)]
 
-    def __call__(self, state: State, control: Callable[[float], np.ndarray], duration: float) -> State:
+    def __call__(self, state: State, control: Callable[[float, State], np.ndarray], duration: float) -> State:
         """The state after a time, rounded up to whole steps; the state itself where the physics diverges.
 
         Args:
             state: State of one environment, with its time.
-            control: The control ``[nu]`` at a time [s].
+            control: The control ``[nu]`` at a time [s] and state.
             duration: How far [s].
         """
         steps = math.ceil(duration / self.dt - 1e-6)
         if steps < 1:
             return state
-        engine, diverged = self._engine, False
+        engine, diverged, now = self._engine, False, state
         with capturing:
             self._set(state)
             self._clone()
             for k in range(steps):
-                self._control[:] = control(state.time + k * self.dt)
+                self._control[:] = control(now.time, now)
                 engine.run(self._step)
                 engine.initial[0] = engine.state[0, -1]
                 engine.initial[0, 0] = 0.0  # steps that take other than their time count as diverged
                 diverged |= bool(self._diverged[0])
-        if diverged:
+                q, qd, act = (array.copy() for array in self._reached)
+                now = replace(state, joint_q=q, joint_qd=qd, act=act, time=state.time + (k + 1) * self.dt)
+        if diverged or not all(np.isfinite(part).all() for part in (q, qd, act)):
             return state
-        q, qd, act = (array.copy() for array in self._reached)
-        if not all(np.isfinite(part).all() for part in (q, qd, act)):
-            return state
-        return replace(state, joint_q=q, joint_qd=qd, act=act, time=state.time + steps * self.dt)
+        return now
 
     def _set(self, state: State) -> None:
         start = self._start
@@ -169,7 +168,7 @@ class Planning:
         start, rest = State.start(layout), np.zeros(layout.nu, dtype=np.float32)
         for _ in range(2):
             if self._predict is not None:
-                self._predict(replace(start, time=0.0), lambda _: rest, self._predict.dt)
+                self._predict(replace(start, time=0.0), lambda *_: rest, self._predict.dt)
             self.controller.step(start)
         self.controller.reset()
 
@@ -211,11 +210,11 @@ class Planning:
             self._logger.note(observation, reach, timed)  # before anybody can follow it
         return timed
 
-    def _acting(self, observation: TimedObservation) -> Callable[[float], np.ndarray]:
+    def _acting(self, observation: TimedObservation) -> Callable[[float, State], np.ndarray]:
         """Controls that the robot is sent until the plan is ready."""
         if observation.following and self._timed is not None:
             return self._timed.plan.at
-        return lambda _: observation.command
+        return lambda *_: observation.command
 
     def run(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
@@ -102,6 +102,7 @@ class EpisodeStats:
     ):
         self.scene, self.seed, self.drawn, self.controller, self.plant = scene, seed, drawn, controller, plant
         self._plans: list[tuple[float, dict[str, float]]] = []  # wall time of each plan and of its stages [ms]
+        self._proposed: Counter[str] = Counter()
         self._diverged = self._fallbacks = 0
         self._cost = math.nan
         makes = filter(None, map(_observer, OBSERVERS))
@@ -112,6 +113,7 @@ class EpisodeStats:
         for observer in self._observers:
             observer.note(info, control)
         self._plans.append((info.plan_ms, info.stages_ms))
+        self._proposed.update([info.proposer, *["lowered"] * (info.lowered > 0.0)])
         self._diverged += info.diverged_worlds
         self._fallbacks += info.fallback
         self._cost = info.cost
@@ -161,6 +163,9 @@ class EpisodeStats:
             phases=tuple(plant.monitor.phases),
             reached=plant.monitor.reached if scene.phase else None,
             drawn=self.drawn,
+            proposers={name: count / len(plans) for name, count in self._proposed.most_common()}
+            if controller.plan_step.refiner
+            else {},
             mean_cost=None if scene.success else plant.mean_cost,
             **found,
         )

@@ -83,6 +83,10 @@ class EpisodeResult(Result):
     drawn: dict[str, object] = field(default_factory=dict)
     """Values drawn for this episode by scene key; empty when the scene draws nothing."""
 
+    proposers: dict[str, float] = field(default_factory=dict)
+    """Share of the plans that each of :data:`~warpmpc.scene.model.state.PROPOSERS` won, and that derivatives lowered
+    (``lowered``); empty without derivatives."""
+
     foresight: dict[str, float] = field(default_factory=dict)
     """Error of predictions for the controls sent, as a share of how far the state moved (``state``: after
     one control, ``state_ahead``: after 0.2 s) and of the cost paid (``cost``); empty where it is not known, and in

@@ -381,4 +381,5 @@ class Controller:
             stages_ms={name: 1e3 * seconds for name, seconds in self.graph.stages.items()},
             diverged_worlds=int(report.diverged[e]),
             fallback=fallback,
+            **(self.plan_step.refiner.told(e) if self.plan_step.refiner else {}),
         )

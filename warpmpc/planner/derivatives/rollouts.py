@@ -132,7 +132,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class Policy:
-    """u_t = ū_t + α k_t + K_t (x_t ⊖ x̄_t), of every environment."""
+    """u_t = ū_t + α k_t + K_t (x_t ⊖ x̄_t) + ε_t, of every environment."""
 
     state: np.ndarray
     """Nominal states x̄ ``[E, T, nx]``."""
@@ -202,6 +202,7 @@ class PolicyRollouts:
         self._followed = wp.zeros(tried, dtype=int, device=device)
         self._states, self._controls, self._cost = zeros(steps_ + 1, count, nx), zeros(steps_, count, nu), zeros(count)
         self._difference = zeros(count, n)
+        self._noise = zeros(count, steps_, nu)
         self._table = tangent.table(device)
         self._limits = [
             wp.array(limit, dtype=wp.float64, device=device) for limit in (layout.control_lower, layout.control_upper)
@@ -223,6 +224,7 @@ class PolicyRollouts:
         share: np.ndarray,
         feedback: np.ndarray | float = 1.0,
         followed: np.ndarray | int = 0,
+        noise: np.ndarray | float = 0.0,
     ) -> Outcome:
         """Roll policies out.
 
@@ -233,6 +235,7 @@ class PolicyRollouts:
             share: α of each candidate ``[N]``.
             feedback: How much of K each candidate has ``[N]``.
             followed: The policy that each candidate follows ``[N]``.
+            noise: ε of each world, broadcast to ``[E, N, D, T, nu]``.
         """
         worlds, shape = self.worlds, (self._envs, self._candidates, self._draws)
         worlds.follow()
@@ -251,6 +254,7 @@ class PolicyRollouts:
         self._share.assign(each(share, float))
         self._feedback.assign(each(feedback, float))
         self._followed.assign(each(followed, np.int32))
+        self._noise.assign(np.broadcast_to(noise, (*shape, *self._noise.shape[1:])).reshape(self._noise.shape))
         worlds.starts.assign(np.hstack([np.zeros((len(begin), 1)), begin]))
         worlds.applied.assign(applied.astype(np.float32))
         worlds.run(self._replays)
@@ -263,7 +267,7 @@ class PolicyRollouts:
         worlds, (first, count) = self.worlds, self.worlds.parts[part]
         policy = [self._state, self._control, self._change, self._gain, self._share, self._feedback]
         for t in range(self._horizon + 1):
-            which = [len(self._share), self._hold, self._policies, self._followed]
+            which = [len(self._share), self._hold, self._policies, self._followed, self._noise]
             inputs = [t, first, *which, self._table, worlds.ends, *policy, *self._limits]
             outputs = [worlds.starts, self._difference, self._states, self._controls, worlds.applied]
             self._launch(follow_kernel, count, inputs, outputs)

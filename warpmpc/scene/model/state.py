@@ -34,6 +34,10 @@ class State:
         return cls(layout.joint_q.copy(), layout.joint_qd.copy(), act=layout.act.copy(), mocap=layout.mocap.copy())
 
 
+PROPOSERS = ("samples", "best sample", "last plan")
+"""Where a plan comes from that derivatives may have improved: the samples' mean, the best of them, the plan before."""
+
+
 @dataclass(frozen=True)
 class Info:
     """Result of one plan; plain floats."""
@@ -58,6 +62,10 @@ class Info:
     """Worlds whose physics blew up."""
     fallback: bool
     """Whether the safe command was sent because no sample survived."""
+    proposer: str = "samples"
+    """Where the plan comes from, one of :data:`PROPOSERS`."""
+    lowered: float = 0.0
+    """Share by which derivatives lowered its predicted cost."""
 
 
 @dataclass
