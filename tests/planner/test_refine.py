@@ -229,7 +229,7 @@ def test_feedback_crosses_processes_as_numbers():
     assert len(letter) == codec.capacity
     told = codec.decode(letter)
     assert told.number == 3
-    pushed = replace(state, joint_q=state.joint_q + np.float32([0.01, -0.02, 0.1]))
+    pushed = replace(state, time=0.05, joint_q=state.joint_q + np.float32([0.01, -0.02, 0.1]))
     assert np.abs(plan.at(0.05, pushed) - plan.at(0.05)).max() > 1e-3
     np.testing.assert_array_equal(told.plan.at(0.05, pushed), plan.at(0.05, pushed))
 

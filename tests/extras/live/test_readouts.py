@@ -86,7 +86,7 @@ def test_facts_of_rollouts_without_physics_are_left_out():
 
 
 def test_joints_and_sensors_are_those_of_the_plant(session):
-    for _ in range(5):
+    for _ in range(2):
         session._step()
     layout, data = session.plant.layout, mujoco.MjData(session.plant.model)
     session.plant.show(data)

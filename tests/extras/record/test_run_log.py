@@ -112,7 +112,9 @@ def test_a_csv_file_has_a_column_for_each_number_and_nothing_where_there_is_none
         found = [np.nan if row[name] == "" else float(row[name]) for row in rows]
         np.testing.assert_allclose(found, column, rtol=1e-8)
     assert {name for name in columns if rows[-1][name] == ""} == {
-        name for name in columns if name.split("/")[0] in ("control", "cost", "plan_ms", "beta", "eta")
+        name
+        for name in columns
+        if name.split("/")[0] in ("control", "cost", "plan_ms", "beta", "eta", "proposer", "lowered")
     }
 
 

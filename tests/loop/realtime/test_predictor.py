@@ -17,7 +17,7 @@ from warpmpc.loop.realtime.planning import Planning, Predictor
 from warpmpc.scene.task.task import Task
 
 
-def turning(time: float) -> np.ndarray:
+def turning(time: float, state: object = None) -> np.ndarray:
     return np.array([0.8, 0.5 * np.cos(9.0 * time), -0.6])
 
 

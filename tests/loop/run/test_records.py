@@ -44,6 +44,7 @@ def a_result(seed: int = 3, **changes) -> EpisodeResult:
         "reached": 1,
         "drawn": {"goal.position": [1.0, 2.0]},
         "mean_cost": None,
+        "proposers": {"samples": 0.25, "last plan": 0.75, "lowered": 0.5},
         "foresight": {"state": 0.1, "state_ahead": 0.2, "cost": 0.3},
         "verdict": ("position: 0.2 m off, 0.1 m too far",),
         "shortfall": None,

@@ -161,7 +161,7 @@ JSON_KEYS = {
     "time_in_contact": ("collisions", "time_in_contact_s"),
 }
 """Place of those parts of a result that have another one as JSON."""
-LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "foresight", "verdict", "tried")
+LEFT_OUT = ("mean_cost", "axis_error", "phases", "reached", "drawn", "proposers", "foresight", "verdict", "tried")
 """Fields that are left out of JSON where there is nothing to say."""
 
 
