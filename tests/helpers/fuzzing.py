@@ -50,7 +50,7 @@ class Outcome:
 
     @property
     def fault(self) -> str | None:
-        """What is wrong with it; None for a run, or one line that names file and key."""
+        """What is wrong with it; None for a run, or lines that name file and key each."""
         lines = [line for line in self.err.splitlines() if not _SAID.match(line)]
         if self.code is None or "Traceback" in self.err:
             return "a traceback"
@@ -60,11 +60,10 @@ class Outcome:
             return f"says more than warnings: {lines[0]}" if lines else None
         if self.code != 2:
             return f"exit code {self.code}"
-        if len(lines) != 1:
-            return f"{len(lines)} lines on stderr"
-        if not _NAMED.search(lines[0]) or not any(name in lines[0] for name in FILES):
-            return f"names no file and key: {lines[0]}"
-        return None
+        if not lines:
+            return "no line on stderr"
+        wrong = [line for line in lines if not _NAMED.search(line) or not any(name in line for name in FILES)]
+        return f"names no file and key: {wrong[0]}" if wrong else None
 
     def __str__(self) -> str:
         return f"seed {self.seed}, {self.what}: {self.fault or 'fine'}\n    {self.err.strip()[-1500:]}"
