@@ -35,7 +35,7 @@ def pytest_configure(config):
 def _kernels(request):
     """Kernels of models, optimized or not."""
     file = request.path.relative_to(request.config.rootpath).as_posix()
-    quick_kernels.quick = not (request.config.getoption("--as-users") or file.startswith(quick_kernels.ROLLING))
+    quick_kernels.quick = not (request.config.getoption("--as-users") or file.startswith(quick_kernels.AS_USERS))
 
 
 @pytest.fixture(scope="module", params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])

@@ -103,7 +103,7 @@ def bare(folder: Path, *args: str) -> subprocess.CompletedProcess:
 
 
 def test_the_main_job_needs_no_extra_and_its_folder_has_no_recording(tmp_path):
-    short = ("--set", "timing.timeout=0.2", "--engine", "mujoco", "--device", "cpu")
+    short = ("--set", "timing.timeout=0.2", "--set", "planner.samples=16", "--engine", "mujoco", "--device", "cpu")
     done = bare(tmp_path, "run", "omni_push_box", *short, "--out", "push")
     assert done.returncode == 1, done.stderr  # no push in 0.2 s
     assert "timeout" in done.stdout

@@ -17,7 +17,8 @@ viser = pytest.importorskip("viser", reason=reason("viser"))
 from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
-FAST = ["--set", "planner.samples=16", "--set", "engine.threads=1", "--engine", "mujoco", "--device", "cpu"]
+FAST = ["--set", "planner.samples=16", "--set", "planner.refine=false", "--set", "engine.threads=1"]
+FAST += ["--engine", "mujoco", "--device", "cpu"]
 
 
 @contextmanager

@@ -38,6 +38,7 @@ position = [1.5, 0.0, 0.2]
 [planner]
 samples = 16
 horizon = 4
+refine = false
 [[success.conditions]]
 joint = "cart/slide\u001b[2J\u009b2J[b]\u0007"
 above = 1.9

@@ -345,7 +345,7 @@ def test_recordings_of_several_episodes_carry_their_seeds(tmp_path, command):
 
 def test_ctrl_c_prints_what_there_is(tmp_path):
     # samples and horizon of TINY, but an episode long enough to be interrupted
-    command = ["run", "omni_push_box", *PLAIN, "--json", "--episodes", "100", "--record", "a.rrd", *TINY[:4]]
+    command = ["run", "omni_push_box", *PLAIN, "--json", "--episodes", "100", "--record", "a.rrd", *TINY[:6]]
     with subprocess.Popen(
         [*PROGRAM, *command, "--set", "timing.timeout=4.0"],
         cwd=tmp_path,
@@ -371,7 +371,7 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
 
 @pytest.mark.parametrize(("real_time", "number", "code"), [(False, signal.SIGINT, 130), (True, signal.SIGTERM, 143)])
 def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path, real_time, number, code):
-    command = [*PROGRAM, "run", "omni_push_box", *PLAIN, "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:4]]
+    command = [*PROGRAM, "run", "omni_push_box", *PLAIN, "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:6]]
     endless = ["--set", "timing.timeout=1e4", "--set", "success={ position = 1e-9 }"]  # its goal takes 2 s else
     command += [*endless, *(["--real-time"] if real_time else [])]
     with subprocess.Popen(

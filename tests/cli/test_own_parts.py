@@ -33,6 +33,7 @@ between = ["base/base_link", "goal"]
 method = "METHOD"
 samples = 16
 horizon = 6
+refine = false
 noise = { sigma = [0.5, 0.5, 0.5] }
 [success]
 distance = 0.15

@@ -84,6 +84,7 @@ between = ["arm/fore", "box"]
 samples = 16
 horizon = 20
 dt = 0.02
+refine = false
 
 [planner.noise]
 sigma = { range = 0.2 }
@@ -123,6 +124,7 @@ between = ["right/fore", "bell"]
 samples = 16
 horizon = 20
 dt = 0.02
+refine = false
 
 [planner.noise]
 sigma = { range = 0.2 }

@@ -12,8 +12,9 @@ from pathlib import Path
 
 PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
 
-TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
-"""Ten controls from few samples: nothing is reached."""
+TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "planner.refine=false"]
+TINY += ["--set", "timing.timeout=0.4"]
+"""Ten controls from few samples alone: nothing is reached."""
 
 SCENE = """
 engine.name = "mujoco"
@@ -44,6 +45,7 @@ samples = 16
 horizon = 4
 dt = 0.04
 iterations = 1
+refine = false
 
 [success]
 position = 0.05

@@ -11,8 +11,8 @@ import warp as wp
 
 LIBRARIES = ("newton.", "mujoco_warp.")
 SOONEST = {"enable_backward": False, "optimization_level": 0}
-ROLLING = ("tests/scenes/", "tests/planner/test_sampled_ilqg.py")
-"""Tests whose rollouts take longer than the compiler saves."""
+AS_USERS = ("tests/scenes/", "tests/planner/test_sampled_ilqg.py", "tests/extras/live/test_hand_over.py")
+"""Tests whose rollouts take longer than the compiler saves, and those of when kernels are optimized."""
 
 quick = True
 """Whether kernels of models that are made now are compiled soonest, too."""

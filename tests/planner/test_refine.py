@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planners with derivatives: what they find, closed loops, feedback between plans, and what they refuse."""
+"""Planners with derivatives: what they find, closed loops, feedback between plans, and what they refuse.
+
+Slow ones by hand: pytest -m slow tests/planner/test_refine.py
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -36,7 +39,9 @@ def planned(scene, *, engine: str = "fused", plans: int = 1, seed: int = 0):
     return controller, costs
 
 
-@pytest.mark.parametrize("engine", ["fused", "mujoco", "mujoco_warp", "kinematic"])
+@pytest.mark.parametrize(
+    "engine", ["fused", "mujoco", "kinematic", pytest.param("mujoco_warp", marks=pytest.mark.slow)]
+)
 def test_ilqg_finds_in_one_plan_what_samples_come_near_to_in_many(engine):
     _, ilqg = planned(disc(), engine=engine, plans=4)
     _, samples = planned(disc("predictive_sampling", samples=64), engine=engine, plans=30)

@@ -14,7 +14,7 @@ from warpmpc.loop.run.run_recorder import RunRecorder
 from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
-SHORT = ["planner.samples=64", "timing.timeout=1.2"]
+SHORT = ["planner.samples=32", "planner.refine=false", "timing.timeout=1.2"]
 
 
 @functools.cache

@@ -319,7 +319,8 @@ TABLE = [
 def planted(mistake: Mistake, folder):
     """The scene with the mistake in it."""
     if "\n" not in mistake.base:
-        return load_scene(mistake.base, overrides=[f"{key}={value}" for key, value in mistake.edits.items()])
+        values = {"planner.refine": "false"} | mistake.edits
+        return load_scene(mistake.base, overrides=[f"{key}={value}" for key, value in values.items()])
     frame = {LEGS: "arm/left", HAND: "arm/hand"}.get(mistake.asset, "arm/fore")
     texts = {"scene.toml": mistake.base.replace("arm/fore", frame), "arm.xml": mistake.asset}
     for old, new in mistake.edits.items():

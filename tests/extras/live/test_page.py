@@ -25,7 +25,7 @@ from warpmpc.extras.live.session import Session  # noqa: E402
 from warpmpc.extras.record.shapes import scene_bounds  # noqa: E402
 from warpmpc.scene.load import load_scene  # noqa: E402
 
-FAST = ["engine.name=fused", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
+FAST = ["engine.name=fused", "planner.refine=false", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.filterwarnings("error::DeprecationWarning"),

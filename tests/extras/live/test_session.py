@@ -9,7 +9,7 @@ from rerun.chunk import RrdReader
 from warpmpc.extras.live.session import Session
 from warpmpc.scene.model.control_values import safe_command
 
-FAST = ["engine.threads=1", "planner.samples=16", "planner.horizon=20"]
+FAST = ["engine.threads=1", "planner.refine=false", "planner.samples=16", "planner.horizon=20"]
 
 
 def until(condition, seconds=20.0):
@@ -62,7 +62,7 @@ def test_a_pace_that_is_none_is_refused(session, pace):
 
 @pytest.mark.parametrize("source", ["cylinder_push", "point_reach"])
 def test_what_is_ahead_costs_what_the_plan_says(source):
-    session = Session(source, overrides=["engine.threads=1", "planner.samples=16"], device="cpu")
+    session = Session(source, overrides=FAST[:3], device="cpu")
     controller, plant = session.controller, session.plant
     for _ in range(2):
         plant.apply(controller.step(plant.observe()))
@@ -290,7 +290,7 @@ def test_what_is_recorded_opens_and_a_reset_ends_it(session, tmp_path, monkeypat
 @pytest.mark.parametrize("plans", ["one", "fit"])
 def test_a_plant_that_is_slowed_down_waits_for_no_plan(plans):
     session = started(overrides=[*FAST, f'agent.plans="{plans}"'])
-    session.pace = 0.2
+    session.pace = 0.4
     steps_on(session, 25)
     made, dt = session.snapshot.plans, session.scene.timing.control_dt
     assert (made > 2.0) if plans == "fit" else (0.4 < made < 1.6)

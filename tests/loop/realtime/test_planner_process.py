@@ -19,7 +19,7 @@ from warpmpc.loop.realtime import process
 from warpmpc.loop.realtime.messages import TimedObservation
 from warpmpc.planner.controller.rollout_paths import FAN
 
-SPEED = 0.1
+SPEED = 0.2
 """The robot's seconds in a second: tests share their cores with others."""
 
 
@@ -89,10 +89,10 @@ def test_a_planner_that_hangs_is_replaced_and_a_slow_start_is_not_taken_for_it(t
         goal={"frame": "base/centre", "position": (50.0, 0.0)},
         timing={"control_dt": 0.04, "timeout": 60.0},
     )
-    options = {"speed": 0.2, "engine": "mujoco", "device": "cpu", "terms": partial(slow_terms, tmp_path)}
+    options = {"speed": SPEED, "engine": "mujoco", "device": "cpu", "terms": partial(slow_terms, tmp_path)}
     with PlannerProcess(scene, **options) as planner:
         robot = simulated_robot(scene, task=planner.task, compiled=planner.compiled)
-        loop = RobotLoop(scene, robot, planner, speed=0.2, simulated=True)
+        loop = RobotLoop(scene, robot, planner, speed=SPEED, simulated=True)
 
         def moves() -> bool:
             return loop.agent.following and robot.state.joint_qd[0] > 0.5
