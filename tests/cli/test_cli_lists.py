@@ -194,7 +194,7 @@ def test_many_failures_have_a_line_each_with_their_cause(monkeypatch, capsys):
 
 def test_check_shows_what_was_built(tmp_path):
     (tmp_path / "mine.toml").write_text(SCENE)
-    done = warpmpc("check", "mine.toml:near", "--engine", "fused", "--set", "cost.distance.weight=2.5", folder=tmp_path)
+    done = warpmpc("check", "mine.toml:near", "--set", "cost.distance.weight=2.5", folder=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     for part in (
         "mine, variant near",

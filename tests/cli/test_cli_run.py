@@ -40,7 +40,6 @@ KEYS = [
 
 PLAIN = ["--engine", "mujoco"]
 """An engine that compiles nothing for a scene, for programs that are started."""
-
 PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "encoding": "utf-8"}
 
 TERMS = """
@@ -358,8 +357,7 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
         lines = [process.stdout.readline()]
         process.send_signal(signal.SIGINT)
         rest, errors = process.communicate(timeout=120)
-    lines += rest.splitlines()
-    found = [json.loads(line) for line in lines]
+    found = [json.loads(line) for line in [*lines, *rest.splitlines()]]
     assert process.returncode == 130
     assert errors == ""
     assert found[0]["reason"] == "timeout"
