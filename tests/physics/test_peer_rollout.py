@@ -18,7 +18,7 @@ FALLS_BACK = {
     "test_multi_model1": "worlds that differ in body_pos",
     "test_multi_model2": "worlds that differ in body_pos",
     "test_py_rollout_generalized_control": "controls other than ctrl",
-    "test_intercept_mj_errors": "solvers that are none",
+    "test_intercept_mj_errors": "solvers that MuJoCo does not have",
 }
 """Tests that ask for more than this physics has, and the line that says so; no test fails."""
 if not FILE.exists():
