@@ -4,13 +4,17 @@
 Slow ones by hand: pytest -m slow tests/planner/test_sampled_ilqg.py
 """
 
+import threading
+
 import numpy as np
 import pytest
+import warp as wp
 from post_scene import POST
 from small_scenes import DISC, make_scene
 
 from warpmpc import Controller, SceneError, State, load_scene, run_episode
 from warpmpc.engine.protocol import TimeGrid
+from warpmpc.physics.runtime.launch import CapturedLaunches, Launcher
 from warpmpc.planner.refine import some_draws
 from warpmpc.planner.refiners import fine_grid
 from warpmpc.scene.model.properties import Properties
@@ -127,6 +131,39 @@ def test_it_holds_a_pole_that_samples_let_fall(seed):
 
     assert not fell()
     assert fell(**{"planner.refine": "false"})
+
+
+@wp.kernel
+def add_kernel(x: wp.array[float]):
+    """One thread: adds one to a number."""
+    x[wp.tid()] = x[wp.tid()] + 1.0
+
+
+@pytest.mark.parametrize("planner", [{"samples": 64, "refine": {"method": "ilqg"}}, {"method": "ilqg"}], ids=str)
+def test_plans_are_made_while_other_threads_record(planner):
+    """A recording takes in what any thread launches or copies meanwhile, and copies of some arrays end it."""
+    mpc, numbers, launch = controller(**planner), wp.zeros(8, dtype=float, device="cpu"), Launcher("cpu")
+    stopped, errors = threading.Event(), []
+
+    def record() -> None:
+        try:
+            while not stopped.is_set():
+                sequence = CapturedLaunches(lambda: [launch(add_kernel, 8, [], [numbers]) for _ in range(20)])
+                sequence()
+                sequence()
+        except Exception as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=record)
+    thread.start()
+    try:
+        for n in range(100):
+            plan = mpc.plan(State(np.zeros(3), np.zeros(3), 0.04 * n))
+    finally:
+        stopped.set()
+        thread.join()
+    assert not errors
+    assert plan.feedback is not None
 
 
 def test_no_derivatives_leave_the_plan_of_the_samples(caplog):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..engine.protocol import Proposal, TimeGrid
 from ..kernels.planner.weights import forget_cost_kernel
-from ..physics.runtime.launch import Launcher
+from ..physics.runtime.launch import Launcher, assign, unrecorded
 from ..scene.errors import SceneError
 from ..scene.model.properties import Properties
 from ..scene.model.state import PROPOSERS
@@ -167,11 +167,11 @@ class Refiner(ABC):
         """Let the engine have rolled out, evaluated and recorded the plan, as the only sample."""
         strategy, cost = self._strategy, self._engine.cost
         self._knots[:, 0] = strategy.mean.numpy()
-        strategy.knots.assign(self._knots)
+        assign(strategy.knots, self._knots)
         self._engine.evaluate(self._alone)
         if cost.shape[1] > 1:
             self._launch(forget_cost_kernel, (cost.shape[0], cost.shape[1] - 1), [1], [cost])
-        strategy.eta.fill_(1.0)
+        assign(strategy.eta, np.ones(len(strategy.eta)))
 
     def reset(self) -> None:
         """Forget earlier plans."""
@@ -239,12 +239,12 @@ class GradientRefiner(Refiner):
             tried = mean[:, None] + self._shares[:, None, None] * step[:, None]
             tried = np.clip(tried, self._lower, self._upper)
             self._knots[:, : len(self._shares)] = tried
-            strategy.knots.assign(self._knots)
+            assign(strategy.knots, self._knots)
             self._engine.evaluate(self._candidates)
             cost = self._engine.cost.numpy()[:, : len(self._shares)]
             best = np.argmin(np.where(np.isfinite(cost), cost, np.inf), axis=1)
             self._lowered = 1.0 - (1.0 - self._lowered) * cost[rows, best] / cost[:, 0]
-            strategy.mean.assign(self._knots[rows, best])
+            assign(strategy.mean, self._knots[rows, best])
 
     def _blend(self) -> np.ndarray:
         """Share of each knot in a step's control ``[E, T, P]``."""
@@ -320,11 +320,13 @@ class IlqgRefiner(Refiner):
         self.feedback = Feedback(times, state[:, :-1:hold], gains, self._space)
         self._control = control[:, ::hold]
 
+    @unrecorded
     def _starts(self) -> list[np.ndarray]:
         """Controls ``[E, T, nu]`` that are tried first."""
         control = np.clip(self._strategy.mean.numpy().astype(float), self._lower, self._upper)
         return [control.repeat(self.hold, axis=1)[:, : self._request.grid.steps]]
 
+    @unrecorded
     def _take(self, control: np.ndarray) -> None:
         """Let the plan be controls ``[E, T/hold, nu]``."""
         self._strategy.mean.assign(control.astype(np.float32))

@@ -47,6 +47,23 @@ def one_thread(method: Method) -> Method:
     return guarded
 
 
+def unrecorded(method: Method) -> Method:
+    """Let a method run while nothing is recorded; it may not wait for other threads that record."""
+
+    @functools.wraps(method)
+    def alone(*args: object, **options: object) -> object:
+        with capturing:
+            return method(*args, **options)
+
+    return alone
+
+
+@unrecorded
+def assign(array: wp.array, values: object) -> None:
+    """Write values into an array."""
+    array.assign(values)
+
+
 @contextmanager
 def default_device(device: wp.DeviceLike) -> Iterator[None]:
     """Make a device Warp's default for a while, for libraries that take no device.

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.planner.riccati import backward_kernel, scratch_size
+from ...physics.runtime.launch import capturing
 
 if TYPE_CHECKING:
     from .expansion import Linear, Quadratic
@@ -53,7 +54,8 @@ def backward(
         kind = int if array.dtype == np.int32 else wp.float64
         return wp.array(np.ascontiguousarray(array), dtype=kind, device="cpu", copy=False)
 
-    outputs = [seen(array) for array in (scratch, *out, failed)]
-    wp.launch(backward_kernel, envs, [seen(array) for array in given], outputs, device="cpu")
+    with capturing:
+        outputs = [seen(array) for array in (scratch, *out, failed)]
+        wp.launch(backward_kernel, envs, [seen(array) for array in given], outputs, device="cpu")
     change, gain = out
     return Backward(change * scale, gain * scale[:, None], failed != 0)

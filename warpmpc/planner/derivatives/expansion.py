@@ -12,7 +12,7 @@ import warp as wp
 
 from ...cost.stack import stage_weights
 from ...kernels.planner.derivatives import Moves, difference_kernel, move_kernel
-from ...physics.runtime.launch import Launcher
+from ...physics.runtime.launch import Launcher, capturing, unrecorded
 
 if TYPE_CHECKING:
     from ...engine.protocol import Engine, EngineRequest, PhysicsSteps
@@ -88,6 +88,7 @@ class Differences:
         self._rows = [(a, b - a) for a, b in pairwise(cuts)]
         self._forth, self._back = worlds.replays(self._move), worlds.replays(self._compare)
 
+    @unrecorded
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``."""
         self._moves.lower.assign(lower)
@@ -105,14 +106,16 @@ class Differences:
             FloatingPointError: If the physics of a world failed, or a residual is not finite.
         """
         worlds, n = self.worlds, self._n
-        worlds.follow()  # before the states are written: what is observed would overwrite them
-        for array, values in zip(self._nominal, (state, control, before), strict=True):
-            array.assign(values)
+        with capturing:
+            worlds.follow()  # before the states are written: what is observed would overwrite them
+            for array, values in zip(self._nominal, (state, control, before), strict=True):
+                array.assign(values)
         worlds.run(self._forth)
         worlds.run(self._back)
-        wp.copy(self._host, self._out)
-        wp.synchronize_device(worlds.device)
-        out = self._host.numpy().copy()
+        with capturing:
+            wp.copy(self._host, self._out)
+            wp.synchronize_device(worlds.device)
+            out = self._host.numpy().copy()
         if not np.isfinite(out).all():
             raise FloatingPointError("the physics of a perturbed step failed, or a residual of it is not finite")
         out = out.reshape(*control.shape[:2], *out.shape[1:]).swapaxes(2, 3)

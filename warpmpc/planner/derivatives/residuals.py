@@ -14,7 +14,7 @@ from ...cost.term import CostTerm
 from ...kernels.cost.norms import QUADRATIC
 from ...kernels.cost.view import StepView
 from ...kernels.planner.derivatives import norms_kernel
-from ...physics.runtime.launch import Launcher
+from ...physics.runtime.launch import Launcher, unrecorded
 from ...scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -122,6 +122,7 @@ class Residuals:
         """
         self._launch(self._kernel, count, [view, self._stack.params, rollouts, first], [out])
 
+    @unrecorded
     def norms(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Norms, their gradients and Hessians.
 

@@ -15,7 +15,7 @@ import warp as wp
 
 from ...kernels.planner.derivatives import STRAIGHT
 from ...kernels.planner.feedback import TURN, TangentTable, add_cost_kernel, follow_kernel
-from ...physics.runtime.launch import Launcher
+from ...physics.runtime.launch import Launcher, capturing, unrecorded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -211,6 +211,7 @@ class PolicyRollouts:
         self._costing = [*norms, request.weights, request.scene.planner.stage_risk]
         self._replays = worlds.replays(self._roll)
 
+    @unrecorded
     def set_limits(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Change the limits of the controls ``[nu]``."""
         for array, limit in zip(self._limits, (lower, upper), strict=True):
@@ -238,7 +239,6 @@ class PolicyRollouts:
             noise: ε of each world, broadcast to ``[E, N, D, T, nu]``.
         """
         worlds, shape = self.worlds, (self._envs, self._candidates, self._draws)
-        worlds.follow()
         count = self._candidates * self._draws
         begin = np.repeat(start, count, axis=0)
         applied = np.stack([before, before]).repeat(count, axis=1)
@@ -247,21 +247,24 @@ class PolicyRollouts:
             """A number of every candidate for all its worlds."""
             return np.broadcast_to(np.asarray(values, dtype=kind), share.shape).repeat(self._draws)
 
-        rest = [policies[0]] * (self._policies - len(policies))
-        for name in ("state", "control", "change", "gain"):
-            values = np.stack([getattr(policy, name) for policy in (*policies, *rest)], axis=1)
-            getattr(self, f"_{name}").assign(values.reshape(-1, *values.shape[2:]))
-        self._share.assign(each(share, float))
-        self._feedback.assign(each(feedback, float))
-        self._followed.assign(each(followed, np.int32))
-        self._noise.assign(np.broadcast_to(noise, (*shape, *self._noise.shape[1:])).reshape(self._noise.shape))
-        worlds.starts.assign(np.hstack([np.zeros((len(begin), 1)), begin]))
-        worlds.applied.assign(applied.astype(np.float32))
+        with capturing:
+            worlds.follow()
+            rest = [policies[0]] * (self._policies - len(policies))
+            for name in ("state", "control", "change", "gain"):
+                values = np.stack([getattr(policy, name) for policy in (*policies, *rest)], axis=1)
+                getattr(self, f"_{name}").assign(values.reshape(-1, *values.shape[2:]))
+            self._share.assign(each(share, float))
+            self._feedback.assign(each(feedback, float))
+            self._followed.assign(each(followed, np.int32))
+            self._noise.assign(np.broadcast_to(noise, (*shape, *self._noise.shape[1:])).reshape(self._noise.shape))
+            worlds.starts.assign(np.hstack([np.zeros((len(begin), 1)), begin]))
+            worlds.applied.assign(applied.astype(np.float32))
         worlds.run(self._replays)
-        states = self._states.numpy().swapaxes(0, 1).reshape(*shape, self._horizon + 1, -1)
-        controls = self._controls.numpy().swapaxes(0, 1).reshape(*shape, self._horizon, -1)
-        cost = self._cost.numpy().reshape(shape).mean(axis=2)
-        return Outcome(states[:, :, 0].copy(), controls[:, :, 0].copy(), cost)
+        with capturing:
+            states = self._states.numpy().swapaxes(0, 1).reshape(*shape, self._horizon + 1, -1)
+            controls = self._controls.numpy().swapaxes(0, 1).reshape(*shape, self._horizon, -1)
+            cost = self._cost.numpy().reshape(shape).mean(axis=2)
+            return Outcome(states[:, :, 0].copy(), controls[:, :, 0].copy(), cost)
 
     def _roll(self, part: int) -> None:
         worlds, (first, count) = self.worlds, self.worlds.parts[part]

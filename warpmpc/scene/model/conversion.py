@@ -17,7 +17,7 @@ import warp as wp
 
 from ...kernels.engine.clone import mujoco_state_kernel, record_mujoco_kernel
 from ...kernels.geometry.kinematics import FREE
-from ...physics.runtime.launch import Launcher
+from ...physics.runtime.launch import Launcher, unrecorded
 from .joints import joint_table
 from .state import State
 
@@ -271,6 +271,7 @@ class StateRows:
         self._table = joint_table(layout, "cpu", mujoco_q=world.joint_q, mujoco_qd=world.joint_qd)
         self._launch = Launcher("cpu")
 
+    @unrecorded
     def __call__(self, joint_q: np.ndarray, joint_qd: np.ndarray, act: np.ndarray | None = None) -> np.ndarray:
         """Rows ``[E, nx]`` of coordinates ``[E, nq]``, velocities ``[E, nv]`` and activations ``[E, na]``."""
         q, qd = (wp.array(np.asarray(a)[None], dtype=float, device="cpu") for a in (joint_q, joint_qd))
