@@ -166,6 +166,15 @@ def test_plans_are_made_while_other_threads_record(planner):
     assert plan.feedback is not None
 
 
+@pytest.mark.parametrize("method", ["ilqg", "gradient"])
+def test_an_observation_that_is_not_finite_is_no_plan(method):
+    mpc = controller(samples=64, refine={"method": method})
+    mpc.step(State(np.full(3, np.nan), np.zeros(3), 0.0))
+    assert (mpc.info.fallback, mpc.info.lowered) == (True, 0.0)
+    mpc.step(State(np.zeros(3), np.zeros(3), 0.04))
+    assert 0.0 < mpc.info.lowered < 1.0
+
+
 def test_no_derivatives_leave_the_plan_of_the_samples(caplog):
     mpc = controller(samples=64, refine={"method": "ilqg"})
     mpc.plan_step.refiner.differences._moves.state.fill_(np.nan)

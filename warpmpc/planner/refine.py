@@ -104,11 +104,16 @@ class Refiner(ABC):
         half = 0.5 * (self._upper - self._lower)
         self._scale = np.where(np.isfinite(half), half, 1.0)
         self._failed = False
+        self._forget()
         self._knots, self._alone = np.zeros(strategy.knots.shape, dtype=np.float32), self._held(1)
 
     def _held(self, samples: int) -> Proposal:
         """Proposal of the first samples, whose knots are there already."""
         return Proposal(self._strategy.knots, self._strategy.offset, samples)
+
+    def _forget(self) -> None:
+        envs = self._request.shape.envs
+        self._proposers, self._lowered = [PROPOSERS[0]] * envs, np.zeros(envs)
 
     def told(self, e: int) -> dict[str, Any]:
         """Proposer of an environment's plan, and the share by which derivatives lowered its predicted cost."""
@@ -121,7 +126,7 @@ class Refiner(ABC):
         for user in (rollouts, self.differences):
             user.set_limits(self._lower, self._upper)
         start, before = rollouts.worlds.observed(), state.last_control.numpy().astype(float)
-        self._proposers, self._lowered = [PROPOSERS[0]] * len(start), np.zeros(len(start))
+        self._forget()
         try:
             self._improve(start, before)
         except FloatingPointError as error:
@@ -243,7 +248,8 @@ class GradientRefiner(Refiner):
             self._engine.evaluate(self._candidates)
             cost = self._engine.cost.numpy()[:, : len(self._shares)]
             best = np.argmin(np.where(np.isfinite(cost), cost, np.inf), axis=1)
-            self._lowered = 1.0 - (1.0 - self._lowered) * cost[rows, best] / cost[:, 0]
+            before_it = np.where(np.isfinite(cost[:, 0]) & (cost[:, 0] > 0.0), cost[:, 0], cost[rows, best])
+            self._lowered = 1.0 - (1.0 - self._lowered) * cost[rows, best] / np.maximum(before_it, 1e-30)
             assign(strategy.mean, self._knots[rows, best])
 
     def _blend(self) -> np.ndarray:
