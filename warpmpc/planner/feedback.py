@@ -86,7 +86,7 @@ class Feedback:
         return (times - self.times[:, :1]) / step + float(KNOT_TOLERANCE)
 
     def _planned(self, place: np.ndarray) -> np.ndarray:
-        return (place >= 0.0) & (place < self.times.shape[1])
+        return ~((place < 0.0) | (place >= self.times.shape[1]))  # what is not finite stays so, and is not followed
 
     def policy(self, times: np.ndarray, control: np.ndarray) -> Policy:
         """The gains at other times ``[E, T]``, about controls ``[E, T, nu]``."""

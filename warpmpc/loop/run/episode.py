@@ -199,7 +199,7 @@ class Present:
         if self._predict is None or not self._sent or duration <= 0.0:
             return state
 
-        def acting(time: float) -> np.ndarray:
+        def acting(time: float, _: State) -> np.ndarray:
             ago = int((now - time) / self._dt - 1e-6)  # whole controls
             return self._sent[-1 - min(ago, len(self._sent) - 1)]
 
