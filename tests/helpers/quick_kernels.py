@@ -32,7 +32,7 @@ def compile_soonest() -> None:
     def resolved(module: wp.Module, *args: object, **keys: object) -> dict[str, object]:
         options = resolve(module, *args, **keys)
         if quick and module.options["cpu_compiler_flags"] and options["optimization_level"] is None:
-            options["optimization_level"] = 0
+            options["optimization_level"] = module.options["optimization_level"] = 0
         return options
 
     wp.Module.load, wp.Module.resolve_options = soonest, resolved
