@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels that tests compile without optimization, in a third to two thirds of the time.
 
-Those of Newton and MuJoCo Warp always. Those that are written for one model and have compiler flags of their own, which
+Those of Newton and MuJoCo Warp always. Those that are written for one model and have their own compiler flags, which
 take longest, where rollouts are few: other programs have others on disk, and their last bits differ.
 """
 

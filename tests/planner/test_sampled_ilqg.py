@@ -5,16 +5,19 @@ Slow ones by hand: pytest -m slow tests/planner/test_sampled_ilqg.py
 """
 
 import threading
+import time
+import traceback
 
 import numpy as np
 import pytest
 import warp as wp
 from post_scene import POST
 from small_scenes import DISC, make_scene
+from warp._src import context
 
 from warpmpc import Controller, SceneError, State, load_scene, run_episode
 from warpmpc.engine.protocol import TimeGrid
-from warpmpc.physics.runtime.launch import CapturedLaunches, Launcher
+from warpmpc.physics.runtime.launch import CapturedLaunches, Launcher, capturing
 from warpmpc.planner.refine import some_draws
 from warpmpc.planner.refiners import fine_grid
 from warpmpc.scene.model.properties import Properties
@@ -70,12 +73,12 @@ def test_terms_that_are_not_taken_step_by_step_leave_it_out():
 
 def test_plans_have_a_control_for_every_step_and_samples_keep_their_knots():
     mpc = controller(samples=64, lookahead=0.8, dt=0.08, knots=4, refine={"method": "ilqg"})
-    for time in (0.0, 0.04, 0.08):
-        plan = mpc.plan(State(np.zeros(3), np.zeros(3), time))
+    for now in (0.0, 0.04, 0.08):
+        plan = mpc.plan(State(np.zeros(3), np.zeros(3), now))
         assert plan.knots.shape == (20, 3)
         assert mpc.rollout().knots.shape == (4, 3)
-        np.testing.assert_allclose(plan.times, time + 0.04 * np.arange(20), atol=1e-6)
-        np.testing.assert_allclose(plan.at(time), mpc.command, atol=1e-6)
+        np.testing.assert_allclose(plan.times, now + 0.04 * np.arange(20), atol=1e-6)
+        np.testing.assert_allclose(plan.at(now), mpc.command, atol=1e-6)
 
 
 def test_the_plan_costs_no_more_than_that_of_the_samples():
@@ -151,19 +154,48 @@ def test_plans_are_made_while_other_threads_record(planner):
                 sequence = CapturedLaunches(lambda: [launch(add_kernel, 8, [], [numbers]) for _ in range(20)])
                 sequence()
                 sequence()
+                time.sleep(1e-3)
         except Exception as error:
             errors.append(error)
 
     thread = threading.Thread(target=record)
     thread.start()
     try:
-        for n in range(100):
+        for n in range(40):
             plan = mpc.plan(State(np.zeros(3), np.zeros(3), 0.04 * n))
     finally:
         stopped.set()
         thread.join()
     assert not errors
     assert plan.feedback is not None
+
+
+@pytest.mark.parametrize("method", ["samples", "auto", "gradient", "ilqg", "ilqs"])
+def test_whatever_a_plan_launches_copies_and_writes_waits_for_recordings(monkeypatch, method):
+    """Of every thread, also at the first plan, which allocates."""
+    found = []
+
+    def watched(owner: object, name: str) -> None:
+        original = getattr(owner, name)
+
+        def checked(*args: object, **options: object) -> object:
+            if not capturing._is_owned():
+                found.append("".join(traceback.format_stack(limit=4)))
+            return original(*args, **options)
+
+        monkeypatch.setattr(owner, name, checked)
+
+    refined = {"samples": None, "auto": {}, "gradient": {"method": "gradient"}}
+    planner = {"samples": 64, "refine": refined[method]} if method in refined else {"method": method}
+    mpc = controller(**planner)
+    for owner, name in [(context, "copy"), *((wp, x) for x in ("launch", "launch_tiled", "copy", "clone", "zeros"))]:
+        watched(owner, name)
+    for name in ("assign", "zero_", "fill_"):
+        watched(wp.array, name)
+    for n in range(3):
+        state = State(np.zeros(3), np.zeros(3), 0.04 * n)
+        mpc.plan(state).at(0.04 * n, state)
+    assert not found, found[0]
 
 
 @pytest.mark.parametrize("method", ["ilqg", "gradient"])

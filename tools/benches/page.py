@@ -87,7 +87,7 @@ def watch_chromium(url: str, executable: str) -> None:
 
 @contextmanager
 def watcher(kind: str, url: str, chromium: str | None, apart: set[int]) -> Iterator[subprocess.Popen | None]:
-    """A process that looks at the page, on its own processors if any are given; None for nobody."""
+    """A process that looks at the page, on its own processors if any are given; None without one."""
     if kind == "nobody":
         yield None
         return

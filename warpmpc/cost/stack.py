@@ -20,7 +20,7 @@ import warp as wp
 from ..kernels.cost.view import StepView
 from ..kernels.geometry.kinematics import forward_kinematics_kernel
 from ..kernels.planner.costs import CostWeights, weigh_values_kernel
-from ..physics.runtime.launch import Launcher
+from ..physics.runtime.launch import Launcher, unrecorded
 from ..scene.errors import Mistakes, SceneError
 from ..scene.model.joints import joint_table
 from ..scene.registry import TERMS
@@ -46,6 +46,7 @@ def term_factors(costs: Sequence[Cost]) -> np.ndarray:
     return np.array([(a, b * cost.terminal) for cost, (a, b) in zip(costs, counted, strict=True)]).reshape(-1, 2)
 
 
+@unrecorded
 def cost_weights(weight: wp.array, factors: np.ndarray, discount: np.ndarray) -> CostWeights:
     """Factors of terms at every step, on the device of their weights.
 

@@ -50,7 +50,7 @@ class Feedback:
     def correction(self, times: np.ndarray, state: State) -> np.ndarray:
         """K (x ⊖ x̄), what the controls answer to states ``[E, nu]``.
 
-        A state is compared with the planned one of its own time, which may be earlier than that of the control.
+        A state is compared with the planned one at the time of the observation, which may precede that of the control.
 
         Args:
             times: One for each environment ``[E]`` [s]; a state that has a time is taken at its own.

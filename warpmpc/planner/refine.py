@@ -248,8 +248,9 @@ class GradientRefiner(Refiner):
             self._engine.evaluate(self._candidates)
             cost = self._engine.cost.numpy()[:, : len(self._shares)]
             best = np.argmin(np.where(np.isfinite(cost), cost, np.inf), axis=1)
-            before_it = np.where(np.isfinite(cost[:, 0]) & (cost[:, 0] > 0.0), cost[:, 0], cost[rows, best])
-            self._lowered = 1.0 - (1.0 - self._lowered) * cost[rows, best] / np.maximum(before_it, 1e-30)
+            known = np.isfinite(cost[:, 0]) & (cost[:, 0] > 0.0)
+            left = np.where(known, cost[rows, best], 1.0) / np.where(known, cost[:, 0], 1.0)
+            self._lowered = 1.0 - (1.0 - self._lowered) * left
             assign(strategy.mean, self._knots[rows, best])
 
     def _blend(self) -> np.ndarray:

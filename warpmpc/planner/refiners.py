@@ -156,7 +156,7 @@ contact; with .1 of it in 0 of 16. Elsewhere it costs: a load that hangs from a 
 with .1, in none with .3, in all without."""
 MOST = 0.5
 """Most worlds that differences take under ``auto``, as a share of those that the samples take in all rounds: plans take
-about 1.6 times as long then. With more, the plans of a humanoid took five times as long and were no better."""
+about twice as long then, on one core. With more, the plans of a humanoid took five times as long and were no better."""
 
 
 def suits(request: EngineRequest, engine: Engine, physics: bool) -> bool:

@@ -72,8 +72,7 @@ def check_goal(scene: str, transport: str, seed: int, *, speed: float = SPEED, *
 
 @pytest.mark.parametrize("transport", ["zmq", ROS2])
 def test_a_robot_in_another_process_reaches_its_goal(transport):
-    # slow ones stand for as long as the scene asks
-    check_goal("cartpole_swingup", transport, 0, changes=["engine.threads=1", "success.hold=0.5"])
+    check_goal("cartpole_swingup", transport, 0, changes=["engine.threads=1"])
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def test_a_session_of_the_users_own_goes_on_without_the_calls(cluster, tmp_path)
         while not all(calls.gone(int(mark.read_text())) for mark in marks):
             assert time.monotonic() < end
             time.sleep(0.05)
-        wait((*futures, queued), timeout=60.0)  # Ray tells of its end in a separate thread
+        wait((*futures, queued), timeout=60.0)  # Ray reports the end in a separate thread
         assert all(future.cancelled() for future in (*futures, queued))
         with RayWorkers() as workers:  # whose cores are free again
             assert workers.submit(calls.where).result(timeout=90.0)[1] == 0
