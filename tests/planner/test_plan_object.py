@@ -110,3 +110,20 @@ def test_a_plan_keeps_the_limits_it_was_made_with():
     np.testing.assert_array_equal(plan.at(0.0), before)
     assert plan.times.shape == (4,)
     assert np.abs(controller.plan(state).at(0.0)).max() <= 1e-3 + 1e-9
+
+
+@pytest.mark.parametrize("covariance", ["diagonal", "full"])
+@pytest.mark.parametrize("share", [0.1, 3.0])
+def test_samples_follow_limits_that_changed(covariance, share):
+    planner = {"samples": 64, "horizon": 4, "covariance": {"form": covariance}, "noise": {"sigma": 5.0}}
+    scene = make_scene(planner=planner)
+    controller = Controller(scene, compiled=compiled(scene))
+    state = State(np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0)
+    controller.plan(state)
+    upper = share * controller.limits[1]
+    controller.set_limits(-upper, upper)
+    controller.plan(state)
+    for largest in ([r.knots, r.control] for r in map(controller.rollout, range(1, 64))):
+        assert all(np.abs(values).max() <= upper.max() * (1.0 + 1e-6) for values in largest)
+    reached = max(np.abs(controller.rollout(i).knots / upper).max() for i in range(1, 64))
+    assert reached == pytest.approx(1.0)

@@ -40,6 +40,7 @@ class Kinds(NamedTuple):
 
 
 KINDS = (
+    Kinds("joints", "jnt_type", mujoco.mjtJoint, "FREE BALL SLIDE HINGE", ""),
     Kinds("dynamics of actuators", "actuator_dyntype", mujoco.mjtDyn, "NONE INTEGRATOR FILTER FILTEREXACT MUSCLE",
           "PID DCMOTOR USER"),
     Kinds("gains of actuators", "actuator_gaintype", mujoco.mjtGain, "FIXED AFFINE MUSCLE", "PID DCMOTOR SO3 USER"),

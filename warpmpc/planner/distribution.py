@@ -112,9 +112,13 @@ class Gaussian(RecedingPlan):
         knots, nu = self.dim[1:]
         self._columns = knots * nu
         self._schedule = wp.array(np.repeat(covariance.schedule.numpy(), nu, axis=1), dtype=float, device=self.device)
-        self.column_limits = [
-            wp.array(np.tile(limit.numpy(), knots), dtype=float, device=self.device) for limit in self._limits
-        ]
+        self.column_limits = [wp.zeros(self._columns, dtype=float, device=self.device) for _ in self._limits]
+        self.limit()
+
+    def limit(self) -> None:
+        """Take the limits of the controls as they are now."""
+        for columns, limit in zip(self.column_limits, self._limits, strict=True):
+            columns.assign(np.tile(limit.numpy(), self.dim[1]))
 
     @property
     def sigma(self) -> wp.array3d[float]:

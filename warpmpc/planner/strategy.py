@@ -84,6 +84,9 @@ class Strategy:
         self._limits, self._cost, self._seed = limits, cost, seed
         self.knots = wp.zeros((*cost.shape, len(spline.time), layout.nu), dtype=float, device=cost.device)
 
+    def limit(self) -> None:
+        """Take the limits of the controls as they are now, where they were copied."""
+
     def shift(self) -> None:
         """Move the plan on by the time that has passed; capture-safe."""
 
@@ -245,6 +248,10 @@ class SamplingStrategy(Strategy):
             self._drawn.reset()
         for proposer in self.proposers:
             proposer.reset()
+
+    def limit(self) -> None:
+        """Take the limits of the controls as they are now."""
+        self.distribution.limit()
 
     def shift(self) -> None:
         """Move mean and covariance on by the time that has passed; capture-safe."""

@@ -193,6 +193,7 @@ class Controller:
         with capturing:
             for array, values in zip(self.plan_step.limits, (lower, upper), strict=True):
                 array.assign(values)
+            self.plan_step.strategy.limit()
 
     @one_thread
     def reset(self, plan: Plan | None = None) -> None:
