@@ -12,9 +12,8 @@ import pytest
 from needs import need
 from program import PROGRAM, SCENE, TINY, small_disk
 
-from warpmpc import Controller, Plant, RecordingSwitch, RunLog
+from warpmpc import Controller, Plant, RecordingSwitch, RunLog, load_scene
 from warpmpc.cli.run_folder import RunFolder
-from warpmpc.scene.load import load_scene
 
 ENDLESS = SCENE.replace("[success]\nposition = 0.05\n", "")
 OUTPUTS = {"record": "a.rrd", "csv": "a.csv", "npz": "a.npz", "export": "a.hdf5", "results": "a.jsonl", "out": "a"}

@@ -10,8 +10,8 @@ import tomllib
 import pytest
 from program import SCENE, warpmpc
 
+from warpmpc import load_scene, shipped_scenes
 from warpmpc.loop.run.result import EpisodeResult
-from warpmpc.scene.load import load_scene, shipped_scenes
 
 
 def test_version():

@@ -10,14 +10,13 @@ from evaluating import Evaluating
 from scipy.spatial import cKDTree
 from small_scenes import layout_of
 
-from warpmpc import Controller, SceneError, State
+from warpmpc import Controller, SceneError, State, Task
 from warpmpc.cost.resources.cloud import CloudVolume, PointClouds
 from warpmpc.cost.stack import CostEvaluator, CostStack
 from warpmpc.engine.protocol import TimeGrid
 from warpmpc.kernels.geometry.volume import ABREAST, Volume, between_voxels, voxel_distance
 from warpmpc.scene.model.trajectory import BatchSize
 from warpmpc.scene.schema_bodies import Cloud
-from warpmpc.scene.task.task import Task
 
 REGION = {"low": (-0.9, -0.9, -0.2), "high": (1.1, 0.9, 1.2)}
 VOXEL = 0.025

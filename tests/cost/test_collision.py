@@ -13,11 +13,10 @@ from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import layout_of
 
-from warpmpc import SceneError
+from warpmpc import SceneError, Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.pairs import self_pairs
 from warpmpc.scene.model.spheres import fit_spheres
-from warpmpc.scene.task.task import Task
 
 TURNED = (0.1, -0.5, 0.2, 0.8)
 OBSTACLES = [

@@ -10,12 +10,11 @@ from small_scenes import layout_of
 from studies.arms.learned.self_distance import SelfDistance
 from studies.arms.train_self_collision import Errors
 
-from warpmpc import Controller, SceneError, State, load_scene
+from warpmpc import Controller, SceneError, State, Task, load_scene
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.assets import resolve_asset
 from warpmpc.scene.model.trajectory import BatchSize
 from warpmpc.scene.schema import Cost
-from warpmpc.scene.task.task import Task
 
 SHAPE = BatchSize(1, 16, 1, 4)
 SIZES = [(256, 64), (40, 24), (12, 5)]

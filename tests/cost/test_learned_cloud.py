@@ -8,11 +8,10 @@ from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 from small_scenes import layout_of
 
-from warpmpc import Controller, SceneError, State
+from warpmpc import Controller, SceneError, State, Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.spheres import link_fingerprint
 from warpmpc.scene.model.trajectory import BatchSize
-from warpmpc.scene.task.task import Task
 
 LINKS = ("panda_link5", "panda_link7")
 CLOUD = {"name": "seen", "low": (-0.9, -0.9, -0.2), "high": (1.1, 0.9, 1.2), "reach": 0.2}

@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 from small_scenes import BOX, layout_of, make_scene
 from ways import around_corners
 
-from warpmpc import SceneError
+from warpmpc import SceneError, Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.trajectory import BatchSize
-from warpmpc.scene.task.task import Task
 
 KEYS = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
 SWIVEL = math.atan2(0.75 * 0.25 - 0.1, 0.15)  # [rad] beside the middle of a broad side, to turn the box

@@ -10,13 +10,12 @@ from small_scenes import BOX, WALL, layout_of, make_scene
 from ways import INFLATION, around_corners
 
 import warpmpc
-from warpmpc import SceneError
+from warpmpc import SceneError, Task
 from warpmpc.cost.resources.guide import Guides
 from warpmpc.cost.stack import CostStack
 from warpmpc.cost.trial import try_terms
 from warpmpc.scene.model.pairs import Pair
 from warpmpc.scene.model.trajectory import BatchSize
-from warpmpc.scene.task.task import Task
 
 SIDE = {"name": "wall", "shape": "box", "size": (0.4, 2.0, 0.5), "position": (0.0, 0.0, 0.25)}
 GEODESIC = {"metric": "geodesic", "inflation": INFLATION}

@@ -8,11 +8,10 @@ import pytest
 import warp as wp
 from rollouts import Rollouts
 
-from warpmpc import SceneError
+from warpmpc import SceneError, StepView, frame_position
 from warpmpc.cost.binding import Binding
 from warpmpc.cost.keys import Frame, Object, TermKeys, term
 from warpmpc.cost.norms import NormKey, NormKind
-from warpmpc.kernels.cost.view import StepView, frame_position
 from warpmpc.scene.types import NonNegative
 
 

@@ -11,8 +11,7 @@ from evaluating import Evaluating
 from small_scenes import compiled, make_scene
 
 import warpmpc
-from warpmpc import SceneError
-from warpmpc.scene.model.state import State
+from warpmpc import SceneError, State
 from warpmpc.scene.model.trajectory import BatchSize
 
 

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
+from warpmpc import load_scene
 from warpmpc.engine.protocol import TimeGrid
 from warpmpc.engine.registry import _error, _Rollouts, physics_steps
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
 ARM = """

@@ -7,14 +7,13 @@ import scipy.stats
 from needs import CUDA, needs
 from small_scenes import BOX, WALL, compiled, layout_of, make_engine, make_scene
 
-from warpmpc import Controller, SceneError, run_episode
+from warpmpc import Controller, SceneError, State, run_episode
 from warpmpc.engine.fused_physics import FusedPhysics
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
 from warpmpc.physics.source_parts import RolloutWork
 from warpmpc.scene.model.drawn_model import ARRAYS, DrawnModel, randomized_arrays, randomized_models
 from warpmpc.scene.model.mujoco_model import Options, make_world
 from warpmpc.scene.model.properties import Properties, draw_properties
-from warpmpc.scene.model.state import State
 from warpmpc.scene.model.trajectory import BatchSize
 
 SAMPLES, PLANS = 24, 3

@@ -6,14 +6,13 @@ from __future__ import annotations
 import numpy as np
 from small_scenes import layout_of
 
-from warpmpc import Scene
+from warpmpc import Scene, Task
 from warpmpc.cost.stack import CostEvaluator, CostStack
 from warpmpc.cost.trial import try_terms
 from warpmpc.engine.protocol import TimeGrid
 from warpmpc.scene.model.layout import Layout
 from warpmpc.scene.model.trajectory import BatchSize, Trajectory
 from warpmpc.scene.task.observed import ObservedState
-from warpmpc.scene.task.task import Task
 
 
 class Evaluating:

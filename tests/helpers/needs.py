@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warpmpc.scene.load import shipped_scenes
+from warpmpc import shipped_scenes
 from warpmpc.scene.model.assets import package_dirs
 
 CHROMIUM = Path("/usr/bin/chromium")

@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from small_scenes import compiled, layout_of, make_scene
 
+from warpmpc import Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.planner.step import PlanStep
 from warpmpc.scene.model.properties import draw_properties
 from warpmpc.scene.model.trajectory import BatchSize
-from warpmpc.scene.task.task import Task
 
 PLANNER = {"samples": 48, "horizon": 8, "noise": {"sigma": (0.5,)}}
 

@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc import State
+from warpmpc import State, Task
 from warpmpc.extras.ros2.settings import Ros2Settings
-from warpmpc.scene.task.task import Task
 
 SCENE = make_scene(object=[BOX], scalar={"speed": 0.5})
 NUMBER = itertools.count()

@@ -9,9 +9,10 @@ import warp as wp
 from evaluating import Evaluating
 from scipy.spatial.transform import Rotation
 
+from warpmpc import StepView
 from warpmpc.cost.code.state import FrameCode, StateCode, TermCode
 from warpmpc.engine.launched import term_source as write_term
-from warpmpc.kernels.cost.view import TASK_BODY, StepView
+from warpmpc.kernels.cost.view import TASK_BODY
 from warpmpc.physics.runtime.bake import WIDE, Lines, Matrix, Operand, Vector, header, known, native_lanes, text
 
 

@@ -7,8 +7,8 @@ from fused_models import CONTACTS, compile_model, controls, starts
 from shared.plain_rollout import PlainRollout
 from small_scenes import compiled, make_scene
 
+from warpmpc import Controller
 from warpmpc.physics.source_parts import make_kernel
-from warpmpc.planner.controller.controller import Controller
 
 WORLDS, STEPS = 21, 30
 

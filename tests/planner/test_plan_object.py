@@ -8,9 +8,8 @@ import pytest
 import warp as wp
 from small_scenes import compiled, make_scene
 
-from warpmpc import Controller, State
+from warpmpc import Controller, Plan, State
 from warpmpc.kernels.planner.splines import command_kernel
-from warpmpc.planner.plan import Plan
 from warpmpc.planner.splines import SplineKind, spline_table
 
 EVEN = 0.1 * np.arange(7)

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scene_text import SMALL, write
 
-from warpmpc import State
+from warpmpc import SceneError, State, load_scene, shipped_scenes
 from warpmpc.scene.draw import clearance, draw_task, signed_distance
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, shipped_scenes
 from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.schema import Obstacle
 

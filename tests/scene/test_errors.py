@@ -7,8 +7,8 @@ import pickle
 import pytest
 from scene_text import SMALL, write
 
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, variants
+from warpmpc import SceneError, load_scene
+from warpmpc.scene.load import variants
 
 
 def spoil(tmp_path, old: str, new: str) -> SceneError:

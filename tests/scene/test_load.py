@@ -9,8 +9,8 @@ import pytest
 from needs import need_scene
 from scene_text import SMALL, write
 
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, shipped_scenes, variants
+from warpmpc import Scene, SceneError, load_scene, shipped_scenes
+from warpmpc.scene.load import variants
 from warpmpc.scene.model.assets import resolve_asset
 from warpmpc.scene.overrides import (
     expand,
@@ -18,7 +18,6 @@ from warpmpc.scene.overrides import (
     split_key,
     with_values,
 )
-from warpmpc.scene.schema import Scene
 
 SHIPPED = [name + suffix for name in shipped_scenes() for suffix in ("", *(f":{v}" for v in variants(name)))]
 

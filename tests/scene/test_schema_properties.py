@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scene_text import SMALL, toml, write
 
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, shipped_scenes
+from warpmpc import Scene, SceneError, load_scene, shipped_scenes
 from warpmpc.scene.schema import (
     Cost,
     Drive,
@@ -34,7 +33,6 @@ from warpmpc.scene.schema import (
     Rejection,
     Risk,
     Robot,
-    Scene,
     ShapeKind,
     SplineKind,
     Success,

@@ -7,11 +7,10 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 from small_scenes import make_scene
 
+from warpmpc import SceneError, Task
 from warpmpc.loop.run.batch import Batch
 from warpmpc.scene.draw import draw_task
-from warpmpc.scene.errors import SceneError
 from warpmpc.scene.schema_goal import is_of, runs_of
-from warpmpc.scene.task.task import Task
 
 NEAR = {"frame": "base/centre", "distance": 0.15}
 COURSE = {

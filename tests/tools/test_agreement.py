@@ -9,7 +9,7 @@ import pytest
 from benches.agreement import differences
 from needs import CUDA, need, need_scene
 
-from warpmpc.scene.load import load_scene, shipped_scenes
+from warpmpc import load_scene, shipped_scenes
 from warpmpc.scene.schema import EngineName
 
 ROUNDING = (2e-5, 2e-4)

@@ -8,7 +8,7 @@ from benches.goals.rows import CORE, PLAN, WARP, Row, rows_here
 from benches.goals.worker import Worker
 from benches.plans import told, verdict
 
-from warpmpc.scene.load import load_scene
+from warpmpc import load_scene
 
 SMALL = {"plans": 5, "floor": True, "small": True}
 QUICK = Row(kind=PLAN, scene="point_reach", goal=1.0, cores=1)

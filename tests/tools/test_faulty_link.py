@@ -6,8 +6,8 @@ import pytest
 from shared import faulty_link as link
 from shared.faulty_link import FaultyLink
 
+from warpmpc import State
 from warpmpc.loop.robots.safety import Command
-from warpmpc.scene.model.state import State
 
 
 class Perfect:

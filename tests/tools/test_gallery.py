@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpmpc.scene.load import shipped_scenes
+from warpmpc import shipped_scenes
 
 FOLDER = Path(__file__).parents[2] / "docs/gallery"
 

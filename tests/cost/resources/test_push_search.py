@@ -8,11 +8,10 @@ import pytest
 from push_scenes import block
 from small_scenes import BOX, compiled, layout_of, make_scene
 
-from warpmpc import Controller, State
+from warpmpc import Controller, State, Task
 from warpmpc.cost.resources import push_value as module
 from warpmpc.cost.resources.push_value import PushValues, Search, push_value
 from warpmpc.cost.stack import CostStack
-from warpmpc.scene.task.task import Task
 
 COST = {"term": "push_path", "pusher": "base/centre", "object": "box", "width": 0.2, "length": 0.3}
 BLOCKING = 0.02  # [s] a refresh takes less than that while a search runs

@@ -6,12 +6,11 @@ import functools
 import numpy as np
 import pytest
 
+from warpmpc import RunRecorder, load_scene
 from warpmpc.extras.doctor.diagnose import diagnose
 from warpmpc.extras.doctor.foresight import logged_steps
 from warpmpc.extras.record.replay import logged_scene
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.run_recorder import RunRecorder
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
 SHORT = ["planner.samples=32", "planner.refine=false", "timing.timeout=1.2"]

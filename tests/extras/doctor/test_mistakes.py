@@ -6,16 +6,12 @@ from dataclasses import dataclass
 import pytest
 from planted import ARM, HAND, LEGS, SCENE, TWO_ARMS
 
-from warpmpc import SceneError
+from warpmpc import Controller, Plant, RunRecorder, SceneError, load_scene
 from warpmpc.extras.doctor.advice import advise
 from warpmpc.extras.doctor.diagnose import diagnose
 from warpmpc.extras.doctor.examine import examine
 from warpmpc.extras.record.replay import logged_scene
-from warpmpc.loop.plant.plant import Plant
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.run_recorder import RunRecorder
-from warpmpc.planner.controller.controller import Controller
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
 CHECK, VERDICT, DIAGNOSE = "check", "verdict", "diagnose"

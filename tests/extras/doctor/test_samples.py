@@ -5,12 +5,10 @@ import numpy as np
 import pytest
 from planted import ARM, SCENE
 
+from warpmpc import Controller, Plant, load_scene
 from warpmpc.extras.doctor.control import plan_findings, term_costs
 from warpmpc.extras.doctor.places import approaches, probes, still_findings
 from warpmpc.extras.doctor.subject import Subject
-from warpmpc.loop.plant.plant import Plant
-from warpmpc.planner.controller.controller import Controller
-from warpmpc.scene.load import load_scene
 
 
 def planned(folder, scene: str, asset: str):

@@ -4,13 +4,12 @@
 import numpy as np
 import pytest
 
+from warpmpc import RunRecorder, load_scene
 from warpmpc.engine.registry import make_engine
 from warpmpc.extras.doctor import foresight
 from warpmpc.extras.doctor.foresight import foresee, logged_steps
 from warpmpc.extras.live.foresight import ForesightMeter
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.run_recorder import RunRecorder
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
 STEPS = 30

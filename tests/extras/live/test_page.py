@@ -19,11 +19,11 @@ pytest.importorskip("playwright.sync_api", reason=reason("playwright"))
 from live_page import WAIT, choose, click_until, launched, opened, press, serving, show, until, without_note  # noqa: E402
 from post_scene import POST  # noqa: E402
 
+from warpmpc import load_scene  # noqa: E402
 from warpmpc.cli.main import app  # noqa: E402
 from warpmpc.extras.live.readouts import FORESIGHT  # noqa: E402
 from warpmpc.extras.live.session import Session  # noqa: E402
 from warpmpc.extras.record.shapes import scene_bounds  # noqa: E402
-from warpmpc.scene.load import load_scene  # noqa: E402
 
 FAST = ["engine.name=fused", "planner.refine=false", "engine.threads=1", "planner.samples=32", "planner.horizon=30"]
 pytestmark = [

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from swinging import SCENE, write_swinging
 
+from warpmpc import load_scene
 from warpmpc.extras.live.readouts import Reading, bars, joints, model_facts, sensors
 from warpmpc.extras.live.session import Session
 from warpmpc.extras.live.snapshot import WINDOW, PlanCounter
-from warpmpc.scene.load import load_scene
 
 
 @pytest.fixture

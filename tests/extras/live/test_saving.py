@@ -2,10 +2,10 @@
 import pytest
 from typer.testing import CliRunner
 
+from warpmpc import SceneError, load_scene, shipped_scenes
 from warpmpc.cli.main import app
 from warpmpc.extras.live.saving import place_of, save, values_of
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene, shipped_folder, shipped_scenes
+from warpmpc.scene.load import shipped_folder
 
 
 def changed(before, path):

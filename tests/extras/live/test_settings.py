@@ -9,9 +9,9 @@ from needs import reason
 
 viser = pytest.importorskip("viser", reason=reason("viser"))
 
+from warpmpc import load_scene  # noqa: E402
 from warpmpc.extras.live import panels  # noqa: E402
 from warpmpc.extras.live.panels import Settings  # noqa: E402
-from warpmpc.scene.load import load_scene  # noqa: E402
 from warpmpc.scene.schema import EngineName, Planner  # noqa: E402
 from warpmpc.scene.types import Section  # noqa: E402
 

@@ -14,12 +14,10 @@ from matplotlib.figure import Figure
 from run_logs import changed
 from small_scenes import BOX, DISC, compiled, make_scene
 
+from warpmpc import Plant, RunLog, RunRecorder
 from warpmpc.extras.record.plots import figures, plot_log
 from warpmpc.extras.record.shapes import mesh_of
-from warpmpc.loop.log.run_log import RunLog
-from warpmpc.loop.plant.plant import Plant
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.run_recorder import RunRecorder
 from warpmpc.scene.model.layout import ShapeInfo
 
 

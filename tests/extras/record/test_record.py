@@ -15,17 +15,13 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from small_scenes import DISC, layout_of, make_scene
 
+from warpmpc import Controller, Plant, RecordingSwitch, State, load_scene
 from warpmpc.extras.record.recorder import ROWS, RerunRecorder
 from warpmpc.extras.record.scene_drawing import draw_shape
 from warpmpc.extras.record.shapes import FORCE_LENGTH, ContactPoints
-from warpmpc.extras.record.switch import RecordingSwitch
-from warpmpc.loop.plant.plant import Plant
-from warpmpc.planner.controller.controller import Controller
 from warpmpc.planner.controller.rollout_paths import COLORS
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.model.layout import ShapeInfo, rotate
-from warpmpc.scene.model.state import State
 from warpmpc.scene.schema_bodies import Cloud
 
 pytestmark = pytest.mark.filterwarnings(f"error::{RerunWarning.__module__}.{RerunWarning.__name__}")

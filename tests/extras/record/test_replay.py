@@ -10,8 +10,9 @@ from needs import need_scene
 from small_scenes import DISC, WALL, compiled, make_scene
 
 import warpmpc
+from warpmpc import shipped_scenes
 from warpmpc.extras.record import replay as module
-from warpmpc.scene.load import dump_scene, parse_scene, shipped_scenes
+from warpmpc.scene.load import dump_scene, parse_scene
 
 SCENE = make_scene(
     robot=[DISC],

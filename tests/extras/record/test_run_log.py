@@ -10,10 +10,9 @@ import pytest
 from small_scenes import BOX, WALL, compiled, make_scene
 
 import warpmpc
-from warpmpc.loop.log.run_log import RunLog
+from warpmpc import RunLog, RunRecorder
 from warpmpc.loop.log.writer import TABLES
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.run_recorder import RunRecorder
 
 STEPS = 12
 SCENE = {

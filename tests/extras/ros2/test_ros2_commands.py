@@ -9,9 +9,8 @@ import pytest
 from needs import needs
 from ros2_wire import JOINTS, TWIST, commanded, joint_state, meet, random_state, until, wired
 
-from warpmpc import State
+from warpmpc import Plan, State
 from warpmpc.loop.realtime.messages import TimedPlan
-from warpmpc.planner.plan import Plan
 from warpmpc.planner.splines import SplineKind
 
 pytestmark = needs("rclpy")

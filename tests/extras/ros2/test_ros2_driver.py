@@ -22,9 +22,9 @@ from ros2_wire import (
     wired,
 )
 
+from warpmpc import SceneError
 from warpmpc.extras.ros2.settings import Ros2Settings
 from warpmpc.loop.robots.drivers import await_state
-from warpmpc.scene.errors import SceneError
 
 pytestmark = needs("rclpy")
 

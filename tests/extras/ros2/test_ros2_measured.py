@@ -14,17 +14,15 @@ from needs import needs
 from scipy.spatial.transform import Rotation
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc import State
+from warpmpc import SceneError, State, Task
 from warpmpc.extras.ros2.settings import Ros2Settings
 from warpmpc.loop.estimation.measurement import PoseMeasured
 from warpmpc.loop.robots.drivers import make_robot
 from warpmpc.loop.robots.estimated import EstimatedRobot
 from warpmpc.loop.robots.simulated import RobotProcess
 from warpmpc.scene.draw import draw_task
-from warpmpc.scene.errors import SceneError
 from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.schema_estimate import Estimate
-from warpmpc.scene.task.task import Task
 
 pytestmark = needs("rclpy")
 

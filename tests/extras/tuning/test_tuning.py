@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import warpmpc
+from warpmpc import shipped_scenes
 from warpmpc.extras.tuning.search import FAILED_COST, Outcome, Score
 from warpmpc.extras.tuning.space import (
     Choice,
@@ -20,7 +21,6 @@ from warpmpc.extras.tuning.space import (
     parse_space,
     present,
 )
-from warpmpc.scene.load import shipped_scenes
 from warpmpc.scene.task.goal import GoalError
 
 pytest.importorskip("optuna", reason="tuning needs optuna")

@@ -6,19 +6,9 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from warpmpc import StepView, frame_angular_velocity, frame_pose, frame_velocity, step_length, step_time, task_scalar
 from warpmpc.kernels.cost.points import shape_distance
-from warpmpc.kernels.cost.view import (
-    StepView,
-    frame_angular_velocity,
-    frame_pose,
-    frame_velocity,
-    rotation_angle,
-    step_length,
-    step_time,
-    task_scalar,
-    wrap_angle,
-    yaw,
-)
+from warpmpc.kernels.cost.view import rotation_angle, wrap_angle, yaw
 from warpmpc.kernels.geometry.fields import PathFields, plane_distance
 
 

@@ -9,7 +9,7 @@ import warp as wp
 from small_scenes import BOX, chain_scene, compiled, make_scene, random_state
 
 import warpmpc
-from warpmpc.kernels.cost.view import StepView, frame_acceleration, frame_angular_acceleration
+from warpmpc import StepView, frame_acceleration, frame_angular_acceleration
 from warpmpc.kernels.engine.clone import (
     clone_state_kernel,
     divergence_kernel,

@@ -8,10 +8,9 @@ import warp as wp
 from arms import arm_scene
 from small_scenes import layout_of
 
-from warpmpc import SceneError
+from warpmpc import SceneError, Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.kernels.geometry.mesh_volume import MeshVolumes, mesh_distance
-from warpmpc.scene.task.task import Task
 
 REACH = 0.05
 """Margin of the terms here; the largest sphere's radius comes on top [m]."""

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc import Monitor, Plant, SceneError, State
-from warpmpc.scene.task.task import Task
+from warpmpc import Monitor, Plant, SceneError, State, Task
 
 FAR = {"joint": "base/x", "above": 0.2}
 LOST = {"name": "lost", "conditions": FAR}

@@ -8,8 +8,7 @@ import pytest
 from small_scenes import BOX, chain_scene, compiled, make_scene
 
 import warpmpc
-from warpmpc import Monitor, Plant, SceneError, State
-from warpmpc.scene.task.task import Task
+from warpmpc import Monitor, Plant, SceneError, State, Task
 
 COST = [
     {"term": "distance", "between": ["base/centre", "goal"], "weight": 2.0},

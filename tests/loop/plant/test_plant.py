@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from small_scenes import BOX, DISC, WALL, chain_scene, compiled, make_scene
 
-from warpmpc import Plant, SceneError
+from warpmpc import Plant, SceneError, Task
 from warpmpc.scene.model.pairs import Pair
-from warpmpc.scene.task.task import Task
 
 FAR_BOX = {**BOX, "position": (3.0, 3.0, 0.1)}
 STILL = np.zeros(3)

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, roll
 
-from warpmpc import Plant, SceneError
-from warpmpc.scene.load import load_scene
+from warpmpc import Plant, SceneError, load_scene
 from warpmpc.scene.model.pairs import Pair
 
 LEFT, RIGHT = ({**DISC, "name": name, "position": (x, 0.0, 0.0)} for name, x in (("left", -0.5), ("right", 0.5)))

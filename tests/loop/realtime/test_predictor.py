@@ -11,10 +11,9 @@ import pytest
 from small_scenes import compiled, layout_of, make_scene
 from studies.plants.latency import delayed_episode
 
-from warpmpc import Controller, load_scene, simulated_robot
+from warpmpc import Controller, Task, load_scene, simulated_robot
 from warpmpc.loop.realtime.messages import TimedObservation
 from warpmpc.loop.realtime.planning import Planning, Predictor
-from warpmpc.scene.task.task import Task
 
 
 def turning(time: float, state: object = None) -> np.ndarray:

@@ -6,8 +6,8 @@ import pytest
 from shared.drive_monitor import DriveMonitor
 from small_scenes import DISC, layout_of, make_scene
 
+from warpmpc import State
 from warpmpc.loop.robots.safety import COMMANDS_TIMEOUT, TAKEOVER, Command, Safety
-from warpmpc.scene.model.state import State
 
 TICK = 0.002
 GOOD = np.array([0.5, -0.2, 0.1])

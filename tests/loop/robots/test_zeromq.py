@@ -11,12 +11,11 @@ import pytest
 import zmq
 from small_scenes import BOX, compiled, make_scene
 
-from warpmpc import SceneError
+from warpmpc import SceneError, State
 from warpmpc.loop.estimation.measurement import PoseMeasured
 from warpmpc.loop.estimation.scene_estimator import LONGEST
 from warpmpc.loop.robots.drivers import await_state, make_robot
 from warpmpc.loop.robots.zeromq import LARGEST, MOST, TOLD, StateCodec, ZmqTransport
-from warpmpc.scene.model.state import State
 from warpmpc.scene.schema_estimate import Estimate
 
 SCENE = make_scene(object=[BOX])

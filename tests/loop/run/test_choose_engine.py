@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from small_scenes import compiled, make_scene
 
-from warpmpc import Controller, load_scene
+from warpmpc import Controller, choose_engine, load_scene
 from warpmpc.loop.run import fit_samples as module
-from warpmpc.loop.run.fit_samples import choose_engine
 from warpmpc.scene.draw import draw_task
 
 TIMES = {"cpu": 0.004, "cuda:0": 0.002}

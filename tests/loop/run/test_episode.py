@@ -7,17 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from warpmpc.loop.plant.plant import Plant
-from warpmpc.loop.run.episode import (
-    Episode,
-    EpisodeInterrupted,
-    compile_shared,
-    run_episode,
-)
+from warpmpc import Controller, Plant, load_scene, run_episode
+from warpmpc.loop.run.episode import Episode, EpisodeInterrupted, compile_shared
 from warpmpc.loop.run.result import EpisodeResult
-from warpmpc.planner.controller.controller import Controller
 from warpmpc.scene.draw import draw_task
-from warpmpc.scene.load import load_scene
 from warpmpc.scene.model.compiled import compile_scene
 
 TINY = ["planner.samples=16", "planner.horizon=4", "timing.timeout=0.4"]

@@ -8,12 +8,11 @@ import pytest
 from small_scenes import compiled, make_scene
 
 import warpmpc
+from warpmpc import SceneError, fit_samples, load_scene
 from warpmpc.engine.protocol import TimeGrid
 from warpmpc.loop.run import fit_samples as module
 from warpmpc.loop.run.episode import Episode
-from warpmpc.loop.run.fit_samples import FEWEST, MOST, SHARE, fit_samples, most_samples
-from warpmpc.scene.errors import SceneError
-from warpmpc.scene.load import load_scene
+from warpmpc.loop.run.fit_samples import FEWEST, MOST, SHARE, most_samples
 from warpmpc.scene.schema import SampleCount
 
 OPEN = {"samples": "auto", "horizon": 6}

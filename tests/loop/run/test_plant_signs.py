@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_scenes import make_scene
 
+from warpmpc import Plant
 from warpmpc.extras.doctor.signs import PlantSigns
-from warpmpc.loop.plant.plant import Plant
 from warpmpc.scene.model.compiled import compile_scene
 
 BASE = """

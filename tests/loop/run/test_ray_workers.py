@@ -28,11 +28,11 @@ from ray.cluster_utils import Cluster
 from shared.jobs import Job, run_job
 from studies.paper import reproduce
 
+from warpmpc import SceneError
 from warpmpc.cli.main import app
 from warpmpc.loop.run import ray_workers
 from warpmpc.loop.run.ray_workers import RayWorkers
 from warpmpc.loop.run.workers import open_workers
-from warpmpc.scene.errors import SceneError
 
 CPUS = {"num_cpus": 1, "object_store_memory": 80_000_000}
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from warpmpc import load_scene
 from warpmpc.loop.run import workers as module
 from warpmpc.loop.run.result import EpisodeResult
 from warpmpc.loop.run.workers import FinishedJobs, KeptResults
-from warpmpc.scene.load import load_scene
 
 SCENES = Path(load_scene("omni_push_box").path).parent
 

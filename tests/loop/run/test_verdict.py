@@ -7,7 +7,7 @@ import pytest
 from planted import ARM
 from small_scenes import DISC, compiled, make_scene
 
-from warpmpc.loop.run.episode import run_episode
+from warpmpc import run_episode
 
 COST = [{"term": "distance", "between": ["base/centre", "goal"], "weight": 5.0}]
 

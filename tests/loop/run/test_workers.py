@@ -10,9 +10,9 @@ from concurrent.futures.process import BrokenProcessPool
 import calls
 import pytest
 
+from warpmpc import SceneError
 from warpmpc.loop.run import workers as module
 from warpmpc.loop.run.workers import LocalWorkers, one_thread, open_workers
-from warpmpc.scene.errors import SceneError
 
 
 @pytest.fixture(scope="module")

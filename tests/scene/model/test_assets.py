@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from needs import needs
 
-from warpmpc.scene.errors import SceneError
+from warpmpc import SceneError
 from warpmpc.scene.load import shipped_folder
 from warpmpc.scene.model.assets import (
     AssetKind,

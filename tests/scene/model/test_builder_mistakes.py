@@ -4,11 +4,10 @@
 import pytest
 from small_scenes import DISC, layout_of, make_scene
 
-from warpmpc import SceneError
+from warpmpc import SceneError, Task
 from warpmpc.cost.stack import CostStack
 from warpmpc.scene.model.builder import build_world
 from warpmpc.scene.model.compiled import compile_scene
-from warpmpc.scene.task.task import Task
 
 
 def scene_of(**keys):

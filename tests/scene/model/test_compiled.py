@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_scenes import BOX, CHAIN, WALL, chain_scene, make_scene
 
-from warpmpc.scene.load import load_scene
+from warpmpc import load_scene
 from warpmpc.scene.model.compiled import _cache_key, compile_scene
 
 

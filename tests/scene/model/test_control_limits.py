@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from small_scenes import make_scene
 
-from warpmpc.scene.errors import SceneError
+from warpmpc import SceneError
 from warpmpc.scene.model.compiled import compile_scene
 
 URDF = """<robot name="cart">

@@ -5,7 +5,7 @@ import pytest
 from small_scenes import compiled, make_scene
 
 import warpmpc
-from warpmpc.scene.errors import SceneError
+from warpmpc import SceneError
 from warpmpc.scene.model import trajectory
 from warpmpc.scene.model.trajectory import BatchSize, Trajectory
 

@@ -6,10 +6,9 @@ import pytest
 from needs import CUDA, needs
 from small_scenes import BOX, compiled, layout_of, make_scene
 
-from warpmpc import Controller
+from warpmpc import Controller, State
 from warpmpc.scene.model.mujoco_model import Options, make_world
 from warpmpc.scene.model.properties import draw_properties
-from warpmpc.scene.model.state import State
 
 TABLE = {"name": "table", "shape": "box", "size": (20.0, 20.0, 0.1), "position": (0.0, 0.0, -0.05), "friction": 0.25}
 BLOCK = {**BOX, "size": (0.5, 0.5, 0.1), "position": (0.0, 4.0, 0.05), "friction": 0.2}

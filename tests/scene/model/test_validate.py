@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from small_scenes import CHAIN, compiled, make_scene
 
-from warpmpc.scene.errors import SceneError
+from warpmpc import SceneError
 from warpmpc.scene.model.compiled import compile_scene
 from warpmpc.scene.model.overlaps import validate_layout
 

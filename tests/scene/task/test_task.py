@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from small_scenes import BOX, WALL, compiled, layout_of, make_scene
 
-from warpmpc import Controller, Plant, SceneError, State
+from warpmpc import Controller, Plant, SceneError, State, Task
 from warpmpc.scene.check import check_scene
-from warpmpc.scene.task.task import Task
 
 COST = [
     {"term": "distance", "between": ["base/centre", "goal"], "weight": 2.0},
