@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests share: the devices they run on and how hypothesis searches."""
 
+import gc
 import os
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -15,6 +16,7 @@ from needs import CUDA, Lacking, need
 hypothesis.settings.register_profile("warpmpc", deadline=None, derandomize=True, max_examples=40)
 hypothesis.settings.load_profile("warpmpc")
 quick_kernels.compile_soonest()
+gc.set_threshold(100_000, 50, 100)  # a tenth of all time goes into looking through what modules and scenes hold
 
 
 os.environ.pop("COLUMNS", None)  # readline sets it in the environment that workers of pytest-xdist begin with

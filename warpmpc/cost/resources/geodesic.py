@@ -54,6 +54,16 @@ class Grid:
         self.points = np.stack(np.meshgrid(x, y), axis=-1)  # [rows, columns, 2]
         self.clearance = self._clearance(self.points)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Grid) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @property
+    def _content(self) -> tuple[object, ...]:
+        return (self.cell, *(a.tobytes() for a in (self.points, *self.outlines)))
+
     def turned(self, point: np.ndarray, yaw: float) -> tuple[Grid, tuple[int, int]]:
         """A square grid over the same area in its own frame, and the column and row of the frame's origin.
 

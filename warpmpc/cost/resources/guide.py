@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +79,12 @@ class Guides(Resource):
         self.guide.reset()
 
 
+@functools.lru_cache(maxsize=8)
+def _recent(grid: Grid, inflation: float) -> tuple[np.ndarray, ...]:
+    """Ways on a grid and its nearest free cells; what judges an episode, and the next episode, ask for them anew."""
+    return *grid.ways(inflation), *grid.nearest_free(inflation)
+
+
 class Guide:
     """Distance fields that follow their targets, one per environment and request.
 
@@ -100,7 +107,7 @@ class Guide:
 
     def __init__(self, grid: Grid, requests: list[FieldRequest], layout: Layout, *, envs: int, device: str):
         self.device, self._launch = device, Launcher(device)
-        known = {i: (*grid.ways(i), *grid.nearest_free(i)) for i in {r.inflation for r in requests}}
+        known = {i: _recent(grid, i) for i in {r.inflation for r in requests}}
         sights, betweens, nearests, depths = zip(*(known[r.inflation] for r in requests), strict=True)
         counts = [len(b) for b in betweens]
         rows, columns = grid.clearance.shape

@@ -6,6 +6,7 @@ The way an object can be pushed to its goal, with the pusher's own way around th
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 import os
@@ -97,6 +98,12 @@ def push_value(grid: Grid, request: PushRequest, goal: np.ndarray, yaw: float) -
     value = np.where(np.isfinite(value), value, 3.0 * straight)  # where no push leads to the goal
     nearest, depth = (a.ravel() for a in grid.nearest_free(request.inflation))
     return (value[:, nearest] + 2.0 * depth).reshape(-1, rows, columns), grid.origin
+
+
+@functools.lru_cache(maxsize=8)
+def _recent(grid: Grid, request: PushRequest, goal: tuple[float, ...], yaw: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same; what judges an episode, and the next episode, search for what its planner searched for."""
+    return push_value(grid, request, np.array(goal), yaw)
 
 
 def _edges(grid: Grid, request: PushRequest) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
@@ -221,7 +228,7 @@ class PushValues(Resource):
             goal = self._wanted[e]
             key = goal.tobytes()
             if key not in known:
-                known[key] = [push_value(*job) for job in self._jobs(goal)]
+                known[key] = [_recent(grid, r, tuple(to), yaw) for grid, r, to, yaw in self._jobs(goal)]
             self._take(int(e), goal, known[key])
 
     def _jobs(self, goal: np.ndarray) -> list[tuple]:

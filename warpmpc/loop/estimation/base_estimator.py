@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ...scene.model.state import State
 from .base_filter import GRAVITY, BaseFilter, BaseState, FeetMeasured, tilted
@@ -29,7 +29,7 @@ JUMP = {"gyro": 0.03, "accel": 0.15}
 """Change from one measurement of a unit to the next, as a share of its range, beyond which a single one is left out."""
 AIR = 0.05
 """Time for which a unit that jumped is left out while no foot stands [s]; then that is a change, or a fault."""
-FAR = float(chi2.ppf(0.9999, 3))
+FAR = float(chdtri(3, 1e-4))
 """Squared Mahalanobis distance beyond which the angular velocity jumps."""
 SPIN, LASTING = 25.0, 0.05
 """Change of a base's angular velocity that nothing shows [rad/s²], and the time for which what legs tell instead is

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .free_joints import cross, cross_matrix, left_jacobian, matrix
 
@@ -21,9 +21,9 @@ GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of free fall on Earth [m/s²]."""
 PHI, V, P, FEET = slice(0, 3), slice(3, 6), slice(6, 9), 9
 """Places of the errors of rotation, velocity, position and the first foot."""
-SLIPPED = float(chi2.ppf(0.99, 3))
+SLIPPED = float(chdtri(3, 0.01))
 """Squared Mahalanobis distance of a foot's velocity from zero beyond which it slips."""
-MOVED = float(chi2.ppf(0.9999, 3))
+MOVED = float(chdtri(3, 1e-4))
 """Squared Mahalanobis distance of a foot from where it stood beyond which it stands somewhere else."""
 ASTRAY = 0.03
 """Time for which every foot that carries something may slip; then the base's velocity is doubted [s]."""

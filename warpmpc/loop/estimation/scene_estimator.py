@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ...scene.model.state import State
 from ...scene.schema_estimate import PoseModel
@@ -71,7 +71,7 @@ class PoseFilter:
         process, noise = estimate.process, estimate.noise
         self._density = np.array([process.linear, process.angular]) ** 2
         self._noise = np.repeat(np.array([noise.position, noise.rotation]) ** 2, 3)
-        self.bound = math.inf if estimate.gate is None else float(chi2.ppf(estimate.gate, 6))
+        self.bound = math.inf if estimate.gate is None else float(chdtri(6, 1.0 - estimate.gate))
         """Largest squared Mahalanobis distance of a measurement that is believed."""
         self._size = 3 * (self.order + 1)
         self._seen = np.r_[0:3, self._size : self._size + 3]  # errors that a pose shows

@@ -9,6 +9,7 @@ neither Newton nor its solver to start moving.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib
 import importlib.metadata
@@ -340,14 +341,9 @@ def _entry(mjcf_robot: MjcfRobot) -> dict:
 def _cache_key(scene: Scene) -> str | None:
     """Hash of everything the compiled scene depends on, or None when that cannot be told (USD layers)."""
     base = scene.path.parent if scene.path else None
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(_maker())
     bodies = dict.fromkeys(("robot", "object", "obstacle", "ground"), True)
     digest.update(scene.model_dump_json(include={**bodies, "engine": {"gravity"}}).encode())
-    for package in ("warpmpc", "newton", "mujoco", "warp-lang"):
-        digest.update(importlib.metadata.version(package).encode())
-    room = Path(__file__).parent
-    for source in sorted(room.glob("*.py")):
-        digest.update(source.read_bytes())
     for robot in scene.robot:
         key = f"robot.{robot.name}.asset"
         path = resolve_asset(robot.asset, base=base, key=key, file=scene.path)
@@ -356,6 +352,13 @@ def _cache_key(scene: Scene) -> str | None:
     for file in files_of(scene):
         digest.update(_kept_path(file).encode() + file.read_bytes())
     return digest.hexdigest()[:32]
+
+
+@functools.cache
+def _maker() -> bytes:
+    """Versions and source of what compiles scenes."""
+    versions = [importlib.metadata.version(name).encode() for name in ("warpmpc", "newton", "mujoco", "warp-lang")]
+    return b"".join((*versions, *(source.read_bytes() for source in sorted(Path(__file__).parent.glob("*.py")))))
 
 
 def _kept_path(file: str | Path) -> str:
