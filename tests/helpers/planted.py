@@ -32,7 +32,7 @@ LEGS = """
         <geom type="capsule" fromto="0 0 0 0 0 -.46" size=".04" mass=".5"/></body>
     </body>
   </worldbody>
-  <actuator><motor joint="left" ctrlrange="-9 9"/><motor joint="right" ctrlrange="-9 9"/></actuator>
+  <actuator><motor joint="left" ctrlrange="-2 2"/><motor joint="right" ctrlrange="-2 2"/></actuator>
 </mujoco>
 """
 HAND = """

@@ -18,6 +18,7 @@ from .control import driven, plan_findings, reach_findings
 from .joints import joint_findings, travel_findings
 from .places import place_findings, probes, still_findings
 from .subject import STEP, Finding, Subject
+from .tumbles import tumble_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -165,7 +166,7 @@ def examine(controller: Controller, monitor: Monitor) -> list[Finding]:
     """
     subject = Subject(controller.scene, controller.compiled)
     of_plan = [*plan_findings(subject, controller), *still_findings(subject, probes(controller))]
-    return [*examine_model(subject), *_at_once(monitor), *of_plan]
+    return [*examine_model(subject), *tumble_findings(controller), *_at_once(monitor), *of_plan]
 
 
 def examine_model(subject: Subject) -> list[Finding]:

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ...scene.describe import written
 from ...scene.schema import ShareOfRange
 
@@ -272,10 +274,10 @@ class Changes:
         """Four times as many samples, and as many as a plan has numbers."""
         return {"planner.samples": str(max(4 * self._shape.samples, MANY, self.numbers))}
 
-    def sigma(self, factor: float) -> dict[str, str]:
-        """Noise that is larger or smaller by a factor."""
+    def sigma(self, factor: float | np.ndarray) -> dict[str, str]:
+        """Noise that is larger or smaller by a factor, one for all controls or one for each."""
         sigma = self._planner.noise.sigma
         share = isinstance(sigma, ShareOfRange)
-        values = [float(f"{factor * value:.3g}") for value in (sigma.range if share else sigma)]
-        text = written(values if len(values) > 1 else values[0]).replace(" ", "")  # a word of a shell
+        values = [float(f"{value:.3g}") for value in np.multiply(factor, sigma.range if share else sigma)]
+        text = written(values if len({*values}) > 1 else values[0]).replace(" ", "")  # a word of a shell
         return {f"planner.noise.sigma{'.range' * share}": text}

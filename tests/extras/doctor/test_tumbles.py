@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise that turns a robot over is told with a σ that does not, where nothing holds what turns."""
+
+import numpy as np
+import pytest
+from needs import need_scene
+
+from warpmpc import Controller, load_scene
+from warpmpc.extras.doctor.tumbles import OVER, tumble, tumble_findings
+
+DRONE = """
+<mujoco>
+  <worldbody>
+    <body name="hull" pos="0 0 1">
+      <freejoint/>
+      <geom type="box" size=".12 .12 .02" mass=".5"/>
+      <site name="left" pos="0 .1 0"/>
+      <site name="right" pos="0 -.1 0"/>
+      <body name="load" pos="0 0 -.02">
+        <joint name="cable" type="ball"/>
+        <geom type="sphere" size=".03" pos="0 0 -.4" mass=".1" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="left" site="left" ctrlrange="0 8" gear="0 0 1 0 0 0"/>
+    <motor name="right" site="right" ctrlrange="0 8" gear="0 0 1 0 0 0"/>
+    <motor name="spin" site="left" ctrlrange="-.001 .001" gear="0 0 0 0 0 1"/>
+  </actuator>
+</mujoco>
+"""
+SCENE = """
+timing = { control_dt = 0.02 }
+planner = { samples = 8, lookahead = 0.8, knots = 5, refine = false }
+engine = { name = "mujoco", threads = 1 }
+goal = { frame = "drone/hull", position = [1.0, 0.0, 1.0] }
+
+[[robot]]
+name = "drone"
+asset = "drone.xml"
+
+[[cost]]
+term = "distance"
+between = ["drone/hull", "goal"]
+"""
+
+
+def made(folder, *overrides: str, asset: str = DRONE) -> Controller:
+    """Controller of the drone."""
+    (folder / "drone.xml").write_text(asset)
+    (folder / "scene.toml").write_text(SCENE)
+    return Controller(load_scene(folder / "scene.toml", overrides=overrides), device="cpu")
+
+
+def test_noise_that_turns_a_drone_over_is_told_and_what_does_not_turn_it_keeps_its_own(tmp_path):
+    controller = made(tmp_path)
+    found = tumble(controller)
+    arm, inertia, share = 0.1, 0.5 * (0.24**2 + 0.04**2) / 12, 0.25 * 8.0
+    free = np.sqrt(2.0 * OVER * inertia / (np.sqrt(2.0) * arm * share))  # of two motors' noise, without the load
+    assert found.body == "drone/hull"
+    assert found.time == pytest.approx(free, rel=0.3)
+    assert found.knots == pytest.approx(0.2)
+    assert found.factor[2] == 1.0
+    assert found.factor[0] == found.factor[1] < 0.5
+    (finding,) = tumble_findings(controller)
+    for part in ("samples turn drone/hull over", "drone/left, drone/right", "0.2 s", "planner.noise.sigma.range = ["):
+        assert part in str(finding)
+    key, value = finding.cure.removeprefix("try ").removesuffix(", with which they do not").split(" = ")
+    assert tumble(made(tmp_path, f"{key}={value}")) is None
+
+
+def test_knots_that_come_in_time_and_what_is_held_are_not_told(tmp_path):
+    assert tumble(made(tmp_path, "planner.knots=40")) is None
+    assert tumble(made(tmp_path, asset=DRONE.replace("<freejoint/>", '<joint type="slide" axis="0 0 1"/>'))) is None
+    led = '<equality><weld body1="load" active="true"/></equality>\n  <actuator>'
+    assert tumble(made(tmp_path, asset=DRONE.replace("<actuator>", led))) is None
+
+
+@pytest.mark.parametrize("name", ["panda_reach", "omni_push_box", "go2_walk", "humanoid_get_up", "quadrotor"])
+def test_scenes_that_are_calm_say_nothing(name):
+    need_scene(name)
+    assert tumble(Controller(load_scene(name), device="cpu", engine="mujoco")) is None
+
+
+def test_a_quadrotor_with_the_noise_of_the_defaults_is_told():
+    controller = Controller(load_scene("quadrotor", overrides=["planner.noise.sigma=1.0", "planner.knots=5"]))
+    assert "planner.noise.sigma = 0." in next(tumble_findings(controller)).cure
