@@ -40,6 +40,12 @@ def _kernels(request):
     quick_kernels.quick = not (request.config.getoption("--as-users") or file.startswith(quick_kernels.AS_USERS))
 
 
+@pytest.fixture
+def optimized(monkeypatch) -> None:
+    """Kernels as users have them, for a test whose rollouts take longer than the compiler saves."""
+    monkeypatch.setattr(quick_kernels, "quick", False)
+
+
 @pytest.fixture(scope="module", params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
 def device(request) -> str:
     """Every device of this machine in turn."""

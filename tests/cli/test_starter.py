@@ -24,8 +24,9 @@ def starter(tmp_path_factory):
     return folder
 
 
-def test_its_scene_reaches_its_goal(starter):
-    done = warpmpc("run", "scene.toml", "--terms", "cost.py", "--json", folder=starter)
+def test_its_scene_reaches_its_goal(starter, command, monkeypatch):
+    monkeypatch.chdir(starter)
+    done = command("run", "scene.toml", "--terms", "cost.py", "--json")
     assert done.stderr == ""
     assert [result["success"] for result in results(done)] == [True]
     assert results(done)[0]["collisions"]["max_force_N"] == 0.0
@@ -46,11 +47,11 @@ def test_its_schema_is_that_of_its_scene(starter):
     assert Draft7Validator(schema).is_valid(tomllib.loads(text))
 
 
-def test_it_writes_over_nothing(starter, tmp_path):
+def test_it_writes_over_nothing(starter, command, tmp_path):
     before = (starter / "scene.toml").read_bytes()
     file = tmp_path / "file"
     file.write_text("mine")
-    done = warpmpc("new", starter)
+    done = command("new", str(starter))
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {starter}: is not empty")
     assert len(done.stderr.splitlines()) == 1

@@ -11,8 +11,9 @@ import warp as wp
 
 LIBRARIES = ("newton.", "mujoco_warp.")
 SOONEST = {"enable_backward": False, "optimization_level": 0}
-AS_USERS = ("tests/scenes/", "tests/planner/test_sampled_ilqg.py", "tests/extras/live/test_hand_over.py")
-"""Tests whose rollouts take longer than the compiler saves, and those of when kernels are optimized."""
+AS_USERS = ("tests/scenes/", "tests/extras/live/test_hand_over.py")
+"""Tests whose rollouts take longer than the compiler saves, and those of when kernels are optimized; for single ones
+there is the fixture ``optimized``."""
 
 quick = True
 """Whether kernels of models that are made now are compiled soonest, too."""

@@ -121,6 +121,7 @@ def test_every_environment_has_its_own_plan():
         np.testing.assert_array_equal(command[e], alone.step(State(q[e], np.zeros(3, np.float32), 0.0)))
 
 
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("method", ["ilqg", "ilqs", "gradient_descent"])
 def test_a_pole_is_swung_up(method):
     scene = with_values(load_scene("cartpole_swingup"), {"planner.method": method, "engine.threads": 1})

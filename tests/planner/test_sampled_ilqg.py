@@ -51,6 +51,7 @@ def test_it_goes_on_unasked_where_it_is_cheap_beside_samples_with_physics(planne
     assert (plan.feedback is not None) == goes_on
 
 
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robot_keeps_away_from_a_post_as_with_samples_alone(tmp_path, seed):
     """Derivatives see a force only once there is contact: noise in the candidates keeps a distance."""
@@ -124,6 +125,7 @@ def test_candidates_are_tried_in_the_nominal_world_first_and_in_the_same_draws()
     np.testing.assert_allclose(tried.size[:, 0, 0], [0.0, 0.02, 0.02] * 2)
 
 
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_it_holds_a_pole_that_samples_let_fall(seed):
     def fell(**changes: object) -> bool:
