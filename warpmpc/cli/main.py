@@ -184,7 +184,7 @@ def run(
     ] = None,
     advise: Annotated[
         bool,
-        typer.Option("--advise", help="After the first episode that fails, try three things that its verdict advises."),
+        typer.Option("--advise", help="Run the first episode that fails again, with one change each: which reach it?"),
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per episode and line.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table: the exit code alone.")] = False,

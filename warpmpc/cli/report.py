@@ -135,6 +135,10 @@ def print_verdicts(results: Sequence[EpisodeResult], console: Console, *, outcom
             console.print(f"  - {sentence}", soft_wrap=True)
         for trial in result.tried:
             console.print(trial_words(trial), soft_wrap=True)
+        if result.tried:
+            console.print(best_words(result.tried), soft_wrap=True)
+    if failed and not any(result.tried for result in failed):
+        console.print(f"to try what may help: the same command with --seed {failed[0].seed} --advise", soft_wrap=True)
 
 
 def in_short(verdict: Sequence[str]) -> str:
@@ -253,5 +257,14 @@ def _in_a_row(results: Sequence[EpisodeResult]) -> str:
 
 def trial_words(trial: dict[str, Any]) -> str:
     """What came of trying changes of a scene."""
-    helps = "helps" if trial["helped"] else "does not help"
-    return f"  tried: {' '.join(trial['set'])} {helps}, {trial['outcome']}"
+    helps = {True: "helps, ", False: "does not help, ", None: ""}[trial["helped"]]
+    return f"  tried: {' '.join(trial['set'])} {helps}{trial['outcome']}"
+
+
+def best_words(tried: Sequence[dict[str, Any]]) -> str:
+    """The change with which the goal was reached soonest, to paste."""
+    reached = [trial for trial in tried if "reached_s" in trial]
+    if reached:
+        best = min(reached, key=lambda trial: trial["reached_s"])
+        return f"  reached soonest with {' '.join(f'--set {change}' for change in best['set'])}"
+    return "  none of these reached the goal" if any(trial["helped"] for trial in tried) else "  none of these helped"

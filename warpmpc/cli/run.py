@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc check`` and ``warpmpc run``: build, run, report, and fail with one message.
-
-``warpmpc run --advise``: short runs of what the verdict on a failed episode advises.
-"""
+"""``warpmpc check`` and ``warpmpc run``: build, run, report, and fail with one message."""
 
 from __future__ import annotations
 
 import logging
 import time
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from ..scene.load import load_scene, variants
 from ..scene.registry import OBSERVERS
@@ -24,10 +18,10 @@ from .setup import FAILURE, SUCCESS, WHILE_RUNNING, RunArguments, Setup, others_
 from .terminal import say, say_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from ..loop.run.episode import Episode
-    from ..loop.run.result import EpisodeResult, Guess, Shortfall
+    from ..loop.run.result import EpisodeResult
     from ..loop.run.workers import KeptResults
     from .outputs import Outputs
     from .run_folder import RunFolder
@@ -132,7 +126,9 @@ def run(
                 for result in episodes:
                     interrupted |= result.reason == "interrupted"
                     if advise and result.shortfall is not None and not interrupted:
-                        result, interrupted = _advised(arguments, result, interrupts)
+                        from .advise import advised
+
+                        result, interrupted = advised(arguments, setup, result)
                         advise = False  # further episodes mostly fail in the same way
                     results.append(result)
                     if folder is not None:
@@ -171,16 +167,6 @@ def run(
     if interrupted:
         return interrupts.code
     return SUCCESS if all(result.passed for result in results) and not messages.unwritten else FAILURE
-
-
-def _advised(arguments: RunArguments, failed: EpisodeResult, interrupts: Interrupts) -> tuple[EpisodeResult, bool]:
-    """The result of a failed episode with what came of trying its verdict, and whether that was interrupted."""
-    tried, interrupted = [], False
-    try:
-        tried += try_guesses(arguments, failed, interrupts.check)
-    except KeyboardInterrupt:
-        interrupted = True
-    return replace(failed, tried=tuple(tried)), interrupted
 
 
 def _check_options(
@@ -286,70 +272,3 @@ def _run_batch(
             for result in batch.run(on_step=on_step):
                 bar.finish(result)
                 yield result
-
-
-TRIALS = 3
-"""Guesses that are tried."""
-SHORT, AFTER = 4.0, 1.5
-"""Length of a run [s], and as a multiple of the time after which nothing came nearer in the failed one."""
-MORE = 1.1
-"""Ratio from which something is better, or worse."""
-
-
-def try_guesses(arguments: RunArguments, failed: EpisodeResult, check: Callable[[], None]) -> Iterator[dict[str, Any]]:
-    """Run a failed episode again with what its verdict guesses first, on the same seed.
-
-    Args:
-        arguments: What the episode was run with.
-        failed: Its result.
-        check: Raises ``KeyboardInterrupt`` where it is to end.
-
-    Yields:
-        For every guess the changes (``set``), whether they ``helped``, and the ``outcome`` in words.
-    """
-    for guess in failed.shortfall.tries[:TRIALS]:
-        logger.info("trying %s", guess.sets)
-        try:
-            helped, outcome = _try(arguments, failed, guess, check)
-        except ValueError as error:  # such as a scene that lists its steps
-            helped, outcome = False, f"cannot be tried, {error}"
-        yield {"set": guess.overrides, "helped": helped, "outcome": outcome}
-
-
-def _try(arguments: RunArguments, failed: EpisodeResult, guess: Guess, check: Callable[[], None]) -> tuple[bool, str]:
-    changes = [*arguments.overrides, *guess.overrides]
-    if "timing.timeout" not in guess.changes:
-        until = min(failed.shortfall.timeout, max(SHORT, AFTER * failed.shortfall.turn))
-        changes.append(f"timing.timeout={until:g}")
-    given = {"engine": failed.engine, "device": failed.device, "overrides": tuple(changes)}
-    episode = Setup(replace(arguments, **given)).episode(failed.seed)
-    try:
-        return _compared(failed.shortfall, episode.run(on_step=lambda *_: check()))
-    finally:
-        episode.controller.engine.close()
-
-
-def _compared(before: Shortfall, result: EpisodeResult) -> tuple[bool, str]:
-    """Whether an episode came farther than the one that failed, and how far."""
-    if result.success:
-        return True, f"the goal is reached at {result.sim_time:.2f} s"
-    now = result.shortfall
-    if now is None:
-        return True, f"it does not fail within {result.sim_time:.2f} s"
-    if now.phases != before.phases:
-        return now.phases > before.phases, f"{now.phases} phases instead of {before.phases} end"
-    if before.lasted is not None and now.lasted is not None:
-        return now.lasted > MORE * before.lasted, f"it lasts {now.lasted:.2f} s instead of {before.lasted:.2f} s"
-    if now.lasted is not None:
-        return False, f"it falls or fails at {now.lasted:.2f} s"
-    stands = f"it neither falls nor fails within {result.sim_time:.2f} s"
-    left = {name: excess for name, (_, excess) in before.nearest.items() if excess > 0.0}
-    if not left:
-        return before.lasted is not None, stands if before.lasted is not None else "it does not hold, either"
-    ratio = {name: max(now.nearest.get(name, (0.0, 0.0))[1], 0.0) / excess for name, excess in left.items()}
-    name = max(ratio, key=ratio.get)
-    value = f"{now.nearest[name][0]:.3g}" if name in now.nearest else "its bound"
-    nearer = f"{name} comes to {value} instead of {before.nearest[name][0]:.3g}"
-    if before.lasted is not None:
-        return True, f"{stands}, and {nearer}"
-    return bool(np.mean(list(ratio.values())) * MORE < 1.0), nearer

@@ -297,6 +297,8 @@ class Planner(Section):
 
     @model_validator(mode="after")
     def _steps(self) -> Planner:
+        if self.refine is None and self.method in (Method.ILQG, Method.GRADIENT_DESCENT):
+            raise ValueError(f'method = "{self.method}" has no samples, only refine: leave refine = false out')
         if self.horizon is StepCount.AUTO:
             if isinstance(self.dt, Growing):
                 raise ValueError('horizon = "auto" does not go with steps that grow: give horizon a number')

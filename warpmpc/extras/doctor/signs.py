@@ -228,6 +228,7 @@ class SampleSigns:
         self._controller, self._plant, self._of_plant, self._changes = controller, plant, of_plant, changes
         self._steps = self._lone = self._even = self._far = 0
         self._beta = 0.0
+        self._paid = np.zeros(len(controller.costs.labels))
         self._tumbled: list[tuple[float, float]] = []  # time of a look, share of the samples that tumble
 
     def note(self, info: Info) -> None:
@@ -237,6 +238,7 @@ class SampleSigns:
         self._lone += info.eta < ONE
         self._even += info.eta > ALL * shape.rollouts
         self._beta += info.beta
+        self._paid += np.abs(list(info.terms.values()))
         place = (info.best // shape.domains) % shape.samples / (shape.samples - 1)  # noise grows with it
         self._far += not info.fallback and place > 1.0 - OFTEN
         looks = self._controller.envs == 1 and self._of_plant.bases
@@ -294,27 +296,49 @@ class SampleSigns:
                 changes.sigma(2.0),
             )
 
-    def outweighed(self) -> Iterator[Guess]:
-        """Guess that a term which does not lead to what is wanted decides between samples."""
-        from .control import names_in, term_costs, told_apart  # slow to import
+    def _leads(self) -> np.ndarray:
+        """Whether each term leads to what is wanted ``[term]``."""
+        from .control import names_in  # slow to import
 
-        controller, scene = self._controller, self._plant.scene
-        if controller.envs > 1 or not self._steps:
-            return
+        scene = self._plant.scene
         conditions = [*(scene.success.conditions if scene.success else ()), *(c for p in scene.phase for c in p.until)]
         wanted = {name for c in conditions for name in (c.frame, c.to, c.joint, c.term)} - {None}
         wanted |= {"goal", scene.goal.target} if scene.goal else set()
-        costs = term_costs(controller)
-        apart = told_apart(costs)
+        labels = self._controller.costs.labels
+        return np.array(
+            [bool(wanted & (names_in(cost.params) | {name})) for name, cost in zip(labels, scene.cost, strict=True)]
+        )
+
+    def _lighter(self, term: int) -> tuple[float, dict[str, str]]:
+        """Weight of a term, and the change to a tenth of it."""
+        label = self._controller.costs.labels[term]
+        weight = float(np.ravel(self._controller.task[label])[0])
+        return weight, {f"cost.{label}.weight": f"{0.1 * weight:.3g}"}
+
+    def dear(self) -> Iterator[Guess]:
+        """What is merely worth a try: a tenth of a term that costs more over the run than all that lead to the goal."""
+        if not self._steps:
+            return
+        leads = self._leads()
+        paid = np.where(leads, 0.0, self._paid)
+        if leads.any() and paid.max() > self._paid[leads].sum():
+            yield Guess("", changes=self._lighter(int(np.argmax(paid)))[1])
+
+    def outweighed(self) -> Iterator[Guess]:
+        """Guess that a term which does not lead to what is wanted decides between samples."""
+        from .control import term_costs, told_apart  # slow to import
+
+        controller = self._controller
+        if controller.envs > 1 or not self._steps:
+            return
+        apart = told_apart(term_costs(controller))
         if not apart.any():
             return
-        share = apart / apart.sum()
-        label = controller.costs.labels[int(np.argmax(share))]
-        cost = scene.cost[int(np.argmax(share))]
-        if share.max() > DECIDES and label not in wanted and not names_in(cost.params) & wanted:
-            weight = float(np.ravel(controller.task[label])[0])
+        share, term = apart / apart.sum(), int(np.argmax(apart))
+        if share[term] > DECIDES and not self._leads()[term]:
+            label, (weight, lighter) = controller.costs.labels[term], self._lighter(term)
             yield Guess(
-                f"{label} is {share.max():.0%} of what tells samples apart, and it does not lead to what is wanted",
+                f"{label} is {share[term]:.0%} of what tells samples apart, and it does not lead to what is wanted",
                 f"lower its weight ({weight:g} now)",
-                {f"cost.{label}.weight": f"{0.1 * weight:.3g}"},
+                lighter,
             )

@@ -78,8 +78,6 @@ class Symptoms:
             nearest={item.best.name: (item.best.value, item.best.excess) for item in unmet},
             phases=len(monitor.phases),
             lasted=min(ended, default=None),
-            turn=min(ended, default=max((item.when for item in unmet), default=plant.time)),
-            timeout=plant.scene.timing.timeout,
         )
 
     def _excess(self) -> list[float]:
@@ -193,6 +191,7 @@ class Symptoms:
         if not cures:
             yield from self._of_samples.poor()
         yield from self._of_samples.signs()
+        yield from self._of_samples.dear()
         for changes in (self._changes.samples(), self._changes.rounds(), self._changes.sigma(0.5)):
             yield Guess("", changes=changes)
 

@@ -101,8 +101,8 @@ class EpisodeResult(Result):
     """The same as data, where there was a verdict; not part of the JSON."""
 
     tried: tuple[dict[str, Any], ...] = ()
-    """With ``--advise``: changes of the scene that were tried (``set``), whether they helped (``helped``), and how far
-    the episode came with them (``outcome``)."""
+    """With ``--advise``: changes of the scene that were tried (``set``), whether they helped (``helped``, None where
+    none can tell), how far the episode came with them (``outcome``), and when it reached the goal (``reached_s``)."""
 
     @property
     def time_to_goal(self) -> float | None:
@@ -222,10 +222,6 @@ class Shortfall:
     """Phases that ended because what they wait for had come."""
     lasted: float | None
     """When it fell, failed or diverged [s]; None otherwise."""
-    turn: float
-    """Time after which nothing came nearer [s]."""
-    timeout: float
-    """The scene's ``timing.timeout`` [s]."""
 
     @property
     def told(self) -> list[Guess]:
@@ -270,9 +266,9 @@ class Changes:
         """Twice as many rounds."""
         return {"planner.iterations": str(2 * self._planner.iterations)}
 
-    def samples(self) -> dict[str, str]:
-        """Four times as many samples, and as many as a plan has numbers."""
-        return {"planner.samples": str(max(4 * self._shape.samples, MANY, self.numbers))}
+    def samples(self, factor: int = 4) -> dict[str, str]:
+        """So many times as many samples, and as many as a plan has numbers."""
+        return {"planner.samples": str(max(factor * self._shape.samples, MANY, self.numbers))}
 
     def sigma(self, factor: float | np.ndarray) -> dict[str, str]:
         """Noise that is larger or smaller by a factor, one for all controls or one for each."""
