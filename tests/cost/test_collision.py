@@ -38,10 +38,9 @@ def deepest(j: Evaluating, spheres, pairs) -> np.ndarray:
     return depth
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", ["panda", "ur10", "mobile_panda"])
-def test_self_collision_is_the_deepest_penetration(name, seed, device):
-    j = evaluating(name, {"term": "self_collision", "margin": 0.03}, seed, device=device)
+def test_self_collision_is_the_deepest_penetration(name, device):
+    j = evaluating(name, {"term": "self_collision", "margin": 0.03}, device=device)
     spheres = fit_spheres(j.layout, range(j.layout.nb))
     wanted = np.maximum(0.03 + deepest(j, spheres, self_pairs(j.layout, spheres, margin=0.03)), 0.0)
     np.testing.assert_allclose(j.cost()[0], wanted, atol=2e-6)
@@ -78,10 +77,9 @@ def nearest(j: Evaluating, obstacles=OBSTACLES, share: float = 0.0) -> np.ndarra
     return np.min([distance(o, at) - spheres.radius.astype(np.float64) for o in obstacles], axis=(0, 3))
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", ["panda", "ur10", "mobile_panda"])
-def test_world_collision_is_the_least_distance(name, seed, device):
-    j = evaluating(name, {"term": "world_collision", "margin": 0.1}, seed, device=device, obstacle=OBSTACLES)
+def test_world_collision_is_the_least_distance(name, device):
+    j = evaluating(name, {"term": "world_collision", "margin": 0.1}, device=device, obstacle=OBSTACLES)
     wanted = np.maximum(0.1 - nearest(j), 0.0)
     np.testing.assert_allclose(j.cost()[0], wanted, atol=3e-6)
     assert (wanted > 0.0).any()
@@ -96,10 +94,9 @@ def test_the_binary_cost_is_one_where_anything_is_too_close(device):
     assert 0.0 < (least < 0.02).mean() < 1.0
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_swept_distance_is_that_of_the_whole_way(seed, device):
+def test_the_swept_distance_is_that_of_the_whole_way(device):
     cost = {"term": "world_collision", "margin": 0.1, "swept": True}
-    j = evaluating("panda", cost, seed, device=device, pull=0.3, obstacle=OBSTACLES)
+    j = evaluating("panda", cost, device=device, pull=0.3, obstacle=OBSTACLES)
     dense = np.maximum(0.1 - np.min([nearest(j, share=share) for share in np.linspace(0.0, 1.0, 201)], axis=0), 0.0)
     found = j.cost()[0]
     radius = moving_spheres(j).radius.max()

@@ -113,7 +113,7 @@ class Lanes:
         library = stem.with_suffix(".so")
         if not library.exists():
             stem.with_suffix(".cpp").write_text(text)
-            flags = ["-O1", "-std=c++17", "-w", "-shared", "-fPIC", "-fno-strict-aliasing"]
+            flags = ["-O0", "-std=c++17", "-w", "-shared", "-fPIC", "-fno-strict-aliasing"]
             subprocess.run([COMPILER, *flags, "-o", library, stem.with_suffix(".cpp")], check=True)
         self._run = ctypes.CDLL(str(library)).run
 

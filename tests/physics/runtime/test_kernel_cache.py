@@ -52,13 +52,12 @@ def built(run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("kernels")
     done = run(folder)
     assert ANSWER in done.stdout, done.stderr
-    assert "(compiled)" in done.stdout
+    assert re.search(r"double_kernel.*\(compiled\)", done.stdout)
     return folder, {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 def test_nothing_is_printed_about_loaded_kernels_unless_a_program_asks(run, built):
     assert run(built[0], "silent").stdout == f"{ANSWER}\n"
-    assert "double_kernel" in run(built[0]).stdout
 
 
 def put_back(files: dict[Path, bytes]) -> None:
@@ -165,7 +164,7 @@ def test_headers_are_compiled_once_for_all_processes_and_again_where_they_are_da
 def other(tmp_path):
     """A folder with its own Warp."""
     folder, warp = tmp_path / "other", Path(wp.__file__).parent
-    shutil.copytree(warp, folder / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples", "__pycache__"))
+    shutil.copytree(warp, folder / "warp", ignore=shutil.ignore_patterns("bin", "tests", "examples"))
     (folder / "warp" / "bin").symlink_to(warp / "bin")
     return folder
 
