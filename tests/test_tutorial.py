@@ -100,7 +100,7 @@ def test_a_task_in_parts_goes_through_its_phases(folder):
 
 
 @pytest.mark.usefixtures("optimized")
-@pytest.mark.parametrize("joint_q", [None, "{x=0.5, y=1.3}"])
+@pytest.mark.parametrize("joint_q", [None, pytest.param("{x=0.5, y=1.3}", marks=pytest.mark.slow)])
 def test_a_disc_pulls_a_door_open_that_has_no_motor(folder, joint_q):
     scene = load_scene(folder / "door.toml", overrides=[f"robot.disc.joint_q={joint_q}"] * (joint_q is not None))
     result = run_episode(scene)

@@ -22,6 +22,7 @@ ROBOT = """<mujoco><worldbody><body name="cart{0}"><joint name="slide{0}" type="
 ctrlrange="-9 9"/></actuator></mujoco>""".format("&#27;[2J&#x9b;2J[b]&#7;")
 SCENE = r"""
 ground = false
+engine.name = "mujoco"
 title = "mine\u001b[2J\u009b2J[/b]\u0007"
 [timing]
 control_dt = 0.04

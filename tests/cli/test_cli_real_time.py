@@ -2,10 +2,11 @@
 """``warpmpc run --real-time``: what it reports, and what it refuses."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
-from program import SCENE, results, warpmpc
+from program import SCENE, results
 
 from warpmpc import RunLog
 
@@ -17,19 +18,19 @@ def scene(tmp_path):
     return path
 
 
-def test_an_episode_in_real_time_is_reported_with_its_rates(scene, command):
+def test_an_episode_in_real_time_is_reported_with_its_rates(scene, command, monkeypatch):
     # slowed down, and with patience: tests share their cores with others
-    slow = ["--speed", "0.1", "--set", "timing.timeout=0.4", "--set", "agent.plan_timeout=0.3", "--engine", "mujoco"]
-    done = warpmpc(
-        "run", scene, "--real-time", *slow, "--set", "engine.threads=1", "--json", "--out", scene.parent / "run"
-    )
+    slow = ["--speed", "0.1", "--set", "timing.timeout=0.2", "--set", "agent.plan_timeout=0.3", "--engine", "mujoco"]
+    out = ["--set", "engine.threads=1", "--json", "--out", str(scene.parent / "run")]
+    monkeypatch.setattr("sys.argv", ["warpmpc", "run", str(scene), "--real-time", *slow, *out])
+    done = command(*sys.argv[1:])
     assert done.returncode == 1, done.stderr
     assert done.stderr == ""
     (result,) = results(done)
     assert (result["success"], result["reason"], result["speed"]) == (False, "timeout", 0.1)
-    assert result["ticks"] == pytest.approx(200, abs=2)
-    assert result["wall_time_s"] >= 3.9
-    assert result["plans"] > 5
+    assert result["ticks"] == pytest.approx(100, abs=2)
+    assert result["wall_time_s"] >= 1.9
+    assert result["plans"] > 3
     assert result["plan_rate_Hz"] == pytest.approx(result["plans"] / result["wall_time_s"], rel=1e-3)
     assert 0.0 < result["latency_ms"]["p50"] <= result["latency_ms"]["max"]
     assert result["jitter_ms"]["p50"] < 20.0
@@ -41,7 +42,7 @@ def test_an_episode_in_real_time_is_reported_with_its_rates(scene, command):
     assert json.loads((folder / "results.jsonl").read_text()) == result
     assert (folder / "recording.rrd").stat().st_size > 10_000
     log = RunLog.load(folder / "episode.runlog")
-    assert log.controls.following.sum() > 100
+    assert log.controls.following.sum() > 50
     assert np.nanmin(log.controls.age) > 0.0
     assert np.diff(log.states.time) == pytest.approx(np.full(result["ticks"], 0.002))
     assert log.names["terms"] == ["distance"]

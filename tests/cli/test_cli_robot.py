@@ -93,7 +93,7 @@ def test_a_registered_robot_is_sent_plans_until_it_ends_the_run(scene, command, 
     ("changes", "reason"),
     [
         pytest.param(["--set", "timing.timeout=0.1"], "timeout", marks=pytest.mark.slow),
-        (["--set", "failure=[{name='stuck', after=0.05}]"], "failed: stuck"),
+        pytest.param(["--set", "failure=[{name='stuck', after=0.05}]"], "failed: stuck", marks=pytest.mark.slow),
         (["--set", "success={position=5.0}"], "goal reached"),
     ],
 )

@@ -111,12 +111,10 @@ def test_a_run_that_fails_says_so_and_ends_in_exit_code_1(mine, command):
     (result,) = results(done)
     assert done.returncode == 1
     assert (result["success"], result["reason"], result["steps"]) == (False, "failed: stuck", 5)
-    many = ["--set", "planner.samples=400", "--set", "planner.horizon=20", "--set", "engine.threads=1"]
-    table = command("run", mine, *TINY, *FAILURE, *many)
+    table = command("run", mine, *TINY, *FAILURE)
     assert table.returncode == 1
     (row,) = [line.split() for line in table.stdout.splitlines() if "failed: stuck" in line]
     assert row[:4] == ["0", "failed:", "stuck", "0.20"]
-    assert "real time" not in table.stdout  # the plant waits for plans
 
 
 def test_a_goal_that_is_reached_at_the_start_needs_no_plan(mine, command):
@@ -358,8 +356,7 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
         [*PROGRAM, *command, "--set", "timing.timeout=4.0"],
         cwd=tmp_path,
         **PIPES,
-        # a suite that runs in the background of a shell ignores Ctrl-C and would hand that down
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as a shell does in the background
     ) as process:
         lines = [process.stdout.readline()]
         process.send_signal(signal.SIGINT)
@@ -373,34 +370,24 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
     assert (tmp_path / "a-0.rrd").stat().st_size > 0
 
 
-@pytest.mark.parametrize(("real_time", "number", "code"), [(False, signal.SIGINT, 130), (True, signal.SIGTERM, 143)])
-def test_a_signal_ends_a_run_in_the_background_and_its_files_are_whole(tmp_path, real_time, number, code):
+def test_a_signal_ends_a_run_in_real_time_and_its_files_are_whole(tmp_path):
     command = [*PROGRAM, "run", "omni_push_box", *PLAIN, "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:6]]
     endless = ["--set", "timing.timeout=1e4", "--set", "success={ position = 1e-9 }"]  # its goal takes 2 s else
-    command += [*endless, *(["--real-time"] if real_time else [])]
+    command += [*endless, "--real-time"]
     with subprocess.Popen(
         command,
         cwd=tmp_path,
         **PIPES,
         env={**os.environ, "TMPDIR": str(tmp_path)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as a shell does
     ) as process:
-        end = time.monotonic() + 120.0
-
-        def begun() -> bool:
-            if not real_time:
-                return (tmp_path / "a.rrd").exists() and (tmp_path / "a.rrd").stat().st_size > 0
-            log = tmp_path / "a.npz.runlog"  # of every tick
-            return log.exists() and len(package.RunLog.load(log).controls) > 10
-
-        while not begun():
+        end, log = time.monotonic() + 120.0, tmp_path / "a.npz.runlog"  # of every tick
+        while not (log.exists() and len(package.RunLog.load(log).controls) > 100):
             assert time.monotonic() < end, "it never began"
             time.sleep(0.1)
-        time.sleep(1.0)
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         out, errors = process.communicate(timeout=60)
     late = "sending the safe command"  # a loaded machine plans late, and the watchdog says so
-    assert (process.returncode, [line for line in errors.splitlines() if late not in line]) == (code, [])
+    assert (process.returncode, [line for line in errors.splitlines() if late not in line]) == (143, [])
     (result,) = map(json.loads, out.splitlines())
     assert result["reason"] == "interrupted"
     assert len(package.RunLog.load(tmp_path / "a.npz").controls) > 10

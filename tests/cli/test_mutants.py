@@ -8,7 +8,7 @@ import pytest
 from fuzzing import outcome, outcomes
 from mutants import FILES, mutant
 
-FAST, ALL = 40, 1240
+FAST, ALL = 20, 1260
 """Seeds of the suite and of the long run begin at 0."""
 
 

@@ -55,6 +55,7 @@ def test_planners_that_die_are_replaced_for_good_and_the_log_says_why(tmp_path, 
         robot = simulated_robot(scene, task=planner.task, compiled=planner.compiled)
         loop = RobotLoop(scene, robot, planner, speed=SPEED, simulated=True)
         loop.run(lambda: loop.agent.following)
+        capfd.readouterr()  # Warp may begin here
         (tmp_path / "burn").touch()
         deadline = time.monotonic() + 120.0
         loop.run(lambda: not loop.agent.following or time.monotonic() > deadline)

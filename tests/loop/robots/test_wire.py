@@ -9,7 +9,7 @@ import signal
 
 import pytest
 from needs import needs
-from shared.wire import Drill
+from shared.wire import DRILL, Drill
 from studies.plants.wire import SPOILT, run_pair
 
 from warpmpc.loop.robots.safety import COMMANDS_TIMEOUT
@@ -71,8 +71,10 @@ def check_goal(scene: str, transport: str, seed: int, *, speed: float = SPEED, *
 
 
 @pytest.mark.parametrize("transport", ["zmq", ROS2])
-def test_a_robot_in_another_process_reaches_its_goal(transport):
-    check_goal("cartpole_swingup", transport, 0, changes=["engine.threads=1"])
+def test_a_robot_in_another_process_reaches_its_goal(transport, tmp_path):
+    (tmp_path / "near.toml").write_text(DRILL, encoding="utf-8")
+    changes = ["goal.position=[0.6, 0.0]", "engine.name='mujoco'"]
+    check_goal(str(tmp_path / "near.toml"), transport, 0, changes=changes)
 
 
 @pytest.mark.slow
