@@ -133,7 +133,7 @@ def test_of_two_runs_one_gets_the_recording(folder, command):
     assert command("run", "mine.toml", *TINY, "--record", "a.rrd").returncode == 0
 
 
-def test_a_run_in_real_time_that_is_killed_leaves_its_log(folder):
+def test_a_run_in_real_time_that_is_killed_leaves_its_log(folder, command):
     args = ["run", "mine.toml", "--real-time", "--npz", "a.npz", "--set", "planner.samples=16"]
     log = folder / "a.npz.runlog"
     program = subprocess.Popen([*PROGRAM, *args], cwd=folder, stderr=subprocess.DEVNULL, start_new_session=True)
@@ -146,7 +146,7 @@ def test_a_run_in_real_time_that_is_killed_leaves_its_log(folder):
         program.wait()
     assert len(RunLog.load(log).controls) > 20
     assert not (folder / "a.npz").exists()
-    again = subprocess.run([*PROGRAM, *args], cwd=folder, capture_output=True, text=True, timeout=100)
+    again = command(*args)
     assert again.returncode == 2
     assert "'a.npz.runlog' is left from a run that was killed" in again.stderr
 

@@ -22,7 +22,7 @@ KEYS = [
     "--key", "planner.noise.sigma[0]=0.3..2", "--key", "planner.spline=linear|cubic",
 ]  # fmt: skip
 TINY = ["--set", "planner.samples=16", "--set", "planner.horizon=4", "--set", "timing.timeout=0.4"]
-TINY += ["--set", "planner.noise.sigma=[0.4, 0.4, 0.7]"]
+TINY += ["--set", "planner.noise.sigma=[0.4, 0.4, 0.7]", "--engine", "mujoco"]
 
 
 BAD = """

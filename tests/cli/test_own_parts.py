@@ -120,16 +120,15 @@ def scene(folder, *, term="distance", method="mppi"):
 
 
 @pytest.mark.parametrize(
-    ("text", "parts", "options", "says"),
+    ("text", "options", "says"),
     [
-        (TERM, {"term": "mine"}, [], ""),
-        (STRATEGY, {"method": "mine"}, ["--episodes", "2", "--jobs", "2"], ""),
-        (STRATEGY + ROBOT, {"method": "mine"}, ["--real-time", "--robot", "mine"], "driven by mine"),
+        (TERM + STRATEGY, ["--episodes", "2", "--jobs", "2"], ""),
+        (TERM + STRATEGY + ROBOT, ["--real-time", "--robot", "mine"], "driven by mine"),
     ],
-    ids=["term", "strategy-jobs", "strategy-robot-real-time"],
+    ids=["term-strategy-jobs", "term-strategy-robot-real-time"],
 )
-def test_a_part_of_ones_own_is_one_file(tmp_path, text, parts, options, says):
-    scene(tmp_path, **parts)
+def test_a_part_of_ones_own_is_one_file(tmp_path, text, options, says):
+    scene(tmp_path, term="mine", method="mine")
     (tmp_path / "mine.py").write_text(text)
     done = call("run", "mine.toml", "--terms", "mine.py", "--json", *options, folder=tmp_path)
     assert done.returncode == 0, done.stderr

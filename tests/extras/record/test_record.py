@@ -355,7 +355,7 @@ from warpmpc.loop.plant.plant import Plant
 from warpmpc.extras.record.recorder import RerunRecorder
 from warpmpc.scene.load import load_scene
 
-scene = load_scene("omni_push_box", overrides={[*SMALL[:2], "timing.timeout=1000"]!r})
+scene = load_scene("omni_push_box", overrides={[*SMALL[:2], "engine.name='mujoco'", "timing.timeout=1000"]!r})
 compiled = compile_scene(scene)
 controller, plant = Controller(scene, compiled=compiled), Plant(scene, compiled=compiled)
 recorder = RerunRecorder(sys.argv[1], controller, plant)
