@@ -74,9 +74,10 @@ def advised(arguments: RunArguments, setup: Setup, failed: EpisodeResult) -> tup
 
 def _others(controller: Controller) -> Iterator[dict[str, str]]:
     """Changes that are worth a try whatever a verdict says."""
-    from ..extras.doctor.tumbles import tumble
+    from ..planner.tumbles import tumble
 
-    changes, planner, wild = Changes(controller), controller.scene.planner, tumble(controller)
+    changes, planner = Changes(controller), controller.scene.planner
+    wild = tumble(controller.scene, controller.compiled, controller.engine.name)
     yield changes.sigma(wild.factor if wild else 0.3)
     yield changes.sigma(3.0)
     if further := changes.further():

@@ -40,7 +40,6 @@ class Kinds(NamedTuple):
 
 
 KINDS = (
-    Kinds("joints", "jnt_type", mujoco.mjtJoint, "FREE BALL SLIDE HINGE", ""),
     Kinds("dynamics of actuators", "actuator_dyntype", mujoco.mjtDyn, "NONE INTEGRATOR FILTER FILTEREXACT MUSCLE",
           "PID DCMOTOR USER"),
     Kinds("gains of actuators", "actuator_gaintype", mujoco.mjtGain, "FIXED AFFINE MUSCLE", "PID DCMOTOR SO3 USER"),
@@ -50,6 +49,7 @@ KINDS = (
           "BODY SO3 UNDEFINED"),
     Kinds("ways of tendons", "wrap_type", mujoco.mjtWrap, "JOINT PULLEY SITE SPHERE CYLINDER", "NONE"),
     Kinds("equalities", "eq_type", mujoco.mjtEq, "CONNECT WELD JOINT TENDON", "FLEX FLEXVERT FLEXSTRAIN DISTANCE"),
+    Kinds("joints", "jnt_type", mujoco.mjtJoint, "FREE BALL SLIDE HINGE", ""),
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from warpmpc import Controller, Plant, load_scene, shipped_scenes
 from warpmpc.extras.doctor.advice import advise
 from warpmpc.extras.doctor.examine import examine, examine_model
 from warpmpc.extras.doctor.places import reach
-from warpmpc.extras.doctor.subject import Subject
+from warpmpc.scene.model.at_start import Subject
 from warpmpc.scene.model.compiled import compile_scene
 
 FAST = ("omni_push_box", "panda_reach", "pendulum", "quadrotor", "quadruped_walk", "walker")

@@ -8,7 +8,7 @@ from planted import ARM, SCENE
 from warpmpc import Controller, Plant, load_scene
 from warpmpc.extras.doctor.control import plan_findings, term_costs
 from warpmpc.extras.doctor.places import approaches, probes, still_findings
-from warpmpc.extras.doctor.subject import Subject
+from warpmpc.scene.model.at_start import Subject
 
 
 def planned(folder, scene: str, asset: str):

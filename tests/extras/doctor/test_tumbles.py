@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from needs import need_scene
 
-from warpmpc import Controller, load_scene
-from warpmpc.extras.doctor.tumbles import OVER, tumble, tumble_findings
+from warpmpc import Controller, State, load_scene
+from warpmpc.extras.doctor.tumbles import tumble_findings
+from warpmpc.planner.tumbles import OVER, Tumble
+from warpmpc.planner.tumbles import tumble as tumble_of
 
 DRONE = """
 <mujoco>
@@ -31,7 +33,7 @@ DRONE = """
 """
 SCENE = """
 timing = { control_dt = 0.02 }
-planner = { samples = 8, lookahead = 0.8, knots = 5, refine = false }
+planner = { samples = 8, lookahead = 0.8, knots = 5, refine = false, noise.sigma.range = 0.25 }
 engine = { name = "mujoco", threads = 1 }
 goal = { frame = "drone/hull", position = [1.0, 0.0, 1.0] }
 
@@ -50,6 +52,11 @@ def made(folder, *overrides: str, asset: str = DRONE) -> Controller:
     (folder / "drone.xml").write_text(asset)
     (folder / "scene.toml").write_text(SCENE)
     return Controller(load_scene(folder / "scene.toml", overrides=overrides), device="cpu")
+
+
+def tumble(controller: Controller) -> Tumble | None:
+    """What the noise of a controller's samples turns over."""
+    return tumble_of(controller.scene, controller.compiled, controller.engine.name)
 
 
 def test_noise_that_turns_a_drone_over_is_told_and_what_does_not_turn_it_keeps_its_own(tmp_path):
@@ -85,3 +92,23 @@ def test_scenes_that_are_calm_say_nothing(name):
 def test_a_quadrotor_with_the_noise_of_the_defaults_is_told():
     controller = Controller(load_scene("quadrotor", overrides=["planner.noise.sigma=1.0", "planner.knots=5"]))
     assert "planner.noise.sigma = 0." in next(tumble_findings(controller)).cure
+
+
+def test_default_noise_is_lowered_to_what_turns_nothing_over(tmp_path):
+    given = made(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE.replace(", noise.sigma.range = 0.25", ""))
+    controller = Controller(load_scene(tmp_path / "scene.toml"), device="cpu")
+    assert controller.lowered is not None
+    assert tumble(controller) is None
+    share = np.array(controller.scene.planner.noise.sigma.range)
+    assert np.all(share[:2] < 0.125)
+    assert share[2] == 0.25
+    state = State(controller.layout.joint_q, controller.layout.joint_qd, 0.0)
+    spread = []
+    for one in (given, controller):
+        one.plan(state)
+        spread.append(np.std([one.rollout(i).knots for i in range(2, 8)], axis=(0, 1)))
+    assert np.all(spread[1][:2] < 0.5 * spread[0][:2])
+    assert spread[1][2] == pytest.approx(spread[0][2], rel=0.01)
+    (finding,) = tumble_findings(controller)
+    assert finding.cure.startswith("plans take planner.noise.sigma.range = [")

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...physics.model import FEW_ITERATIONS
 from ...scene.model.overlaps import DEEP
-from .subject import Finding
+from .finding import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .subject import Subject
+    from ...scene.model.at_start import Subject
 
 HEAVIEST, LIGHTEST = 100_000.0, 1.0
 """Densities beyond which a body's mass is hardly in kilograms [kg/m³]: osmium has 22 590, air 1.2; models whose shapes

@@ -14,13 +14,13 @@ from scipy.sparse.csgraph import connected_components
 
 from ...scene.errors import some
 from .contacts import collides
-from .subject import Finding
+from .finding import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ...planner.controller.controller import Controller
-    from .subject import Subject
+    from ...scene.model.at_start import Subject
 
 PROBES = 24
 """Samples of a plan whose terms are compared."""

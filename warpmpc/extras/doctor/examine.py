@@ -13,11 +13,12 @@ import mujoco
 import numpy as np
 
 from ...scene.errors import some
+from ...scene.model.at_start import STEP, Subject
 from .contacts import contact_findings
 from .control import driven, plan_findings, reach_findings
+from .finding import Finding
 from .joints import joint_findings, travel_findings
 from .places import place_findings, probes, still_findings
-from .subject import STEP, Finding, Subject
 from .tumbles import tumble_findings
 
 if TYPE_CHECKING:

@@ -16,15 +16,15 @@ import numpy as np
 from ...scene.errors import some
 from ...scene.model.control_values import UNBOUNDED
 from ...scene.model.mujoco_model import driven_joint
+from .finding import Finding
 from .places import static_position, wanted_distances
-from .subject import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ...scene.model.at_start import Subject
     from ...scene.model.compiled_scene import CompiledScene
     from ...scene.schema_goal import Success
-    from .subject import Subject
 
 TURNS = 8.0 * np.pi
 """Range of a hinge from which it is more likely written in degrees and read as radians [rad]: four turns."""

@@ -16,7 +16,7 @@ from ...scene.errors import some
 from ...scene.model.overlaps import DEEP
 from ...scene.task.conditions import StateSnapshot
 from .control import PROBES, driven_frames, names_in
-from .subject import Finding
+from .finding import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from ...loop.plant.monitor import Monitor
     from ...planner.controller.controller import Controller
     from ...planner.controller.rollout import Rollout
+    from ...scene.model.at_start import Subject
     from ...scene.task.goal import Comparison
-    from .subject import Subject
 
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 BEYOND = 1.05

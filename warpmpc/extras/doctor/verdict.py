@@ -113,9 +113,9 @@ class Symptoms:
 
     def _beyond(self) -> list[Guess]:
         """Places that nothing can reach, as ``warpmpc check`` finds them."""
+        from ...scene.model.at_start import Subject
         from .joints import travel_findings
         from .places import place_findings  # slow to import
-        from .subject import Subject
 
         subject = Subject(self.plant.scene, self.controller.compiled)
         found = [*place_findings(subject)] or [*travel_findings(subject)]

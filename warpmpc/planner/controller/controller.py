@@ -27,6 +27,7 @@ from ...scene.task.ancillary import AncillaryController
 from ...scene.task.task import Task, task_layout
 from ..plan import Plan, PlanReport
 from ..step import PlanGraph, PlanStep
+from ..tumbles import bearable
 from .observation import Observation
 from .rollout import Rollout
 
@@ -104,6 +105,8 @@ class Controller:
         self._forget()
 
     def _build(self, name: str, device: str, strategy: str, terms: Sequence[UserTerm]) -> None:
+        self.scene, self.lowered = bearable(self.scene, self.compiled, name)
+        """What the default noise turned over and no longer does; None where nothing, or where the scene gives σ."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
         self.shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene under examination, as physics at its start, and the form of a finding."""
+"""A scene as physics at its start: its MuJoCo model, state and the controls that hold it."""
 
 from __future__ import annotations
 
@@ -10,31 +10,16 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from ...scene.model.control_values import safe_command
-from ...scene.model.conversion import StateRows
-from ...scene.model.mujoco_model import MujocoWorld, Options, make_world
+from .control_values import safe_command
+from .conversion import StateRows
+from .mujoco_model import MujocoWorld, Options, make_world
 
 if TYPE_CHECKING:
-    from ...scene.model.compiled import CompiledScene
-    from ...scene.schema import Scene
+    from ..schema import Scene
+    from .compiled import CompiledScene
 
 STEP = 0.002
-"""Physics step of the model that is examined [s]: MuJoCo's default."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A likely mistake."""
-
-    key: str
-    """Key of the scene, or the asset, that it is in."""
-    text: str
-    """The mistake and its effect, in one sentence."""
-    cure: str
-    """Change that mends it."""
-
-    def __str__(self) -> str:
-        return f"{self.key}: {self.text}; {self.cure}"
+"""Physics step of the model [s]: MuJoCo's default."""
 
 
 @dataclass(frozen=True)
