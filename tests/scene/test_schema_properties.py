@@ -274,11 +274,16 @@ VALUES = [
 ]
 
 
+def quotable(text: str) -> bool:
+    """Whether an error may repeat a text: it has none of the words that tell a leak."""
+    return not any(leak in text for leak in LEAKS)
+
+
 @settings(relaxed, max_examples=200)
 @given(
-    key=st.sampled_from(KEYS) | st.text(max_size=10),
+    key=st.sampled_from(KEYS) | st.text(max_size=10).filter(quotable),
     rest=st.sampled_from(["", ".position", ".noise.sigma", ".x.y", ".0", ".*"]),
-    value=st.sampled_from(VALUES) | st.text(max_size=10),
+    value=st.sampled_from(VALUES) | st.text(max_size=10).filter(quotable),
 )
 def test_any_override_is_taken_or_ends_in_a_scene_error(tmp_path, key, rest, value):
     path = write(tmp_path)

@@ -177,7 +177,7 @@ def test_samples_that_tumble_ask_for_less_noise_and_a_failure_says_what_moved_it
         start=(0.0, 0.0, 1.0),
         goal=goal,
         cost=[{"term": "distance", "between": ["r/frame", "goal"]}],
-        planner={"samples": 16},
+        planner={"samples": 16, "noise": {"sigma": {"range": [0.25]}}},
         failure=[{"name": "low", "conditions": {"frame": "r/frame", "below": 0.4}}],
         success={"distance": 0.1, "hold": 1.0},
     )
