@@ -32,7 +32,7 @@ def compile_soonest() -> None:
 
     def resolved(module: wp.Module, *args: object, **keys: object) -> dict[str, object]:
         options = resolve(module, *args, **keys)
-        written = "." not in module.name  # no file of a package: a module of its own
+        written = "." not in module.name  # not a file of a package
         if quick and written and options["optimization_level"] is None:
             options["optimization_level"] = module.options["optimization_level"] = 0
         return options

@@ -248,6 +248,11 @@ SUBSTEPS, LONGEST = 2, 0.02
 MJCF file says anything."""
 
 
+def steps_as_mujoco(name: str, scene: Scene) -> bool:
+    """Return whether an engine takes MuJoCo's steps."""
+    return ENGINES[name].physics and (name != EngineName.NEWTON or scene.engine.solver is Solver.MUJOCO)
+
+
 def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGrid) -> PhysicsSteps:
     """Divide the steps of a rollout into physics steps of an engine.
 
@@ -263,8 +268,7 @@ def physics_steps(name: str, scene: Scene, compiled: CompiledScene, grid: TimeGr
     default = max(SUBSTEPS, math.ceil(grid.dt[0] / LONGEST - 1e-6))
     substeps = compiled.substeps(scene.engine.substeps, float(grid.dt[0]), default)
     measures = scene.engine.substeps is None and compiled.timestep is not None
-    mujocos = name != EngineName.NEWTON or scene.engine.solver is Solver.MUJOCO
-    if measures and ENGINES[name].physics and mujocos:
+    if measures and steps_as_mujoco(name, scene):
         substeps = physics_step_count(scene, compiled, grid, substeps)
     if ENGINES[name].any_dt:
         return PhysicsSteps((substeps,) * grid.steps, tuple((grid.dt / substeps).tolist()))

@@ -20,12 +20,11 @@ import warp as wp
 
 from ..engine.mujoco import MujocoSimulator
 from ..engine.protocol import TimeGrid
-from ..engine.registry import PREFERRED, physics_steps
+from ..engine.registry import PREFERRED, physics_steps, steps_as_mujoco
 from ..physics.runtime.launch import capturing
 from ..scene.model.at_start import Subject
 from ..scene.model.mujoco_model import Options, driven_joint
 from ..scene.model.trajectory import BatchSize
-from ..scene.registry import ENGINES
 from ..scene.schema import ShareOfRange
 from ..scene.schema_planner import DIRECT
 from ..scene.task.observed import ObservedState
@@ -60,7 +59,7 @@ class Tumble:
 
 
 def tumble(scene: Scene, compiled: CompiledScene, engine: str) -> Tumble | None:
-    """What the noise of a scene's samples turns over first; None where they turn nothing over.
+    """What the noise of a scene's samples turns over first; None where it is nothing, or the steps are not MuJoCo's.
 
     Args:
         scene: The scene.
@@ -71,7 +70,7 @@ def tumble(scene: Scene, compiled: CompiledScene, engine: str) -> Tumble | None:
         SceneError: If the steps of a rollout are no multiples of the engine's.
     """
     engine = PREFERRED["cpu"][0] if engine == "auto" else engine
-    if not ENGINES[engine].physics or scene.planner.method in DIRECT:
+    if not steps_as_mujoco(engine, scene) or scene.planner.method in DIRECT:
         return None
     subject = Subject(scene, compiled)
     turning = _free_turns(subject)

@@ -80,7 +80,7 @@ class Noise(Section):
     """How they are correlated along the horizon, B."""
     sigma: Sigma = ShareOfRange(range=(0.25,))
     """Standard deviation in control units, one value or one per control; or a share of each control's range, by default
-    ``{ range = 0.25 }``."""
+    ``{ range = 0.25 }``, less for controls that turn a robot over before the next knot (see ``warpmpc check``)."""
     spread: tuple[Positive, Positive] = (0.02, 1.0)
     """Factors (low, high) on sigma, increasing over the samples: one batch searches near and far."""
     constant: Channel = 0.1

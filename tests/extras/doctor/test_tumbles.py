@@ -6,7 +6,7 @@ import pytest
 from needs import need_scene
 
 from warpmpc import Controller, State, load_scene
-from warpmpc.extras.doctor.tumbles import tumble_findings
+from warpmpc.extras.doctor.examine import tumble_findings
 from warpmpc.planner.tumbles import OVER, Tumble
 from warpmpc.planner.tumbles import tumble as tumble_of
 

@@ -70,7 +70,7 @@ def test_a_program_that_gets_ctrl_c_sends_the_safe_command_last(tmp_path):
     np.testing.assert_allclose(sent[-2], MOVE)
     assert not sent[-1].any()
     assert program.returncode == -signal.SIGINT
-    assert "Traceback" in errors  # as Python tells of Ctrl-C
+    assert "Traceback" in errors  # Python prints one at Ctrl-C
 
 
 def test_ctrl_z_stops_the_program_after_the_safe_command_and_it_goes_on_until_it_is_told_to_end(tmp_path):

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from ...loop.run.result import Changes
+from ...planner.tumbles import OVER, tumble
 from ...scene.errors import some
 from ...scene.model.at_start import STEP, Subject
 from .contacts import contact_findings
@@ -19,7 +21,6 @@ from .control import driven, plan_findings, reach_findings
 from .finding import Finding
 from .joints import joint_findings, travel_findings
 from .places import place_findings, probes, still_findings
-from .tumbles import tumble_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -174,6 +175,22 @@ def examine_model(subject: Subject) -> list[Finding]:
     """The findings that need no plan."""
     kinds = (joint_findings, contact_findings, effect_findings, place_findings, reach_findings, travel_findings)
     return [finding for kind in kinds for finding in kind(subject)]
+
+
+def tumble_findings(controller: Controller) -> Iterator[Finding]:
+    """Noise that turns over what it should tell about, and whether it was lowered."""
+    scene, layout = controller.scene, controller.layout
+    found = controller.lowered or tumble(scene, controller.compiled, controller.engine.name)
+    if found is None:
+        return
+    names = [name for name, factor in zip(layout.control_name, found.factor, strict=True) if factor < 1.0]
+    ((key, value),) = Changes(controller).sigma(1.0 if controller.lowered else found.factor).items()
+    yield Finding(
+        "planner.noise.sigma",
+        f"samples{' with the default' if controller.lowered else ''} turn {found.body} over ({OVER:g} rad) within "
+        f"{found.time:.2g} s by {some(names)}, and knots are {found.knots:.2g} s apart",
+        f"plans take {key} = {value}" if controller.lowered else f"try {key} = {value}, with which they do not",
+    )
 
 
 def _at_once(monitor: Monitor) -> Iterator[Finding]:
