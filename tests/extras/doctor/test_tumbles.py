@@ -83,6 +83,13 @@ def test_knots_that_come_in_time_and_what_is_held_are_not_told(tmp_path):
     assert tumble(made(tmp_path, asset=DRONE.replace("<actuator>", led))) is None
 
 
+def test_steps_that_are_not_mujocos_are_left_alone(tmp_path):
+    controller = made(tmp_path)
+    for solver, found in (("mujoco", True), ("xpbd", False)):
+        scene = load_scene(tmp_path / "scene.toml", overrides=["engine.name=newton", f"engine.solver={solver}"])
+        assert (tumble_of(scene, controller.compiled, "newton") is not None) == found
+
+
 @pytest.mark.parametrize("name", ["panda_reach", "omni_push_box", "go2_walk", "humanoid_get_up", "quadrotor"])
 def test_scenes_that_are_calm_say_nothing(name):
     need_scene(name)
