@@ -49,14 +49,14 @@ def test_a_full_disk_costs_the_files_that_do_not_fit(folder, command):
 def test_a_file_that_fits_is_whole_beside_one_that_does_not(folder, command):
     """Rows that the disk did not take are in memory: what is made of them has them."""
     assert command("run", "mine.toml", *TINY, "--out", "whole", "--csv", "whole.csv").returncode == 0
-    limit = (folder / "whole.csv").stat().st_size + 10
+    rows = (folder / "whole.csv").read_bytes().splitlines()
+    limit = sum(map(len, rows)) + 40 * len(rows)  # times of plans differ, and so do their digits
     assert limit < (folder / "whole" / "episode.runlog").stat().st_size
     with small_disk(limit):
         done = command("run", "mine.toml", *TINY, "--out", "a", "--csv", "a.csv")
     assert done.returncode == 1
     assert "cannot write 'a/episode.runlog'" in done.stderr
-    rows = [(folder / name).read_text().splitlines() for name in ("a.csv", "whole.csv")]
-    assert len(rows[0]) == len(rows[1]) == 12
+    assert len((folder / "a.csv").read_text().splitlines()) == len(rows) == 12
     assert 1 <= len(RunLog.load(folder / "a" / "episode.runlog").states) < 11
 
 
