@@ -7,7 +7,7 @@ import scipy.stats
 import warp as wp
 from scipy.stats import qmc
 
-from warpmpc.planner.noise import NoiseKind, NoiseSource
+from warpmpc.planner.noise import NoiseKind, NoiseSource, low_discrepancy_table
 
 KINDS = pytest.mark.parametrize("source", list(NoiseKind))
 TABLES = pytest.mark.parametrize("source", [NoiseKind.HALTON, NoiseKind.SOBOL])
@@ -56,6 +56,13 @@ def test_tables_fill_the_space_more_evenly_than_random_numbers(source, redraw, s
     table = [discrepancy(source, seed) for seed in range(4)]
     random = [discrepancy(NoiseKind.RANDOM, seed) for seed in range(4)]
     assert max(table) < 0.6 * min(random)
+
+
+@pytest.mark.parametrize(("samples", "columns"), [(1, 1), (64, 5), (300, 60)])
+def test_halton_tables_are_scipys_to_the_last_bit(samples, columns):
+    made = low_discrepancy_table(NoiseKind.HALTON, samples=samples, columns=columns, seed=samples)
+    scipys = qmc.Halton(columns, scramble=True, rng=np.random.default_rng(samples)).random(samples)
+    np.testing.assert_array_equal(made, scipys.astype(np.float32))
 
 
 @KINDS

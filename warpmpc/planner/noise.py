@@ -9,6 +9,7 @@ Matrices are float32 arrays, ready to be copied to the device.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,17 +35,46 @@ if TYPE_CHECKING:
 
 def low_discrepancy_table(kind: NoiseKind, *, samples: int, columns: int, seed: int) -> np.ndarray:
     """Scrambled Halton or Sobol points in [0, 1), ``[samples, columns]``, one independent table per seed."""
-    from scipy.stats import qmc  # slow to import
-
     rng = np.random.default_rng(seed)
     if kind is NoiseKind.HALTON:
-        points = qmc.Halton(columns, scramble=True, rng=rng).random(samples)
+        points = _halton(samples, columns, rng.spawn(1)[0])
     elif kind is NoiseKind.SOBOL:
+        from scipy.stats import qmc  # slow to import
+
         # a whole net of 2^m points, of which the first are taken
         points = qmc.Sobol(columns, scramble=True, rng=rng).random_base2(max(samples - 1, 0).bit_length())[:samples]
     else:
         raise ValueError(f"{kind} has no table")
     return points.astype(np.float32)
+
+
+def _halton(samples: int, columns: int, rng: np.random.Generator) -> np.ndarray:
+    """Halton points, ``[samples, columns]``, whose digits are permuted (Owen 2017).
+
+    Number by number those of ``scipy.stats.qmc``, whose import takes half a second.
+    """
+    points = np.zeros((samples, columns))
+    for column, base in enumerate(_primes(columns)):
+        permutations = np.tile(np.arange(base), (math.ceil(54 / math.log2(base)) - 1, 1))
+        for permutation in permutations:
+            rng.shuffle(permutation)
+        rest, place = np.arange(samples), 1.0 / base
+        for permutation in permutations:
+            points[:, column] += permutation[rest % base] * place
+            place /= base
+            rest //= base
+    return points
+
+
+def _primes(count: int) -> list[int]:
+    """The first prime numbers."""
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % prime for prime in found):
+            found.append(number)
+        number += 1
+    return found
 
 
 class NoiseSource:
