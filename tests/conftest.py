@@ -3,6 +3,7 @@
 
 import gc
 import os
+import sys
 from pathlib import Path
 from subprocess import CompletedProcess
 
@@ -19,6 +20,9 @@ quick_kernels.compile_soonest()
 gc.set_threshold(100_000, 50, 100)  # a tenth of all time goes into looking through what modules and scenes hold
 
 
+# programs that tests start compile the package once, not each of them again: a quarter of their time
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 os.environ.pop("COLUMNS", None)  # readline sets it in the environment that workers of pytest-xdist begin with
 
 

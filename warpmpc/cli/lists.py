@@ -150,9 +150,11 @@ def schema() -> None:
 
 
 def _print_term(term: CostTerm | ArrayCost) -> None:
+    from ..scene.describe import keys
+
     headline(term.name)
     _echo(term.summary, "  ")
-    for name, field in getattr(getattr(term, "keys", None), "model_fields", {}).items():
+    for name, field in keys(term.keys).items() if getattr(term, "keys", None) else ():
         _print_key(name, field, indent="  ")
     own = {} if getattr(term, "keys", None) else getattr(getattr(term, "params", None), "vars", {})
     for name, field in own.items():  # of a struct

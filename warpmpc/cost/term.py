@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from ..kernels.cost.norms import Norm
 from ..kernels.cost.view import StepView
 from ..scene.task.ancillary import AncillaryController
+from ..scene.types import described
 
 if TYPE_CHECKING:
     from ..physics.runtime.bake import Operand
@@ -237,11 +238,11 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
         # a name, and which entry of its list; what follows are names of types
         name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
         if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-            known = {key: field.description for key, field in keys.model_fields.items()}
+            known = {key: field.description for key, field in described(keys).items()}
             raise binding.error("unknown key", name, found=name, allowed=known) from None
         if first["type"] == "missing" and len(first["loc"]) == 1:
             raise binding.error(f"the key '{name}' is missing") from None
-        field = keys.model_fields.get(str(first["loc"][0]))
+        field = described(keys).get(str(first["loc"][0]))
         allowed = field.description if field and field.description else first["msg"]
         if first["type"] == "value_error":  # says itself what is wrong
             allowed = first["msg"].removeprefix("Value error, ")

@@ -19,7 +19,7 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 from pydantic_core import PydanticUndefined
 
 from .schema import Cost, Scene
-from .types import ONE_FOR_LIST
+from .types import ONE_FOR_LIST, described
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -108,7 +108,7 @@ def unit(field: FieldInfo) -> str:
 
 def keys(section: type[Section]) -> dict[str, FieldInfo]:
     """The keys that a scene file may give in a section."""
-    return {name: field for name, field in section.model_fields.items() if not field.exclude}
+    return {name: field for name, field in described(section).items() if not field.exclude}
 
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
@@ -117,6 +117,14 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 
 class _FileSchema(GenerateJsonSchema):
     """Schema of a file where it is more than pydantic's types tell."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        """Sections whose keys are described."""
+        out = super().model_schema(schema)
+        for name, field in described(schema["cls"]).items():
+            if field.description and name in out.get("properties", {}):
+                out["properties"][name] |= {"description": field.description}
+        return out
 
     def function_before_schema(self, schema: core_schema.BeforeValidatorFunctionSchema) -> JsonSchemaValue:
         """One entry may stand where a list is meant."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, get_args, get_origin
 from pydantic import BaseModel
 
 from .registry import Name
+from .types import described
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -204,7 +205,7 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
     key = join_key(parts)
     found = None if isinstance(value, dict | BaseModel) else value
     if kind == "extra_forbidden":
-        there = section.model_fields
+        there = described(section)
         allowed = {
             name: there[name].description if name in there else None
             for name in file_keys(section, root=section is root)

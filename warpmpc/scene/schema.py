@@ -176,7 +176,7 @@ class When(StrEnum):
 class Cost(Section):
     """One cost term: its name, weight and the term's own keys (see ``warpmpc terms``)."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="allow", frozen=True)
 
     __pydantic_extra__: dict[str, Param]
 

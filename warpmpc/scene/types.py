@@ -3,11 +3,19 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
+import textwrap
+from functools import cache
+from itertools import pairwise
 from types import NoneType
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
 
 
 def _as_tuple(value: object) -> object:
@@ -113,7 +121,7 @@ class Section(BaseModel):
     that may be left out keeps it: false is what it says, and not that it says nothing.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
@@ -127,3 +135,34 @@ class Section(BaseModel):
         field = cls.model_fields.get(key)
         kinds = get_args(field.annotation) if field is not None else ()
         return NoneType in kinds and not any(bool in (kind, *get_args(kind)) for kind in kinds)
+
+
+@cache
+def described(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Keys of a section, each with the docstring below it as its description.
+
+    Reading those from the source takes longer than all else of a section, and few programs ask.
+    """
+    said: dict[str, str] = {}
+    for kind in reversed(section.__mro__):
+        if issubclass(kind, BaseModel) and kind is not BaseModel:
+            said |= _docstrings(kind)
+    for name, field in section.model_fields.items():
+        field.description = field.description or said.get(name)
+    return section.model_fields
+
+
+def _docstrings(kind: type) -> dict[str, str]:
+    """Strings that stand below the annotated names of a class."""
+    try:
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
+    except (OSError, TypeError):  # made without a file
+        return {}
+    return {
+        first.target.id: inspect.cleandoc(second.value.value)
+        for first, second in pairwise(body)
+        if isinstance(first, ast.AnnAssign)
+        and isinstance(second, ast.Expr)
+        and isinstance(second.value, ast.Constant)
+        and isinstance(second.value.value, str)
+    }

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin
 from ...scene.errors import join_key
 from ...scene.load import load_scene, shipped_scenes, variants
 from ...scene.schema_planner import Plans
-from ...scene.types import Section
+from ...scene.types import Section, described
 from .closed_loop import norm_values
 from .saving import place_of, save, values_of
 
@@ -53,7 +53,7 @@ class Settings:
 
     def _list(self, section: Section, at: tuple[str, ...]) -> None:
         tables = {}
-        for name, field in type(section).model_fields.items():
+        for name, field in described(type(section)).items():
             value = getattr(section, name)
             if isinstance(value, Section):
                 tables[name] = value
