@@ -19,7 +19,8 @@ from warpmpc.loop.run.workers import scene_digest
 SINGLE = ("planner.iterations=1", "planner.execute=mean")
 STRATEGIES = {
     "shipped": (),
-    "mppi": ("planner.method=mppi", *SINGLE),
+    "samples": ("planner.refine=false",),
+    "mppi": ("planner.method=mppi", "planner.refine=false", *SINGLE),
     "predictive_sampling": (
         *("planner.method=predictive_sampling", "planner.noise.source=halton", "planner.noise.null_sample=true"),
         *("planner.noise.spread=[0.02, 1.0]", "planner.noise.constant=0.1", *SINGLE),

@@ -7,8 +7,9 @@
 For every task and strategy it first finds the number of samples whose plans take --ms on one thread of this machine,
 by timing them. Then every seed is run in closed loop with as many. Whatever a scene says of its horizon, knots, σ and
 noise holds for all strategies, but for what a strategy is made of (equal_time/cells.py); ``shipped`` is the scene as it
-is, with the number of samples that takes as long as the others. An episode goes on to its end although the goal was
-reached. Its cost is the mean over its control steps of what the scene's terms cost in the plant, with their weights.
+is, with the number of samples that takes as long as the others, ``samples`` the same without iLQG. An episode goes on
+to its end although the goal was reached. Its cost is the mean over its control steps of what the scene's terms cost in
+the plant, with their weights.
 
 Cells have the mean over seeds ± Student's t, 95 %, and how many seeds reached the goal with Wilson's interval. What is
 done is kept in OUT/planners.jsonl, so that the same command goes on after an interruption or --limit, whose table has
