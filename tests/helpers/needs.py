@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import re
 import shutil
+from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -45,7 +47,17 @@ def missing(name: str) -> bool:
         return shutil.which("g++") is None
     if name == "example-robot-data":
         return not any((folder / name).is_dir() for folder in package_dirs())
-    return find_spec(name) is None
+    return find_spec(name) is None or (name == "rclpy" and not _loads(name))
+
+
+@cache
+def _loads(name: str) -> bool:
+    """Whether a package can be imported: ROS 2 may be there without libraries that it loads."""
+    try:
+        import_module(name)
+    except ImportError:
+        return False
+    return True
 
 
 def reason(name: str) -> str:

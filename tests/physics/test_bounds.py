@@ -9,10 +9,11 @@ from fused_models import CONTACTS, OPTION
 
 ROLL = """
 import sys
-import mujoco, numpy as np, warp as wp
+import mujoco, numpy as np, quick_kernels, warp as wp
 from warpmpc.physics import source_parts  # an index out of bounds ends the process:
 source_parts.CONTRACT += " -fsanitize=array-bounds -fsanitize-trap=array-bounds"
 from shared.plain_rollout import PlainRollout
+quick_kernels.compile_soonest()
 mj = mujoco.MjModel.from_xml_string(sys.stdin.read())
 q, _ = PlainRollout(mj, 16, 5)(np.tile(mj.qpos0, (16, 1)), np.zeros((16, mj.nv)), np.ones((5, 16, mj.nu)))
 print(np.isfinite(q).all())

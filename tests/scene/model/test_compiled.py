@@ -53,6 +53,7 @@ def test_a_cached_scene_needs_no_newton(cache):
     compile_scene(small())
     program = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "import quick_kernels; quick_kernels.compile_soonest()\n"
         "from small_scenes import BOX, WALL, make_scene\n"
         "from warpmpc import Controller, Plant\n"
         "scene = make_scene(object=[BOX], obstacle=[WALL], planner={'samples': 4, 'horizon': 2})\n"
