@@ -201,10 +201,10 @@ def test_terms_of_the_source_cost_what_their_functions_say(where, term, lanes):
 @pytest.mark.skipif(
     90 not in wp.get_cuda_supported_archs(), reason="needs Warp built with NVRTC: pip install warp-lang"
 )
-@pytest.mark.parametrize("where", ["anywhere", "level", "space"])
-def test_the_same_source_compiles_for_a_gpu(where, tmp_path):
+@pytest.mark.parametrize(("where", "use_ptx"), [("anywhere", False), ("level", True), ("space", True)])
+def test_the_same_source_compiles_for_a_gpu(where, use_ptx, tmp_path):
     module = SourceEvaluator(evaluated(where)).kernel.module
-    assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
+    assert wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=use_ptx)
 
 
 @pytest.mark.parametrize("where", ["anywhere", "level", "space"])

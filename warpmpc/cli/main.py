@@ -48,8 +48,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing of the working directory
-    gc.set_threshold(100_000, 50, 100)  # a million objects of imports and models stay: looking at them takes seconds,
-    atexit.register(gc.freeze)  # at the end, too
+    atexit.register(gc.freeze)  # looking at what imports and models leave takes long at the end, too
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:  # closed by the parent: files that are opened would take its number
             os.open(os.devnull, os.O_RDWR)
