@@ -58,11 +58,11 @@ class Scenery(Evaluating):
 def test_labels_are_unique_and_weights_belong_to_their_terms():
     scene = Scenery(
         {"term": "height", "of": "box", "target": 1.0, "weight": 2.0},
-        {"term": "height", "of": "box", "target": 3.0, "weight": -1.0},
+        {"term": "height", "of": "box", "target": 3.0, "weight": 0.5},
         {"term": "height", "of": "box", "target": 1.0, "name": "lift", "weight": 0.0},
     )
     assert scene.stack.labels == ["height", "height_2", "lift"]
-    np.testing.assert_allclose(scene.cost(), [[2.0, 2.0], [-3.0, -3.0], [0.0, 0.0]])
+    np.testing.assert_allclose(scene.cost(), [[2.0, 2.0], [1.5, 1.5], [0.0, 0.0]])
 
 
 @wp.struct

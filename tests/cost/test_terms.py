@@ -301,6 +301,7 @@ def test_a_goal_without_a_height_is_compared_in_the_plane():
         ({"term": "distnce"}, r"cost\.distnce\.term: no such cost term.*Did you mean 'distance'"),
         ({"term": "distance", "between": ["base/tpi", "box"]}, r"cost\.distance\.between.*Did you mean 'base/tip'"),
         ({"term": "distance", "betwen": ["base/tip", "box"]}, r"unknown key.*Did you mean 'between'"),
+        ({"term": "distance", "wieght": 10.0}, r"unknown key.*between.*Did you mean 'weight'\?"),
         ({"term": "distance"}, r"the key 'between' is missing"),
         ({"term": "distance", "between": ["base/tip"]}, r"cost\.distance\.between"),
         ({"term": "distance", "between": ["base/tip", "box"], "metric": "manhattan"}, r"cost\.distance\.metric"),

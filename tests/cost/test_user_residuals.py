@@ -119,6 +119,8 @@ def components_kernel(term: warpmpc.CostTerm) -> wp.Kernel:
         ({"norm": {"kind": "cosh"}}, r"cost\.lean\.norm.*takes p"),
         ({"frame": "base/tpi"}, r"cost\.lean\.frame.*Did you mean 'base/tip'"),
         ({"gian": 1.0}, r"cost\.lean\.gian.*Did you mean 'gain'"),
+        ({"nrom": "l2"}, r"cost\.lean\.nrom.*Did you mean 'norm'"),
+        ({"terminl": 1.0}, r"cost\.lean\.terminl.*Did you mean 'terminal'"),
     ],
 )
 def test_mistakes_in_a_residuals_table_name_the_key(change, message):

@@ -90,6 +90,7 @@ def test_terms_of_the_same_function_name_are_not_mixed_up():
         ({"frame": "base/tpi"}, r"cost\.reach\.frame.*Did you mean 'base/tip'"),
         ({"joint": "yow"}, r"cost\.reach\.joint"),
         ({"gian": 1.0}, r"cost\.reach\.gian.*Did you mean 'gain'"),
+        ({"wieght": 1.0}, r"unknown key.*gain.*Did you mean 'weight'"),
         ({"gain": True}, "needs finite numbers"),
         ({"gain": {"p": 1.0}}, "needs finite numbers"),
         ({"target": ["a", "b", "c"]}, "needs finite numbers"),
@@ -101,6 +102,13 @@ def test_terms_of_the_same_function_name_are_not_mixed_up():
 def test_mistakes_in_a_users_table_name_the_key(change, message):
     with pytest.raises(SceneError, match=message):
         Rollouts({"term": "reach", **KEYS, **change}, terms=[reach])
+
+
+def test_a_key_of_every_cost_that_is_misspelt_is_refused_by_an_array_cost_too():
+    keys = {"body": 0, "gain": 1.5, "target": [0.3, -0.2, 0.7], "free": 1.0}
+    assert Rollouts({"term": "reach_array", **keys}, terms=[reach_array])
+    with pytest.raises(SceneError, match=r"cost\.reach_array\.wieght: unknown key.*Did you mean 'weight'"):
+        Rollouts({"term": "reach_array", **keys, "wieght": 3.0}, terms=[reach_array])
 
 
 @pytest.mark.parametrize("missing", KEYS)

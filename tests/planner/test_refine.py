@@ -18,6 +18,7 @@ from warpmpc.planner.feedback import Feedback, StateSpace
 from warpmpc.scene.overrides import with_values
 
 DISC_PLANNER = {"samples": 16, "horizon": 10, "discount": 1.0, "randomize": False}
+KNOTS = {"knots": "steps", "spline": "zero"}
 
 
 def disc(method: str = "ilqg", **planner):
@@ -59,7 +60,7 @@ def test_gradient_descent_only_ever_improves_the_plan():
 
 
 def test_ilqs_is_no_worse_than_the_samples_alone():
-    _, samples = planned(disc("predictive_sampling", knots="steps", spline="zero"))
+    _, samples = planned(disc("predictive_sampling", **KNOTS))
     controller, refined = planned(disc("ilqs"))
     assert refined[0] < samples[0]
     assert controller.info.eta == 1.0
@@ -204,12 +205,14 @@ def test_what_cannot_be_differentiated_is_refused_by_name(engine, values, says):
         Controller(scene, engine=engine, device="cpu", compiled=compiled(scene))
 
 
-def test_a_plan_that_derivatives_fail_for_stays_as_the_samples_left_it(caplog):
-    controller, _ = planned(disc("ilqs"))
+@pytest.mark.parametrize(("method", "level"), [("ilqg", "WARNING"), ("auto", "DEBUG")])  # those of auto nobody asks for
+def test_a_plan_that_derivatives_fail_for_stays_as_the_samples_left_it(method, level, caplog):
+    caplog.set_level("DEBUG", "warpmpc")
+    controller, _ = planned(disc("mppi", samples=256, refine={"method": method}, **KNOTS))
     controller.plan_step.refiner.differences._moves.state.fill_(np.nan)
     command = controller.step(replace(State.start(controller.layout), time=0.04))
     assert np.isfinite(command).all()
-    assert "no derivatives" in caplog.text
+    assert [r.levelname for r in caplog.records if "no derivatives" in r.message] == [level]
     assert controller.plan_step.feedback is None
 
 

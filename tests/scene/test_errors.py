@@ -29,6 +29,9 @@ def set_to(tmp_path, override: str) -> SceneError:
     return caught.value
 
 
+PHASE = '[[phase]]\nname = "a"\nafter = 1.0\nweight = { distance = -2.0 }\n[planner]'
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key", "says"),
     [
@@ -59,6 +62,8 @@ def set_to(tmp_path, override: str) -> SceneError:
         ("mass = 1.0", "mass = -1.0", "object.box.mass", ["must be above 0", "found -1.0"]),
         ("mass = 1.0", "mass = nan", "object.box.mass", ["must be finite", "found nan"]),
         ("mass = 1.0", "mass = inf", "object.box.mass", ["must be finite", "found inf"]),
+        ('term = "distance"', 'term = "distance"\nweight = -1.0', "cost.distance.weight", ["must be at least 0"]),
+        ("[planner]", PHASE, "phase.a.weight.distance", ["must be at least 0", "found -2.0"]),
         ("horizon = 16", "horizon = 0", "planner.horizon", ["must be at least 1", "found 0"]),
         ("samples = 64", "discount = 1.5", "planner.discount", ["must be at most 1", "found 1.5"]),
         ("samples = 64", "samples = 5000000000", "planner.samples", ["must be at most 2147483647"]),
@@ -96,13 +101,8 @@ def set_to(tmp_path, override: str) -> SceneError:
         ("[planner]", "[randomize.bix]\nmass.uniform = 0.1\n[planner]", "randomize.bix", ["'box'?"]),
         ("[planner]", "[randomize.wall]\nmass.uniform = 0.1\n[planner]", "randomize.wall.mass", ["has no mass"]),
         ("[planner]", "[randomize.base]\nsize.normal = 0.1\n[planner]", "randomize.base.size", ["by its asset"]),
-        (
-            "[planner]",
-            "[timing]\ntimeout = 0.01\n[planner]",
-            "timing.timeout",
-            ["shorter than control_dt", "found 0.01"],
-        ),
-        ("[planner]", "[timing]\ncontrol_dt = 50.0\n[planner]", "timing.timeout", ["than control_dt", "found 45.0"]),
+        ("[planner]", "[timing]\ntimeout = 0.01\n[planner]", "timing.timeout", ["control_dt = 0.04; found 0.01"]),
+        ("[planner]", "[timing]\ncontrol_dt = 50.0\n[planner]", "timing.timeout", ["control_dt = 50; found 45.0"]),
         ("samples = 64", 'samples = 4\nmethod = "cem"', "planner.elites", ["more elites than samples", "found 8"]),
     ],
 )

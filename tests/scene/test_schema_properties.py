@@ -138,7 +138,9 @@ def scenes(draw):
     random = st.builds(
         Randomization, mass=st.none() | st.builds(Uniform, uniform=st.floats(0, 0.9)), size=st.just(Normal(normal=0.1))
     )
-    costs = st.lists(st.tuples(text, number, st.dictionaries(st.sampled_from("abc"), param)), min_size=1, max_size=3)
+    costs = st.lists(
+        st.tuples(text, number.map(abs), st.dictionaries(st.sampled_from("abc"), param)), min_size=1, max_size=3
+    )
     return Scene(
         title=draw(text),
         timing=Timing(control_dt=draw(st.floats(1e-3, 1.0)), timeout=draw(st.floats(10.0, 100.0))),

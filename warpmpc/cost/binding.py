@@ -14,11 +14,13 @@ from ..kernels.cost.points import Wanted
 from ..scene.errors import SceneError
 from ..scene.model.assets import resolve_asset
 from ..scene.model.pairs import Pair
+from ..scene.schema import Cost
+from ..scene.types import described
 from .resources.geodesic import obstacle_outlines, polygon_distance
 from .resources.resource import Resources
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from ..scene.model.layout import Entity, Layout, ShapeInfo
@@ -61,6 +63,11 @@ class Binding:
             more: What was ``found``, what is ``allowed``.
         """
         return SceneError(message, key=f"{self.key}.{key}" if key else self.key, file=self.file, **more)
+
+    def unknown(self, key: str, own: Mapping[str, str | None]) -> SceneError:
+        """The error about a key that neither the term, whose ``own`` keys have these meanings, nor every cost has."""
+        common = {name: field.description for name, field in described(Cost).items()}
+        return self.error("unknown key", key, found=key, allowed={**common, **own})
 
     def array(self, values: object, dtype: type) -> wp.array:
         """Array of parameters on the device of the terms; vectors, matrices and poses come from nested lists."""

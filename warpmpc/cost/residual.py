@@ -136,7 +136,8 @@ def residual_term(name: str) -> Callable[[Callable], CostTerm]:
         def bind(keys: dict[str, Any], binding: Any) -> Any:
             p = normed()
             p.norm = _norm(keys.get("norm", NormKind.QUADRATIC), binding)
-            p.own = fill(name, params, None, {key: value for key, value in keys.items() if key != "norm"}, binding)
+            own = {key: value for key, value in keys.items() if key != "norm"}
+            p.own = fill(name, params, None, own, binding, others=("norm",))
             return p
 
         return CostTerm(name, cost, normed, bind, written=own, residual=Residual(number, lambda p: size or 1))

@@ -115,8 +115,7 @@ class CostStack:
                         allowed={name: getattr(term, "summary", None) for name, term in known.items()},
                     )
                 term = known[cost.term]
-                bound = term.bind(cost.params, binding) if isinstance(term, CostTerm) else dict(cost.params)
-                self.terms.append((term, bound))
+                self.terms.append((term, term.bind(cost.params, binding)))
         mistakes.raise_all()
         self.factors = term_factors(costs)
         """Factors on what each term costs before the last step and at it ``[term, 2]``."""

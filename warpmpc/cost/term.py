@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -16,6 +18,7 @@ from pydantic import ValidationError
 
 from ..kernels.cost.norms import Norm
 from ..kernels.cost.view import StepView
+from ..scene.schema import Cost
 from ..scene.task.ancillary import AncillaryController
 from ..scene.types import described
 
@@ -85,6 +88,19 @@ class ArrayCost:
     def summary(self) -> str:
         """Summary of its cost: the first of the function's docstring."""
         return _summary(self.function)
+
+    def bind(self, values: dict[str, Any], binding: Binding) -> dict[str, Any]:
+        """The keys as they are, which the function reads.
+
+        Raises:
+            SceneError: If it does not, and the key is nearly one that every cost has.
+        """
+        with suppress(OSError, TypeError):  # without a file nobody knows what it reads
+            source = inspect.getsource(self.function)
+            for key in values:
+                if key not in source and difflib.get_close_matches(key, Cost.model_fields, cutoff=0.8):
+                    raise binding.unknown(key, {})
+        return dict(values)
 
 
 def _summary(function: Callable) -> str:
@@ -190,8 +206,13 @@ def annotations(function: Callable, *, returned: bool = False) -> dict[str, Any]
     }
 
 
-def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], binding: Binding) -> Any:
-    """Fill a user's parameter struct from scene keys; ``numbers`` is how many the term carries along itself."""
+def fill(
+    name: str, params: Any, numbers: int | None, keys: dict[str, Any], binding: Binding, *, others: tuple[str, ...] = ()
+) -> Any:
+    """Fill a user's parameter struct from scene keys.
+
+    ``numbers`` is how many the term carries along itself, ``others`` are keys that it has besides.
+    """
     struct = params()
     if numbers is not None:
         keys = {**keys, "memory": binding.carry(numbers)}
@@ -204,7 +225,7 @@ def fill(name: str, params: Any, numbers: int | None, keys: dict[str, Any], bind
     }
     for key, value in keys.items():
         if key not in params.vars:
-            raise binding.error(f"cost term '{name}' has no such key", key, found=key, allowed=params.vars)
+            raise binding.unknown(key, dict.fromkeys((*params.vars, *others)))
         if isinstance(value, str):
             find = next((look for word, look in finders.items() if word in key), binding.frame)
             value = find(value, key)
@@ -238,8 +259,7 @@ def parse_keys(keys: type[Section], values: dict[str, Any], binding: Binding) ->
         # a name, and which entry of its list; what follows are names of types
         name = ".".join(str(part) for part in first["loc"][:1] + first["loc"][1:2] * isinstance(first["loc"][-1], int))
         if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-            known = {key: field.description for key, field in described(keys).items()}
-            raise binding.error("unknown key", name, found=name, allowed=known) from None
+            raise binding.unknown(name, {key: field.description for key, field in described(keys).items()}) from None
         if first["type"] == "missing" and len(first["loc"]) == 1:
             raise binding.error(f"the key '{name}' is missing") from None
         field = described(keys).get(str(first["loc"][0]))

@@ -132,8 +132,9 @@ class Refiner(ABC):
         except FloatingPointError as error:
             self.reset()
             if not self._failed:  # once until they work again
+                level = logging.DEBUG if self._settings.method is Refinement.AUTO else logging.WARNING  # if asked for
                 what = "t = %.2f s: no derivatives: %s; the plan stays as it was"
-                logger.warning(what, state.start.numpy()[0], error)
+                logger.log(level, what, state.start.numpy()[0], error)
             self._failed = True
         else:
             self._failed = False

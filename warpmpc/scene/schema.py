@@ -159,8 +159,8 @@ class Timing(Section):
     @field_validator("timeout")
     @classmethod
     def _one_control(cls, timeout: float, info: ValidationInfo) -> float:
-        if timeout < info.data.get("control_dt", 0.0):
-            raise ValueError("is shorter than control_dt")
+        if timeout < (control_dt := info.data.get("control_dt", 0.0)):
+            raise ValueError(f"is shorter than timing.control_dt = {control_dt:g}")
         return timeout
 
 
@@ -184,7 +184,7 @@ class Cost(Section):
     """Which term: a built-in one, or one of yours from ``--terms``."""
     name: Name | None = None
     """Name in tables and overrides; the term's name when left out."""
-    weight: Finite = 1.0
+    weight: NonNegative = 1.0
     """Factor on its value; 0 switches it off."""
     terminal: NonNegative = 1.0
     """Factor on its cost at the last step of the horizon, in addition to ``planner.terminal``."""

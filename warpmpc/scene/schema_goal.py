@@ -163,7 +163,7 @@ class Phase(Section):
     """Poses of targets from this phase on."""
     scalar: dict[Name, Finite] = Field(default_factory=dict)
     """Values of scalars from this phase on."""
-    weight: dict[str, Finite] = Field(default_factory=dict)
+    weight: dict[str, NonNegative] = Field(default_factory=dict)
     """Weights of cost terms from this phase on; 0 switches a term off."""
     until: Annotated[tuple[Condition, ...], OneOrMore] = ()
     """The phase ends when all of these hold; the last phase has none and ends with the run."""

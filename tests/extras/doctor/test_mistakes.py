@@ -219,11 +219,6 @@ TABLE = [
         base="quadrotor",
     ),
     Mistake(
-        "weight below zero",
-        {'between = ["box", "goal"]': 'between = ["box", "goal"]\nweight = -1.0'},
-        ("cost.distance.weight", "rewards a large distance", "weights of costs are positive"),
-    ),
-    Mistake(
         "terms about what does not move",
         {'["arm/fore", "box"]': '["post", "box"]'},
         ("cost", "cost the same", "add a term that leads to the goal"),

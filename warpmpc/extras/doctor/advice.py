@@ -35,7 +35,6 @@ def advise(scene: Scene, compiled: CompiledScene) -> list[str]:
     """
     return [
         *_times(scene),
-        *_weights(scene),
         *([] if any(wrong_ranges(compiled)) else _noise(scene, compiled.layout)),  # of controls within those ranges
         *_shapes(compiled.layout),
     ]
@@ -52,17 +51,6 @@ def _times(scene: Scene) -> Iterator[str]:
             f"planner.knots = {planner.knots} are more than the {planner.horizon} steps of planner.horizon: what lies "
             "between steps changes nothing"
         )
-
-
-def _weights(scene: Scene) -> Iterator[str]:
-    costs = zip(scene.cost_labels, scene.cost, strict=True)
-    given = [(f"cost.{label}.weight", label, cost.weight) for label, cost in costs]
-    given += [
-        (f"phase.{p.name}.weight.{label}", label, weight) for p in scene.phase for label, weight in p.weight.items()
-    ]
-    for key, label, weight in given:
-        if weight < 0.0:
-            yield f"{key} = {weight:g} rewards a large {label}: weights of costs are positive"
 
 
 def _noise(scene: Scene, layout: Layout) -> Iterator[str]:
