@@ -7,7 +7,7 @@ from needs import need_scene
 
 from warpmpc import Controller, State, load_scene
 from warpmpc.extras.doctor.examine import tumble_findings
-from warpmpc.planner.tumbles import OVER, Tumble
+from warpmpc.planner.tumbles import KNOTS, OVER, Tumble
 from warpmpc.planner.tumbles import tumble as tumble_of
 
 DRONE = """
@@ -118,4 +118,18 @@ def test_default_noise_is_lowered_to_what_turns_nothing_over(tmp_path):
     assert np.all(spread[1][:2] < 0.5 * spread[0][:2])
     assert spread[1][2] == pytest.approx(spread[0][2], rel=0.01)
     (finding,) = tumble_findings(controller)
-    assert finding.cure.startswith("plans take planner.noise.sigma.range = [")
+    assert finding.cure.startswith("plans take planner.knots = 5 and planner.noise.sigma.range = [")
+
+
+def test_default_knots_come_closer_so_that_noise_is_lowered_less(tmp_path):
+    shares = []
+    for knots in ("knots = 5", "lookahead = 0.8"):
+        (tmp_path / "drone.xml").write_text(DRONE)
+        text = SCENE.replace(", noise.sigma.range = 0.25", "").replace("lookahead = 0.8, knots = 5", knots)
+        (tmp_path / "scene.toml").write_text(text)
+        controller = Controller(load_scene(tmp_path / "scene.toml"), device="cpu")
+        assert tumble(controller) is None
+        shares.append(controller.scene.planner.noise.sigma.range[0])
+    assert controller.scene.planner.knots == KNOTS
+    assert f"planner.knots = {KNOTS} and" in next(tumble_findings(controller)).cure
+    assert shares[1] > 1.5 * shares[0]

@@ -185,11 +185,12 @@ def tumble_findings(controller: Controller) -> Iterator[Finding]:
         return
     names = [name for name, factor in zip(layout.control_name, found.factor, strict=True) if factor < 1.0]
     ((key, value),) = Changes(controller).sigma(1.0 if controller.lowered else found.factor).items()
+    taken = f"plans take planner.knots = {scene.planner.knots} and {key} = {value}"
     yield Finding(
         "planner.noise.sigma",
         f"samples{' with the default' if controller.lowered else ''} turn {found.body} over ({OVER:g} rad) within "
         f"{found.time:.2g} s by {some(names)}, and knots are {found.knots:.2g} s apart",
-        f"plans take {key} = {value}" if controller.lowered else f"try {key} = {value}, with which they do not",
+        taken if controller.lowered else f"try {key} = {value}, with which they do not",
     )
 
 

@@ -106,7 +106,7 @@ class Controller:
 
     def _build(self, name: str, device: str, strategy: str, terms: Sequence[UserTerm]) -> None:
         self.scene, self.lowered = bearable(self.scene, self.compiled, name)
-        """What the default noise turned over and no longer does; None where nothing, or where the scene gives σ."""
+        """What the default noise and knots let turn over; None where nothing, or where the scene gives σ."""
         scene, seed, envs = self.scene, self.seed, self.envs
         planner = scene.planner
         self.shape = BatchSize(envs, planner.samples, planner.domains, planner.horizon)
