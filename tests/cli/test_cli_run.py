@@ -363,7 +363,8 @@ def test_ctrl_c_prints_what_there_is(tmp_path):
         rest, errors = process.communicate(timeout=120)
     found = [json.loads(line) for line in [*lines, *rest.splitlines()]]
     assert process.returncode == 130
-    assert errors == ""
+    done = sum(result["reason"] == "timeout" for result in found)
+    assert errors == f"interrupted: {done} of 100 episodes are done; a command with --results FILE can be continued\n"
     assert found[0]["reason"] == "timeout"
     assert all(result["reason"] == "timeout" for result in found[:-1])
     assert len(found) < 100

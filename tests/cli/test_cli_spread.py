@@ -132,6 +132,7 @@ def test_a_series_that_ended_goes_on_and_nothing_is_left_over(killed, number, co
     assert (program.returncode, len(workers)) == (code, 2), errors
     assert not (tmp_path / "executed").exists()
     assert ("error: a process of --jobs died" in errors) == (killed == "worker")
+    assert ("of 300 episodes are done; the same command continues" in errors) == (number == 2)
     end = time.monotonic() + 20.0
     while not all(map(calls.gone, workers)):
         assert time.monotonic() < end

@@ -8,16 +8,7 @@ from small_scenes import compiled, make_scene
 
 from warpmpc import Controller, Plant, State
 
-TERMS = {
-    "pose",
-    "stop",
-    "manipulability",
-    "joint_bounds",
-    "null_posture",
-    "path_deviation",
-    "speed",
-    "smoothness",
-}
+TERMS = {"pose", "stop", "manipulability", "joint_bounds", "null_posture", "path_deviation", "speed", "smoothness"}
 COSTS = [
     {"term": "pose", "of": "arm/tip", "position": 100.0, "rotation": 15.0},
     {"term": "stop", "acceleration": 5.0, "weight": 100.0},

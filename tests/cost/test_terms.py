@@ -191,10 +191,7 @@ CASES = {
         {"between": ["box", "obstacles"]},
         lambda r: np.linalg.norm(r.trajectory.contact_force.numpy().astype(np.float64), axis=-1).sum(-1),
     ),
-    "control_effort": (
-        {"of": "base"},
-        lambda r: ((r.control.numpy() / [1.0, 2.0, 0.5]) ** 2).sum(-1),
-    ),
+    "control_effort": ({"of": "base"}, lambda r: ((r.control.numpy() / [1.0, 2.0, 0.5]) ** 2).sum(-1)),
     "control_rate": ({}, rate),
     "joint_limit": ({"margin": 99.5}, lambda r: joint_limit(r, 99.5)),
     "joint_limit of some": (
@@ -207,10 +204,7 @@ CASES = {
         lambda r: (r.trajectory.joint_qd.numpy()[1:, :, [2, 0]].astype(np.float64) ** 2).sum(-1),
     ),
     "posture": ({"joints": ["base/yaw", "x"]}, posture),
-    "approach": (
-        {"hand": "base/tip", "object": "box", "width": 1.2, "rise": 0.8},
-        lambda r: approach(r, 1.2, 0.8),
-    ),
+    "approach": ({"hand": "base/tip", "object": "box", "width": 1.2, "rise": 0.8}, lambda r: approach(r, 1.2, 0.8)),
     "finger_alignment": ({"hand": "base/tip", "object": "box"}, finger_alignment),
     "gripper": (
         {"hand": "base/tip", "object": "box", "near": 1.8, "fingers": ["base/x", "base/yaw"]},
@@ -233,10 +227,7 @@ CASES = {
         {"of": "base/tip", "within": 8.0},
         lambda r: outline_clearance(r, "base/tip", 0.2 * RING[:, :2] - [0.2, 0.0], 8.0),
     ),
-    "outline_distance": (
-        {"of": "base/tip", "object": "box", "inside": 3.0},
-        lambda r: outline_distance(r, 3.0),
-    ),
+    "outline_distance": ({"of": "base/tip", "object": "box", "inside": 3.0}, lambda r: outline_distance(r, 3.0)),
     "height": ({"of": "base/tip", "target": 0.3}, lambda r: np.abs(r.pose("base/tip")[0][..., 2] - 0.3)),
     "slack height": (
         {"term": "height", "of": "base/tip", "target": 0.3, "slack": 0.2},

@@ -15,13 +15,7 @@ import warp as wp
 from needs import CUDA, need
 from small_scenes import BOX, DISC, WALL, compiled, make_engine, make_scene, observed, roll
 
-from warpmpc import (
-    Controller,
-    Plant,
-    SceneError,
-    State,
-    load_scene,
-)
+from warpmpc import Controller, Plant, SceneError, State, load_scene
 from warpmpc.engine.mujoco_warp import MujocoWarpSimulator
 from warpmpc.engine.newton import NewtonSimulator, build_model
 from warpmpc.scene.model.compiled import compile_scene
@@ -92,11 +86,7 @@ def test_it_agrees_with_the_mujoco_engine(scene, engine):
     """Same solver, same formulas: float32 against float64, through contacts and in differently randomized worlds."""
     layout = compiled(scene).layout
     reference = make_engine(
-        scene,
-        samples=SAMPLES,
-        horizon=HORIZON,
-        pairs=PAIRS,
-        properties=draw_properties(scene, layout, SAMPLES, seed=3),
+        scene, samples=SAMPLES, horizon=HORIZON, pairs=PAIRS, properties=draw_properties(scene, layout, SAMPLES, seed=3)
     )
     control = controls(SAMPLES)
     expected = roll(reference, control, *start(scene))
@@ -189,12 +179,7 @@ def test_overflow_is_reported_with_the_setting_to_raise(scene, device, name):
         ("newton", {"options": {"njmx": 3}}, "engine.options.njmx", "njmax"),
         ("newton", {"options": {"cone": "round"}}, "engine.options", "refuses"),
         ("newton", {"friction_combine": "average"}, "engine.friction_combine", "priority"),
-        (
-            "newton",
-            {"solver": "xpbd", "options": {"iterations": 2, "njmax": 5}},
-            "engine.options.njmax",
-            "iterations",
-        ),
+        ("newton", {"solver": "xpbd", "options": {"iterations": 2, "njmax": 5}}, "engine.options.njmax", "iterations"),
     ],
 )
 def test_a_solver_that_does_not_fit_is_refused_with_its_key(scene, name, section, key, says):

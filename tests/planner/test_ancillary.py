@@ -10,18 +10,7 @@ import numpy as np
 import pytest
 from small_scenes import DISC, WALL, compiled, make_scene
 
-from warpmpc import (
-    Controller,
-    Plant,
-    RunLog,
-    RunRecorder,
-    SceneError,
-    State,
-    Task,
-    ancillary,
-    load_terms,
-    run_episode,
-)
+from warpmpc import Controller, Plant, RunLog, RunRecorder, SceneError, State, Task, ancillary, load_terms, run_episode
 from warpmpc.planner.recall import Nearness
 
 PLANNER = {"samples": 24, "horizon": 8, "noise": {"sigma": (0.5,)}, "randomize": False}

@@ -40,13 +40,7 @@ _UNLIMITED = 1e3
 """Width from which a range counts as no limit [m or rad]."""
 
 
-def print_check(
-    episode: Episode,
-    out: TextIO,
-    *,
-    plan_ms: float | None = None,
-    advice: Sequence[str] = (),
-) -> None:
+def print_check(episode: Episode, out: TextIO, *, plan_ms: float | None = None, advice: Sequence[str] = ()) -> None:
     """Print what an episode is built of, and likely mistakes; its controller has made a plan.
 
     Args:

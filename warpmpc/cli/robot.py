@@ -38,14 +38,7 @@ LISTEN = 3.0
 """Wall time for which a check listens after the first state [s]."""
 
 
-def robot(
-    arguments: RunArguments,
-    *,
-    transport: dict[str, Any],
-    seed: int,
-    speed: float,
-    seconds: float | None,
-) -> int:
+def robot(arguments: RunArguments, *, transport: dict[str, Any], seed: int, speed: float, seconds: float | None) -> int:
     """Be a robot until a signal or the time ends it, print the report, and return the exit code."""
     with results_only() as out, Messages(notices=True, warnings=True), Interrupts() as interrupts:
         try:

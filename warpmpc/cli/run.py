@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from contextlib import closing
 from pathlib import Path
@@ -144,11 +145,8 @@ def run(
         if kept is not None and kept.outdated:
             logger.warning("%s: %d of its results were made by another state of warpmpc", results_file, kept.outdated)
         if kept is not None and kept.taken and outputs.any:
-            logger.warning(
-                "%s has %d of these episodes: they were not run again, so no files of theirs were written",
-                results_file,
-                kept.taken,
-            )
+            what = "%s has %d of these episodes: they were not run again, so no files of theirs were written"
+            logger.warning(what, results_file, kept.taken)
         exported = None
         with others_whole():
             exported = outputs.export.close() if outputs.export is not None else None
@@ -165,6 +163,10 @@ def run(
             if exported is not None:
                 say(exported, out=out)
     if interrupted:
+        if len(seeds) > 1 and not quiet:
+            goes_on = "the same command continues" if results_file else "a command with --results FILE can be continued"
+            done = sum(result.reason != "interrupted" for result in results)
+            say(f"interrupted: {done} of {len(seeds)} episodes are done; {goes_on}", out=sys.stderr)
         return interrupts.code
     return SUCCESS if all(result.passed for result in results) and not messages.unwritten else FAILURE
 

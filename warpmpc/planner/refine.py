@@ -88,9 +88,8 @@ class Refiner(ABC):
         self._settings = planner.refine
         self._launch = Launcher(request.device)
         self.residuals = Residuals(request.costs)
-        self.hold = (
-            control_hold(scene.timing.control_dt, request.grid) if refined(scene) is not Refinement.GRADIENT else 1
-        )
+        whole = refined(scene) is not Refinement.GRADIENT
+        self.hold = control_hold(scene.timing.control_dt, request.grid) if whole else 1
         count, drawn = self._settings.candidates, request.properties
         nominal = tried = replace(request, properties=None)
         draws = DRAWS if self.noisy or (drawn is not None and drawn.names) else 1

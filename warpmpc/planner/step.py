@@ -28,7 +28,7 @@ from .ancillary import Ancillaries
 from .plan import Plan, PlanReport, refitted
 from .refine import control_hold, refined
 from .refiners import PlanSpline, SampledIlqg, refiner_of
-from .strategy import DerivativeStrategy, SamplingStrategy, Strategy, proposal
+from .strategy import STRATEGY, DerivativeStrategy, SamplingStrategy, Strategy, made, proposal
 from .weighting import CrossEntropy, Mppi, PredictiveSampling, Tsallis, block_dim
 
 if TYPE_CHECKING:
@@ -136,7 +136,9 @@ class PlanStep:
         entry, self.engine = make_engine(engine, request)
         self._redraw: Redraw | None = getattr(self.engine, "redraw", None)
         on_gpu = wp.get_device(self.device).is_cuda
-        self.strategy = make_strategy(scene, layout, self.state, spline, self.limits, self.engine.cost, seed=seed)
+        plan = (scene, layout, self.state, spline, self.limits, self.engine.cost)
+        names = "population knots mean offset eta update"
+        self.strategy = made(make_strategy, STRATEGY, names, scene, *plan, seed=seed)
         if (most := max(self.strategy.population, default=0)) > shape.samples:
             kind = type(self.strategy).__name__
             raise ValueError(f"strategy {kind}: its population has {most} samples, planner.samples are {shape.samples}")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -74,13 +75,8 @@ class Strategy:
         *,
         seed: int = 0,
     ):
-        self._scene, self._planner, self._layout, self._state, self._spline = (
-            scene,
-            scene.planner,
-            layout,
-            state,
-            spline,
-        )
+        self._scene, self._planner, self._layout = scene, scene.planner, layout
+        self._state, self._spline = state, spline
         self._limits, self._cost, self._seed = limits, cost, seed
         self.knots = wp.zeros((*cost.shape, len(spline.time), layout.nu), dtype=float, device=cost.device)
 
@@ -101,6 +97,29 @@ class Strategy:
 
     def reset(self, knots: np.ndarray | None = None) -> None:
         """Forget every earlier plan; the next one starts from knots ``[P, nu]`` or ``[E, P, nu]`` if they are given."""
+
+
+STRATEGY = (
+    "a strategy is made from (scene, layout, state, spline, limits, cost, *, seed); a class that weighs samples is "
+)
+STRATEGY += "registered as partial(SamplingStrategy, weighting=Class)"
+WEIGHTING = "a weighting has __init__(self, planner), launch(self, state), which fills state.weight and state.eta, and "
+WEIGHTING += "adapts_sigma, which is True where the noise follows the weighted samples"
+
+
+def made(make: Callable, needs: str, names: str, scene: Scene, *given: Any, **more: Any) -> Any:
+    """What a registered strategy or weighting makes; an error says what it ``needs`` if ``names`` are missing."""
+    try:
+        inspect.signature(make).bind(*given, **more)
+    except TypeError as error:
+        wrong = str(error)
+    else:
+        out = make(*given, **more)
+        wrong = ", ".join(f"no {name}" for name in names.split() if not hasattr(out, name))
+        if not wrong:
+            return out
+    what = f"{getattr(getattr(make, 'func', make), '__name__', make)} cannot be used ({wrong}): {needs}"
+    raise SceneError(what, key="planner.method", file=scene.path, found=scene.planner.method)
 
 
 def proposal(strategy: Strategy, iteration: int) -> Proposal:
@@ -128,10 +147,10 @@ class SamplingStrategy(Strategy):
     def __init__(self, *plan: Any, weighting: Callable[[Planner], Weighting] = Mppi.of, **options: Any):
         super().__init__(*plan, **options)
         scene, layout, planner, cost = self._scene, self._layout, self._planner, self._cost
-        envs, samples, count, nu = self.knots.shape
+        envs, samples, count, _ = self.knots.shape
         device = cost.device
         self._launch = Launcher(device)
-        self.weighting = weighting(planner)
+        self.weighting = made(weighting, WEIGHTING, "launch adapts_sigma", scene, planner)
         self.weights = WeightingState(cost, temperature=planner.temperature.initial)
         self.beta, self.eta = self.weights.beta, self.weights.eta
         form = covariance_form(scene, adapts=self.weighting.adapts_sigma)
@@ -178,41 +197,24 @@ class SamplingStrategy(Strategy):
             variance=wp.array(variance, dtype=float, device=device),
             full=covariance.full,
         )
-        white = planner.noise.shape is NoiseShape.IDENTITY
-        self.noise = NoiseSource(
-            source=planner.noise.source,
-            redraw=planner.noise.redraw,
-            seed=self._seed,
-            envs=envs,
-            samples=samples,
-            knots=count,
-            nu=nu,
-            spread=planner.noise.spread,
-            starts=planner.noise.renewal is Renewal.START,
-            shaping=None if white else _shaping(scene, count),
-            constant=planner.noise.constant,
-            device=device,
-        )
+        starts = planner.noise.renewal is Renewal.START
+        drawn = {"source": planner.noise.source, "redraw": planner.noise.redraw, "starts": starts}
+        self.noise = self._noise_source(**drawn, seed=self._seed, samples=samples, spread=planner.noise.spread)
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._carried_out()
+
+    def _noise_source(self, **own: Any) -> NoiseSource:
+        """Noise of the scene's shape for knots, with settings of its own."""
+        envs, _, count, nu = self.knots.shape
+        noise, sizes = self._planner.noise, {"envs": envs, "knots": count, "nu": nu}
+        shaping = None if noise.shape is NoiseShape.IDENTITY else _shaping(self._scene, count)
+        return NoiseSource(**sizes, shaping=shaping, constant=noise.constant, device=self._cost.device, **own)
 
     def _carried_out(self) -> wp.array:
         """Knots of the plan ``[E, P, nu]`` where it is not the mean: the best sample, or one that is drawn for it."""
-        planner, envs, (_, count, nu) = self._planner, len(self.knots), self.knots.shape[1:]
-        if planner.execute is Execute.BEST:
+        if self._planner.execute is Execute.BEST:
             return self._best.knots[0]
-        shaping = None if planner.noise.shape is NoiseShape.IDENTITY else _shaping(self._scene, count)
-        self._drawn = NoiseSource(
-            source=NoiseKind.RANDOM,
-            redraw=True,
-            seed=self._seed ^ CARRIED_OUT,
-            envs=envs,
-            samples=1,
-            knots=count,
-            nu=nu,
-            shaping=shaping,
-            constant=planner.noise.constant,
-            device=self._cost.device,
-        )
+        drawn = {"source": NoiseKind.RANDOM, "redraw": True, "seed": self._seed ^ CARRIED_OUT}
+        self._drawn = self._noise_source(**drawn, samples=1)
         return wp.zeros(self.distribution.dim, dtype=float, device=self._cost.device)
 
     def _draw_plan(self, iteration: int) -> None:

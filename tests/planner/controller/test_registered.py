@@ -167,6 +167,37 @@ def test_a_name_that_there_is_not_is_told_with_those_that_there_are(tmp_path, ke
     assert {"engine": "fused", "method": "cem"}[key] in caught.value.allowed
 
 
+class NoPlanner(BestThree):
+    def __init__(self):
+        pass
+
+
+class NoSigma:
+    def __init__(self, planner):
+        pass
+
+    launch = BestThree.launch
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (
+            partial(SamplingStrategy, weighting=NoPlanner),
+            r"NoPlanner cannot be used \(too many.*__init__\(self, planner\)",
+        ),
+        (partial(SamplingStrategy, weighting=NoSigma), r"NoSigma cannot be used \(no adapts_sigma\): .*state\.eta"),
+        (BestThree, r"BestThree cannot be used .*partial\(SamplingStrategy, weighting=Class\)"),
+        (lambda *plan, seed: object(), r"cannot be used \(no population, .*made from \(scene, layout"),
+    ],
+)
+def test_a_strategy_that_cannot_be_used_says_what_it_needs(tmp_path, monkeypatch, make, says):
+    monkeypatch.setitem(STRATEGIES, "wrong", make)
+    with pytest.raises(SceneError, match=says) as caught:
+        warpmpc.Controller(warpmpc.load_scene(scene_file(tmp_path, method="wrong")))
+    assert caught.value.key == "planner.method"
+
+
 PACKAGE = """
 from warpmpc.cost.terms import TERMS
 from warpmpc.planner.strategy import SamplingStrategy

@@ -100,10 +100,7 @@ def test_names_that_are_not_there_are_told_with_those_that_are():
         (lambda plant: plant.perturbation.grab("red", np.zeros(3)), "base/base_link, .*box"),
         (lambda plant: plant.layout.entity("red"), "base, box, ground, wall"),
         (lambda plant: plant.layout.group("red"), "base, box, ground, objects, obstacles, robots, wall"),
-        (
-            lambda plant: plant.layout.frame("red"),
-            "base/tip, .*box, gate, goal, wall",
-        ),
+        (lambda plant: plant.layout.frame("red"), "base/tip, .*box, gate, goal, wall"),
         (lambda plant: plant.layout.joint("red"), "base/x"),
         (lambda plant: plant.layout.sensor("red"), "nothing, there is none"),
         (lambda plant: plant.task["red"], "distance, effort, gate, goal, height, speed, view"),
@@ -209,17 +206,8 @@ PHASES = [
         "weight": {"effort": 0.0},
         "until": {"frame": "base/centre", "distance": 0.1},
     },
-    {
-        "name": "wait",
-        "target": {"gate": {"position": (2.0, 0.0, 0.1)}},
-        "scalar": {"speed": 0.1},
-        "after": 0.2,
-    },
-    {
-        "name": "back",
-        "goal": {"position": (0.0, 0.0)},
-        "weight": {"distance": 5.0},
-    },
+    {"name": "wait", "target": {"gate": {"position": (2.0, 0.0, 0.1)}}, "scalar": {"speed": 0.1}, "after": 0.2},
+    {"name": "back", "goal": {"position": (0.0, 0.0)}, "weight": {"distance": 5.0}},
 ]
 
 
@@ -285,10 +273,7 @@ def test_phases_follow_one_another_in_closed_loop():
 
 @pytest.mark.parametrize("hold", [0.0, 0.12])
 def test_a_phase_ends_when_its_conditions_have_held_long_enough(hold):
-    phases = [
-        {"name": "far", "until": {"joint": "base/x", "above": 0.3}, "hold": hold},
-        {"name": "end"},
-    ]
+    phases = [{"name": "far", "until": {"joint": "base/x", "above": 0.3}, "hold": hold}, {"name": "end"}]
     scene = make_scene(phase=phases)
     plant = Plant(scene, compiled=compiled(scene))
     push, first = np.array([1.0, 0.0, 0.0], np.float32), None
@@ -422,12 +407,7 @@ def test_a_condition_of_a_list_is_told_by_its_number():
 
 @pytest.mark.parametrize(
     "condition",
-    [
-        {"joint": "x"},
-        {"above": 1.0},
-        {"joint": "x", "term": "effort", "above": 1.0},
-        {"joint": "x", "distance": 1.0},
-    ],
+    [{"joint": "x"}, {"above": 1.0}, {"joint": "x", "term": "effort", "above": 1.0}, {"joint": "x", "distance": 1.0}],
 )
 def test_a_condition_is_about_one_thing_and_has_a_bound(condition):
     with pytest.raises(ValueError, match="condition"):

@@ -12,14 +12,7 @@ import warp as wp
 from pydantic import Field
 
 from ...kernels.cost.norms import norm_part, norm_total
-from ...kernels.cost.points import (
-    Points,
-    Wanted,
-    points_angular_velocity,
-    points_position,
-    points_velocity,
-    wanted,
-)
+from ...kernels.cost.points import Points, Wanted, points_angular_velocity, points_position, points_velocity, wanted
 from ...kernels.cost.view import StepView, frame_rotation
 from ...scene.types import Finite, Names, NonNegative, OneOrSeveral
 from ..binding import Binding

@@ -187,9 +187,7 @@ class Controller:
             ValueError: If they have the wrong shape, are not finite, or cross.
         """
         lower, upper = np.asarray(lower, dtype=np.float32), np.asarray(upper, dtype=np.float32)
-        right = (
-            lower.shape == upper.shape == (self.layout.nu,) and np.isfinite(lower).all() and np.isfinite(upper).all()
-        )
+        right = lower.shape == upper.shape == (self.layout.nu,) and np.isfinite([lower, upper]).all()
         if not right or (lower >= upper).any():
             raise ValueError(f"limits are {self.layout.nu} finite numbers each, lower below upper")
         self._lower, self._upper = lower.copy(), upper.copy()

@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
     from ..schema import Robot, Scene
 
-_MODES = {
-    JointTargetMode.VELOCITY: "velocity",
-    JointTargetMode.POSITION: "position",
-    JointTargetMode.EFFORT: "effort",
-}
+_MODES = {JointTargetMode.VELOCITY: "velocity", JointTargetMode.POSITION: "position", JointTargetMode.EFFORT: "effort"}
 
 
 @dataclass(frozen=True)
@@ -198,12 +194,7 @@ def add_mjcf_robot(
 
 
 def _row(
-    part: newton.ModelBuilder,
-    model: mujoco.MjModel,
-    robot: Robot,
-    place: wp.transform,
-    key: Key,
-    first: dict[str, int],
+    part: newton.ModelBuilder, model: mujoco.MjModel, robot: Robot, place: wp.transform, key: Key, first: dict[str, int]
 ) -> _Row:
     """A keyframe in Newton's conventions, in a file whose origin has a place in the scene."""
     q, qd = np.zeros(part.joint_coord_count), np.zeros(part.joint_dof_count)
@@ -256,13 +247,7 @@ def _servos(part: newton.ModelBuilder, robot: Robot, axes: list[str | None]) -> 
 
 
 def _add_frames(
-    frames: dict,
-    model: mujoco.MjModel,
-    robot: Robot,
-    place: wp.transform,
-    given: dict,
-    first: int,
-    bodies: list[str],
+    frames: dict, model: mujoco.MjModel, robot: Robot, place: wp.transform, given: dict, first: int, bodies: list[str]
 ) -> list[str]:
     """Add bodies, sites and the scene's own frames; returns the sites that have a body's name, and get another."""
     frames.update({f"{robot.name}/{body}": (first + i, IDENTITY) for i, body in enumerate(bodies)})
