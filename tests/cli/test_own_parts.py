@@ -6,9 +6,9 @@ import os
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
+from pages import ROOT, files
 
 import warpmpc
 from warpmpc.engine.registry import ENGINES
@@ -44,6 +44,8 @@ from warpmpc.cost.terms import TERMS as SHIPPED
 from warpmpc.scene.registry import TERMS
 TERMS.register("mine", SHIPPED["distance"])
 """
+PAGE = "docs/architecture.md"
+GREEDY = files(PAGE)["greedy.py"].replace('"greedy"', '"mine"')
 STRATEGY = """
 from warpmpc.planner.strategy import SamplingStrategy
 from warpmpc.scene.registry import STRATEGIES
@@ -122,10 +124,10 @@ def scene(folder, *, term="distance", method="mppi"):
 @pytest.mark.parametrize(
     ("text", "options", "says"),
     [
-        (TERM + STRATEGY, ["--episodes", "2", "--jobs", "2"], ""),
+        (TERM + GREEDY, ["--episodes", "2", "--jobs", "2"], ""),
         (TERM + STRATEGY + ROBOT, ["--real-time", "--robot", "mine"], "driven by mine"),
     ],
-    ids=["term-strategy-jobs", "term-strategy-robot-real-time"],
+    ids=["term-strategy-of-the-page-jobs", "term-strategy-robot-real-time"],
 )
 def test_a_part_of_ones_own_is_one_file(tmp_path, text, options, says):
     scene(tmp_path, term="mine", method="mine")
@@ -205,9 +207,8 @@ def test_a_command_is_a_function_and_an_entry_point(tmp_path):
 
 
 def test_the_entry_points_on_the_page_of_own_parts_are_found(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text()
-    block = tomllib.loads(page.partition("```ini\n")[2].partition("```")[0])
-    points = block["project"]["entry-points"]
+    block = (ROOT / PAGE).read_text().partition("```ini\n")[2].partition("```")[0]
+    points = tomllib.loads(block)["project"]["entry-points"]
     assert list(points) == ["warpmpc.robots", "warpmpc.commands"]
     (tmp_path / "my_package").mkdir()
     (tmp_path / "my_package" / "robot.py").write_text(
