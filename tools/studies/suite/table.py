@@ -100,10 +100,12 @@ def _summary(means: dict[str, float], played: list[dict]) -> str:
         return f"Episodes of {count} steps instead of the suite's 1000: not to be compared with anything."
     high, low = sum(value >= 800 for value in means.values()), sum(value < 300 for value in means.values())
     level = sum(value >= TD_MPC2[name] for name, value in means.items() if name in TD_MPC2)
-    seeds = [row["seed"] for row in played]
+    seeds = sorted({row["seed"] for row in played})
+    first = [x for x in seeds if x - 1 not in seeds]
+    blocks = [f"{x} to {y}" for x, y in zip(first, [x for x in seeds if x + 1 not in seeds], strict=True)]
     return (
         f"{high} of {len(means)} at 800 or more, {low} below 300, {level} at TD-MPC2's return or above. "
-        f"Seeds {min(seeds)} to {max(seeds)}; ± is half of the 95 % interval of the mean (Student's t). "
+        f"Seeds {' and '.join(blocks)}; ± is half of the 95 % interval of the mean (Student's t). "
         f"Plan times: the worst seed's, {_threads(played)}."
     )
 
