@@ -7,10 +7,12 @@ import sys
 import textwrap
 import tomllib
 
+import mujoco
 import pytest
 from program import SCENE, warpmpc
 
 from warpmpc import load_scene, shipped_scenes
+from warpmpc.loop.plant.actuator_words import effort_words
 from warpmpc.loop.run.result import EpisodeResult
 
 
@@ -200,7 +202,7 @@ def test_check_shows_what_was_built(tmp_path):
         "mine, variant near",
         "nothing: other seeds differ in noise alone",
         "base: 3 DoF",
-        "box [0.3, 0.5, 0.3] m, 1 kg",
+        "box [x, y, z] = [0.3, 0.5, 0.3] m, 1 kg",
         "base/tip",
         "box at [1.2, 0] m; reached within position 0.05",
         "16 worlds × 4 controls × 2 substeps = 128 physics steps",
@@ -212,3 +214,14 @@ def test_check_shows_what_was_built(tmp_path):
         assert part in done.stdout
     row = next(line for line in done.stdout.splitlines() if "distance" in line and "between" in line)
     assert "2.5" in row.split()
+
+
+ACTUATED = """<mujoco><worldbody><body><joint name="a" actuatorfrcrange="-9 9"/><geom size=".1"/><body>
+<joint name="b" type="slide"/><geom size=".1"/></body></body></worldbody><actuator>
+<motor joint="a" forcerange="-5 6" gear="2"/><motor joint="a" forcerange="-2 2" gear="-3"/><motor joint="a"/>
+<motor joint="b" forcerange="-7 7"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_an_actuator_of_a_file_has_the_least_of_its_limits_at_the_joint():
+    model = mujoco.MjModel.from_xml_string(ACTUATED)
+    assert [effort_words(model, a) for a in range(5)] == ["9 N·m", "6 N·m", "9 N·m", "7 N", "-"]

@@ -75,15 +75,18 @@ import warpmpc.planner.step
 STRATEGIES["mppi"] = partial(STRATEGIES["mppi"])
 """
 COMMAND = """
-import typer
+import typer, warpmpc
 NUMBER = 3
 def greet(name: str) -> None:
     \"\"\"Say hello.\"\"\"
     typer.echo(f"hello {name}")
+def fail() -> None:
+    warpmpc.load_scene("omni_push_bax")
 """
 POINTS = """
 [warpmpc.commands]
 greet = greeting:greet
+fail = greeting:fail
 broken = greeting:nothing
 number = greeting:NUMBER
 check = greeting:greet
@@ -197,6 +200,8 @@ def test_a_command_is_a_function_and_an_entry_point(tmp_path):
     done = call("greet", "you", folder=tmp_path, path=tmp_path)
     assert done.stdout == "hello you\n"
     assert "'run' of greeting 1.0 is left out" in done.stderr
+    failed = call("fail", folder=tmp_path, path=tmp_path)
+    assert (failed.returncode, failed.stderr.splitlines()[-1][:32]) == (2, "error: omni_push_bax: no such sc")
     broken = call("broken", folder=tmp_path, path=tmp_path)
     assert broken.returncode == 2
     assert "greeting:nothing" in broken.stderr

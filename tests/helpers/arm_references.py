@@ -105,11 +105,7 @@ CASES = {
         {"term": "stop", "joints": ["x", "yaw"], "acceleration": [1.0, 2.0]},
         lambda r: stop(r, np.array([1.0, np.inf, 2.0] + 9 * [np.inf])),
     ),
-    "manipulability": (
-        "arm",
-        {"of": "arm/tip", "least": 0.1},
-        lambda r: np.maximum((0.1 - measure(r)) / 0.1, 0.0),
-    ),
+    "manipulability": ("arm", {"of": "arm/tip", "least": 0.1}, lambda r: np.maximum((0.1 - measure(r)) / 0.1, 0.0)),
     "manipulability of an arm on a base": (
         "mobile",
         {"term": "manipulability", "of": "arm/tip", "least": 2.0},
@@ -131,11 +127,7 @@ CASES = {
         {"term": "joint_bounds", "margin": 0.1, "velocity": 1.0, "acceleration": 10.0, "jerk": 300.0},
         lambda r: bounds(r, 1.0, 10.0, 300.0, 0.1),
     ),
-    "null_posture": (
-        "arm",
-        {"of": "arm/tip"},
-        lambda r: null_posture(r, list(range(7)), np.array(ARM["joint_q"])),
-    ),
+    "null_posture": ("arm", {"of": "arm/tip"}, lambda r: null_posture(r, list(range(7)), np.array(ARM["joint_q"]))),
     "null_posture on a base": (
         "mobile",
         {"term": "null_posture", "of": "arm/tip", "joints": [*ARM_JOINTS, "x"], "target": [0.1] * 8, "damping": 0.1},
@@ -148,11 +140,7 @@ CASES = {
         lambda r: path_deviation(r, "gate"),
     ),
     "speed": ("arm", {"of": "arm/tip", "linear": 0.3, "angular": 1.0}, lambda r: speed(r, 0.3, 1.0)),
-    "speed of turning": (
-        "mobile",
-        {"term": "speed", "of": "arm/tip", "angular": 0.5},
-        lambda r: speed(r, np.inf, 0.5),
-    ),
+    "speed of turning": ("mobile", {"term": "speed", "of": "arm/tip", "angular": 0.5}, lambda r: speed(r, np.inf, 0.5)),
     "smoothness": ("arm", {}, lambda r: smoothness(r, 1.0, 0.0)),
     "smoothness of jerks": (
         "mobile",

@@ -6,14 +6,7 @@ import pytest
 import warp as wp
 from needs import CUDA, need
 
-from warpmpc.planner.weighting import (
-    Adaptation,
-    CrossEntropy,
-    Mppi,
-    PredictiveSampling,
-    Tsallis,
-    WeightingState,
-)
+from warpmpc.planner.weighting import Adaptation, CrossEntropy, Mppi, PredictiveSampling, Tsallis, WeightingState
 
 WEIGHTINGS = [
     Mppi(),

@@ -2,6 +2,7 @@
 """What a scene file, its variants and overrides become."""
 
 import math
+import os
 import subprocess
 import sys
 
@@ -12,12 +13,7 @@ from scene_text import SMALL, write
 from warpmpc import Scene, SceneError, load_scene, shipped_scenes
 from warpmpc.scene.load import variants
 from warpmpc.scene.model.assets import resolve_asset
-from warpmpc.scene.overrides import (
-    expand,
-    parse_override,
-    split_key,
-    with_values,
-)
+from warpmpc.scene.overrides import expand, parse_override, split_key, with_values
 
 SHIPPED = [name + suffix for name in shipped_scenes() for suffix in ("", *(f":{v}" for v in variants(name)))]
 
@@ -284,3 +280,21 @@ def test_a_methods_own_settings_go_with_it():
     scene = load_scene("pendulum", overrides=["planner.method=ilqg", "planner.noise.sigma=0.3"])
     noise = with_values(scene, {"planner.method": "mppi"}).planner.noise
     assert (noise.shape, noise.sigma) == ("identity", (0.3,))
+
+
+def test_a_folder_or_a_pipe_is_told_as_such(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    for place, says in ((tmp_path, "is a folder"), (tmp_path / "pipe.toml", "is no regular file")):
+        with pytest.raises(SceneError, match=f"{place}: {says}"):
+            load_scene(place)
+
+
+def test_a_variant_has_no_variants(tmp_path):
+    path = write(tmp_path, SMALL + "\n[variants.near.variants.nearer]\nplanner.samples = 5\n")
+    with pytest.raises(SceneError, match=r"variants\.near\.variants: a variant cannot contain variants"):
+        load_scene(f"{path}:near")
+
+
+def test_the_frame_of_a_goal_that_is_a_robot_says_what_a_frame_is(tmp_path):
+    with pytest.raises(SceneError, match=r"goal\.frame: .*robot/frame.*allowed: base/tip, base/LINK"):
+        load_scene(write(tmp_path, SMALL.replace('object = "box"', 'frame = "base"')))

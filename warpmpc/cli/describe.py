@@ -5,16 +5,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TextIO
 
-import mujoco
 import numpy as np
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from ..kernels.geometry.kinematics import BALL, FREE
+from ..loop.plant.actuator_words import actuator_words, effort_words
 from ..scene.describe import written
 from ..scene.model.layout import rotate
 from ..scene.schema import Method, ShareOfRange
+from ..scene.schema_bodies import SIZES
 from ..scene.schema_goal import runs_of
 from ..scene.schema_planner import PRESETS
 from .report import console_of, make_table, show_table
@@ -134,7 +135,8 @@ def _controls(episode: Episode) -> Table:
         if not len(rows):  # an actuator of an MJCF file
             lower, upper = f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}"
             actuators = np.flatnonzero(plant.world.actuator_matrix[:, i])
-            table.add_row(name, ", ".join(actuator_words(plant.model, a) for a in actuators), lower, upper, "", "")
+            words = (", ".join(f(plant.model, a) for a in actuators) for f in (actuator_words, effort_words))
+            table.add_row(name, next(words), lower, upper, "", next(words))
             continue
         mode, linear = layout.actuator_mode[rows[0]], _is_linear(layout, int(layout.actuator_dof[rows[0]]))
         effort = f"{layout.actuator_effort[rows[0]]:g} {_UNITS['effort'][not linear]}"
@@ -143,32 +145,6 @@ def _controls(episode: Episode) -> Table:
         unit = _UNITS["velocity" if mode == "diff_drive" else mode][not linear]
         table.add_row(name, mode, f"{layout.control_lower[i]:g}", f"{layout.control_upper[i]:g}", unit, effort)
     return table
-
-
-def actuator_words(model: mujoco.MjModel, a: int) -> str:
-    """Kind of an actuator, by MuJoCo's shortcuts, and what it acts on."""
-    kinds = mujoco.mjtTrn
-    names = {
-        kinds.mjTRN_JOINT: ("joint", model.joint),
-        kinds.mjTRN_JOINTINPARENT: ("joint", model.joint),
-        kinds.mjTRN_TENDON: ("tendon", model.tendon),
-        kinds.mjTRN_SITE: ("site", model.site),
-        kinds.mjTRN_SLIDERCRANK: ("slider-crank", model.site),
-        kinds.mjTRN_BODY: ("body", model.body),
-    }
-    kind, find = names[mujoco.mjtTrn(int(model.actuator_trntype[a]))]
-    gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
-    if kind == "body":
-        shortcut = "adhesion"
-    elif model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_MUSCLE:
-        shortcut = "muscle"
-    elif model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:
-        shortcut = "general"
-    elif model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
-        shortcut = "motor"
-    else:
-        shortcut = "position" if bias[1] == -gain else "velocity" if bias[2] == -gain else "general"
-    return f"{shortcut} at {kind} {find(int(model.actuator_trnid[a, 0])).name}"
 
 
 def _is_linear(layout: Layout, dof: int) -> bool:
@@ -190,7 +166,9 @@ def _costs(episode: Episode) -> Table:
         keys = ", ".join(f"{key} = {number_words(value)}" for key, value in cost.params.items())
         weight, best = f"{float(controller.task[label]):g}", f"{controller.info.terms[label]:.4g}"
         table.add_row(Text(label), Text(cost.term), weight, best, f"{part:.0%}" if part else "same in all", Text(keys))
-    table.caption = "tells apart: share of a term in what the costs of the first plan's samples differ by"
+    table.caption = (
+        f"tells apart: share of a term in what the costs of {len(costs)} samples of the first plan differ by"
+    )
     if len(costs) > 1 and not share.all():
         table.caption += (
             "\nsame in all: as it should be for contacts and limits that are far away; a term that leads to the goal "
@@ -288,7 +266,8 @@ def properties_drawn(scene: Scene) -> list[str]:
 
 def shape_words(item: Object | Obstacle) -> str:
     """Shape of an object or obstacle, and its size."""
-    return f"{item.shape} {number_words(item.size)} m" if item.size else f"{item.shape} {item.mesh or ''}".strip()
+    size = f"{SIZES[item.shape]} = {number_words(item.size)} m" if item.size else item.mesh or ""
+    return f"{item.shape} {size}".strip()
 
 
 def goal_words(scene: Scene) -> str:

@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 
 from ..physics.runtime.files import Output, Unwritable
+from ..scene.errors import SceneError
 from ..scene.registry import COMMANDS
 from . import lists
 from .setup import (
@@ -28,6 +29,7 @@ from .setup import (
     SetOption,
     TermsOption,
     run_arguments,
+    user_errors,
 )
 from .terminal import Plain, say
 
@@ -95,7 +97,7 @@ def new(
 ) -> None:
     """Write a starter: a scene, a robot, a cost term, a loop in Python, and what to do with them."""
     from .lists import make_starter
-    from .setup import start_warp, user_errors
+    from .setup import start_warp
 
     start_warp()
     with user_errors():
@@ -304,6 +306,7 @@ def _add_commands() -> None:
                 alone = typer.Typer(add_completion=False)
                 alone.command(name)(command)
                 typer.main.get_command(alone)
+                command = user_errors((SceneError,))(command)
         except Exception as error:  # of a package that is not ours
             command = _refusing(name, error)
         app.command(name)(command)

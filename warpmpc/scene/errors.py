@@ -210,6 +210,10 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
             name: there[name].description if name in there else None
             for name in file_keys(section, root=section is root)
         }
+        above = [loc[:k] for k in range(len(loc) - 1) if loc[-1] in _schema((*loc[:k], loc[-1]), root)[0].model_fields]
+        if above:
+            owner = join_key(_key(above[-1], data, missing=False)[0]) or "the file"
+            return {"message": f"unknown key here, it belongs to {owner}: write it above this table", "key": key}
         return {"message": "unknown key", "key": key, "found": str(loc[-1]), "allowed": allowed}
     if kind == "missing" and isinstance(loc[-1], str):
         return {"message": MISSING, "key": key}

@@ -214,6 +214,10 @@ class Robot(Section):
         return self
 
 
+SIZES = {"box": "[x, y, z]", "sphere": "[radius]", "cylinder": "[radius, length]", "capsule": "[radius, length]"}
+"""Numbers of the sizes of shapes; a box has full extents."""
+
+
 class _Shape(Section):
     name: Name
     """Name in the rest of the scene."""
@@ -235,13 +239,21 @@ class _Shape(Section):
     color: tuple[Channel, Channel, Channel] | None = None
     """Colour in recordings, each channel in [0, 1]."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _sized(cls, data: object) -> object:
+        given = data if isinstance(data, dict) else {}
+        wrong = [key for key in given if key in ("radius", "diameter", "length", "height", "width", "depth", "extents")]
+        if wrong and (size := SIZES.get(str(given.get("shape")))):
+            raise ValueError(f"unknown key {wrong[0]}: a {given['shape']} has size = {size}")
+        return data
+
     @model_validator(mode="after")
     def _dimensions(self) -> _Shape:
         need = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "plane": 0, "mesh": 0}[self.shape]
         found = 0 if self.size is None else len(self.size)
         if found != need:
-            what = {"box": "full extents [x, y, z]", "sphere": "[radius]"}.get(self.shape, "[radius, length]")
-            wanted = f"size = {what}, {need} value{'s' * (need > 1)}" if need else "no size"
+            wanted = f"size = {SIZES[self.shape]}, {need} value{'s' * (need > 1)}" if need else "no size"
             raise ValueError(f"shape '{self.shape}' needs {wanted}; found {found}")
         if (self.mesh is not None) != (self.shape is ShapeKind.MESH):
             raise ValueError("mesh = \"file\" belongs to shape 'mesh', and to it alone")

@@ -2,7 +2,7 @@
 """What is hardly meant is said in a sentence that names the key; what ships is meant as it is."""
 
 import pytest
-from small_scenes import BOX, compiled, make_scene
+from small_scenes import BOX, DISC, compiled, make_scene
 
 from warpmpc.extras.doctor.advice import advise
 from warpmpc.loop.realtime.pace import slow_plans
@@ -11,6 +11,9 @@ from warpmpc.loop.realtime.pace import slow_plans
 def said(**sections) -> list[str]:
     scene = make_scene(**sections)
     return advise(scene, compiled(scene))
+
+
+TURNED = {"robot": [{**DISC, "joint_q": {"yaw": 90.0}}]}
 
 
 def planner(**keys) -> dict:
@@ -29,9 +32,11 @@ def test_nothing_is_said_about_a_scene_as_it_should_be():
         (planner(noise={"sigma": (0.5, 0.5, 1e-5)}), ["planner.noise.sigma is tiny beside the range of base/yaw"]),
         (planner(knots=9), ["planner.knots = 9", "6 steps"]),
         ({"success": {"distance": 0.1, "hold": 5.0}}, ["success.hold = 5 s", "timing.timeout = 4 s", "no run can"]),
+        (TURNED, ["robot.base.joint_q.yaw = 90 rad is 14.3 turns: is it in degrees?"]),
+        ({"goal": {"frame": "base/centre", "yaw": -45.0}}, ["goal.yaw = -45 rad is 7.16 turns"]),
         ({"object": [{**BOX, "size": (300.0, 500.0, 200.0)}]}, ["the shape box", "500 m", "in millimetres?"]),
     ],
-    ids=["wide", "narrow", "knots", "hold", "size"],
+    ids=["wide", "narrow", "knots", "hold", "start", "goal", "size"],
 )
 def test_what_is_hardly_meant_is_said(sections, says):
     (sentence,) = said(**sections)

@@ -47,6 +47,13 @@ def test_each_of_two_bounds_of_one_number_has_its_own_nearest_sample(tmp_path):
     assert lowest.best.value == pytest.approx(heights.min())
 
 
+def test_terms_of_all_samples_are_compared_or_of_many_and_the_best(tmp_path, monkeypatch):
+    controller, _ = planned(tmp_path, SCENE, ARM)
+    assert len(term_costs(controller)) == controller.shape.samples
+    monkeypatch.setattr("warpmpc.extras.doctor.control.COMPARED", 2)
+    assert term_costs(controller).sum(axis=1).min() == pytest.approx(controller.engine.cost.numpy().min())
+
+
 def test_samples_that_all_diverged_are_a_finding(tmp_path):
     controller, _ = planned(tmp_path, SCENE, ARM)
     controller.engine.cost.fill_(np.inf)

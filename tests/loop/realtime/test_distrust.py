@@ -220,10 +220,7 @@ def gains(gain: float, *, times: float = 0.0):
         space, nu = StateSpace.of(compiled(scene)), 3
         moments = timed.observed + times + 0.04 * np.arange(26)[None]
         answer = Feedback(
-            moments,
-            np.full((1, 26, space.tangent.width), 3.0),
-            np.full((1, 26, nu, space.tangent.size), gain),
-            space,
+            moments, np.full((1, 26, space.tangent.width), 3.0), np.full((1, 26, nu, space.tangent.size), gain), space
         )
         return replace(timed, plan=replace(timed.plan, feedback=answer))
 
@@ -254,10 +251,7 @@ BAD_PLANS = {
     "times of gains not finite": (gains(1.0, times=np.nan), "the plan's command is not finite"),
     "gains too large": (gains(40.0), "the plan's command is out of range: base/x = "),
     "overshoot": (overshoot, "the plan's command is out of range: base/x = "),
-    "observed at no time": (
-        lambda timed: shifted(timed, observed=np.nan),
-        "will be observed in nan",
-    ),
+    "observed at no time": (lambda timed: shifted(timed, observed=np.nan), "will be observed in nan"),
     "observed in an hour": (lambda timed: shifted(timed, observed=HOUR), "will be observed in 3"),
     "knots at no time": (lambda timed: shifted(timed, times=np.nan), "the plan is not finite"),
     "knots in an hour": (lambda timed: shifted(timed, times=HOUR), "the plan begins in 3"),

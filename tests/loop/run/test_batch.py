@@ -5,14 +5,7 @@ import numpy as np
 import pytest
 from small_scenes import BOX, WALL, compiled, make_scene
 
-from warpmpc import (
-    Controller,
-    Plant,
-    SceneError,
-    State,
-    run_batch,
-    run_episode,
-)
+from warpmpc import Controller, Plant, SceneError, State, run_batch, run_episode
 from warpmpc.loop.plant.plant import PlantBatch
 
 RANDOM = {"box": {"mass": {"uniform": 0.3}, "friction": {"uniform": 0.3}, "size": {"normal": 0.005}}}

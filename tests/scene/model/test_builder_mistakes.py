@@ -19,6 +19,7 @@ def scene_of(**keys):
     [
         ({"frames": {"tip": {"link": "base_lnk"}}}, r"robot\.base\.frames\.tip\.link.*Did you mean 'base_link'"),
         ({"joint_q": {"yow": 0.1}}, r"robot\.base\.joint_q.*Did you mean 'yaw'"),
+        ({"joint_q": {"armature": 0.1}}, "it is a key of the robot: write it above"),
         ({"joint_q": (0.1, 0.2)}, r"robot\.base\.joint_q: needs one value per joint, 3 in all \(x, y, yaw\)"),
         ({"armature": (0.1, 0.2)}, r"robot\.base\.armature: needs 1 or 3 values"),
         (

@@ -35,6 +35,7 @@ def advise(scene: Scene, compiled: CompiledScene) -> list[str]:
     """
     return [
         *_times(scene),
+        *_angles(scene, compiled.layout),
         *([] if any(wrong_ranges(compiled)) else _noise(scene, compiled.layout)),  # of controls within those ranges
         *_shapes(compiled.layout),
     ]
@@ -51,6 +52,20 @@ def _times(scene: Scene) -> Iterator[str]:
             f"planner.knots = {planner.knots} are more than the {planner.horizon} steps of planner.horizon: what lies "
             "between steps changes nothing"
         )
+
+
+def _angles(scene: Scene, layout: Layout) -> Iterator[str]:
+    poses = [("goal", scene.goal), *((f"target.{target.name}", target) for target in scene.target)]
+    poses += [(f"phase.{phase.name}.goal", phase.goal) for phase in scene.phase]
+    given = {f"{key}.yaw": pose.yaw for key, pose in poses if pose is not None and pose.yaw is not None}
+    for dof in np.flatnonzero(layout.dof_name):
+        joint = int(np.searchsorted(layout.joint_qd_start, dof, side="right")) - 1
+        angle, hinge = layout.joint_q[layout.dof_coord[dof]], dof - layout.joint_qd_start[joint]
+        if hinge >= layout.joint_dof_dim[joint, 0] and layout.dof_lower[dof] <= angle <= layout.dof_upper[dof]:
+            given[f"robot.{layout.dof_name[dof].replace('/', '.joint_q.', 1)}"] = float(angle)
+    for key, angle in given.items():
+        if abs(angle) > 2.0 * np.pi:
+            yield f"{key} = {angle:g} rad is {abs(angle) / (2.0 * np.pi):.3g} turns: is it in degrees?"
 
 
 def _noise(scene: Scene, layout: Layout) -> Iterator[str]:

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from ...planner.controller.controller import Controller
     from ...scene.model.at_start import Subject
 
-PROBES = 24
-"""Samples of a plan whose terms are compared."""
+PROBES, COMPARED = 24, 512
+"""Most samples of a plan whose rollouts are looked at, and whose terms are compared: what a term is about may happen in
+few of them."""
 SAME = 1e-6
 """Share of a term's cost by which samples must differ, or it counts as the same in all: float32 has seven digits."""
 SHORT = 0.1
@@ -239,11 +240,11 @@ def _outweighed(subject: Subject, controller: Controller, spread: np.ndarray) ->
 
 
 def term_costs(controller: Controller) -> np.ndarray:
-    """Cost that each term added to samples of the last plan ``[n, terms]``; samples that diverged are left out."""
+    """Cost that each term added to samples of the last plan ``[n, terms]``, the best among them; none diverged."""
     engine, costs = controller.engine, controller.engine.cost.numpy()[0]
-    chosen = [int(k) for k in np.unique(np.linspace(0, len(costs) - 1, PROBES).astype(int)) if np.isfinite(costs[k])]
+    chosen = np.unique([*np.linspace(0, len(costs) - 1, COMPARED).astype(int), np.argmin(costs)])
     rows = []
-    for k in chosen:
+    for k in chosen[np.isfinite(costs[chosen])].tolist():
         engine.explain(wp.array(np.full(controller.envs, k), dtype=wp.int32, device=engine.device))
         rows.append(engine.term_cost.numpy()[0].copy())
     return np.array(rows, dtype=float).reshape(len(rows), len(controller.costs.labels))

@@ -220,7 +220,8 @@ def _start(part: newton.ModelBuilder, robot: Robot, movable: dict, follows: dict
             numbers = value if isinstance(value, tuple) else (value,)
             with mistakes.of_part():
                 if name not in movable and name not in free:
-                    wanted = "no such joint with one axis, or free joint"
+                    above = "; it is a key of the robot: write it above this table" * (name in Robot.model_fields)
+                    wanted = f"no such joint with one axis, or free joint{above}"
                     raise _unknown(name, wanted, follows, f"{key}.joint_q", scene, [*movable, *free])
                 if len(numbers) not in ((3, 7) if name in free else (1,)):
                     raise SceneError(
