@@ -248,7 +248,7 @@ def test_values_that_make_no_scene_are_passed_over(tmp_path, task):
     study.enqueue_trial({"timing.timeout": 0.001, "cost.distance.weight": 1.0})
     study.enqueue_trial({"timing.timeout": 10.0, "cost.distance.weight": 1.0})
     search(study, bad, FakeEpisodes(), parallel=1, trials=3, on_trial=seen.append)
-    assert "shorter than control_dt" in seen[1].user_attrs["refused"]
+    assert "shorter than timing.control_dt" in seen[1].user_attrs["refused"]
     assert [trial.state for trial in seen] == [TrialState.COMPLETE, TrialState.PRUNED, TrialState.COMPLETE]
 
 
