@@ -61,15 +61,13 @@ if TYPE_CHECKING:
     from .loop.run.result import EpisodeResult
     from .loop.run.run_recorder import RunRecorder
     from .planner.controller.controller import Controller
-    from .planner.controller.rollout import Rollout
-    from .planner.plan import Plan
+    from .planner.plan import Plan, Rollout
     from .scene.errors import SceneError
     from .scene.load import load_scene, shipped_scenes
     from .scene.model.conversion import MujocoStates, NewtonStates
     from .scene.model.state import Info, State
     from .scene.schema import Scene
-    from .scene.task.ancillary import AncillaryController, ancillary
-    from .scene.task.task import Task
+    from .scene.task.task import AncillaryController, Task, ancillary
 
 __version__ = "0.1.0"
 
@@ -154,13 +152,13 @@ _HOME = {
     "replay": "extras.record.replay",
     "RecordingSwitch": "extras.record.switch",
     "Plant": "loop.plant.plant",
-    "Rollout": "planner.controller.rollout",
+    "Rollout": "planner.plan",
     "Scene": "scene.schema",
     "SceneError": "scene.errors",
     "State": "scene.model.state",
     "Task": "scene.task.task",
-    "AncillaryController": "scene.task.ancillary",
-    "ancillary": "scene.task.ancillary",
+    "AncillaryController": "scene.task.task",
+    "ancillary": "scene.task.task",
     "choose_engine": "loop.run.fit_samples",
     "ArrayCost": "cost.term",
     "CostTerm": "cost.term",

@@ -12,8 +12,8 @@ import pytest
 from program import SCENE, warpmpc
 
 from warpmpc import load_scene, shipped_scenes
-from warpmpc.loop.plant.actuator_words import effort_words
 from warpmpc.loop.run.result import EpisodeResult
+from warpmpc.scene.model.control_values import effort_words
 
 
 def test_version():

@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ..kernels.geometry.kinematics import BALL, FREE
-from ..loop.plant.actuator_words import actuator_words, effort_words
 from ..scene.describe import written
+from ..scene.model.control_values import actuator_words, effort_words
 from ..scene.model.layout import rotate
 from ..scene.schema import Method, ShareOfRange
 from ..scene.schema_bodies import SIZES
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..loop.run.episode import Episode
-    from ..planner.controller.rollout import Rollout
+    from ..planner.plan import Rollout
     from ..scene.model.layout import Layout
     from ..scene.schema import Condition, Failure, Object, Obstacle, Phase, Planner, Scene
 

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from ..kernels.cost.norms import Norm
 from ..kernels.cost.view import StepView
 from ..scene.schema import Cost
-from ..scene.task.ancillary import AncillaryController
+from ..scene.task.task import AncillaryController
 from ..scene.types import described
 
 if TYPE_CHECKING:

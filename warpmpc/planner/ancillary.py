@@ -23,8 +23,7 @@ from .splines import Ask, Horizon
 if TYPE_CHECKING:
     from ..scene.model.layout import Layout
     from ..scene.schema import Ancillary, Scene
-    from ..scene.task.ancillary import AncillaryController
-    from ..scene.task.task import Task
+    from ..scene.task.task import AncillaryController, Task
     from .plan import PlanReport
 
 FLOAT = "tensor(float)"

@@ -17,8 +17,7 @@ from ..scene.errors import SceneError
 from ..scene.model.properties import Properties
 from ..scene.model.state import PROPOSERS
 from ..scene.schema import Method, Refinement
-from .derivatives.backward import backward
-from .derivatives.expansion import Differences, Quadratic, gauss_newton, held
+from .derivatives.expansion import Differences, Quadratic, backward, gauss_newton, held
 from .derivatives.residuals import Residuals
 from .derivatives.rollouts import Policy, PolicyRollouts
 from .feedback import Feedback, StateSpace
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
 
     from ..engine.protocol import Engine, EngineRequest, PhysicsSteps
     from ..scene.schema import Scene
-    from .derivatives.backward import Backward
-    from .derivatives.expansion import Linear
+    from .derivatives.expansion import Backward, Linear
     from .strategy import SamplingStrategy
 
 logger = logging.getLogger("warpmpc")

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..scene.model.properties import Properties
     from ..scene.model.trajectory import BatchSize
     from ..scene.schema import Scene
-    from ..scene.task.ancillary import AncillaryController
+    from ..scene.task.task import AncillaryController
     from .feedback import Feedback
 
 

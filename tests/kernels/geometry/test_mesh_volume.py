@@ -10,7 +10,7 @@ from small_scenes import layout_of
 
 from warpmpc import SceneError, Task
 from warpmpc.cost.stack import CostStack
-from warpmpc.kernels.geometry.mesh_volume import MeshVolumes, mesh_distance
+from warpmpc.kernels.geometry.volume import MeshVolumes, mesh_distance
 
 REACH = 0.05
 """Margin of the terms here; the largest sphere's radius comes on top [m]."""

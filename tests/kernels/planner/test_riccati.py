@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 
-from warpmpc.planner.derivatives.backward import backward
-from warpmpc.planner.derivatives.expansion import Linear, Quadratic
+from warpmpc.planner.derivatives.expansion import Linear, Quadratic, backward
 
 ENVS, STEPS, N, NU = 2, 6, 5, 3
 SCALE = np.array([1.0, 10.0, 0.1])

@@ -73,7 +73,7 @@ def eight(point: list[str], grid: Grid) -> str:
 
 
 def with_bound(point: list[str], grid: Grid) -> str:
-    """``mesh_volume.mesh_distance``: the least of it and ``inside`` into ``inside``."""
+    """``volume.mesh_distance``: the least of it and ``inside`` into ``inside``."""
     half, voxel, away = literal(0.5), literal(1.0 / grid.inverse), []
     for axis, at, origin in zip("xyz", point, grid.origin, strict=True):
         cells = f"({at} - {literal(origin)}) * {literal(grid.inverse)} - {half}"

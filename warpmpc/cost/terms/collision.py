@@ -9,7 +9,7 @@ import warp as wp
 
 from ...kernels.cost.points import MESH, shape_distance
 from ...kernels.cost.view import TASK_BODY, StepView
-from ...kernels.geometry.mesh_volume import MeshVolumes, mesh_distance
+from ...kernels.geometry.volume import MeshVolumes, mesh_distance
 from ...scene.errors import SceneError
 from ...scene.model.layout import WORLD, Entity, ShapeInfo
 from ...scene.model.pairs import self_pairs

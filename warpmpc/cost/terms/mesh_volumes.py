@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from ...kernels.geometry.mesh_volume import MeshVolumes, mesh_distance_kernel
+from ...kernels.geometry.volume import MeshVolumes, mesh_distance_kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from ...loop.plant.monitor import Monitor
     from ...planner.controller.controller import Controller
-    from ...planner.controller.rollout import Rollout
+    from ...planner.plan import Rollout
     from ...scene.model.at_start import Subject
     from ...scene.task.goal import Comparison
 

@@ -23,13 +23,11 @@ from ...scene.model.properties import draw_properties
 from ...scene.model.state import Info, State
 from ...scene.model.trajectory import BatchSize, require_memory
 from ...scene.schema import SampleCount
-from ...scene.task.ancillary import AncillaryController
-from ...scene.task.task import Task, task_layout
-from ..plan import Plan, PlanReport
+from ...scene.task.task import AncillaryController, Task, task_layout
+from ..plan import Plan, PlanReport, Rollout
 from ..step import PlanGraph, PlanStep
 from ..tumbles import bearable
 from .observation import Observation
-from .rollout import Rollout
 
 if TYPE_CHECKING:
     from ...cost.term import UserTerm
