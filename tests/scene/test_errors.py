@@ -42,6 +42,9 @@ PHASE = '[[phase]]\nname = "a"\nafter = 1.0\nweight = { distance = -2.0 }\n[plan
         ("[variants.near]", "[variant.near]", "variant", ["this key cannot be set"]),
         ('{ link = "base_link" }', '{ lnk = "base_link" }', "robot.base.frames.tip.lnk", ["Did you mean 'link'?"]),
         ("damping = 600.0, ", "armature = 0.1, ", "robot.base.drive.armature", ["it belongs to robot.base: write"]),
+        ('"base_link" }', '"base_link", armature = 1 }', "robot.base.frames.tip.armature", ["to robot.base: write"]),
+        ("[planner]", "[randomize.box]\ntiming = 2\n[planner]", "randomize.box.timing", ["belongs to the file"]),
+        ("[planner]", '[planner]\npath = "x"', "planner.path", ["unknown key; found 'path'"]),
         ("[planner]", "[planner]\nobject = 3", "planner.object", ["unknown key here, it belongs to the file"]),
         # missing keys
         ("mass = 1.0", "", "object.box.mass", ["this key is missing"]),

@@ -164,7 +164,8 @@ def run(
                 say(exported, out=out)
     if interrupted:
         if len(seeds) > 1 and not quiet:
-            goes_on = "the same command continues" if results_file else "a command with --results FILE can be continued"
+            again = f"the same command{' with a new --out' * (folder is not None)} continues"
+            goes_on = again if results_file else "a command with --results FILE can be continued"
             done = sum(result.reason != "interrupted" for result in results)
             say(f"interrupted: {done} of {len(seeds)} episodes are done; {goes_on}", out=sys.stderr)
         return interrupts.code

@@ -210,7 +210,7 @@ def _explain(detail: dict, data: object, root: type[BaseModel]) -> dict:
             name: there[name].description if name in there else None
             for name in file_keys(section, root=section is root)
         }
-        above = [loc[:k] for k in range(len(loc) - 1) if loc[-1] in _schema((*loc[:k], loc[-1]), root)[0].model_fields]
+        above = [loc[:k] for k in range(len(loc) - 1) if _is_key((*loc[:k], loc[-1]), root)]
         if above:
             owner = join_key(_key(above[-1], data, missing=False)[0]) or "the file"
             return {"message": f"unknown key here, it belongs to {owner}: write it above this table", "key": key}
@@ -275,6 +275,12 @@ def _schema(loc: tuple, root: type[BaseModel]) -> tuple[type[BaseModel], object]
                 inner = section_in(annotation)
                 named = inner is not None and get_origin(annotation) is dict
     return section, annotation
+
+
+def _is_key(loc: tuple, root: type[BaseModel]) -> bool:
+    """Return whether a location may end in such a key, which is not a free name."""
+    section, annotation = _schema(loc, root)
+    return loc[-1] in file_keys(section) and section.model_fields[loc[-1]].annotation is annotation
 
 
 def section_in(annotation: object) -> type[BaseModel] | None:

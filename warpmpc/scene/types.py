@@ -156,7 +156,7 @@ def _docstrings(kind: type) -> dict[str, str]:
     """Strings that stand below the annotated names of a class."""
     try:
         body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
-    except (OSError, TypeError):  # made without a file
+    except (OSError, TypeError, SyntaxError):  # made without a file, or of one that was changed since
         return {}
     return {
         first.target.id: inspect.cleandoc(second.value.value)

@@ -7,6 +7,7 @@ from needs import need_scene
 
 from warpmpc import Controller, State, load_scene
 from warpmpc.extras.doctor.examine import tumble_findings
+from warpmpc.loop.run.result import Changes
 from warpmpc.planner.tumbles import KNOTS, OVER, Tumble
 from warpmpc.planner.tumbles import tumble as tumble_of
 
@@ -133,3 +134,7 @@ def test_default_knots_come_closer_so_that_noise_is_lowered_less(tmp_path):
     assert controller.scene.planner.knots == KNOTS
     assert f"planner.knots = {KNOTS} and" in next(tumble_findings(controller)).cure
     assert shares[1] > 1.5 * shares[0]
+    half = [f"{key}={value}" for key, value in Changes(controller).sigma(0.5).items()]
+    tried = Controller(load_scene(tmp_path / "scene.toml", overrides=half), device="cpu").scene.planner
+    assert tried.knots == KNOTS
+    assert tried.noise.sigma.range[0] == pytest.approx(0.5 * shares[1], rel=0.01)

@@ -184,13 +184,13 @@ def tumble_findings(controller: Controller) -> Iterator[Finding]:
     if found is None:
         return
     names = [name for name, factor in zip(layout.control_name, found.factor, strict=True) if factor < 1.0]
-    ((key, value),) = Changes(controller).sigma(1.0 if controller.lowered else found.factor).items()
-    taken = f"plans take planner.knots = {scene.planner.knots} and {key} = {value}"
+    sets = Changes(controller).sigma(1.0 if controller.lowered else found.factor)
+    told = " and ".join(f"{key} = {value}" for key, value in sets.items())
     yield Finding(
         "planner.noise.sigma",
         f"samples{' with the default' if controller.lowered else ''} turn {found.body} over ({OVER:g} rad) within "
         f"{found.time:.2g} s by {some(names)}, and knots are {found.knots:.2g} s apart",
-        taken if controller.lowered else f"try {key} = {value}, with which they do not",
+        f"plans take {told}" if controller.lowered else f"try {told}, with which they do not",
     )
 
 

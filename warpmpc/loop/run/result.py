@@ -247,6 +247,8 @@ class Changes:
 
     def __init__(self, controller: Controller):
         self._planner, self._shape = controller.scene.planner, controller.shape
+        fewer = controller.lowered is not None and self._planner.knot_count  # where σ is given and knots are not
+        self._knots = {"planner.knots": str(self._planner.knots)} if fewer else {}
         self.ahead = float(controller.plan_step.grid.t[-1])
         """How far plans look ahead [s]."""
         self.numbers = controller.layout.nu * controller.plan_step.strategy.knots.shape[2]
@@ -271,9 +273,9 @@ class Changes:
         return {"planner.samples": str(max(factor * self._shape.samples, MANY, self.numbers))}
 
     def sigma(self, factor: float | np.ndarray) -> dict[str, str]:
-        """Noise that is larger or smaller by a factor, one for all controls or one for each."""
+        """Noise that is larger or smaller by a factor, one for all controls or one for each, with the same knots."""
         sigma = self._planner.noise.sigma
         share = isinstance(sigma, ShareOfRange)
         values = [float(f"{value:.3g}") for value in np.multiply(factor, sigma.range if share else sigma)]
         text = written(values if len({*values}) > 1 else values[0]).replace(" ", "")  # a word of a shell
-        return {f"planner.noise.sigma{'.range' * share}": text}
+        return {**self._knots, f"planner.noise.sigma{'.range' * share}": text}
