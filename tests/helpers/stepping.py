@@ -9,9 +9,10 @@ import numpy as np
 
 from warpmpc import Controller, Scene
 from warpmpc.engine.registry import EngineRequest, PhysicsSteps, physics_steps
+from warpmpc.physics.tangent import Tangent
 from warpmpc.planner.derivatives.expansion import Differences
 from warpmpc.planner.derivatives.residuals import Residuals
-from warpmpc.planner.derivatives.rollouts import PolicyRollouts, Tangent
+from warpmpc.planner.derivatives.rollouts import PolicyRollouts
 
 
 @dataclass

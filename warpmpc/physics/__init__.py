@@ -13,17 +13,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import rollout
+    from .linearization import linearize
     from .mujoco_batch import Batch
     from .simulator import BatchSimulator
 
-__all__ = ["Batch", "BatchSimulator", "rollout"]
+__all__ = ["Batch", "BatchSimulator", "linearize", "rollout"]
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used: ``runtime`` is asked for without the rest."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = {"Batch": "mujoco_batch", "BatchSimulator": "simulator"}.get(name)
+    home = {"Batch": "mujoco_batch", "BatchSimulator": "simulator", "linearize": "linearization"}.get(name)
     value = importlib.import_module(f".{home or name}", __name__)
     globals()[name] = getattr(value, name) if home else value
     return globals()[name]

@@ -6,6 +6,7 @@ Rows of MuJoCo's whole state, ``[W, nstate]``, which rollouts start from and end
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections import OrderedDict
 from collections.abc import Hashable, Mapping, Sequence
@@ -89,6 +90,27 @@ class Ready:
         while len(self._batches) > MODELS:
             self._batches.popitem(last=False)
         return batch
+
+
+class ReadyModels:
+    """The models that were used last, each with its batches."""
+
+    def __init__(self, threads: int, device: wp.DeviceLike):
+        self._where = threads, device
+        self._ready: OrderedDict[bytes, Ready] = OrderedDict()
+
+    def of(self, key: bytes, model: mujoco.MjModel) -> Ready:
+        """Batches of a model that :class:`ModelNumbers` has given a key."""
+        if key not in self._ready:
+            self._ready[key] = Ready(copy.copy(model), *self._where)
+        self._ready.move_to_end(key)
+        while len(self._ready) > MODELS:
+            self._ready.popitem(last=False)
+        return self._ready[key]
+
+    def clear(self) -> None:
+        """Let go of all."""
+        self._ready.clear()
 
 
 def check_sizes(worlds: int, steps: int, widths: Mapping[str, tuple[np.ndarray | None, int]]) -> None:

@@ -12,13 +12,11 @@ precision; states and sensor readings are handed out as doubles.
 from __future__ import annotations
 
 import atexit
-import copy
 import ctypes
 import logging
 import os
 import threading
 import weakref
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -29,7 +27,7 @@ import warp as wp
 
 from .model_numbers import ModelNumbers
 from .outputs import unwritten_field
-from .ready_batches import MODELS, Ready, check_sizes, units
+from .ready_batches import ReadyModels, check_sizes, units
 from .unsupported import callbacks, missing
 
 logger = logging.getLogger("warpmpc")
@@ -96,7 +94,7 @@ class _Native:
         """Begin with nothing ready."""
         self._lock, self._mujoco = threading.Lock(), None
         self._numbers = ModelNumbers()
-        self._ready: OrderedDict[bytes, Ready] = OrderedDict()
+        self._ready = ReadyModels(self._threads, self._device)
         self._lack: dict[bytes, str | None] = {}
 
     def forked(self) -> None:
@@ -172,7 +170,7 @@ class _Native:
             return
         given, mocap = np.broadcast_to(given, (worlds, nstep, wide)), control_spec != _CONTROL
         whole = _whole(models[0], control_spec, given) if mocap else given
-        diverged = self._ready_for(key, models[0]).run(
+        diverged = self._ready.of(key, models[0]).run(
             worlds, nstep, initial_state, initial_warmstart, whole, state, sensordata, arrays, mocap
         )
         if state is not None:
@@ -207,14 +205,6 @@ class _Native:
         if control is None:
             return "controls that are held and differ between the instances of MjData"
         return f"worlds that differ in {arrays}" if isinstance(arrays, str) else None
-
-    def _ready_for(self, key: bytes, model: mujoco.MjModel) -> Ready:
-        if key not in self._ready:
-            self._ready[key] = Ready(copy.copy(model), self._threads, self._device)
-        self._ready.move_to_end(key)
-        while len(self._ready) > MODELS:
-            self._ready.popitem(last=False)
-        return self._ready[key]
 
 
 def _held(model: mujoco.MjModel, data: Sequence[mujoco.MjData], control_spec: int) -> np.ndarray | None:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..kernels.planner.splines import KNOT_TOLERANCE
+from ..physics.tangent import Tangent
 from ..scene.model.conversion import StateRows
 from ..scene.model.mujoco_model import make_world
-from .derivatives.rollouts import Policy, Tangent
+from .derivatives.rollouts import Policy
 
 if TYPE_CHECKING:
     from ..scene.model.compiled import CompiledScene

@@ -21,8 +21,8 @@ from ...physics.runtime.launch import Launcher, capturing, unrecorded
 if TYPE_CHECKING:
     from ...engine.protocol import Engine, EngineRequest, PhysicsSteps
     from ...kernels.planner.costs import CostWeights
+    from ...physics.tangent import Tangent
     from .residuals import Residuals
-    from .rollouts import Tangent
 
 STEPS = (1e-4, 1e-3, 1e-3)
 """Steps of the differences in coordinates [m or rad], velocities [m/s or rad/s] and controls (and activations), these

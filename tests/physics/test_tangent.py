@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from warpmpc.planner.derivatives.rollouts import Tangent
+from warpmpc.physics.tangent import Tangent
 
 MODEL = """
 <mujoco>
@@ -56,3 +56,13 @@ def test_the_two_quaternions_of_an_orientation_are_one(model):
     other = state.copy()
     other[3:7] *= -1.0
     np.testing.assert_allclose(tangent.subtract(other, state), 0.0, atol=1e-15)
+
+
+def test_states_are_moved_along_one_number_each(model):
+    rng, tangent = np.random.default_rng(3), Tangent(model)
+    states, column = random_states(model, rng, 5), np.r_[: tangent.size, :3]
+    step = rng.uniform(-1.0, 1.0, (5, len(column)))
+    moved = tangent.displace(states, column, step)
+    np.testing.assert_allclose(moved, tangent.add(states[:, None], step[..., None] * np.eye(tangent.size)[column]))
+    still = np.repeat(states[:, None], len(column), axis=1)
+    np.testing.assert_allclose(tangent.along(moved, still, column), step, atol=1e-12)
