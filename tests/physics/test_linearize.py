@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``warpmpc.physics.linearize`` against ``mujoco.mjd_transitionFD`` in double precision, and what it promises."""
+"""``warpmpc.physics.linearize`` against ``mujoco.mjd_transitionFD`` in double precision, and what it promises.
+
+Slow ones by hand: pytest -m slow tests/physics/test_linearize.py
+"""
 
 import mujoco
 import numpy as np
