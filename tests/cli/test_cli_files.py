@@ -60,11 +60,7 @@ def test_a_file_that_fits_is_whole_beside_one_that_does_not(folder, command):
     assert 1 <= len(RunLog.load(folder / "a" / "episode.runlog").states) < 11
 
 
-@pytest.mark.parametrize(
-    ("option", "name"),
-    [("--mcap", "a.mcap"), ("--hdf5", "a.hdf5")],
-    ids=["mcap", "hdf5"],
-)
+@pytest.mark.parametrize(("option", "name"), [("--mcap", "a.mcap"), ("--hdf5", "a.hdf5")], ids=["mcap", "hdf5"])
 def test_a_full_disk_ends_an_export_in_one_line(folder, command, option, name):
     for package in ("h5py", "mcap", "rosbags"):
         need(package)

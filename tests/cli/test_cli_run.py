@@ -375,12 +375,7 @@ def test_a_signal_ends_a_run_in_real_time_and_its_files_are_whole(tmp_path):
     command = [*PROGRAM, "run", "omni_push_box", *PLAIN, "--json", "--npz", "a.npz", "--record", "a.rrd", *TINY[:6]]
     endless = ["--set", "timing.timeout=1e4", "--set", "success={ position = 1e-9 }"]  # its goal takes 2 s else
     command += [*endless, "--real-time"]
-    with subprocess.Popen(
-        command,
-        cwd=tmp_path,
-        **PIPES,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
-    ) as process:
+    with subprocess.Popen(command, cwd=tmp_path, **PIPES, env={**os.environ, "TMPDIR": str(tmp_path)}) as process:
         end, log = time.monotonic() + 120.0, tmp_path / "a.npz.runlog"  # of every tick
         while not (log.exists() and len(package.RunLog.load(log).controls) > 100):
             assert time.monotonic() < end, "it never began"

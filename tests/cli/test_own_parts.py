@@ -110,12 +110,7 @@ def call(*arguments, folder, program=("-m", "warpmpc"), path=None):
     """The program's end, in a folder."""
     environment = os.environ | ({"PYTHONPATH": str(path)} if path else {})
     return subprocess.run(
-        [sys.executable, *program, *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=200,
+        [sys.executable, *program, *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=200
     )
 
 

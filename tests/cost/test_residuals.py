@@ -192,9 +192,7 @@ def test_numbers_of_joints_controls_and_contacts_are_less_what_is_wanted():
 def test_mistakes_are_named(cost, message):
     with pytest.raises(SceneError, match=message):
         Rollouts(
-            {"term": "position_residual", **cost},
-            scalar=SCALAR,
-            target=[{"name": "flat", "position": (1.0, 0.0)}],
+            {"term": "position_residual", **cost}, scalar=SCALAR, target=[{"name": "flat", "position": (1.0, 0.0)}]
         )
 
 

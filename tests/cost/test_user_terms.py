@@ -104,11 +104,17 @@ def test_mistakes_in_a_users_table_name_the_key(change, message):
         Rollouts({"term": "reach", **KEYS, **change}, terms=[reach])
 
 
+def read_by_name(data):
+    return data["weights"]
+
+
 def test_a_key_of_every_cost_that_is_misspelt_is_refused_by_an_array_cost_too():
     keys = {"body": 0, "gain": 1.5, "target": [0.3, -0.2, 0.7], "free": 1.0}
     assert Rollouts({"term": "reach_array", **keys}, terms=[reach_array])
     with pytest.raises(SceneError, match=r"cost\.reach_array\.wieght: unknown key.*Did you mean 'weight'"):
         Rollouts({"term": "reach_array", **keys, "wieght": 3.0}, terms=[reach_array])
+    helped = warpmpc.array_cost("helped")(lambda data: read_by_name(data))
+    assert helped.bind({"weights": 1.0}, None) == {"weights": 1.0}
 
 
 @pytest.mark.parametrize("missing", KEYS)

@@ -86,12 +86,7 @@ PHASE = '[[phase]]\nname = "a"\nafter = 1.0\nweight = { distance = -2.0 }\n[plan
         ("position = [2.0, 0.0]", "position = [2, 0, 0, 0]", "goal.position", ["at most 3 values"]),
         ("[0.0, 0.0, 0.0]", "[]", "robot.base.joint_q", ["at least 1 value"]),
         ("size = [0.3, 0.5, 0.3]", "size = [0.3, 0.5]", "object.box", ["'box' needs size", "[x, y, z]", "found 2"]),
-        (
-            'shape = "sphere"',
-            'shape = "cylinder"\nradius = 1',
-            "obstacle.ball",
-            ["radius", "size = [radius, length]"],
-        ),
+        ('shape = "sphere"', 'shape = "cylinder"\nradius = 1', "obstacle.ball", ["size = [radius, length]"]),
         ("mass = 1.0", "mass = 1.0\nheight = 1", "object.box", ["unknown key height", "a box has size = [x, y, z]"]),
         # sections that contradict themselves
         ("damping = 600.0, ", "", "robot.base.drive", ["needs damping"]),

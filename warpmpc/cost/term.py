@@ -90,13 +90,14 @@ class ArrayCost:
         return _summary(self.function)
 
     def bind(self, values: dict[str, Any], binding: Binding) -> dict[str, Any]:
-        """The keys as they are, which the function reads.
+        """The keys as they are, which the function reads, or one that it calls.
 
         Raises:
-            SceneError: If it does not, and the key is nearly one that every cost has.
+            SceneError: If none does, and the key is nearly one that every cost has.
         """
-        with suppress(OSError, TypeError):  # without a file nobody knows what it reads
-            source = inspect.getsource(self.function)
+        with suppress(OSError, TypeError, AttributeError):  # without a file nobody knows what it reads
+            called = map(self.function.__globals__.get, self.function.__code__.co_names)
+            source = "".join(inspect.getsource(f) for f in (self.function, *called) if inspect.isfunction(f))
             for key in values:
                 if key not in source and difflib.get_close_matches(key, Cost.model_fields, cutoff=0.8):
                     raise binding.unknown(key, {})

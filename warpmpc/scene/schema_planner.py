@@ -222,8 +222,8 @@ class Planner(Section):
     """R of ρ(l; R) = (e^{R l} - 1)/R, which every step's cost l, summed over the terms, goes through; zero is l itself
     [M5]. Positive ones shun single bad steps, negative ones bound what a step can cost by -1/R."""
     knots: Knots = 5
-    """Spline control points P, by default at most one per step; or ``steps``, one per step, as always for ``ilqg`` and
-    ``ilqs``."""
+    """Spline control points P, by default at most one per step, and 10 where noise by default would turn a robot over;
+    or ``steps``, one per step, as always for ``ilqg`` and ``ilqs``."""
     spline: SplineKind = SplineKind.CUBIC
     """Spline through the knots."""
     discount: Share = 1.0
