@@ -20,7 +20,7 @@ from ...kernels.geometry.jacobian import Chain, jacobian_column, manipulability_
 from ...scene.model.joints import chain, chain_axes
 from ...scene.types import Floats, NonNegative, NonNegatives, Positive
 from ..binding import Binding
-from ..code import arm as source
+from ..code import state as source
 from ..keys import Frame, TermKeys, term
 from .joints import JointNames, outside
 
