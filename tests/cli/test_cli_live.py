@@ -11,6 +11,7 @@ from urllib.request import urlopen
 import pytest
 from needs import reason
 from program import PROGRAM
+from shared.ports import free_port
 
 viser = pytest.importorskip("viser", reason=reason("viser"))
 
@@ -24,9 +25,7 @@ FAST += ["--engine", "mujoco", "--device", "cpu"]
 @contextmanager
 def page(*arguments, inherited=signal.SIG_DFL):
     """A page as a process, and its port; ``inherited`` is what it finds SIGINT set to."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     command = [*PROGRAM, "live", "cylinder_push", "--port", str(port), *FAST, *arguments]
 
     def start() -> None:

@@ -36,6 +36,12 @@ def meet(folder: str, name: str, others: int) -> int:
     return os.getpid()
 
 
+def meet_where(folder: str, name: str, others: int) -> tuple[int, int, str | None]:
+    """:func:`where`, once as many others are in processes of their own."""
+    meet(folder, name, others)
+    return where()
+
+
 def die_once(folder: str, value: int) -> int:
     """Kill this process, but the second time return a value."""
     mark = Path(folder) / f"died-{value}"

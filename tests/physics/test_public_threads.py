@@ -95,11 +95,15 @@ def long_one(ours):
 def test_different_objects_run_side_by_side():
     with rollout.Rollout() as one, rollout.Rollout() as other:
         expected = call(other.rollout, 0)
-        running, states = long_one(one)
-        found = call(other.rollout, 0)
-        assert not running.done()
-        np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(running.result(), states)
+        for _ in range(5):  # a loaded machine may let the long one end before the short one begins
+            running, states = long_one(one)
+            found = call(other.rollout, 0)
+            beside = not running.done()
+            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_array_equal(running.result(), states)
+            if beside:
+                break
+        assert beside
 
 
 def test_closing_waits_for_the_rollout_and_refuses_the_next():

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import statistics
 import subprocess
 import sys
@@ -26,6 +25,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+
+from shared.ports import free_port
 
 BENCH = Path(__file__).parents[1] / "bench.py"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -151,9 +152,7 @@ def main(arguments: list[str]) -> None:
     from warpmpc.extras.live.page import Access, serve
     from warpmpc.extras.live.session import Session
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     session = Session(options.scene, overrides=options.overrides, device=options.device, pace=1e6)
     ending = threading.Event()
     access = Access("127.0.0.1", port)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
+
+from shared.ports import free_port
 
 TOOLS = Path(__file__).parents[1]
 PROGRAM = [sys.executable, "-m", "warpmpc.cli.main"]
@@ -69,18 +70,6 @@ class Ends:
     """Options of ``warpmpc robot`` that make it, beside the driver's file."""
     settings: Callable[[int], str]
     """Text of the driver's file at the other end."""
-
-
-def free_port() -> int:
-    """A port that is free, and the one after it."""
-    while True:
-        with socket.socket() as one, socket.socket() as other:
-            one.bind(("127.0.0.1", 0))
-            try:
-                other.bind(("127.0.0.1", one.getsockname()[1] + 1))
-            except OSError:
-                continue
-            return one.getsockname()[1]
 
 
 def _ros2(keys: str) -> Ends:

@@ -6,6 +6,7 @@ import socket
 
 import pytest
 from needs import reason
+from shared.ports import free_port
 
 viser = pytest.importorskip("viser", reason=reason("viser"))
 
@@ -22,9 +23,7 @@ from warpmpc.extras.live.page import (  # noqa: E402
 @pytest.fixture(scope="module")
 def access():
     """A page that is served."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     access = Access("127.0.0.1", port)
     server = open_server(access, "a page")
     yield access

@@ -2,13 +2,13 @@
 """Both ends of the ZeroMQ sockets: states and commands as they were sent, and what is no message."""
 
 import json
-import socket
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import zmq
+from shared.ports import free_port
 from small_scenes import BOX, compiled, make_scene
 
 from warpmpc import SceneError, State
@@ -19,18 +19,6 @@ from warpmpc.loop.robots.zeromq import LARGEST, MOST, TOLD, StateCodec, ZmqTrans
 from warpmpc.scene.schema_estimate import Estimate
 
 SCENE = make_scene(object=[BOX])
-
-
-def free_port() -> int:
-    """A port that is free, and the one after it."""
-    while True:
-        with socket.socket() as one, socket.socket() as other:
-            one.bind(("127.0.0.1", 0))
-            try:
-                other.bind(("127.0.0.1", one.getsockname()[1] + 1))
-            except OSError:
-                continue
-            return one.getsockname()[1]
 
 
 @pytest.fixture

@@ -81,9 +81,8 @@ def test_each_gpu_has_a_process_that_sees_it_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_gpus", lambda: ["3", "GPU-5"])
     workers, device = open_workers("gpus")
     with workers:
-        futures = [workers.submit(calls.meet, str(tmp_path), name, 1) for name in "ab"]
-        wait(futures)
-        seen = {gpu for _ in range(12) for _, _, gpu in [workers.submit(calls.where).result()]}
+        futures = [workers.submit(calls.meet_where, str(tmp_path), name, 1) for name in "ab"]
+        seen = {future.result()[2] for future in futures}
     assert (workers.count, device) == (2, "cuda:0")
     assert seen == {"3", "GPU-5"}
 

@@ -119,11 +119,11 @@ def test_check_lists_joints_and_actuators_of_every_kind(tmp_path):
         "r/a -1.571 0 1.571 rad -90 0 90",
         "r/root 0, 0, 1 m free joint, z axis 0° from up",
         "r/gaze ball joint, turned by 0°",
-        "r/lift motor at site r/prop 0 9",
-        "r/hold position at joint r/a -1 1",
-        "r/turn velocity at joint r/a -2 2",
-        "r/pull motor at tendon r/cord -3 3",
-        "r/flex muscle at joint r/a 0 1",
-        "r/grip adhesion at body r/arm 0 1",
+        "r/lift motor at site r/prop 0 9 -",
+        "r/hold position at joint r/a -1 1 -",
+        "r/turn velocity at joint r/a -2 2 -",
+        "r/pull motor at tendon r/cord -3 3 -",
+        "r/flex muscle at joint r/a 0 1 -",
+        "r/grip adhesion at body r/arm 0 1 -",
     ):
         assert row in rows
