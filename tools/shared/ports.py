@@ -9,13 +9,13 @@ from itertools import count
 
 _TAKEN = count(0, 2)
 FIRST, COUNT = 20_000, 12_000
-"""Ports below those that a system gives away to whoever asks for any (Linux: from 32768)."""
+"""Range of ports below the ephemeral ones (Linux: from 32768)."""
 
 
 def free_port() -> int:
-    """A port that is free, and the one after it; processes begin at different ones, and none takes one twice.
+    """A port that is free, and the one after it; processes start at different ports, and a process takes none twice.
 
-    The program that is to take it starts later: a port that the system chose may have gone to somebody else by then.
+    The program that binds it starts later: by then an ephemeral port may be in use again.
     """
     while True:
         port = FIRST + (40 * os.getpid() + next(_TAKEN)) % COUNT

@@ -95,7 +95,7 @@ class ArrayCost:
         Raises:
             SceneError: If none does, and the key is nearly one that every cost has.
         """
-        with suppress(OSError, TypeError, AttributeError):  # without a file nobody knows what it reads
+        with suppress(OSError, TypeError, AttributeError):  # without its source its keys are unknown
             called = map(self.function.__globals__.get, self.function.__code__.co_names)
             source = "".join(inspect.getsource(f) for f in (self.function, *called) if inspect.isfunction(f))
             for key in values:

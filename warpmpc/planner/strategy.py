@@ -203,7 +203,7 @@ class SamplingStrategy(Strategy):
         self.mean = self.distribution.mean if planner.execute is Execute.MEAN else self._carried_out()
 
     def _noise_source(self, **own: Any) -> NoiseSource:
-        """Noise of the scene's shape for knots, with settings of its own."""
+        """Noise of the scene's shape for knots, with other settings."""
         envs, _, count, nu = self.knots.shape
         noise, sizes = self._planner.noise, {"envs": envs, "knots": count, "nu": nu}
         shaping = None if noise.shape is NoiseShape.IDENTITY else _shaping(self._scene, count)

@@ -72,6 +72,7 @@ def test_environments_take_values_of_their_own_or_one_for_all():
         ("speed", np.nan),
         ("speed", [1.0, 2.0]),
         ("effort", np.inf),
+        ("effort", -1.0),
     ],
 )
 def test_values_that_make_no_sense_are_refused_and_change_nothing(name, value):

@@ -200,8 +200,8 @@ class Task(Mapping[str, np.ndarray]):
 
         Raises:
             UnknownName: If the task has nothing of this name; it is a ``KeyError``.
-            ValueError: If the value is not finite or of the wrong shape, a quaternion is zero, or there are more points
-                than the cloud has capacity for.
+            ValueError: If the value is not finite or of the wrong shape, a weight is negative, a quaternion is zero, or
+                there are more points than the cloud has capacity for.
         """
         if name in self._clouds.names:
             self._clouds.set(name, value)
@@ -214,6 +214,8 @@ class Task(Mapping[str, np.ndarray]):
             value = np.array(value, dtype=np.float32)
             if value.shape not in ((), (self.envs,)) or not np.isfinite(value).all():
                 raise ValueError(f"'{name}' is a finite number, not {value}")
+            if name in self.weight_name and (value < 0.0).any():
+                raise ValueError(f"'{name}' is a weight, 0 or more, not {value}: costs are minimized")
             value = value.reshape(-1, 1)
         self.block[:, column] = value
         self._tell({name})
